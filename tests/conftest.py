@@ -199,9 +199,9 @@ def paper_mapping(
         "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0},
         "probe": {"velocity_time_constant_s": 0.0},
     }
-    thing = merged({"name": "table", "shape": "plane"}, table or {})
-    thing["material"] = merged(base_material, material or {})
-    return {**merged(base, tables), "object": [thing]}
+    entry = merged({"name": "table", "shape": "plane"}, table or {})
+    entry["material"] = merged(base_material, material or {})
+    return {**merged(base, tables), "object": [entry]}
 
 
 @pytest.fixture

@@ -45,13 +45,13 @@ class Outcome(NamedTuple):
 
     file      its path in the package
     expected  triangles or geoms that an independent reader finds; None if it refuses the file or finds no triangle
-    found     triangles or geoms that are loaded here
+    loaded    triangles or geoms that are loaded here
     refusal   message of a file that is refused here
     """
 
     file: str
     expected: int | None
-    found: int
+    loaded: int
     refusal: str
 
 
@@ -76,10 +76,10 @@ def meshes(folder: Path) -> Iterator[Outcome]:
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower().removeprefix(".") in READERS and path.stat().st_size < SIZE_MAX:
             try:
-                found, refusal = len(arrays_of(path, read_bytes(path)).triangles), ""
+                count, refusal = len(arrays_of(path, read_bytes(path)).triangles), ""
             except ConfigError as error:
-                found, refusal = 0, str(error).removeprefix(f"{path}: ")
-            yield Outcome(str(path.relative_to(folder)), _triangles(path), found, refusal)
+                count, refusal = 0, str(error).removeprefix(f"{path}: ")
+            yield Outcome(str(path.relative_to(folder)), _triangles(path), count, refusal)
 
 
 def models(folder: Path) -> Iterator[Outcome]:
@@ -92,11 +92,11 @@ def models(folder: Path) -> Iterator[Outcome]:
             scene = load_scene({"fingertip": {"radius_m": 0.01}, "world": world})
             assert scene.world is not None
             check_start(scene.world)
-            found, refusal = len(scene.object), ""
+            count, refusal = len(scene.object), ""
         except ConfigError as error:
-            found, refusal = 0, str(error).replace(f"{folder}/", "").removeprefix("world.model ")
+            count, refusal = 0, str(error).replace(f"{folder}/", "").removeprefix("world.model ")
         expected = _collision_elements(text) if path.suffix == ".urdf" else _colliding_geoms(path)
-        yield Outcome(str(path.relative_to(folder)), expected, found, refusal)
+        yield Outcome(str(path.relative_to(folder)), expected, count, refusal)
 
 
 def _triangles(path: Path) -> int | None:
@@ -141,14 +141,14 @@ def table(outcomes: dict[str, list[Outcome]]) -> str:
     """Return a table of counts, and one of the refused files that the independent reader accepts."""
     counts = "| package | files | loaded | refused by both | refused here alone | loaded with another count |"
     rows, refusals = [counts, "|---|---|---|---|---|---|"], []
-    for name, each in outcomes.items():
-        both = [one for one in each if one.refusal and one.expected is None]
-        alone = [one for one in each if one.refusal and one.expected is not None]
-        wrong = sum(one.found != one.expected for one in each if not one.refusal)
+    for name, group in outcomes.items():
+        both = [outcome for outcome in group if outcome.refusal and outcome.expected is None]
+        alone = [outcome for outcome in group if outcome.refusal and outcome.expected is not None]
+        wrong = sum(outcome.loaded != outcome.expected for outcome in group if not outcome.refusal)
         rows.append(
-            f"| {name} | {len(each)} | {len(each) - len(both) - len(alone)} | {len(both)} | {len(alone)} | {wrong} |"
+            f"| {name} | {len(group)} | {len(group) - len(both) - len(alone)} | {len(both)} | {len(alone)} | {wrong} |"
         )
-        refusals += [f"| {name.split()[0]}: {one.file} | {_short(one)} |" for one in alone]
+        refusals += [f"| {name.split()[0]}: {outcome.file} | {_short(outcome)} |" for outcome in alone]
     return "\n".join([*rows, "", "| refused here alone | reason |", "|---|---|", *refusals])
 
 
@@ -160,7 +160,7 @@ def _short(outcome: Outcome) -> str:
 def main() -> None:
     folders = {PACKAGES[name].replace("==", " "): downloaded(name) for name in PACKAGES}
     every: dict[str, list[Outcome]] = {}
-    for name, folder in (folders | {Path(each).name: Path(each) for each in sys.argv[1:]}).items():
+    for name, folder in (folders | {Path(argument).name: Path(argument) for argument in sys.argv[1:]}).items():
         every[f"{name}, meshes"] = list(meshes(folder))
         every[f"{name}, models"] = list(models(folder))
     print(
@@ -171,7 +171,7 @@ def main() -> None:
         "and a material for all geoms.\n\n"
         "    python tests/corpus_of_files.py [FOLDER...] > docs/measured/files.md\n\n"
         "The packages come from the registry. The models of trimesh are only in its repository: a FOLDER.\n\n"
-        f"{table({name: each for name, each in every.items() if each})}"
+        f"{table({name: group for name, group in every.items() if group})}"
     )
 
 

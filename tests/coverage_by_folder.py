@@ -24,26 +24,26 @@ REASONS: Final = Path(__file__).with_name("coverage_reasons.toml")
 
 def reasons() -> dict[str, str]:
     table: list[dict[str, Any]] = tomllib.loads(REASONS.read_text(encoding="utf-8"))["reason"]
-    return {file: each["why"] for each in table for file in each["files"]}
+    return {file: entry["why"] for entry in table for file in entry["files"]}
 
 
 def share(part: int, whole: int) -> float:
     return 100.0 * part / whole if whole else 100.0
 
 
-def row(name: str, found: dict[str, int]) -> str:
-    lines = share(found["covered_lines"], found["num_statements"])
-    branches = share(found["covered_branches"], found["num_branches"])
+def row(name: str, summary: dict[str, int]) -> str:
+    lines = share(summary["covered_lines"], summary["num_statements"])
+    branches = share(summary["covered_branches"], summary["num_branches"])
     low = "  below 90 %" if min(lines, branches) < LOW else ""
-    return f"{name:<46} {found['num_statements']:6} {lines:6.1f} % {found['num_branches']:6} {branches:6.1f} %{low}"
+    return f"{name:<46} {summary['num_statements']:6} {lines:6.1f} % {summary['num_branches']:6} {branches:6.1f} %{low}"
 
 
 def main(file: str) -> int:
     measured: dict[str, Any] = json.loads(Path(file).read_text(encoding="utf-8"))
     folders: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
     low = {}
-    for name, found in sorted(measured["files"].items()):
-        summary = {key: value for key, value in found["summary"].items() if isinstance(value, int)}
+    for name, content in sorted(measured["files"].items()):
+        summary = {key: value for key, value in content["summary"].items() if isinstance(value, int)}
         for key, value in summary.items():
             folders[str(Path(name).parent)][key] += value
         if share(summary["covered_lines"], summary["num_statements"]) < LOW:
@@ -57,7 +57,7 @@ def main(file: str) -> int:
     by_reason: dict[str, list[str]] = defaultdict(list)
     for name in low:
         by_reason[known.get(name, "")].append(name)
-    for why, names in sorted(by_reason.items(), key=lambda each: -len(each[1])):
+    for why, names in sorted(by_reason.items(), key=lambda item: -len(item[1])):
         print(f"\n{why or 'WITHOUT A REASON: a test, or a line in tests/coverage_reasons.toml'}")
         for name in names:
             print(row(name, low[name]))

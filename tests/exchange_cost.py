@@ -95,8 +95,8 @@ def _tick(io: DeviceIO, sample: Any, wrench: Any, timespec: Any) -> tuple[int, i
     """Time (ns) and status of one tick: OK after a new sample and a complete write, negative after an error."""
     begun = now_ns(timespec)
     status = call_device(io.read, io.handle, sample)
-    taken = call_device(io.write, io.handle, wrench)
-    return now_ns(timespec) - begun, status if status < 0 else max(status, taken)
+    written = call_device(io.write, io.handle, wrench)
+    return now_ns(timespec) - begun, status if status < 0 else max(status, written)
 
 
 @numba.njit(**OPTIONS)
@@ -105,15 +105,15 @@ def _measure(calls: Any, peer: int, wait_ns: int, report: Any, memory: Any, out:
     sample, wrench, timespec, buffer = memory
     io, bare = calls
     for n in range(len(out)):
-        for way in range(2):
+        for series in range(2):
             if peer >= 0:
                 while read_fd(peer, buffer.ctypes.data, BUFFER) > 0:
                     pass
                 write_fd(peer, report.ctypes.data, len(report))
             if wait_ns > 0:
                 sleep_until(now_ns(timespec) + wait_ns, timespec)
-            out[n, way], status = _tick(io if way == 0 else bare, sample, wrench, timespec)
-            if way == 0:
+            out[n, series], status = _tick(io if series == 0 else bare, sample, wrench, timespec)
+            if series == 0:
                 whole[n] = status == OK
                 if status < 0:
                     return n
@@ -193,12 +193,12 @@ def answered(end: socket.socket, answer: bytes, exchange: Callable[[], Any]) -> 
             end.send(answer)
 
     end.settimeout(WAKE_S)
-    asked = threading.Thread(target=once)
-    asked.start()
-    given = exchange()
-    asked.join()
+    thread = threading.Thread(target=once)
+    thread.start()
+    device = exchange()
+    thread.join()
     end.setblocking(False)
-    return given
+    return device
 
 
 @contextmanager
@@ -228,11 +228,11 @@ def falcon(folder: Path) -> Iterator[Case]:
 
 @contextmanager
 def hid(_: Path) -> Iterator[Case]:
-    given = rig_options("woodenhaptics-2019", calibrate=False)
+    options = rig_options("woodenhaptics-2019", calibrate=False)
     fd, end = ends()
-    answer, buffer = bytes(given.reports.input.bytes), np.zeros(BUFFER, np.uint8)
-    with end, HidDevice(given, fd) as device:
-        words = np.array([fd, buffer.ctypes.data, 1 + given.reports.output.bytes])
+    answer, buffer = bytes(options.reports.input.bytes), np.zeros(BUFFER, np.uint8)
+    with end, HidDevice(options, fd) as device:
+        words = np.array([fd, buffer.ctypes.data, 1 + options.reports.output.bytes])
         bare = DeviceIO(_socket_read.address, _socket_write.address, words.ctypes.data)
         yield Case(
             device.io(), bare, end.fileno(), answer, lambda: answered(end, answer, Servo(device, arm=False).read)
@@ -256,17 +256,17 @@ def serial(_: Path) -> Iterator[Case]:
 @contextmanager
 def described(_: Path) -> Iterator[Case]:
     """A Hapkit, with frames and paddle described by its rig, on a stream socket."""
-    given = described_options("hapkit")
-    assert given.frames is not None
+    options = described_options("hapkit")
+    assert options.frames is not None
     near, far = socket.socketpair()
     near.setblocking(False)
-    frame, buffer = np.zeros(given.frames.input.bytes, np.uint8), np.zeros(BUFFER, np.uint8)
-    complete_frame_once(frame, make_shape(given.frames.input, False))
+    frame, buffer = np.zeros(options.frames.input.bytes, np.uint8), np.zeros(BUFFER, np.uint8)
+    complete_frame_once(frame, make_shape(options.frames.input, False))
     answer = frame.tobytes()
 
-    with far, answered(far, answer, lambda: SerialDevice(given, near.detach(), "a socket")) as device:
+    with far, answered(far, answer, lambda: SerialDevice(options, near.detach(), "a socket")) as device:
         fd = int(device._block.word[BOARD.fd])
-        words = np.array([fd, buffer.ctypes.data, given.frames.output.bytes])
+        words = np.array([fd, buffer.ctypes.data, options.frames.output.bytes])
         bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
         yield Case(
             device.io(), bare, far.fileno(), answer, lambda: answered(far, answer, Servo(device, arm=False).read)
@@ -298,22 +298,22 @@ def spacemouse(_: Path) -> Iterator[Case]:
 @contextmanager
 def haply(_: Path) -> Iterator[Case]:
     """An Inverse3 on the emulated service, whose thread receives the next state 0.5 ms before each tick."""
-    other, one, ended = os.eventfd(0), np.ones(1, np.int64), threading.Event()
+    waker, increment, ended = os.eventfd(0), np.ones(1, np.int64), threading.Event()
 
     def sleeper() -> None:
         while not ended.is_set():
-            os.eventfd_read(other)
+            os.eventfd_read(waker)
 
     with Service() as service, open_haply(service) as device:
         woken = threading.Thread(target=sleeper)
         woken.start()
         device.arm()
-        words = np.array([other, one.ctypes.data, 8])
+        words = np.array([waker, increment.ctypes.data, 8])
         yield Case(device.io(), DeviceIO(_nothing.address, _socket_write.address, words.ctypes.data), wait_ns=500_000)
         ended.set()
-        os.eventfd_write(other, 1)
+        os.eventfd_write(waker, 1)
         woken.join()
-    os.close(other)
+    os.close(waker)
 
 
 CASES: Final[dict[str, Callable[[Path], AbstractContextManager[Case]]]] = {
@@ -336,15 +336,15 @@ def times(case: Case, ticks: int) -> tuple[NDArray[np.float64], float]:
     whole = np.zeros(ticks, np.bool_)
     report = np.frombuffer(case.answer, np.uint8).copy()
     for many in (1, ticks):  # the first call compiles
-        done, tries = 0, 0
-        while done < many:
+        count, tries = 0, 0
+        while count < many:
             case.wake()
-            done += _measure(
-                (case.io, case.bare), case.peer, case.wait_ns, report, memory, out[done:many], whole[done:many]
+            count += _measure(
+                (case.io, case.bare), case.peer, case.wait_ns, report, memory, out[count:many], whole[count:many]
             )
             tries += 1
             if tries > TRIES:
-                raise DeviceTimeout(f"the driver failed in {tries} ticks of {done}: is this machine busy?")
+                raise DeviceTimeout(f"the driver failed in {tries} ticks of {count}: is this machine busy?")
     return out * 1e-9, float(np.mean(whole))
 
 
@@ -357,13 +357,13 @@ def result(seconds: NDArray[np.float64], whole: float) -> dict[str, Any]:
     return {"driver": driver, "bare": bare, "own": own, "least": min(between), "most": max(between), "whole": whole}
 
 
-def draw(found: dict[str, dict[str, Any]], path: Path) -> None:
+def draw(results: dict[str, dict[str, Any]], path: Path) -> None:
     """Draw a bar per driver: its own time, with the range over the parts."""
     drawing = figure()
     axes = drawing.subplots()
-    own = np.array([[one[key] for key in ("own", "least", "most")] for one in found.values()]) * 1e6
+    own = np.array([[costs[key] for key in ("own", "least", "most")] for costs in results.values()]) * 1e6
     reach = np.abs(own[:, 1:] - own[:, :1]).T
-    axes.barh(list(found), own[:, 0], xerr=reach, capsize=4)
+    axes.barh(list(results), own[:, 0], xerr=reach, capsize=4)
     axes.set_xlabel("own time of a tick, beside the same C calls made bare (us)")
     save(drawing, path)
 
@@ -377,24 +377,24 @@ def main() -> int:
     if args.ticks < 1:
         parser.error(f"--ticks {args.ticks}: must be 1 or more")
     try:
-        found = {}
+        results = {}
         for name in args.driver or CASES:
             if COMPILER is None and name in ("forcedimension", "falcon", "openhaptics"):
                 print(f"{name}: left out: {NO_COMPILER}", file=sys.stderr)
                 continue
             with tempfile.TemporaryDirectory() as folder, CASES[name](Path(folder)) as case:
-                found[name] = result(*times(case, args.ticks))
+                results[name] = result(*times(case, args.ticks))
         if args.plot is not None:
-            draw(found, args.plot)
+            draw(results, args.plot)
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     rows = [
-        f"{name:15}" + "".join(f"{one[key] * 1e6:9.2f}" for key in COLUMNS) + f"{one['whole']:12.1%}"
-        for name, one in found.items()
+        f"{name:15}" + "".join(f"{costs[key] * 1e6:9.2f}" for key in COLUMNS) + f"{costs['whole']:12.1%}"
+        for name, costs in results.items()
     ]
     head = f"{'us a tick':15}" + "".join(f"{word:>9}" for word in COLUMNS) + f"{'whole ticks':>12}"
-    measure.show({"ticks": args.ticks, "seconds": found}, args.json, [head, *rows])
+    measure.show({"ticks": args.ticks, "seconds": results}, args.json, [head, *rows])
     return 0
 
 

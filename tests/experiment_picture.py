@@ -24,7 +24,7 @@ COLOURS = 32
 """Text and lines need no more, and the file is small."""
 
 
-def seen(run: Session) -> Image.Image:
+def screenshot(run: Session) -> Image.Image:
     return Image.open(io.BytesIO(run.page.screenshot())).convert("RGB")
 
 
@@ -49,10 +49,10 @@ def main() -> None:
         assert run.waits("guess if you are not sure")
         field = run.page.get_by_text("theme", exact=True)  # the script of the page hides it a moment after it is there
         assert eventually(lambda: field.count() and field.is_hidden())
-        pictures = [seen(run)]
+        pictures = [screenshot(run)]
         run.click("begin")
         assert run.waits("Which was stiffer?")
-        pictures.append(seen(run))
+        pictures.append(screenshot(run))
     width = sum(picture.width for picture in pictures) + GAP
     both = Image.new("RGB", (width, pictures[0].height), "grey")
     both.paste(pictures[0], (0, 0))

@@ -21,12 +21,12 @@ FILE: Final = ROOT / "build" / "faults-seen.json"
 def main() -> int:
     """Exit code of pytest; the file of the program is written where every test has passed or was skipped."""
     tests = sorted({test for hazard in HAZARDS for test in hazard.tests})
-    code, seen = run(*tests, *sys.argv[1:])
+    code, cases = run(*tests, *sys.argv[1:])
     # Tests that script the calls of an exchange run only as plain Python.
     plain_code, plain = run(*tests, "-m", "plain", *sys.argv[1:], NUMBA_DISABLE_JIT="1")
     if code == plain_code == 0:
-        seen |= {name: case for name, case in plain.items() if case["outcome"] == "passed"}
-        SEEN_IN.write_text(condensed(seen), "utf-8")
+        cases |= {name: case for name, case in plain.items() if case["outcome"] == "passed"}
+        SEEN_IN.write_text(condensed(cases), "utf-8")
         print(f"written: {SEEN_IN.relative_to(ROOT)}; make reference puts it into docs/reference/faults.md")
     return code or plain_code
 
@@ -43,9 +43,9 @@ def condensed(tests: dict[str, dict[str, Any]]) -> str:
     rows: list[dict[str, Any]] = []
     for hazard in HAZARDS:
         for test in hazard.tests:
-            cases = [seen for name, seen in tests.items() if name.partition("[")[0] == test]
-            noted = [each for case in cases for each in case["seen"] if each.get("hazard", hazard.name) == hazard.name]
-            rows += [{"hazard": hazard.name, **each} for each in noted]
+            cases = [case for name, case in tests.items() if name.partition("[")[0] == test]
+            noted = [row for case in cases for row in case["seen"] if row.get("hazard", hazard.name) == hazard.name]
+            rows += [{"hazard": hazard.name, **row} for row in noted]
             passed = sum(case["outcome"] == "passed" for case in cases)
             if cases:
                 rows.append({"hazard": hazard.name, "test": test, "passed": passed, "of": len(cases)})

@@ -53,7 +53,7 @@ class End(NamedTuple):
     """A device, and the received forces (k, 2): s of the monotonic clock, N along z. Its x is the clock's fraction."""
 
     device: Device
-    taken: Callable[[], NDArray[np.float64]]
+    received_forces: Callable[[], NDArray[np.float64]]
 
 
 @numba.njit(**OPTIONS)
@@ -103,12 +103,12 @@ def openhaptics() -> Iterator[list[End]]:
         stub = HdStub(compile_stub(SOURCE, Path(folder) / "libHD.so.3.4.0", "-pthread"))
         stub["clock"] = 1.0
 
-        def taken() -> NDArray[np.float64]:
+        def received_forces() -> NDArray[np.float64]:
             rows = stub.journal()
             return np.column_stack([rows["ns"] * 1e-9, rows["force"][:, 1]])  # up is the library's y
 
         with open_touch(TouchOptions(library_file=str(stub.path)), RATE_HZ) as device:
-            yield [End(device, taken)]
+            yield [End(device, received_forces)]
 
 
 @contextmanager
@@ -118,7 +118,7 @@ def serial(mode: str) -> Iterator[list[End]]:
         folder = Path(undo.enter_context(tempfile.TemporaryDirectory()))
         board = undo.enter_context(ClockBoard(mode, folder / "log"))
         device = undo.enter_context(open_serial(build(SerialOptions, board.options, "the board's rig"), RATE_HZ))
-        yield [End(device, board.taken)]
+        yield [End(device, board.received_forces)]
 
 
 CASES: Final[dict[str, Callable[[], AbstractContextManager[list[End]]]]] = {
@@ -148,7 +148,9 @@ def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
     keep = slice(WARM_TICKS, None)
     read = times[keep, :, 0] * 1e-9
     poses = ((read - places[keep]) % 1.0)[fresh[keep]]
-    forces = np.concatenate([force_ages(end.taken(), times[:, k, 1] * 1e-9)[keep] for k, end in enumerate(ends)])
+    forces = np.concatenate(
+        [force_ages(end.received_forces(), times[:, k, 1] * 1e-9)[keep] for k, end in enumerate(ends)]
+    )
     arrived = np.isfinite(forces)
     return {
         "pose": ages(poses), "new": float(np.mean(fresh[keep])),
@@ -156,17 +158,17 @@ def run(ends: list[End], ticks: int, rate_hz: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def force_ages(taken: NDArray[np.float64], written: NDArray[np.float64]) -> NDArray[np.float64]:
+def force_ages(arrivals: NDArray[np.float64], written: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the time (s) from each write (n,) until the stub first had its force; NaN if a newer force replaced
     it."""
-    found = np.full(len(written), np.nan)
+    ages_s = np.full(len(written), np.nan)
     ticks = np.arange(len(written))
-    for at, force in taken[taken[:, 1] > 0.5 * LOWEST_N]:
+    for at, force in arrivals[arrivals[:, 1] > 0.5 * LOWEST_N]:
         kind = round((force - LOWEST_N) / STEP_N)
         before = ticks[(ticks % FORCES == kind) & (written <= at)]
-        if len(before) and np.isnan(found[before[-1]]):
-            found[before[-1]] = at - written[before[-1]]
-    return found
+        if len(before) and np.isnan(ages_s[before[-1]]):
+            ages_s[before[-1]] = at - written[before[-1]]
+    return ages_s
 
 
 def ages(values: NDArray[np.float64]) -> dict[str, float]:
@@ -185,7 +187,7 @@ def main() -> int:
     args = parser.parse_args()
     if args.ticks < 1 or not 1.0 <= args.rate <= 1e4:
         parser.error("--ticks must be 1 or more, --rate 1 to 10000")
-    found = {}
+    results = {}
     try:
         for name in args.driver or CASES:
             if COMPILER is None and name == "openhaptics":
@@ -193,16 +195,16 @@ def main() -> int:
                 continue
             with CASES[name]() as ends:
                 time.sleep(0.1)
-                found[name] = run(ends, args.ticks, args.rate)
+                results[name] = run(ends, args.ticks, args.rate)
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     lines = [f"{'age, us':24}" + "".join(f"{word:>9}" for word in ("p50", "p99", "most")) + f"{'share':>9}"]
-    for name, one in found.items():
-        for what, share in (("pose", "new"), ("force", "arrived")):
-            row = "".join(f"{one[what][key] * 1e6:9.0f}" for key in ("p50", "p99", "most"))
-            lines.append(f"{name + ', ' + what:24}{row}{one[share]:9.1%}")
-    measure.show({"ticks": args.ticks, "rate_hz": args.rate, "seconds": found}, args.json, lines)
+    for name, row_of in results.items():
+        for quantity, share in (("pose", "new"), ("force", "arrived")):
+            row = "".join(f"{row_of[quantity][key] * 1e6:9.0f}" for key in ("p50", "p99", "most"))
+            lines.append(f"{name + ', ' + quantity:24}{row}{row_of[share]:9.1%}")
+    measure.show({"ticks": args.ticks, "rate_hz": args.rate, "seconds": results}, args.json, lines)
     return 0
 
 

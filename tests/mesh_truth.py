@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 from helpers import hostile_meshes, meshes
 from helpers.surface_hand import hand
-from helpers.touching import posed, saved, scene_with, thing, wander
+from helpers.touching import make_object, posed, scene_with, wander, write_part
 from numpy.typing import NDArray
 from references.brute_force import Balls, balls_of, brute_distances
 
@@ -79,12 +79,12 @@ WHOLE: Final = 10**7
 
 
 @entry
-def ask(like: Any, values: Array, points: Array, budget: int, found: Array) -> None:
+def ask(like: Any, values: Array, points: Array, budget: int, results: Array) -> None:
     """Fill `found` (n, 3): distance of each of `points` (n, 3), m, its lower bound, m, and the cost of the query."""
     mesh = unpack(like, values)
     for i in range(len(points)):
         near = nearest(mesh, (points[i, 0], points[i, 1], points[i, 2]), 1e300, NO_TRIANGLE, budget, 0.0)
-        found[i, 0], found[i, 1], found[i, 2] = near.square**0.5, near.bound**0.5, near.spent
+        results[i, 0], results[i, 1], results[i, 2] = near.square**0.5, near.bound**0.5, near.spent
 
 
 def triangles_of(scene: schema.Scene) -> meshes.Mesh:
@@ -123,7 +123,7 @@ def check_distances(scene: schema.Scene, balls: Balls, count: int, rng: np.rando
         "budget": 0,
         "asked_max": 0.0,
     }
-    with progress("distances", count) as done:
+    with progress("distances", count) as show:
         for begun in range(0, count, BLOCK):
             points = places(balls, min(BLOCK, count - begun), rng)
             whole, short = np.zeros((2, len(points), 3))
@@ -132,13 +132,13 @@ def check_distances(scene: schema.Scene, balls: Balls, count: int, rng: np.rando
             true = brute_distances(balls, points)
             worst["points"] += len(points)
             worst["asked_max"] = max(worst["asked_max"], float(whole[:, 2].max()))
-            for found, error, beyond in ((whole, "error", "unended"), (short, "error_in_budget", "budget")):
-                spent = found[:, 1] < found[:, 0]
+            for results, error, beyond in ((whole, "error", "unended"), (short, "error_in_budget", "budget")):
+                spent = results[:, 1] < results[:, 0]
                 worst[beyond] += int(spent.sum())
-                worst["bound_above"] = max(worst["bound_above"], float((found[:, 1] - true).max() / size))
-                off = np.abs(found[:, 0] - true)[~spent]
+                worst["bound_above"] = max(worst["bound_above"], float((results[:, 1] - true).max() / size))
+                off = np.abs(results[:, 0] - true)[~spent]
                 worst[error] = max(worst[error], float(off.max(initial=0.0) / size))
-            done(begun + len(points))
+            show(begun + len(points))
     return worst
 
 
@@ -151,9 +151,9 @@ def goes_through(balls: Balls, begun: Array, ended: Array, radius: float) -> boo
 def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) -> dict[str, Any]:
     """Return the number of each kind of error in these ticks, and the deepest position of the proxy."""
     running, last = Engine(scene), poses[0, :3]
-    found = {"ticks": 0, "touching": 0, "budget": 0, "not_finite": 0, "inside": 0, "through": 0}
+    counts = {"ticks": 0, "touching": 0, "budget": 0, "not_finite": 0, "inside": 0, "through": 0}
     deepest, first = 0.0, None
-    with progress("ticks", len(poses)) as done:
+    with progress("ticks", len(poses)) as show:
         for begun in range(0, len(poses), BLOCK):
             records = running.run(poses[begun : begun + BLOCK])
             proxies = records["proxy.position"]
@@ -164,15 +164,15 @@ def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) 
             far = np.flatnonzero(np.linalg.norm(proxies - starts, axis=1) >= 2.0 * radius)
             if first is None and (inside > INSIDE).any():
                 first = begun + int((inside > INSIDE).argmax())
-            found["ticks"] += len(records)
-            found["touching"] += int((records["contact.mode"] > 0).sum())
-            found["budget"] += int((records["contact.budget"] == UNSEARCHED).sum())
-            found["not_finite"] += int(wrong.sum())
-            found["inside"] += int((inside > INSIDE).sum())
-            found["through"] += sum(goes_through(balls, starts[i], proxies[i], radius) for i in far)
+            counts["ticks"] += len(records)
+            counts["touching"] += int((records["contact.mode"] > 0).sum())
+            counts["budget"] += int((records["contact.budget"] == UNSEARCHED).sum())
+            counts["not_finite"] += int(wrong.sum())
+            counts["inside"] += int((inside > INSIDE).sum())
+            counts["through"] += sum(goes_through(balls, starts[i], proxies[i], radius) for i in far)
             deepest, last = max(deepest, float(inside.max())), np.array(proxies[-1])
-            done(begun + len(records))
-    return found | {"deepest": deepest, "first_inside": first}
+            show(begun + len(records))
+    return counts | {"deepest": deepest, "first_inside": first}
 
 
 def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
@@ -184,8 +184,8 @@ def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
         watch.ns.fill(0)  # otherwise the system would allocate its pages in the same ticks of every turn
         time_steps(parameters, packed(start_state(tree)), poses, 1e-3, watch, np.zeros(1, np.int64))
         times[turn] = 1e-3 * watch.ns[0]
-    each = times.min(axis=0)
-    return {"p50": float(np.median(each)), "p99": float(np.percentile(each, 99)), "longest": float(each.max())}
+    least = times.min(axis=0)
+    return {"p50": float(np.median(least)), "p99": float(np.percentile(least, 99)), "longest": float(least.max())}
 
 
 def in_socket(ticks: int, radius: float) -> Array:
@@ -196,38 +196,38 @@ def in_socket(ticks: int, radius: float) -> Array:
 
 def judge(file: str, args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     tip, socket = {"fingertip": {"radius_m": args.radius}}, Path(file).stem in SOCKETS
-    scene = scene_with(thing("part", "mesh", file=file, scale=args.scale, inside=socket), **tip)
-    empty = scene_with(thing("far", "sphere", radius_m=0.01, position_m=[900.0, 900.0, 900.0]), **tip)
+    scene = scene_with(make_object("part", "mesh", file=file, scale=args.scale, inside=socket), **tip)
+    empty = scene_with(make_object("far", "sphere", radius_m=0.01, position_m=[900.0, 900.0, 900.0]), **tip)
     mesh = triangles_of(scene)
     balls = balls_of(*mesh)
-    found: dict[str, Any] = {"triangles": len(mesh.triangles)}
+    result: dict[str, Any] = {"triangles": len(mesh.triangles)}
     if args.points:
-        found["distances"] = check_distances(scene, balls, args.points, rng)
+        result["distances"] = check_distances(scene, balls, args.points, rng)
     if args.ticks:
         poses = in_socket(args.ticks, args.radius) if socket else hand(mesh, args.ticks, args.radius, rng)
-        found["hand"] = check_ticks(scene, balls, poses, args.radius)
-        found["tick_us"], found["empty_us"] = (time_ticks(each, poses) for each in (scene, empty))
-    return found
+        result["hand"] = check_ticks(scene, balls, poses, args.radius)
+        result["tick_us"], result["empty_us"] = (time_ticks(tree, poses) for tree in (scene, empty))
+    return result
 
 
-def is_wrong(found: dict[str, Any]) -> bool:
-    away, ticks = found.get("distances"), found.get("hand")
+def is_wrong(result: dict[str, Any]) -> bool:
+    away, ticks = result.get("distances"), result.get("hand")
     off = away is not None and max(away["error"], away["error_in_budget"], away["bound_above"]) > INSIDE
     return off or (ticks is not None and ticks["inside"] + ticks["not_finite"] + ticks["through"] > 0)
 
 
 def lines(result: dict[str, Any]) -> Iterator[str]:
-    for name, found in result.items():
-        yield f"{name}: {found['triangles']:,} triangles{', WRONG' if is_wrong(found) else ''}"
-        if away := found.get("distances"):
+    for name, content in result.items():
+        yield f"{name}: {content['triangles']:,} triangles{', WRONG' if is_wrong(content) else ''}"
+        if away := content.get("distances"):
             yield f"  {away['points']:,} points: off by {away['error']:.1e} of the size, {away['asked_max']:,.0f} asked"
             beyond = f"{away['budget']:,} beyond the budget, {away['unended']:,} beyond all room"
             yield f"  {beyond}, their bound above the distance by {away['bound_above']:.1e}"
-        if ticks := found.get("hand"):
+        if ticks := content.get("hand"):
             counts = ", ".join(f"{ticks[key]:,} {key}" for key in COUNTED)
             yield f"  {ticks['ticks']:,} ticks: {counts}; deepest {ticks['deepest']:.1e} r"
             for key, text in (("tick_us", "a tick"), ("empty_us", "of an empty scene")):
-                us = found[key]
+                us = content[key]
                 yield f"  {text}: p50 {us['p50']:.2f}, p99 {us['p99']:.2f}, longest {us['longest']:.1f} us"
 
 
@@ -253,7 +253,7 @@ def main() -> int:
             }
         with tempfile.TemporaryDirectory() as folder:
             for name in args.mesh or made:
-                file = saved(Path(folder), *made[name](), name=f"{name}.ply") if name in made else name
+                file = write_part(Path(folder), *made[name](), name=f"{name}.ply") if name in made else name
                 result[Path(name).stem if name not in made else name] = judge(
                     file, args, np.random.default_rng(args.seed)
                 )
@@ -261,7 +261,7 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     measure.show(result, args.json, list(lines(result)))
-    return int(any(is_wrong(found) for found in result.values()))
+    return int(any(is_wrong(content) for content in result.values()))
 
 
 if __name__ == "__main__":

@@ -55,13 +55,13 @@ class Outcome(NamedTuple):
 
     word: str
     seconds: float
-    said: str
+    output: str
 
 
 def read(only: str = "") -> list[Mutant]:
     """Return the mistakes with `only` in their file or description."""
     listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]
-    return [each for each in (Mutant(**table) for table in listed) if only in each.file or only in each.mistake]
+    return [mutant for mutant in (Mutant(**table) for table in listed) if only in mutant.file or only in mutant.mistake]
 
 
 def copy_to(folder: Path) -> None:
@@ -84,9 +84,9 @@ class Copy:
             "PYTHONPATH": str(self.folder / ".dev"),
             "SOFTFINGER_CACHE_DIR": str(folder / "kernels"),
         }
-        asked = [sys.executable, "-c", "import softfinger.server.cli as it; print(it.__file__)"]
+        command = [sys.executable, "-c", "import softfinger.server.cli as it; print(it.__file__)"]
         process = subprocess.run(
-            asked, cwd=self.folder, env=self._environment, capture_output=True, text=True, check=True
+            command, cwd=self.folder, env=self._environment, capture_output=True, text=True, check=True
         )
         if Path(process.stdout.strip()).resolve() != self.folder.resolve() / "server" / "cli.py":
             raise SystemExit(f"softfinger is imported from {process.stdout.strip()}, not from the copy")
@@ -95,7 +95,7 @@ class Copy:
         """Run tests until one fails."""
         begun = time.monotonic()
         # Other files have no `plain` test, and may require machine code (tests/conftest.py).
-        plain = [each for each in tests if "plain" in (self.folder / each.partition("::")[0]).read_text("utf-8")]
+        plain = [test for test in tests if "plain" in (self.folder / test.partition("::")[0]).read_text("utf-8")]
         outcome = Outcome(SURVIVED, 0.0, "")
         for marks, chosen, more in (("plain", plain, {"NUMBA_DISABLE_JIT": "1"}), ("not plain", list(tests), {})):
             if chosen and outcome.word == SURVIVED:
@@ -104,9 +104,9 @@ class Copy:
 
     def _run(self, words: list[str], more: dict[str, str], limit_s: float | None) -> Outcome:
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *words]
-        with tempfile.TemporaryFile("w+") as said, subprocess.Popen(  # a pipe would have to be read to its end
+        with tempfile.TemporaryFile("w+") as output, subprocess.Popen(  # a pipe would have to be read to its end
             command, cwd=self.folder, env=self._environment | more, start_new_session=True,
-            stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
         ) as process:  # fmt: skip
             try:
                 code = process.wait(limit_s)
@@ -115,8 +115,8 @@ class Copy:
                 word = LATE
             finally:
                 end_session(process.pid)
-            said.seek(0)
-            return Outcome(word, 0.0, said.read())
+            output.seek(0)
+            return Outcome(word, 0.0, output.read())
 
     def try_out(self, mutant: Mutant, number: int) -> Outcome:
         """Plant a mistake, run its tests and undo it. `number` distinguishes mistakes in the same file."""
@@ -136,10 +136,10 @@ class Copy:
 
 def end_session(leader: int) -> None:
     """Kill the remaining processes of a session: daemons of tests have separate process groups."""
-    for each in os.listdir("/proc"):
+    for process in os.listdir("/proc"):
         with contextlib.suppress(ValueError, OSError):  # not a process, or it has ended
-            if os.getsid(int(each)) == leader:
-                os.kill(int(each), signal.SIGKILL)
+            if os.getsid(int(process)) == leader:
+                os.kill(int(process), signal.SIGKILL)
 
 
 def tell(results: Sequence[tuple[Mutant, Outcome]], seconds: float) -> None:
@@ -153,7 +153,7 @@ def tell(results: Sequence[tuple[Mutant, Outcome]], seconds: float) -> None:
         if outcome.word != CAUGHT:
             print(f"  {outcome.word}: {mutant}\n    by {' '.join(mutant.tests)}")
             if outcome.word == ERROR:
-                print("\n".join(f"    {line}" for line in outcome.said.strip().splitlines()[-12:]))
+                print("\n".join(f"    {line}" for line in outcome.output.strip().splitlines()[-12:]))
 
 
 def main(words: Sequence[str]) -> int:
@@ -170,7 +170,7 @@ def main(words: Sequence[str]) -> int:
         copy = Copy(Path(folder))
         right = copy.test(sorted({test for mutant in mutants for test in mutant.tests}), limit_s=None)
         if right.word != SURVIVED:
-            print(right.said)
+            print(right.output)
             raise SystemExit("these tests do not pass without a mistake: nothing they say of one would count")
         print(f"without a mistake all pass, {right.seconds:.1f} s", flush=True)
         for number, mutant in enumerate(mutants, 1):

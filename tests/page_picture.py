@@ -49,12 +49,12 @@ def draw_page() -> Path:
 def draw_elastic(scene: str, recordings: dict[str, str], folder: Path) -> Path:
     file, path = FIGURES / f"elastic-{scene.rpartition('-')[2]}.jpg", folder / f"{scene}.mcap"
     several = len(recordings) > 1
-    found = run_recording(recordings if several else recordings[""], scene)
-    records = {name: np.asarray(found[name] if several else found) for name in recordings}
+    records_of = run_recording(recordings if several else recordings[""], scene)
+    records = {name: np.asarray(records_of[name] if several else records_of) for name in recordings}
     moved = [np.linalg.norm(record[:, AT.contact_displacement :][:, :3], axis=1) for record in records.values()]
     tick = int(np.sum(moved, axis=0).argmax())
-    told = about(scene=describe(load_scene(scene)), scene_name=scene)
-    recording = RecordingFile(path.open("wb", buffering=0), tuple(records), told)
+    header = about(scene=describe(load_scene(scene)), scene_name=scene)
+    recording = RecordingFile(path.open("wb", buffering=0), tuple(records), header)
     for name, record in records.items():
         record[:, AT.timestamp] += EPOCH_S
         recording.ticks(record, name)

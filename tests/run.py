@@ -120,7 +120,7 @@ class Running:
         self.cpu_file.unlink(missing_ok=True)
         self.report: list[str] = []
         """All lines from the first section heading."""
-        self.beside: list[str] = []
+        self.other_lines: list[str] = []
         """Other lines except progress: headings, and output of a crashed process."""
         pytest = [*(["coverage", "run", "-m"] if covered else []), "pytest"]
         self.process = subprocess.Popen(
@@ -160,12 +160,12 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
             part, line = lines.get()
         except KeyboardInterrupt:
             for part in running:
-                print(f"\n--- {part.part.name}, interrupted ---", *part.beside, sep="\n", flush=True)
+                print(f"\n--- {part.part.name}, interrupted ---", *part.other_lines, sep="\n", flush=True)
                 part.interrupt()
             continue
         if line is None:
             if part.process.wait() not in WELL:
-                print(f"\n--- {part.part.name}, before ---", *part.beside, sep="\n", flush=True)
+                print(f"\n--- {part.part.name}, before ---", *part.other_lines, sep="\n", flush=True)
             going -= 1
             print(f"\n--- {part.part.name} ---", *part.report, sep="\n", flush=True)
         elif part.report or (line.startswith("=") and "test session starts" not in line):
@@ -173,7 +173,7 @@ def run(parts: Sequence[Part], words: Sequence[str], covered: bool = False) -> l
         elif line.endswith("%]"):
             print(f"{part.part.name:>9} | {line}", flush=True)
         else:
-            part.beside.append(line)
+            part.other_lines.append(line)
     return running
 
 
@@ -238,7 +238,7 @@ def print_cpu_table(ended: Sequence[Running]) -> None:
     print(f"{programs:8.1f}  programs that tests started")
     print(f"{total - process - programs:8.1f}  starting pytest, collecting")
     print(f"\nThe {MOST_EXPENSIVE} most expensive tests: process, of which compiling, programs (all: {CPU_FOLDER}):")
-    for seconds, part_name, test in sorted(tests, key=lambda each: -each[0][0] - each[0][2])[:MOST_EXPENSIVE]:
+    for seconds, part_name, test in sorted(tests, key=lambda row: -row[0][0] - row[0][2])[:MOST_EXPENSIVE]:
         print("".join(f"{value:7.1f}" for value in seconds), f" {part_name:>9} | {test}")
 
 
@@ -249,7 +249,7 @@ def main(words: list[str]) -> int:
     ENVIRONMENT["PYTEST_ADDOPTS"] = f"{os.environ.get('PYTEST_ADDOPTS', '')} {hang_limit()}".strip()
     wanted = words.pop(0) if words and words[0] in ("--rest", "--system", "--coverage") else ""
     if wanted in ("--rest", "--system"):
-        ended = [part for one in (REST if wanted == "--rest" else SYSTEM) for part in run([one], words)]
+        ended = [part for separate in (REST if wanted == "--rest" else SYSTEM) for part in run([separate], words)]
     else:
         ended = quick(words, covered=wanted == "--coverage")
     counts, well = outcome(ended)

@@ -105,7 +105,7 @@ class Ended(Enum):
     NOTHING = "without a word: what it was to do was not done to the end"
 
 
-class Seen(NamedTuple):
+class Baseline(NamedTuple):
     """Calls of a test (`file function`) and its duration, s."""
 
     calls: list[str]
@@ -134,10 +134,10 @@ def in_fork(do: Callable[[], Any], limit_s: int = 0) -> Any:
         ender.cancel()
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)  # processes started by a test
-        said = pipe.read()
+        output = pipe.read()
     if code < 0:
         return Ended.CRASHED if -code in CRASHES else Ended.LATE
-    return json.loads(said) if said else Ended.NOTHING
+    return json.loads(output) if output else Ended.NOTHING
 
 
 class Sweep:
@@ -168,11 +168,11 @@ class Sweep:
         files = {mistake.file for mistake in self.mistakes}
         self.items = {item.nodeid: item for item in session.items}
         self.functions = planting.functions_of(ROOT, files)
-        seen = self.baseline(files)
+        baseline = self.baseline(files)
         for number, mistake in enumerate(self.mistakes, 1):
             if mistake.name not in self.results:
                 begun = time.monotonic()
-                word = self.try_out(mistake, seen)
+                word = self.try_out(mistake, baseline)
                 self.results[mistake.name] = word
                 print(
                     f"[{number}/{len(self.mistakes)}] {word:<9} {time.monotonic() - begun:5.1f} s  {mistake.name}",
@@ -188,15 +188,15 @@ class Sweep:
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=None)
         return not self.failed
 
-    def baseline(self, files: set[str]) -> dict[str, Seen]:
+    def baseline(self, files: set[str]) -> dict[str, Baseline]:
         """Return the calls of all tests that pass without a mistake."""
         from helpers import planting
 
         def traced(item: Any) -> Any:
             calls = set[str]()
 
-            def note(frame: Any, what: str, argument: Any) -> None:
-                if what == "call" and (file := planting.file_of(ROOT, frame.f_code)) in files:
+            def note(frame: Any, event: str, argument: Any) -> None:
+                if event == "call" and (file := planting.file_of(ROOT, frame.f_code)) in files:
                     calls.add(f"{file} {frame.f_code.co_qualname}")
 
             begun = time.monotonic()
@@ -206,25 +206,25 @@ class Sweep:
             sys.setprofile(None)
             return [sorted(calls), time.monotonic() - begun] if passed else None
 
-        seen: dict[str, Seen] = {}
+        baseline: dict[str, Baseline] = {}
         for name, item in self.items.items():
-            found = in_fork(lambda item=item: traced(item), CPU_S)
-            if isinstance(found, list):
-                seen[name] = Seen(*found)
-            elif found is Ended.LATE:
+            result = in_fork(lambda item=item: traced(item), CPU_S)
+            if isinstance(result, list):
+                baseline[name] = Baseline(*result)
+            elif result is Ended.LATE:
                 print(f"without a mistake the wall clock ended it here: {name}", flush=True)
             else:
                 print(f"without a mistake it does not pass here: {name}", flush=True)
-        print(f"{len(seen)} of {len(self.items)} tests pass without a mistake", flush=True)
-        return seen
+        print(f"{len(baseline)} of {len(self.items)} tests pass without a mistake", flush=True)
+        return baseline
 
-    def try_out(self, mistake: Any, seen: dict[str, Seen]) -> str:
+    def try_out(self, mistake: Any, baseline: dict[str, Baseline]) -> str:
         from helpers import planting
 
         function = f"{mistake.file} {mistake.function}"
         constant = mistake.function.isupper()  # any test may use it
-        tests = [name for name, one in seen.items() if constant or function in one.calls]
-        tests.sort(key=lambda name: seen[name].seconds)
+        tests = [name for name, run in baseline.items() if constant or function in run.calls]
+        tests.sort(key=lambda name: baseline[name].seconds)
 
         def planted() -> str:
             planting.plant(ROOT, mistake, self.functions)
@@ -280,7 +280,7 @@ def main(words: Sequence[str]) -> int:
 
     plain_exchange.install()
     files = [file for part in PARTS.values() for file in part.files]
-    mistakes = [each for file in files for each in planting.mistakes_in(ROOT, file) if args.only in each.name]
+    mistakes = [mistake for file in files for mistake in planting.mistakes_in(ROOT, file) if args.only in mistake.name]
     if args.count:
         mistakes = sorted(random.Random(args.seed).sample(mistakes, min(args.count, len(mistakes))))
     if not mistakes:
@@ -290,13 +290,13 @@ def main(words: Sequence[str]) -> int:
         sweep.results = json.loads(args.json.read_text("utf-8"))
     import pytest
 
-    parts = [part for part in PARTS.values() if any(each.file in part.files for each in mistakes)]
+    parts = [part for part in PARTS.values() if any(mistake.file in part.files for mistake in mistakes)]
     tests = sorted({f"tests/{name}.py" for part in parts for name in part.tests})
     # the package is already imported for the exchanges; it has no assertions for pytest to rewrite
     options = ["-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
     pytest.main([*options, "-m", "not exhaustive", *tests], [sweep])
     listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8")).get("equivalent", [])
-    excused = {(one["file"], one["line"], one["mistake"]) for one in listed}
+    excused = {(entry["file"], entry["line"], entry["mistake"]) for entry in listed}
     survived = tell(mistakes, sweep.results, excused)
     return 0 if survived <= 0.05 * len(mistakes) else 1
 

@@ -26,13 +26,13 @@ def folder(request: pytest.FixtureRequest) -> Path:
 def test_meshes_have_as_many_triangles_as_another_reader_finds(folder: Path) -> None:
     outcomes = list(meshes(folder))
     assert all("\n" not in outcome.refusal for outcome in outcomes)
-    assert [outcome for outcome in outcomes if not outcome.refusal and outcome.found != outcome.expected] == []
+    assert [outcome for outcome in outcomes if not outcome.refusal and outcome.loaded != outcome.expected] == []
     assert [outcome for outcome in outcomes if outcome.refusal and outcome.expected] == []
 
 
 def test_models_have_as_many_objects_as_geoms_that_collide(folder: Path) -> None:
     outcomes = list(models(folder))
-    assert all("\n" not in each.refusal for each in outcomes)
-    assert [each for each in outcomes if not each.refusal and each.found != each.expected] == []
-    alone = [each for each in outcomes if each.refusal and each.expected is not None]
-    assert [each for each in alone if not any(limit in each.refusal for limit in LIMITS)] == []
+    assert all("\n" not in outcome.refusal for outcome in outcomes)
+    assert [outcome for outcome in outcomes if not outcome.refusal and outcome.loaded != outcome.expected] == []
+    alone = [outcome for outcome in outcomes if outcome.refusal and outcome.expected is not None]
+    assert [outcome for outcome in alone if not any(limit in outcome.refusal for limit in LIMITS)] == []

@@ -53,20 +53,20 @@ def test_exit_codes_are_those_of_the_errors():
 
 def commands(text: str) -> list[list[str]]:
     """Return the arguments of each `softfinger ...` line, without comments and redirections."""
-    found = re.findall(r"^    .*$", text, re.MULTILINE)
+    rows = re.findall(r"^    .*$", text, re.MULTILINE)
     for _, body in re.findall(r"^( *)```(?:sh|console)\n(.*?)^\1```", text, re.MULTILINE | re.DOTALL):
-        found += body.splitlines()
-    lines = [line[1] for line in (re.match(r" *(softfinger .*?)(?: [|>&].*)?$", each) for each in found) if line]
+        rows += body.splitlines()
+    lines = [line[1] for line in (re.match(r" *(softfinger .*?)(?: [|>&].*)?$", row) for row in rows) if line]
     return [shlex.split(line, comments=True)[1:] for line in lines]
 
 
 def test_every_command_in_readme_and_docs_is_one():
-    parser, found = make_parser(), 0
+    parser, count = make_parser(), 0
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
         for words in commands(page.read_text()):
             parser.parse_args(words)
-            found += 1
-    assert found > 30
+            count += 1
+    assert count > 30
     assert set(re.findall(r"softfinger (?!import\b)([a-z]+)\b", README + RUNNING + HOW)) - {"VERB"} <= set(VERBS)
 
 
@@ -86,8 +86,8 @@ def test_commands_of_the_readme_run(tmp_path, endpoints, monkeypatch, capsys):
         }.get(words[0], [])
         if more is None or "omega-6" in words:  # a device that is not here
             continue
-        there = [word.replace("=sphere", "=frictionless-plane") for word in words]  # compiled for other tests, too
-        assert main([*there, *more]) == 0, words
+        replaced = [word.replace("=sphere", "=frictionless-plane") for word in words]  # compiled for other tests, too
+        assert main([*replaced, *more]) == 0, words
         ran.append(words[0])
     assert main(["ctl", "set_scene", "scene=paper-plane", "--endpoint", endpoints[1]]) == 0  # as it was
     assert {"monitor", "ctl", "check", "replay", "run", "scenes", "devices"} <= set(ran)
@@ -121,12 +121,12 @@ def test_the_reference_names_every_attribute_of_a_step():
     assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(STEP_FIELDS)
 
 
-def test_every_link_in_readme_and_docs_leads_somewhere():
+def test_every_link_in_readme_and_docs_has_a_target():
     for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")]:
         for target, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", page.read_text()):
-            there = page.parent / target if target else page
-            assert there.exists(), f"{page.name} links to {target}"
-            assert not anchor or anchor in anchors(there), f"{page.name} links to {target}#{anchor}"
+            file = page.parent / target if target else page
+            assert file.exists(), f"{page.name} links to {target}"
+            assert not anchor or anchor in anchors(file), f"{page.name} links to {target}#{anchor}"
 
 
 def test_the_site_has_every_page_once():

@@ -29,13 +29,12 @@ PNG = b"\x89PNG"
 LINES_MAX = 130
 
 
-def said(program: str, *words: str, cwd: Path, plain: bool = False) -> str:
+def run_example(program: str, *words: str, cwd: Path, plain: bool = False) -> str:
     """Run an example to its end; return its output. `plain`: nothing is compiled."""
     command = [sys.executable, EXAMPLES / program, *words]
     environment = os.environ | ({"NUMBA_DISABLE_JIT": "1"} if plain else {})
-    done = run_program(command, cwd=cwd, timeout=500, env=environment)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    process = run_program(command, cwd=cwd, timeout=500, env=environment, check=True)
+    return process.stdout
 
 
 def number(pattern: str, text: str) -> float:
@@ -46,7 +45,7 @@ def number(pattern: str, text: str) -> float:
 
 def test_a_box_hangs_by_soft_fingers(tmp_path: Path) -> None:
     """By no more than a fifth beyond the closed form, for it is let go at once; by points past the vertical."""
-    text = said("lift_a_box.py", cwd=tmp_path, plain=True)
+    text = run_example("lift_a_box.py", cwd=tmp_path, plain=True)
     rest = math.degrees(0.1 * 9.81 * 0.008 / (2.0 * 0.05))
     assert number(r"has ([0-9.]+)", text) == pytest.approx(rest, abs=0.05)  # as it is rounded
     assert rest < number(r"soft fingers it turns by ([0-9.]+)", text) < 1.2 * rest
@@ -54,13 +53,13 @@ def test_a_box_hangs_by_soft_fingers(tmp_path: Path) -> None:
 
 
 def test_a_finger_feels_how_hard_a_gripper_presses(tmp_path: Path) -> None:
-    text = said("teleoperate_a_gripper.py", cwd=tmp_path, plain=True)
+    text = run_example("teleoperate_a_gripper.py", cwd=tmp_path, plain=True)
     rows = re.findall(r"by ([0-9.]+) mm: the finger feels ([0-9.]+) N, the gripper presses with ([0-9.]+)", text)
     assert len(rows) == 3
-    for pulled, felt, pressed in (tuple(map(float, row)) for row in rows):
+    for pulled, shown, pressed in (tuple(map(float, row)) for row in rows):
         expected = max(1e-3 * pulled - 0.004, 0.0) / (1.0 / 2000.0 + 1.0 / 300.0)
-        assert felt == pytest.approx(pressed, abs=2e-3)
-        assert felt == pytest.approx(
+        assert shown == pytest.approx(pressed, abs=2e-3)
+        assert shown == pytest.approx(
             expected, rel=0.04
         )  # MuJoCo's contact is compliant: some hundredths of a millimetre
 
@@ -85,7 +84,7 @@ def run_notebook(name: str, folder: Path = EXAMPLES) -> str:
 
 
 def test_press_and_plot(tmp_path: Path) -> None:
-    out = said("press_and_plot.py", "press.png", cwd=tmp_path)
+    out = run_example("press_and_plot.py", "press.png", cwd=tmp_path)
     # The damper of the coupling adds 2 mN, which is one tick of the drag; the drag starts and slips at a whole tick.
     assert number(r"slips after ([\d.]+) s", out) == pytest.approx(0.8, abs=0.003)
     assert (tmp_path / "press.png").read_bytes().startswith(PNG)
@@ -99,13 +98,13 @@ def test_friction_sweep() -> None:
 
 def test_stiffness_staircase() -> None:
     out = run_notebook("stiffness_staircase.ipynb")
-    found, expected = number(r"threshold ([\d.]+)%", out), number(r"observer's is ([\d.]+)%", out)
+    threshold, expected = number(r"threshold ([\d.]+)%", out), number(r"observer's is ([\d.]+)%", out)
     # 99 of 100 staircases of 36 reversals end between half and 1.65 of it (2000 drawn without the engine).
-    assert 0.5 < found / expected < 1.65
+    assert 0.5 < threshold / expected < 1.65
     assert number(r"(\d+) pictures", out) == 1
 
 
-def printed(out: str, row: str) -> dict[str, float]:
+def table_row(out: str, row: str) -> dict[str, float]:
     """The numbers of a row of the table that the notebook prints, by the name of their column."""
     head, *lines = out.splitlines()
     line = next(line for line in lines if line.split()[:1] == [row])  # a table of the answers may follow
@@ -117,7 +116,7 @@ def test_an_experiment_s_folder_with_pandas_and_scipy(tmp_path: Path) -> None:
     Experiment("curvature-by-rolling").run(tmp_path, 1, RunOptions(dry_run=True, no_daemon=True))
     out = run_notebook("analyse_experiment.ipynb", tmp_path)
     for group in fit_groups(*load(tmp_path)):
-        row, fit = printed(out, group.condition), group.fit
+        row, fit = table_row(out, group.condition), group.fit
         assert isinstance(fit, Fit) and row["trials"] == group.trials
         # A step of a slope is 8 % there (40 from 0.5 to 12) and 2.6 % here (120 of them); of a threshold 2.3 % and 6 %
         # (300 and 120 from a quarter of the least level to four times the largest). Both interpolate between steps.
@@ -136,12 +135,12 @@ def test_the_notebook_shows_exponents_and_answers(tmp_path: Path) -> None:
     write_csv(tmp_path / "trials.csv", [row | {"peak_force_n": force} for row, force in zip(rows, forces, strict=True)])
     tick = {"timestamp": 0.0, "x_m": 0.0, "z_m": 0.0, "fx_n": 0.0, "fy_n": 0.0, "fz_n": 1.0}
     counted = [number for number, row in enumerate(rows) if row["practice"] == "False"]
-    felt = tmp_path / "sub-01" / "trials" / f"sub-01_trial-{counted[0] + 1:04d}.csv"
-    write_csv(felt, [tick, tick | {"timestamp": 0.1}])
+    trial = tmp_path / "sub-01" / "trials" / f"sub-01_trial-{counted[0] + 1:04d}.csv"
+    write_csv(trial, [tick, tick | {"timestamp": 0.1}])
     out = run_notebook("analyse_experiment.ipynb", tmp_path)
     (group,) = fit_groups(*load(tmp_path))
     assert isinstance(group.fit, PowerLaw)
-    row = printed(out, "all")
+    row = table_row(out, "all")
     assert row["exponent"] == pytest.approx(group.fit.exponent, abs=6e-5)  # four digits are printed
     assert (row["exponent_low"], row["exponent_high"]) == pytest.approx(group.fit.exponent_95, abs=6e-5)
     mean = sum(forces[place] for place in counted) / len(counted)
@@ -151,13 +150,13 @@ def test_the_notebook_shows_exponents_and_answers(tmp_path: Path) -> None:
 
 @pytest.mark.real_time
 def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    out = said("change_a_parameter.py", *endpoints, cwd=tmp_path)
+    out = run_example("change_a_parameter.py", *endpoints, cwd=tmp_path)
     assert "1000 -> 500; largest normal force 1.00 N -> 0.50 N" in out
 
 
 @pytest.mark.real_time
 def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    out = said("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
+    out = run_example("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
     assert number(r"(\d+) ticks drawn", out) > 0
     assert (tmp_path / "live.png").read_bytes().startswith(PNG)
 
@@ -165,9 +164,9 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 @pytest.mark.real_time
 @pytest.mark.exhaustive  # 8 s; `make test` runs the numba driver on a daemon, and this one without
 def test_my_driver_python(tmp_path: Path) -> None:
-    out = said("my_driver_python.py", "1300", cwd=tmp_path)
-    alone, beside = out.splitlines()
-    assert alone.startswith("1300 ticks alone") and beside.startswith("1300 ticks beside a busy thread")
+    out = run_example("my_driver_python.py", "1300", cwd=tmp_path)
+    alone, busy = out.splitlines()
+    assert alone.startswith("1300 ticks alone") and busy.startswith("1300 ticks beside a busy thread")
     # The ramp is over after half a second, so the second press has it all. One tick more or less is far below a digit.
     assert number(r"largest force ([\d.]+) N", alone) == pytest.approx(0.75, abs=0.01)
 
@@ -189,4 +188,4 @@ def test_an_exception_in_a_python_driver_ends_the_run() -> None:
 
 @pytest.mark.real_time
 def test_my_driver_numba(tmp_path: Path) -> None:
-    said("my_driver_numba.py", cwd=tmp_path)
+    run_example("my_driver_numba.py", cwd=tmp_path)

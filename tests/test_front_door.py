@@ -112,9 +112,9 @@ def test_repr_and_completion_of_an_engine(client: partial[Client]) -> None:
 
 def test_the_door_is_light() -> None:
     code = "import sys; had = {*sys.modules}; import softfinger; dir(softfinger); print(*{*sys.modules} - had)"
-    done = run_program([sys.executable, "-c", code], check=True)
-    assert {name.partition(".")[0] for name in done.stdout.split()} - sys.stdlib_module_names == {"softfinger"}
-    assert "softfinger." not in done.stdout
+    process = run_program([sys.executable, "-c", code], check=True)
+    assert {name.partition(".")[0] for name in process.stdout.split()} - sys.stdlib_module_names == {"softfinger"}
+    assert "softfinger." not in process.stdout
 
 
 IMPORTS = """
@@ -130,14 +130,14 @@ print(loaded(*(f"softfinger.proxy.{part}" for part in parts)))
 
 
 def test_an_engine_imports_what_its_scene_needs():
-    done = run_program([sys.executable, "-c", IMPORTS], check=True)
-    assert done.stdout.splitlines() == ["[] True", "[]"]
+    process = run_program([sys.executable, "-c", IMPORTS], check=True)
+    assert process.stdout.splitlines() == ["[] True", "[]"]
 
 
 @pytest.mark.parametrize("name", MODULES)
 def test_the_examples_of_docstrings_run(name: str, client: partial[Client]) -> None:
-    found = doctest.testmod(importlib.import_module(name), extraglobs={"Client": client})
-    assert found.attempted and not found.failed
+    results = doctest.testmod(importlib.import_module(name), extraglobs={"Client": client})
+    assert results.attempted and not results.failed
 
 
 def made_up(rows: int = 4) -> Records:
@@ -147,19 +147,19 @@ def made_up(rows: int = 4) -> Records:
 def test_fields_match_the_table() -> None:
     records = made_up()
     for field in FIELDS:
-        there = np.asarray(records)[:, field.at : field.at + field.size].reshape(records[field.name].shape)
-        np.testing.assert_array_equal(records[field.name], there)
-        np.testing.assert_array_equal(records.structured[field.name], there)
+        expected = np.asarray(records)[:, field.at : field.at + field.size].reshape(records[field.name].shape)
+        np.testing.assert_array_equal(records[field.name], expected)
+        np.testing.assert_array_equal(records.structured[field.name], expected)
         assert records[field.name].dtype == (np.int64 if field.kind == "int" else np.float64)
     assert records.structured.shape == (4,) and np.shares_memory(records, records.structured)
 
 
 def test_selections_of_rows_keep_field_names() -> None:
     records = made_up()
-    some, one = records[records["tick"] > RECORD_SIZE], records[2]
+    some, single = records[records["tick"] > RECORD_SIZE], records[2]
     assert some["force"].shape == (3, 3)  # the first row's tick is 1
-    np.testing.assert_array_equal(one["force"], records["force"][2])
-    assert type(records[:, AT.tick]) is np.ndarray and type(one["force"]) is np.ndarray
+    np.testing.assert_array_equal(single["force"], records["force"][2])
+    assert type(records[:, AT.tick]) is np.ndarray and type(single["force"]) is np.ndarray
     with pytest.raises(KeyError, match=r"'contact.mod'.*did you mean 'contact.mode'"):
         records["contact.mod"]
     with pytest.raises(ValueError, match=r"shape \(2, 3\) has no records"):
@@ -213,7 +213,7 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
 
 @pytest.mark.plain
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({STIFFNESS: -1.0}, r"set: object\[0\].material.stiffness_n_per_m = -1.0: must be a number from"),
         ({STIFFNESS: 800.0, "object.table.material.stifness": 1.0}, "did you mean 'stiffness_n_per_m'"),
@@ -222,13 +222,13 @@ def test_set_is_load_scene_with_overrides(engine: Engine) -> None:
         ({STIFFNESS: 800.0, "rolling.method": "midpoint"}, "set: rolling.method: that is another model"),
     ],
 )
-def test_all_or_nothing(changes: dict[str, object], said: str, engine: Engine) -> None:
+def test_all_or_nothing(changes: dict[str, object], message: str, engine: Engine) -> None:
     engine.set(STIFFNESS, 1000.0)
     before = engine.config
-    with pytest.raises(ConfigError, match=said) as refused:
+    with pytest.raises(ConfigError, match=message) as refused:
         engine.set(changes)
     assert engine.config is before and pressing(engine) == pytest.approx(0.5, rel=1e-12)  # 1000 N/m, 0.5 mm; rounding
-    assert "another model" not in said or STIFFNESS not in str(refused.value)
+    assert "another model" not in message or STIFFNESS not in str(refused.value)
 
 
 def test_set_compiles_nothing(engine: Engine) -> None:
@@ -254,7 +254,7 @@ def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
 
 @pytest.mark.plain
 @pytest.mark.parametrize(
-    ("position", "orientation", "said"),
+    ("position", "orientation", "message"),
     [
         *(
             (kind(position), UPRIGHT, "must be 3 numbers")
@@ -269,8 +269,8 @@ def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
         (PRESSED, (0.0, 0.0, 0.0, 0.0), "its norm must be"),
     ],
 )
-def test_an_invalid_pose_is_refused(position: object, orientation: object, said: str, engine: Engine) -> None:
-    with pytest.raises(PoseError, match=said):
+def test_an_invalid_pose_is_refused(position: object, orientation: object, message: str, engine: Engine) -> None:
+    with pytest.raises(PoseError, match=message):
         engine.step(position, orientation)  # type: ignore[arg-type]
     assert pressing(engine) > 0.0
 
@@ -325,8 +325,8 @@ def test_a_client_receives_events_of_its_changes(client: partial[Client]) -> Non
         assert window["force"].shape == (10, 3)
         for value in (810.0, 820.0):  # the subscription may start after the first
             daemon.set_params({STIFFNESS: value})
-        told = next(event for event in events if event["name"] == "set_params")
-        assert msgspec.to_builtins(told["what"])[STIFFNESS]["to"] in (810.0, 820.0)
+        change = next(event for event in events if event["name"] == "set_params")
+        assert msgspec.to_builtins(change["what"])[STIFFNESS]["to"] in (810.0, 820.0)
     assert list(events) == []
 
 
@@ -350,13 +350,13 @@ def test_shipped_files_are_listed_one_per_line(verb: str, capsys: pytest.Capture
     listed = json.loads(capsys.readouterr().out)
     ending = ".csv" if verb == "recordings" else ".toml"
     files = {path for path in FOLDER_OF[verb].iterdir() if path.suffix == ending}
-    assert {Path(each["file"]) for each in listed} == files and len(lines) == len(listed)
-    for line, each in zip(lines, listed, strict=True):
+    assert {Path(entry["file"]) for entry in listed} == files and len(lines) == len(listed)
+    for line, entry in zip(lines, listed, strict=True):
         name, _, text = line.partition(" ")
         assert (
             (name, text.strip())
-            == (each["name"], each["description"])
-            == (Path(each["file"]).stem, each["description"])
+            == (entry["name"], entry["description"])
+            == (Path(entry["file"]).stem, entry["description"])
         )
         assert len(text.split()) > 3
 

@@ -44,12 +44,14 @@ def test_random_bytes_are_accepted_or_refused(name: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "helpers.fuzzing", name, f"{SECONDS}", f"{SEED}", folder]
         environment = os.environ | {"PYTHONPATH": str(HERE), "NUMBA_DISABLE_JIT": "1"}
-        done = run_program(command, cwd=HERE, env=environment, timeout=20.0 * SECONDS + 300.0)
+        process = run_program(command, cwd=HERE, env=environment, timeout=20.0 * SECONDS + 300.0)
         (last,) = Path(folder).glob("input*")
         data = last.read_bytes()
-    if done.returncode != 0:
-        kept = CORPUS / name / sha256(data).hexdigest()[:12]
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.write_bytes(data)
-        pytest.fail(f"seed {SEED}: code {done.returncode}\n{done.stdout}{done.stderr[-2000:]}\nkept as {kept}")
-    assert int(done.stdout.split()[-1]) > 0
+    if process.returncode != 0:
+        saved = CORPUS / name / sha256(data).hexdigest()[:12]
+        saved.parent.mkdir(parents=True, exist_ok=True)
+        saved.write_bytes(data)
+        pytest.fail(
+            f"seed {SEED}: code {process.returncode}\n{process.stdout}{process.stderr[-2000:]}\nkept as {saved}"
+        )
+    assert int(process.stdout.split()[-1]) > 0

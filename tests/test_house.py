@@ -35,7 +35,7 @@ def test_every_package_documents_its_content_and_exclusions(folder: Path) -> Non
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_no_function_takes_more_than_a_reader_keeps_in_mind(package: str) -> None:
+def test_no_function_has_more_than_eight_parameters(package: str) -> None:
     long = []
     for path in sorted((ROOT / package).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -61,9 +61,9 @@ def test_tests_that_need_more_packages_import_names_that_exist() -> None:
                     assert hasattr(module, alias.name), f"{name(path)}:{node.lineno}: {node.module} has no {alias.name}"
 
 
-def parameters(given: ast.arguments) -> int:
-    names = [argument.arg for argument in (*given.posonlyargs, *given.args)]
-    return len(names) - (names[:1] in (["self"], ["cls"])) + len(given.kwonlyargs)
+def parameters(arguments: ast.arguments) -> int:
+    names = [argument.arg for argument in (*arguments.posonlyargs, *arguments.args)]
+    return len(names) - (names[:1] in (["self"], ["cls"])) + len(arguments.kwonlyargs)
 
 
 def test_parameters_are_counted() -> None:
@@ -73,14 +73,14 @@ def test_parameters_are_counted() -> None:
 
 def test_no_failing_test_waits_for_its_program() -> None:
     """The block of a Popen ends with its program, which may run for ever: tests have helpers.programs.Program."""
-    found = [
+    lines = [
         f"{name(path)}:{node.context_expr.lineno}"
         for path in sorted((ROOT / "tests").rglob("test_*.py"))
         if "subprocess.Popen(" in (text := path.read_text("utf-8"))
         for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.withitem) and ast.unparse(node.context_expr).startswith("subprocess.Popen(")
     ]
-    assert found == []
+    assert lines == []
 
 
 def test_the_map_is_true() -> None:
@@ -92,28 +92,28 @@ def test_the_map_is_true() -> None:
 
 def test_each_reason_for_less_coverage_is_of_a_file() -> None:
     table = tomllib.loads((ROOT / "tests" / "coverage_reasons.toml").read_text("utf-8"))["reason"]
-    files = [file for each in table for file in each["files"]]
+    files = [file for entry in table for file in entry["files"]]
     assert len(set(files)) == len(files)
     assert not [file for file in files if not (ROOT / file).is_file()]
 
 
 def test_each_planted_mistake_can_be_made() -> None:
-    for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
-        assert each.keys() == {"file", "old", "new", "mistake", "tests"} and each["tests"], each
-        text = (ROOT / each["file"]).read_text("utf-8")
-        assert text.count(each["old"]) == 1, each["mistake"]
-        compile(text.replace(each["old"], each["new"]), each["file"], "exec")
-        for test in each["tests"]:
+    for mutant in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
+        assert mutant.keys() == {"file", "old", "new", "mistake", "tests"} and mutant["tests"], mutant
+        text = (ROOT / mutant["file"]).read_text("utf-8")
+        assert text.count(mutant["old"]) == 1, mutant["mistake"]
+        compile(text.replace(mutant["old"], mutant["new"]), mutant["file"], "exec")
+        for test in mutant["tests"]:
             file, _, function = test.partition("[")[0].partition("::")
             assert f"def {function.rpartition('::')[2]}" in (ROOT / file).read_text("utf-8"), test
 
 
 def test_each_mistake_that_is_excused_is_one_of_the_sweep() -> None:
-    for each in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8")).get("equivalent", []):
-        assert each.keys() == {"file", "line", "mistake", "reason"} and len(each["reason"].split()) >= 4, each
-        assert any(each["file"] in part.files for part in PARTS.values()), each["file"]
-        planted = {(one.line, one.wrong) for one in mistakes_in(ROOT, each["file"])}
-        assert (each["line"], each["mistake"]) in planted, each
+    for entry in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8")).get("equivalent", []):
+        assert entry.keys() == {"file", "line", "mistake", "reason"} and len(entry["reason"].split()) >= 4, entry
+        assert any(entry["file"] in part.files for part in PARTS.values()), entry["file"]
+        planted = {(mistake.line, mistake.wrong) for mistake in mistakes_in(ROOT, entry["file"])}
+        assert (entry["line"], entry["mistake"]) in planted, entry
 
 
 def test_a_constant_is_planted_where_it_is_imported_and_nowhere_else(
@@ -132,7 +132,7 @@ def test_a_constant_is_planted_where_it_is_imported_and_nowhere_else(
         spec.loader.exec_module(made[module])
     (mistake,) = mistakes_in(tmp_path, "there.py")
     plant(tmp_path, mistake, {})
-    assert [each.LEGS for each in made.values()] == [7, 7, 3]
+    assert [module.LEGS for module in made.values()] == [7, 7, 3]
 
 
 def test_functions_are_found_although_the_collector_was_frozen() -> None:
@@ -162,7 +162,7 @@ def test_names_in_the_glossary_exist() -> None:
     sources = "\n".join(path.read_text("utf-8") for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
     for place in rows:
         if "/" in place:
-            found = (ROOT / place, ROOT / "proxy" / "kernels" / place)
-            assert any(path.exists() for path in found), place
+            places = (ROOT / place, ROOT / "proxy" / "kernels" / place)
+            assert any(path.exists() for path in places), place
         elif not place.startswith("["):
             assert re.search(rf"\b{place.rpartition('.')[2]}\b", sources), place

@@ -56,12 +56,12 @@ def urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def arm_options(arm: BusServos | str, urdf: Path, **changes: Any) -> leader.Options:
     """Keys of the rig for an emulated arm; a thread of a busy machine may answer late."""
     path, table = (arm, FEETECH) if isinstance(arm, str) else (arm.path, arm.table)
-    given = {
+    options = {
         "path": path, "protocol": "feetech" if table is FEETECH else "dynamixel", "urdf": str(urdf), "tip": "tip",
         "joint": [{"name": name, "servo": servo} for name, servo in IDS.items()], "force_joint": "pitch",
         "torque_per_count_nm": NM_PER_COUNT, "torque_max_nm": 0.4, "force_max_n": 2.0, "quiet_s": 0.2, "timeout_s": 0.5,
     }  # fmt: skip
-    return build(leader.Options, {**given, **changes}, "[device]")
+    return build(leader.Options, {**options, **changes}, "[device]")
 
 
 def emulated(table: Registers = FEETECH, **how: Any) -> BusServos:
@@ -163,8 +163,8 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
         until(lambda: np.allclose(servo.read()[1][:3], wanted, rtol=0.0, atol=1e-9))  # rounding
         w, x, y, z = servo.read()[1][3:7]
         assert 2.0 * math.atan2(math.hypot(x, y, z), w) == pytest.approx(_angle(a, b, c), abs=1e-9)
-        for one in arm.servos.values():
-            one.turn_to(2048)
+        for motor in arm.servos.values():
+            motor.turn_to(2048)
         until(lambda: np.allclose(servo.read()[1][:3], (0.0, 0.0, 0.02), rtol=0.0, atol=1e-9))
         for newtons in (0.5, -0.5):
             pushed(servo, arm, newtons)

@@ -33,15 +33,15 @@ def test_a_page_starts_with_three_sentences_and_a_figure(page: Path) -> None:
 
 
 @pytest.mark.skipif(not config.DISABLE_JIT, reason="would compile a scene for each page; `make test` runs them")
-@pytest.mark.parametrize("page", [each for each in PAGES if each.stem != "conventions"], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [path for path in PAGES if path.stem != "conventions"], ids=lambda page: page.stem)
 def test_a_worked_example_prints_its_lines(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     example = page.read_text("utf-8").split("\n## Worked example\n", 1)[1].split("\n## ", 1)[0]
     (program,) = re.findall(r"```python\n(.*?)```", example, re.DOTALL)
     (printed,) = re.findall(r"```text\n(.*?)```", example, re.DOTALL)
     monkeypatch.chdir(tmp_path)
-    with redirect_stdout(StringIO()) as said:
+    with redirect_stdout(StringIO()) as output:
         exec(compile(program, page.name, "exec"), {})
-    assert said.getvalue() == printed
+    assert output.getvalue() == printed
 
 
 @pytest.mark.exhaustive

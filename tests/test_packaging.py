@@ -52,10 +52,10 @@ KERNEL_STANDARD_LIBRARY = {
 
 def run(*command: str | Path, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
     """Run to the end with nothing of this environment's import path; fail with the output on a non-zero exit."""
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    done = run_program([*map(str, command)], cwd=cwd, env=kept | env)
-    assert done.returncode == 0, f"{command}: exit {done.returncode}\n{done.stdout}\n{done.stderr}"
-    return done
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    process = run_program([*map(str, command)], cwd=cwd, env=inherited | env)
+    assert process.returncode == 0, f"{command}: exit {process.returncode}\n{process.stdout}\n{process.stderr}"
+    return process
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def sources(package: str) -> Iterator[Path]:
             yield path.relative_to(ROOT)
 
 
-def test_the_wheel_holds_every_source_file_and_nothing_else(wheel: Path) -> None:
+def test_the_wheel_contains_every_source_file_and_nothing_else(wheel: Path) -> None:
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     shipped = {f"softfinger/{path}" for package in PACKAGES for path in sources(package)}
     moved = {"softfinger/config/package.py", "softfinger/config/py.typed"}
@@ -115,9 +115,11 @@ def test_the_types_of_the_installed_wheel_are_checked(installed: Path, tmp_path:
     examples = sorted(str(path) for folder in folders for path in folder.glob("*.py"))
     assert examples
     words = ["--strict", "--config-file=", "--cache-dir=/dev/null", "--python-executable", str(installed / "python")]
-    done = run_program([sys.executable, "-m", "mypy", *words, str(program), *examples], cwd=tmp_path)
-    assert re.search(r'Revealed type is "def \(position: .*\) -> .*Step"', done.stdout), done.stdout + done.stderr
-    assert done.returncode == 0, done.stdout
+    process = run_program([sys.executable, "-m", "mypy", *words, str(program), *examples], cwd=tmp_path)
+    assert re.search(r'Revealed type is "def \(position: .*\) -> .*Step"', process.stdout), (
+        process.stdout + process.stderr
+    )
+    assert process.returncode == 0, process.stdout
 
 
 @pytest.mark.parametrize("kind", ["scenes", "rigs", "recordings", "faults", "experiments"])
@@ -179,7 +181,9 @@ def test_the_package_page_has_authors_and_classifiers(wheel: Path) -> None:
 def test_the_package_page_has_no_relative_links(wheel: Path) -> None:
     """The package page has no links, since relative ones would be broken there. The README has only relative ones."""
     with zipfile.ZipFile(wheel) as archive:
-        (name,) = [each for each in archive.namelist() if each.endswith(".dist-info/METADATA")]
+        (name,) = [
+            name_in_archive for name_in_archive in archive.namelist() if name_in_archive.endswith(".dist-info/METADATA")
+        ]
         page = email.message_from_bytes(archive.read(name)).get_payload()
     assert isinstance(page, str) and page.startswith("# softfinger") and "](" not in page
     home = PROJECT["project"]["urls"]["Homepage"]
@@ -225,12 +229,12 @@ print(CACHE_DIR.name, len(take.stats.cache_misses))
 @pytest.mark.parametrize("first", ["wheel", pytest.param("checkout", marks=pytest.mark.exhaustive)])
 def test_a_wheel_and_a_checkout_do_not_compile_the_same_twice(first: str, installed: Path, tmp_path: Path) -> None:
     pythons = [installed / "python", Path(sys.executable)]
-    told = [
+    outputs = [
         run(python, "-c", COMPILES, cwd=tmp_path, SOFTFINGER_CACHE_DIR=str(tmp_path / "cache")).stdout.split()
         for python in (pythons if first == "wheel" else reversed(pythons))
     ]
-    assert told[0][0] == told[1][0]
-    assert [misses for _, misses in told] == ["1", "0"]
+    assert outputs[0][0] == outputs[1][0]
+    assert [misses for _, misses in outputs] == ["1", "0"]
 
 
 @pytest.mark.parametrize("file", ["constraints.txt", "constraints-docs.txt"])
@@ -269,8 +273,8 @@ def test_every_import_is_declared() -> None:
         return re.split(r"[^\w.-]", requirement)[0].lower().replace("_", "-")
 
     extras = PROJECT["project"]["optional-dependencies"]
-    declared = {plain(each) for each in PROJECT["project"]["dependencies"]}
-    declared |= {plain(each) for extra in extras.keys() - {"dev", "docs"} for each in extras[extra]}
+    declared = {plain(requirement) for requirement in PROJECT["project"]["dependencies"]}
+    declared |= {plain(requirement) for extra in extras.keys() - {"dev", "docs"} for requirement in extras[extra]}
     installed = packages_distributions()
     undeclared = set()
     for file in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
@@ -279,7 +283,7 @@ def test_every_import_is_declared() -> None:
             if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
                 names = [node.module]
             for top in {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"softfinger"}:
-                if not {plain(each) for each in installed.get(top, [IMPORTED_AS.get(top, top)])} & declared:
+                if not {plain(package) for package in installed.get(top, [IMPORTED_AS.get(top, top)])} & declared:
                     undeclared.add(top)
     assert undeclared == set(UNDECLARED)
 
@@ -330,11 +334,11 @@ def test_kernels_import_only_numerics_and_each_other() -> None:
         assert extra <= KERNEL_STANDARD_LIBRARY.get(path.name, set()), f"{path.name} imports {sorted(extra)}"
 
 
-def test_the_import_linter_sees_every_module() -> None:
+def test_the_import_linter_covers_every_module() -> None:
     """The graph of import-linter contains all our modules: an empty graph would satisfy every contract."""
     code = "import grimp, json; print(json.dumps(sorted(grimp.build_graph('softfinger', cache_dir=None).modules)))"
-    seen = set(json.loads(run(sys.executable, "-c", code, cwd=ROOT).stdout))
+    modules = set(json.loads(run(sys.executable, "-c", code, cwd=ROOT).stdout))
     for package in PACKAGES:
         for path in sources(package):
             if path.suffix == ".py" and path.name != "__init__.py":
-                assert ".".join(("softfinger", *path.with_suffix("").parts)) in seen
+                assert ".".join(("softfinger", *path.with_suffix("").parts)) in modules

@@ -81,9 +81,11 @@ class Terminals:
             self.daemon = subprocess.Popen(words, cwd=self.folder, env=self.environment)
             self.type("softfinger monitor")  # a reader waits until it runs, which may take a compilation
             return
-        done = run_program(["bash", "-c", command], cwd=self.folder, env=self.environment, timeout=500)
+        process = run_program(["bash", "-c", command], cwd=self.folder, env=self.environment, timeout=500)
         # A machine that a doctor finds bad is none of the page's.
-        assert done.returncode in ({0, 10} if words[1] == "doctor" else {0}), f"{command}\n{done.stdout}{done.stderr}"
+        assert process.returncode in ({0, 10} if words[1] == "doctor" else {0}), (
+            f"{command}\n{process.stdout}{process.stderr}"
+        )
 
     def stop(self) -> None:
         """Send Ctrl-C to the daemon unless it is already stopping; it must end normally."""

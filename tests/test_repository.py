@@ -45,18 +45,20 @@ def steps(workflow: dict[Any, Any]) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.name)
-def test_a_workflow_asks_for_no_more_than_it_needs(path: Path) -> None:
+def test_a_workflow_has_minimal_permissions(path: Path) -> None:
     workflow = read(path)
     assert workflow["permissions"] == {"contents": "read"}
     for job in workflow["jobs"].values():
         assert "uses" in job or job["timeout-minutes"] <= 120
     used = [step["uses"] for step in steps(workflow) if "uses" in step]
-    assert used and all(re.fullmatch(r"[\w-]+/[\w-]+@(v\d+|release/v\d+)", each) for each in used), used
+    assert used and all(re.fullmatch(r"[\w-]+/[\w-]+@(v\d+|release/v\d+)", action) for action in used), used
 
 
 def test_ci_runs_supported_pythons_and_existing_targets() -> None:
     workflow = read(ROOT / ".github" / "workflows" / "ci.yml")
-    pythons = [each.rpartition(" ")[2] for each in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", each)]
+    pythons = [
+        classifier.rpartition(" ")[2] for classifier in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", classifier)
+    ]
     assert workflow["jobs"]["test"]["strategy"]["matrix"]["python"] == pythons
     run = "\n".join(step.get("run", "") for step in steps(workflow))
     called = set(re.findall(r"make ([a-z-]+)", run))

@@ -40,7 +40,7 @@ def imported(types: dict[str, type]) -> ModuleType:
     made = importlib.util.module_from_spec(spec)
     with pytest.MonkeyPatch.context() as patch:
         for package in PACKAGES:
-            own = {name.rpartition("/")[2]: each for name, each in types.items() if name.startswith(f"{package}/")}
+            own = {name.rpartition("/")[2]: module for name, module in types.items() if name.startswith(f"{package}/")}
             patch.setitem(sys.modules, package, ModuleType(package))
             patch.setitem(sys.modules, f"{package}.msg", SimpleNamespace(**own))
         spec.loader.exec_module(made)
@@ -88,7 +88,7 @@ def test_a_ros_subscriber_receives_the_telemetry(endpoints: tuple[str, str], mon
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node("listener")
-        kept = [
+        received = [
             node.create_subscription(kind, f"softfinger/{name}", got.append, 100)
             for name, kind in (("pose", PoseStamped), ("wrench", WrenchStamped))
         ]
@@ -97,19 +97,19 @@ def test_a_ros_subscriber_receives_the_telemetry(endpoints: tuple[str, str], mon
             rclpy.spin_once(node, timeout_sec=0.1)
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
-        assert kept and {type(each).__name__ for each in got} == {"PoseStamped", "WrenchStamped"}
+        assert received and {type(message).__name__ for message in got} == {"PoseStamped", "WrenchStamped"}
     finally:
         process.kill()
         process.wait()
         over.set()
         listener.join()
         rclpy.shutdown()
-    for each in got:
-        sample = published[each.header.stamp.sec * 10**9 + each.header.stamp.nanosec]
-        if isinstance(each, WrenchStamped):
-            assert xyz(each.wrench.force) == list(sample.force)
+    for message in got:
+        sample = published[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
+        if isinstance(message, WrenchStamped):
+            assert xyz(message.wrench.force) == list(sample.force)
         else:
-            assert xyz(each.pose.position) == list(sample["probe.position"])
+            assert xyz(message.pose.position) == list(sample["probe.position"])
 
 
 def through(store: Any, message: Any) -> Any:

@@ -72,13 +72,13 @@ def test_a_program_prints_published_ticks(make, tmp_path: Path, endpoints: tuple
     listener.start()
     try:
         assert listens.wait(60.0)
-        done = run_program(command)
+        process = run_program(command)
     finally:
         over.set()
         listener.join()
-    assert done.returncode == 0, done.stderr
-    lines = [line.split() for line in done.stdout.splitlines()]
-    assert len(lines) == CHANGES and "-0.000" not in done.stdout
+    assert process.returncode == 0, process.stderr
+    lines = [line.split() for line in process.stdout.splitlines()]
+    assert len(lines) == CHANGES and "-0.000" not in process.stdout
     for at, (tick, mode, *force) in enumerate(lines):
         assert published[int(tick)][0] == mode
         assert published[int(tick)][1] == pytest.approx([float(word) for word in force], abs=1e-3)  # three decimals

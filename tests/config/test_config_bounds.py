@@ -30,7 +30,7 @@ def _no_waiting() -> Iterator[None]:
         yield
 
 
-def repeated(part: str) -> str:
+def repeat(part: str) -> str:
     return part * (SIZE // len(part))
 
 
@@ -38,13 +38,13 @@ def repeated(part: str) -> str:
 @pytest.mark.parametrize(
     "text",
     [
-        repeated("a.") + "a = 1",
-        repeated('"a" . ') + "a = 1",
-        repeated("'a'.") + "a = 1",
-        "[" + repeated("a.") + "a]",
-        "[[" + repeated("a\t.") + "a]]",
-        "b = { " + repeated("a.") + "a = 1 }",
-        "b = [{ c = '''\n''', " + repeated("a.") + "a = 1 }]",
+        repeat("a.") + "a = 1",
+        repeat('"a" . ') + "a = 1",
+        repeat("'a'.") + "a = 1",
+        "[" + repeat("a.") + "a]",
+        "[[" + repeat("a\t.") + "a]]",
+        "b = { " + repeat("a.") + "a = 1 }",
+        "b = [{ c = '''\n''', " + repeat("a.") + "a = 1 }]",
     ],
     ids=["bare", "quoted", "literal", "table", "array of tables", "inline", "after a string"],
 )
@@ -80,9 +80,7 @@ def test_dots_that_are_in_no_key_are_read(text: str) -> None:
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize(
-    "text", [repeated('"""\\'), repeated("'\"#"), repeated("a-") + ".", repeated('\\"'), repeated("' .")]
-)
+@pytest.mark.parametrize("text", [repeat('"""\\'), repeat("'\"#"), repeat("a-") + ".", repeat('\\"'), repeat("' .")])
 def test_text_of_broken_strings_takes_no_time(text: str) -> None:
     with pytest.raises(ConfigError):
         parse_toml(text, "t")
@@ -94,8 +92,8 @@ def test_text_of_broken_strings_takes_no_time(text: str) -> None:
     [
         "a = " + "[" * 300 + "]" * 300,
         "a = " + "{ a.a.a.a.a.a.a.a = " * 200 + "1" + "}" * 200,
-        "a = " + repeated("["),
-        "a = " + repeated("{a="),
+        "a = " + repeat("["),
+        "a = " + repeat("{a="),
         "a = " + "1" * SIZE,
     ],
     ids=["lists", "tables", "brackets", "braces", "digits"],
@@ -135,9 +133,9 @@ def test_a_long_list_of_faults_is_truncated(tmp_path: Path) -> None:
     assert lines[-1] == f"  and {len(faults) - len(lines) + 1} more: mend these first" and len(lines) < 25
 
 
-def at(config: Any, *way: str | int) -> Any:
+def value_at(config: Any, *keys: str | int) -> Any:
     value = describe(config)
-    for part in way:
+    for part in keys:
         value = value[part]
     return value
 
@@ -145,10 +143,10 @@ def at(config: Any, *way: str | int) -> Any:
 @pytest.mark.parametrize("key", ["object.0.material.stiffness_n_per_m", "object[0].material.stiffness_n_per_m"])
 def test_an_override_reaches_into_lists(key: str) -> None:
     scene = load_scene("corner", {key: 500})
-    assert at(scene, "object", 0, "material", "stiffness_n_per_m") == 500
-    assert at(scene, "object", 1) == at(load_scene("corner"), "object", 1)
+    assert value_at(scene, "object", 0, "material", "stiffness_n_per_m") == 500
+    assert value_at(scene, "object", 1) == value_at(load_scene("corner"), "object", 1)
     turned = load_scene("corner", {"object.1.orientation_wxyz.2": -0.7071067811865476})
-    assert at(turned, "object", 1, "orientation_wxyz", 2) < 0.0
+    assert value_at(turned, "object", 1, "orientation_wxyz", 2) < 0.0
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.refusals import faults_in
 
 from softfinger.config import limits, schema
-from softfinger.config.load import FaultyConfig, build, describe, load_scene
+from softfinger.config.load import build, describe, load_scene
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import shape_bodies
@@ -37,29 +38,27 @@ FROM_FILES = {"heightmap"}
 
 def mapping(shape: str, fingertip: float = 0.01, **keys: Any) -> dict[str, Any]:
     """Return a scene of one object of that shape, in the layout of a file; None removes a key."""
-    thing = {"name": "thing", "shape": shape, "material": {"stiffness_n_per_m": 1000.0}, **SHAPES[shape], **keys}
-    thing = {key: value for key, value in thing.items() if value is not None}
-    return {"fingertip": {"radius_m": fingertip}, "object": [thing]}
+    entry = {"name": "thing", "shape": shape, "material": {"stiffness_n_per_m": 1000.0}, **SHAPES[shape], **keys}
+    entry = {key: value for key, value in entry.items() if value is not None}
+    return {"fingertip": {"radius_m": fingertip}, "object": [entry]}
 
 
-def thing_of(shape: str, fingertip: float = 0.01, **keys: Any) -> Any:
-    (thing,) = build(schema.Scene, mapping(shape, fingertip, **keys), "f.toml").object
-    return thing
+def object_of(shape: str, fingertip: float = 0.01, **keys: Any) -> Any:
+    (item,) = build(schema.Scene, mapping(shape, fingertip, **keys), "f.toml").object
+    return item
 
 
-def refused(raw: dict[str, Any]) -> list[str]:
-    with pytest.raises(FaultyConfig) as caught:
-        build(schema.Scene, raw, "f.toml")
-    return [str(fault) for fault in caught.value.faults]
+def error_messages(raw: dict[str, Any]) -> list[str]:
+    return [str(fault) for fault in faults_in(build, schema.Scene, raw, "f.toml")]
 
 
 def faults_of(shape: str, fingertip: float = 0.01, **keys: Any) -> list[str]:
-    return refused(mapping(shape, fingertip, **keys))
+    return error_messages(mapping(shape, fingertip, **keys))
 
 
-def signed_distance(thing: Any, x: tuple[float, float, float]) -> float:
+def signed_distance(item: Any, x: tuple[float, float, float]) -> float:
     """Gap to the nearest of an object's bodies, m."""
-    return min(float(closest(shape, x)[0]) for shape, _, _ in shape_bodies(thing))
+    return min(float(closest(shape, x)[0]) for shape, _, _ in shape_bodies(item))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -75,12 +74,12 @@ def test_all_shapes_are_tested_here() -> None:
 
 def test_an_unknown_shape_lists_the_known_ones() -> None:
     item = {"name": "x", "shape": "elipsoid", "material": {"stiffness_n_per_m": 500.0}}
-    (fault,) = refused({**mapping("sphere"), "object": [item]})
+    (fault,) = error_messages({**mapping("sphere"), "object": [item]})
     assert all(repr(name) in fault for name in SHAPES)
     assert "did you mean 'ellipsoid'" in fault
 
 
-def sized(shape: str, size: float) -> dict[str, Any]:
+def keys_of_size(shape: str, size: float) -> dict[str, Any]:
     """Every dimension of a shape at that size; the ring of a torus wide enough for a hole, within the range."""
     if shape == "torus":
         return {"major_radius_m": min(3.0 * size, limits.LENGTH_M.high), "minor_radius_m": min(size, 300.0)}
@@ -91,7 +90,7 @@ def sized(shape: str, size: float) -> dict[str, Any]:
 def test_dimensions_have_the_range_the_geometry_is_tested_in(shape: str) -> None:
     low, high, _ = limits.LENGTH_M
     for size in (low, high):
-        assert thing_of(shape, low, **sized(shape, size)).shape == shape
+        assert object_of(shape, low, **keys_of_size(shape, size)).shape == shape
     for key, value in SHAPES[shape].items():
         for beyond in (low * 0.99, high * 1.01):
             faults = faults_of(shape, **{key: [beyond] * 3 if isinstance(value, list) else beyond})
@@ -108,7 +107,7 @@ def test_dimensions_are_required(shape: str, key: str) -> None:
 
 
 def test_a_cylinder_without_length_has_no_ends() -> None:
-    assert thing_of("cylinder", length_m=None).length_m is None
+    assert object_of("cylinder", length_m=None).length_m is None
     assert any("object[0].length_m is missing" in fault for fault in faults_of("capsule", length_m=None))
 
 
@@ -130,12 +129,12 @@ def test_a_fingertip_must_fit(shape: str, radius: float, keys: dict[str, Any], a
     assert f"object[0].{at} = " in fault
     assert "fingertip" in fault
     assert f"{radius * 1.0001:g} m" in fault or f"{2 * radius * 1.0001:g} m" in fault
-    assert thing_of(shape, radius * 0.999, **keys).shape == shape
+    assert object_of(shape, radius * 0.999, **keys).shape == shape
 
 
 @pytest.mark.parametrize("shape", [name for name in SHAPES if name not in {"plane", "torus"}])
 def test_outside_any_fingertip_fits(shape: str) -> None:
-    assert thing_of(shape, limits.LENGTH_M.high).shape == shape
+    assert object_of(shape, limits.LENGTH_M.high).shape == shape
 
 
 @pytest.mark.parametrize(
@@ -196,7 +195,7 @@ def test_faults_of_pose_and_shape_are_reported_together() -> None:
     ],
 )
 def test_bodies_of_a_shape(keys: tuple[str, dict[str, Any]], kinds: list[type]) -> None:
-    bodies = shape_bodies(thing_of(keys[0], **keys[1]))
+    bodies = shape_bodies(object_of(keys[0], **keys[1]))
     assert [type(shape) for shape, _, _ in bodies] == kinds
     for shape, position, orientation in bodies:
         assert position == (0.0, 0.0, 0.0)
@@ -231,12 +230,12 @@ def test_distances_of_bodies_equal_the_dimensions_in_the_file(
     shape: str, keys: dict[str, Any], x: tuple[float, float, float], gap: float
 ) -> None:
     # 1e-16: rounding of lengths below a third of a metre.
-    assert signed_distance(thing_of(shape, **keys), x) == pytest.approx(gap, abs=1e-16)
+    assert signed_distance(object_of(shape, **keys), x) == pytest.approx(gap, abs=1e-16)
 
 
 @pytest.mark.parametrize("shape", ["box", "cylinder"])
 def test_the_walls_of_a_hollow_enclose_what_the_solid_fills(shape: str) -> None:
-    solid, hollow = thing_of(shape), thing_of(shape, inside=True)
+    solid, hollow = object_of(shape), object_of(shape, inside=True)
     points = np.random.default_rng(5).uniform(-0.16, 0.16, (1000, 3))
     inner = 0
     for x in map(tuple, points.tolist()):

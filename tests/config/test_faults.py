@@ -23,13 +23,13 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "operate" / "faults.md"
 KINDS = {kind.kind for kind in get_args(Injection)}
 
 
-def faults(**given: Any) -> Faults:
-    return build(Faults, {"fault": [{"kind": "stale", **given}]}, "faults")
+def faults(**keys: Any) -> Faults:
+    return build(Faults, {"fault": [{"kind": "stale", **keys}]}, "faults")
 
 
 def test_a_file_is_shipped_for_every_kind() -> None:
-    found = {fault.kind for name in list_shipped(Faults) for fault in load_faults(name).fault}
-    assert found == KINDS
+    kinds = {fault.kind for name in list_shipped(Faults) for fault in load_faults(name).fault}
+    assert kinds == KINDS
 
 
 def test_the_page_lists_every_kind() -> None:
@@ -38,7 +38,7 @@ def test_the_page_lists_every_kind() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("keys", "words"),
     [
         ({}, r"fault\[0\]\.at_tick: is missing, and at_s is too: give one of them"),
         ({"at_tick": 5, "at_s": 1.0}, r"fault\[0\]\.at_s = 1\.0: at_tick already sets the start"),
@@ -51,9 +51,9 @@ def test_the_page_lists_every_kind() -> None:
         ({"at_s": 1.0, "kind": "nan", "number": "w"}, r"fault\[0\]\.number = 'w': must be"),
     ],
 )
-def test_a_fault_is_reported_with_its_key(given: dict[str, Any], words: str) -> None:
+def test_a_fault_is_reported_with_its_key(keys: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words) as error:
-        faults(**given)
+        faults(**keys)
     assert "\n" not in str(error.value)
 
 
@@ -63,7 +63,7 @@ def test_an_unknown_name_is_reported_with_a_similar_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "window"),
+    ("keys", "window"),
     [
         ({"at_tick": 7}, (7, 8)),
         ({"at_tick": 7, "ticks": 3}, (7, 10)),
@@ -72,8 +72,8 @@ def test_an_unknown_name_is_reported_with_a_similar_one() -> None:
         ({"at_tick": 7, "for_s": 0.0001}, (7, 8)),  # part of a period is one
     ],
 )
-def test_times_become_ticks_of_the_rate(given: dict[str, Any], window: tuple[int, int]) -> None:
-    (row,) = table(faults(**given, every_ticks=2).fault, 2000.0)
+def test_times_become_ticks_of_the_rate(keys: dict[str, Any], window: tuple[int, int]) -> None:
+    (row,) = table(faults(**keys, every_ticks=2).fault, 2000.0)
     assert (row[FIRST_TICK], row[END_TICK], row[PERIOD_TICKS]) == (*window, 2)
 
 
@@ -86,13 +86,13 @@ KEYS = sorted({"what", *(name for kind in get_args(Injection) for name in kind._
 
 @given(st.lists(st.dictionaries(st.sampled_from(["kind", *KEYS]), VALUES, max_size=5) | VALUES, max_size=3) | VALUES)
 def test_a_random_file_gives_faults_or_an_error(tables: Any) -> None:
-    said = ""
+    message = ""
     try:
         made = build(Faults, {"fault": tables}, "my-faults.toml")
     except ConfigError as error:
-        said = str(error)
-    if said:
-        assert "my-faults.toml: fault" in said
+        message = str(error)
+    if message:
+        assert "my-faults.toml: fault" in message
         return
     rows = table(made.fault, 1000.0)
     assert (

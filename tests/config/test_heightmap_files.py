@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.refusals import refusal
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -41,16 +42,14 @@ def scene_file(folder: Path, heights: Any = HEIGHTS, text: str = SCENE) -> Path:
     return file
 
 
-def refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
-    with pytest.raises(ConfigError) as caught:
-        build_scene(load_scene(scene_file(folder, heights, text)))
-    return str(caught.value)
+def map_refusal(folder: Path, heights: Any, text: str = SCENE) -> str:
+    return refusal(lambda: build_scene(load_scene(scene_file(folder, heights, text))))
 
 
 def test_a_map_file_is_relative_to_its_scene(tmp_path: Path) -> None:
     scene = load_scene(scene_file(tmp_path))
-    (thing,) = scene.object
-    assert isinstance(thing, schema.Heightmap) and Path(thing.file) == tmp_path / "hill.npy"
+    (heightmap,) = scene.object
+    assert isinstance(heightmap, schema.Heightmap) and Path(heightmap.file) == tmp_path / "hill.npy"
     assert build(schema.Scene, describe(scene), "again") == scene
 
 
@@ -63,7 +62,7 @@ def test_check_prints_size_and_heights(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heights", "said"),
+    ("heights", "reason"),
     [
         (np.zeros(()), "an array of shape (): must have rows and columns"),
         (
@@ -78,16 +77,18 @@ def test_check_prints_size_and_heights(tmp_path: Path) -> None:
         (np.array([[0.0, -4000.0]]), "a height of -2000 m with level_m = 0.5, 1000 m up or down is the most"),
     ],
 )
-def test_an_invalid_map_is_reported(tmp_path: Path, heights: Any, said: str) -> None:
-    message = refusal(tmp_path, heights)
-    assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and said in message
+def test_an_invalid_map_is_reported(tmp_path: Path, heights: Any, reason: str) -> None:
+    message = map_refusal(tmp_path, heights)
+    assert message.startswith(f"object 'hill': file: {tmp_path / 'hill.npy'}: ") and reason in message
     assert examine_file(str(tmp_path / "scene.toml")).errors == [message]
 
 
 def test_unreadable_map_files_are_reported(tmp_path: Path) -> None:
-    missing = refusal(tmp_path, HEIGHTS, SCENE.replace("hill.npy", "hole.npy"))
+    missing = map_refusal(tmp_path, HEIGHTS, SCENE.replace("hill.npy", "hole.npy"))
     assert missing == f"object 'hill': file: {tmp_path / 'hole.npy'}: cannot be read: No such file or directory"
-    assert "must be one of .npy, .npz, .csv, .pgm, .png" in refusal(tmp_path, HEIGHTS, SCENE.replace(".npy", ".jpg"))
+    assert "must be one of .npy, .npz, .csv, .pgm, .png" in map_refusal(
+        tmp_path, HEIGHTS, SCENE.replace(".npy", ".jpg")
+    )
     file = scene_file(tmp_path)
     (tmp_path / "hill.npy").write_bytes((tmp_path / "hill.npy").read_bytes()[:528])
     with pytest.raises(ConfigError, match=r"hill\.npy: Failed to read all data"):
@@ -95,7 +96,7 @@ def test_unreadable_map_files_are_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "reason"),
     [
         ("pitch_m = 0.002", "pitch_m = 1e-7", "object[0].pitch_m = 1e-07: must be a number from 1e-06 to 10 m"),
         ("level_m = 0.5", "level_m = 0.0", "object[0].level_m = 0.0: must be a number from 1e-12 to 1000 m"),
@@ -103,10 +104,10 @@ def test_unreadable_map_files_are_reported(tmp_path: Path) -> None:
         ("level_m = 0.5", "level_m = 1.0\ninside = true", "object[0].inside is not a key here"),
     ],
 )
-def test_keys_have_ranges(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_keys_have_ranges(tmp_path: Path, old: str, new: str, reason: str) -> None:
     with pytest.raises(FaultyConfig) as caught:
         load_scene(scene_file(tmp_path, HEIGHTS, SCENE.replace(old, new)))
-    assert said in str(caught.value)
+    assert reason in str(caught.value)
 
 
 def test_unsupported_fingertips_and_methods_are_refused_on_a_map(tmp_path: Path) -> None:
@@ -122,22 +123,22 @@ def test_unsupported_fingertips_and_methods_are_refused_on_a_map(tmp_path: Path)
 
 
 def test_pictures_show_the_map(tmp_path: Path) -> None:
-    thing: Any = load_scene(scene_file(tmp_path)).object[0]
-    (vertices, faces), of = picture_of(thing)
+    heightmap: Any = load_scene(scene_file(tmp_path)).object[0]
+    (vertices, faces), of = picture_of(heightmap)
     np.testing.assert_allclose(vertices[:, 2].reshape(30, 40), 0.5 * HEIGHTS, atol=1e-15)
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.078, 0.058], atol=1e-12)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(faces) == of == 2 * 29 * 39
-    (triangles,) = draw_object(thing)["triangles"]
+    (triangles,) = draw_object(heightmap)["triangles"]
     assert len(triangles["points"]) == HEIGHTS.size and max(triangles["indices"]) == HEIGHTS.size - 1
     scene_file(tmp_path, np.zeros((900, 300)))
-    (vertices, faces), of = picture_of(thing)
+    (vertices, faces), of = picture_of(heightmap)
     assert len(vertices) == MAP_PIXELS**2 and len(faces) <= PICTURE_TRIANGLES and of == 2 * 899 * 299
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.598, 1.798], atol=1e-12)
     (tmp_path / "hill.npy").unlink()
-    assert "texts" in draw_object(thing)
+    assert "texts" in draw_object(heightmap)
     with pytest.raises(ConfigError, match=r"object 'hill': file: .*hill\.npy: cannot be read"):
-        picture_of(thing)
+        picture_of(heightmap)
 
 
 @pytest.mark.parametrize("heights", [HEIGHTS[:1], HEIGHTS[:, :1]])

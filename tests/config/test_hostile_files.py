@@ -106,13 +106,13 @@ def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -
     rig = tmp_path / "rig.toml"
     rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n[telemetry]\nendpoint = "tcp://127.0.0.1:*"\n')
     extra = ["--rig", str(rig), "--realtime", "off"] if words[0] == "run" else []
-    done = run_program(
+    process = run_program(
         [sys.executable, "-m", "softfinger.server.cli", *words, *extra],
         cwd=tmp_path,
         env={key: value for key, value in os.environ.items() if key != "NUMBA_DISABLE_JIT"},
     )
-    assert done.returncode in (2, 3), done.stderr
-    assert "only a regular file can be read" in done.stderr and "Traceback" not in done.stderr
+    assert process.returncode in (2, 3), process.stderr
+    assert "only a regular file can be read" in process.stderr and "Traceback" not in process.stderr
 
 
 LARGE = 1 << 30
@@ -184,9 +184,8 @@ def test_bombs_are_refused_in_little_memory(tmp_path: Path) -> None:
     for name, (ending, make) in BOMBS.items():
         paths.append(tmp_path / f"{name}{ending}")
         make(paths[-1])
-    done = run_program([sys.executable, "-c", GROWTH, *map(str, paths)], timeout=HANGS_S)
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
+    process = run_program([sys.executable, "-c", GROWTH, *map(str, paths)], timeout=HANGS_S, check=True)
+    lines = process.stdout.splitlines()
     assert len(lines) == 2 * len(paths)
     for line, path in zip(lines, np.repeat(paths, 2), strict=True):
         grown, _, error = line.partition(" ")
@@ -229,7 +228,7 @@ OUTPUTS: dict[str, Callable[[Path], object]] = {
     "o.mcap": lambda path: write_results(path, some_records(2)),
     "live.mcap": stream,
     "sweep.mcap": write_sweep,
-    "report.json": lambda path: report.write(path, {"a": 1}),
+    "report.json": lambda path: report.write(path, {"a": 1}, "--probe"),
 }
 
 

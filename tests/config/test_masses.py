@@ -70,13 +70,13 @@ def test_the_model_is_the_one_with_that_mass(kind: str, tmp_path: Path) -> None:
     (tmp_path / "one.xml").write_text(model(kind, 1))
     expected = mujoco.MjModel.from_xml_string(model(kind, 3))
     mass = {"a": float(expected.body("a").mass[0])}
-    found = read_model(schema.World(model=str(tmp_path / "one.xml"), mass_kg=mass))
+    read = read_model(schema.World(model=str(tmp_path / "one.xml"), mass_kg=mass))
     for name in ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0"):
         # Of the compiler's rounding.
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12, err_msg=name)
+        np.testing.assert_allclose(getattr(read, name), getattr(expected, name), rtol=1e-12, err_msg=name)
     for name in ("body_ipos", "body_iquat", "actuator_acc0"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12, rtol=1e-12, err_msg=name)
-    assert found.stat.meaninertia == pytest.approx(expected.stat.meaninertia, rel=1e-12)
+        np.testing.assert_allclose(getattr(read, name), getattr(expected, name), atol=1e-12, rtol=1e-12, err_msg=name)
+    assert read.stat.meaninertia == pytest.approx(expected.stat.meaninertia, rel=1e-12)
 
 
 @pytest.mark.parametrize(("body", "mass"), [("stand", 1.0), ("nobody", 1.0), ("world", 1.0), ("a", 0.0), ("a", -1.0)])

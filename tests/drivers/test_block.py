@@ -49,7 +49,7 @@ def _fill(handle: int) -> float:
     return float(float64_at(at[AT.table])[1] + sample.pair[0] + 10.0 * sample.pair[1] + 100.0 * sample.one)
 
 
-def taken(layouts: tuple[Any, ...]) -> list[int]:
+def occupied_words(layouts: tuple[Any, ...]) -> list[int]:
     return [
         at + k
         for layout in layouts
@@ -60,7 +60,7 @@ def taken(layouts: tuple[Any, ...]) -> list[int]:
 
 def test_layouts_do_not_overlap() -> None:
     for layouts in ((FRONT, AT), (BOARD, serial.AT), (BOARD, hid.AT)):
-        assert taken(layouts) == list(range(len(Block(*layouts).word)))
+        assert occupied_words(layouts) == list(range(len(Block(*layouts).word)))
 
 
 def test_every_field_has_a_description() -> None:

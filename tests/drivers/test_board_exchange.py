@@ -42,16 +42,16 @@ class Scripted(NamedTuple):
 class Board:
     """Scripted board and the calls it received.
 
-    comes    number of samples found by each following read; none once the list is empty
-    arrives  times (ns of the clock) from which on a read finds one more sample
+    incoming  number of samples found by each following read; none once the list is empty
+    arrives   times (ns of the clock) from which on a read finds one more sample
     """
 
     def __init__(self) -> None:
         self.block = Block(BOARD, BOARD)
         self._functions = board_exchange.compile_functions(Scripted())
         self.now = OPENED
-        self.done: list[Any] = []
-        self.comes: list[int] = []
+        self.calls: list[Any] = []
+        self.incoming: list[int] = []
         self.arrives: list[int] = []
         self.usable, self.busy = True, False
         self.zero, self.force, self.woken = OK, OK, OK
@@ -65,19 +65,19 @@ class Board:
         return self.block.word
 
     def read(self) -> int:
-        self.done = []
+        self.calls = []
         return int(self._functions.read(self.block.handle, self.sample))
 
     def write(self, wrench: tuple[float, ...]) -> int:
-        self.done = []
+        self.calls = []
         return int(self._functions.write(self.block.handle, wrench))
 
     def silence(self) -> int:
-        self.done = []
+        self.calls = []
         return int(self._functions.silence(self.block.handle))
 
-    def heard(self) -> None:
-        self.comes = [0, 0, 1]
+    def receive_sample(self) -> None:
+        self.incoming = [0, 0, 1]
         assert self.read() == OK
 
     def later(self, ns: int) -> None:
@@ -98,7 +98,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
             made[0].word[BOARD.fd] | 1 << 32,
             1,
         )  # POLLIN is 1, in the upper half of a struct pollfd
-        said(f"wait {wait_ms}")
+        record_call(f"wait {wait_ms}")
         made[0].now += wait_ms * MS
         return 0
 
@@ -122,19 +122,19 @@ SCRIPT: list[Board] = []
 """Board of the running test: kernels receive only a handle."""
 
 
-def said(what: Any) -> None:
-    SCRIPT[0].done.append(what)
-    assert len(SCRIPT[0].done) < 200, "it waits for ever"
+def record_call(call: Any) -> None:
+    SCRIPT[0].calls.append(call)
+    assert len(SCRIPT[0].calls) < 200, "it waits for ever"
 
 
 @board_exchange.drain.of(Scripted)
 def _drain(driver: Scripted, handle: int) -> int:
-    said("drain")
+    record_call("drain")
     board = SCRIPT[0]
     if board.arrives and board.now >= board.arrives[0]:
         board.arrives.pop(0)
         return 1
-    return board.comes.pop(0) if board.comes else 0
+    return board.incoming.pop(0) if board.incoming else 0
 
 
 @board_exchange.pose.of(Scripted)
@@ -146,13 +146,13 @@ def _pose(driver: Scripted, handle: int) -> bool:
 
 @board_exchange.busy.of(Scripted)
 def _busy(driver: Scripted, handle: int, deaf: bool) -> bool:
-    said(f"busy? {'deaf' if deaf else 'hears'}")
+    record_call(f"busy? {'deaf' if deaf else 'hears'}")
     return SCRIPT[0].busy
 
 
 @board_exchange.send_zero.of(Scripted)
 def _send_zero(driver: Scripted, handle: int) -> int:
-    said("zero")
+    record_call("zero")
     board = SCRIPT[0]
     board.word[BOARD.has_force] = 0
     return board.zero
@@ -160,7 +160,7 @@ def _send_zero(driver: Scripted, handle: int) -> int:
 
 @board_exchange.command.of(Scripted)
 def _command(driver: Scripted, handle: int, wrench: Any) -> int:
-    said(tuple(wrench))
+    record_call(tuple(wrench))
     board = SCRIPT[0]
     board.word[BOARD.has_force] = 1
     return board.force
@@ -169,7 +169,7 @@ def _command(driver: Scripted, handle: int, wrench: Any) -> int:
 @board_exchange.wake.of(Scripted)
 def _wake(driver: Scripted, handle: int) -> int:
     board = SCRIPT[0]
-    said(("wake", board.now))
+    record_call(("wake", board.now))
     if board.wake_ends_a_force:
         board.word[BOARD.has_force] = 0
     return board.woken
@@ -198,23 +198,23 @@ def test_init_stores_times_and_arms_the_device(board: Board) -> None:
 
 def test_a_device_that_is_closed_is_lost(board: Board) -> None:
     board.word[BOARD.fd] = -1
-    assert board.read() == LOST and board.done == []
-    assert (board.write(ZERO), board.write(FORCE)) == (OK, WITHHELD) and board.done == []
-    assert board.silence() == 1 and board.done == []
+    assert board.read() == LOST and board.calls == []
+    assert (board.write(ZERO), board.write(FORCE)) == (OK, WITHHELD) and board.calls == []
+    assert board.silence() == 1 and board.calls == []
     board.word[BOARD.fd] = 0
-    assert board.write(ZERO) == OK and board.done == ["busy? deaf", "zero"]
-    assert board.silence() == 1 and board.done == ["zero"]
-    board.heard()
+    assert board.write(ZERO) == OK and board.calls == ["busy? deaf", "zero"]
+    assert board.silence() == 1 and board.calls == ["zero"]
+    board.receive_sample()
 
 
 def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
-    board.comes, board.arrives = [3, 2], [START + 62 * MS]
+    board.incoming, board.arrives = [3, 2], [START + 62 * MS]
     board.word[BOARD.kicked_at] = START - 1
     assert board.read() == OK
     waits = ["wait 10", "drain"]
     expected: list[Any] = ["drain", "wait 0", "drain", ("wake", START)]
     expected += 3 * waits + [("wake", START + 30 * MS)] + 3 * waits + [("wake", START + 60 * MS)] + waits
-    assert board.done == expected
+    assert board.calls == expected
     assert board.sample[SAMPLE_TIME] == pytest.approx((START + 70 * MS - OPENED) * 1e-9, rel=1e-15)
     assert (
         board.word[BOARD.has_sample] == 1
@@ -224,10 +224,10 @@ def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
 
 @pytest.mark.parametrize("reads", [0, 1, 2])
 def test_a_loss_during_the_first_read_is_reported_at_once(reads: int, board: Board) -> None:
-    board.comes = [0] * reads + [LOST]
+    board.incoming = [0] * reads + [LOST]
     assert board.read() == LOST
     calls: list[Any] = ["drain", "wait 0", "drain", ("wake", START), "wait 10", "drain"]
-    assert board.done == calls[: (1, 3, 6)[reads]]
+    assert board.calls == calls[: (1, 3, 6)[reads]]
 
 
 @pytest.mark.parametrize("status", [LOST, OK, HELD])
@@ -251,22 +251,22 @@ def test_first_read_times_out(misread: int, status: int, board: Board) -> None:
         patch.setattr(board_exchange, "drain", reads)
         assert board.read() == status
     assert board.now == START + TIMEOUT_NS + WAIT_MS * MS
-    assert board.done.count("drain") == 2 + 21
+    assert board.calls.count("drain") == 2 + 21
 
 
 @pytest.mark.parametrize(("ns", "paused"), [(RESUME_NS, False), (RESUME_NS + 1, True)])
 def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
     """After a longer gap, queued samples are discarded and a new one is awaited; otherwise the latest is used."""
-    board.heard()
+    board.receive_sample()
     board.now += ns
-    board.comes = [1, 0, 1]
+    board.incoming = [1, 0, 1]
     assert board.read() == OK
-    assert board.done == (["drain", "wait 0", "drain", ("wake", board.now - 10 * MS), "wait 10", "drain"]
+    assert board.calls == (["drain", "wait 0", "drain", ("wake", board.now - 10 * MS), "wait 10", "drain"]
                           if paused else ["drain"])  # fmt: skip
 
 
 def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     board.now += 150 * MS
     begun, before = board.now, board.sample.copy()
     assert board.read() == STALE
@@ -274,48 +274,48 @@ def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board
     assert board.sample.tolist() == before.tolist()
     assert board.word[BOARD.read_at] == board.now
     assert board.word[BOARD.sampled_at] == begun - QUIET - 1
-    assert board.write(FORCE) == WITHHELD and "zero" in board.done
+    assert board.write(FORCE) == WITHHELD and "zero" in board.calls
     board.later(MS)
-    board.comes = [1]
-    assert board.read() == OK and board.write(FORCE) == OK and board.done == [FORCE]
+    board.incoming = [1]
+    assert board.read() == OK and board.write(FORCE) == OK and board.calls == [FORCE]
 
 
 # --- ticks ---
 
 
 def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     board.later(MS)
-    board.comes = [4]
-    assert board.read() == OK and board.done == ["drain"]
+    board.incoming = [4]
+    assert board.read() == OK and board.calls == ["drain"]
     assert board.sample[SAMPLE_TIME] == pytest.approx((board.now - OPENED) * 1e-9, rel=1e-15)
     assert board.sample[0] == 2.0
-    kept = board.sample.copy()
+    sample = board.sample.copy()
     board.later(MS)
-    assert board.read() == STALE and board.done == ["drain"]
-    assert board.sample.tolist() == kept.tolist()
+    assert board.read() == STALE and board.calls == ["drain"]
+    assert board.sample.tolist() == sample.tolist()
 
 
 def test_slow_ticks_are_no_pause(board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     for _ in range(3):
         board.now += RESUME_NS
-        board.comes = [1]
-        assert board.read() == OK and board.done == ["drain"]
+        board.incoming = [1]
+        assert board.read() == OK and board.calls == ["drain"]
 
 
 def test_an_unusable_sample_is_a_protocol_error(board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     board.later(MS)
-    board.comes, board.usable = [1], False
+    board.incoming, board.usable = [1], False
     assert board.read() == PROTOCOL
-    board.comes = [LOST]
+    board.incoming = [LOST]
     assert board.read() == LOST
 
 
 @pytest.mark.parametrize(("misread", "status"), [(7, TIMEOUT), (8, PROTOCOL)])
 def test_a_silence_longer_than_the_time_out_is_a_failure(misread: int, status: int, board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     board.word[BOARD.misread_bytes] = misread
     board.later(TIMEOUT_NS)
     assert board.read() == STALE
@@ -324,48 +324,48 @@ def test_a_silence_longer_than_the_time_out_is_a_failure(misread: int, status: i
 
 
 def test_a_silent_board_is_woken_repeatedly(board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET)
-    assert board.read() == STALE and board.done == ["drain"]
+    assert board.read() == STALE and board.calls == ["drain"]
     board.later(1)
     first = board.now
-    assert board.read() == STALE and board.done == ["drain", ("wake", first)]
+    assert board.read() == STALE and board.calls == ["drain", ("wake", first)]
     board.later(KICK - 1)
-    assert board.read() == STALE and board.done == ["drain"]
+    assert board.read() == STALE and board.calls == ["drain"]
     board.later(1)
-    assert board.read() == STALE and board.done == ["drain", ("wake", first + KICK)]
+    assert board.read() == STALE and board.calls == ["drain", ("wake", first + KICK)]
     board.later(KICK)
     board.woken = LOST
     assert board.read() == LOST
 
 
 def test_nothing_is_sent_while_the_device_is_being_stopped(board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     board.word[BOARD.kicked_at] = START - KICK
     board.later(QUIET + 1)
     locked(board)
     kicked = board.word[BOARD.kicked_at]
-    assert board.read() == STALE and board.done == ["drain"]
+    assert board.read() == STALE and board.calls == ["drain"]
     assert board.word[BOARD.kicked_at] == kicked and board.word[BOARD.lock] == 1
-    board.comes = [1]
+    board.incoming = [1]
     assert board.read() == OK
-    assert board.write(FORCE) == WITHHELD and board.write(ZERO) == WITHHELD and board.done == []
+    assert board.write(FORCE) == WITHHELD and board.write(ZERO) == WITHHELD and board.calls == []
     assert board.word[BOARD.lock] == 1
-    assert board.silence() == 0 and board.done == [] and board.word[BOARD.armed] == 0
+    assert board.silence() == 0 and board.calls == [] and board.word[BOARD.armed] == 0
     assert board.word[BOARD.lock] == 1
     board.word[BOARD.lock] = 0
 
 
 def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
     """If the wake cleared a force, the read returns WITHHELD once, so that the force fades in."""
-    board.heard()
+    board.receive_sample()
     assert board.write(FORCE) == OK
     board.word[BOARD.kicked_at], board.wake_ends_a_force = START - KICK, True
     board.later(QUIET + 1)
     assert board.read() == WITHHELD and board.read() == STALE
     board.later(MS)
-    board.comes = [1]
+    board.incoming = [1]
     assert board.read() == OK
 
 
@@ -374,10 +374,10 @@ def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
 
 @pytest.mark.parametrize("status", [OK, STALE, HELD, LOST])
 def test_a_force_is_sent_and_the_driver_status_returned(status: int, board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     board.later(QUIET)
     board.force = status
-    assert board.write(FORCE) == status and board.done == [FORCE]
+    assert board.write(FORCE) == status and board.calls == [FORCE]
 
 
 def deaf(board: Board) -> None:
@@ -395,47 +395,47 @@ def unsensed(board: Board) -> None:
 @pytest.mark.parametrize("why", [deaf, unarmed, unsensed])
 @pytest.mark.parametrize("status", [OK, HELD, LOST])
 def test_a_zero_replaces_a_withheld_force(why: Callable[[Board], None], status: int, board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     why(board)
     board.zero = status
     assert board.write(FORCE) == (status if status < 0 else WITHHELD)
-    assert board.done == ["busy? hears" if why is unarmed else "busy? deaf", "zero"]
+    assert board.calls == ["busy? hears" if why is unarmed else "busy? deaf", "zero"]
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
 @pytest.mark.parametrize("number", [nan, inf, -inf])
 def test_a_force_that_is_not_finite_is_a_zero(place: int, number: float, board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     wrench = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     wrench[place] = number
-    assert board.write(tuple(wrench)) == WITHHELD and board.done == ["busy? hears", "zero"]
-    assert board.write((0.0, 0.0, 0.0, 1.0, 0.0, 0.0)) == OK and board.done == ["busy? hears", "zero"]
+    assert board.write(tuple(wrench)) == WITHHELD and board.calls == ["busy? hears", "zero"]
+    assert board.write((0.0, 0.0, 0.0, 1.0, 0.0, 0.0)) == OK and board.calls == ["busy? hears", "zero"]
     force = (0.0, 0.0, 1.0, nan, 0.0, 0.0)
-    assert board.write(force) == OK and len(board.done) == 1 and board.done[0][:3] == force[:3]
+    assert board.write(force) == OK and len(board.calls) == 1 and board.calls[0][:3] == force[:3]
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
 def test_the_smallest_force_along_one_axis_is_sent(place: int, board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     wrench = tuple(5e-324 * (k == place) for k in range(6))
-    assert board.write(wrench) == OK and board.done == [wrench]
+    assert board.write(wrench) == OK and board.calls == [wrench]
 
 
 def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
-    board.heard()
+    board.receive_sample()
     board.busy = True
-    assert board.write(ZERO) == OK and board.done == ["busy? hears"]
+    assert board.write(ZERO) == OK and board.calls == ["busy? hears"]
     board.later(QUIET + 1)
-    assert board.write(FORCE) == WITHHELD and board.done == ["busy? deaf"]
+    assert board.write(FORCE) == WITHHELD and board.calls == ["busy? deaf"]
     board.word[BOARD.has_force] = 1
-    assert board.write(ZERO) == OK and board.done == ["zero"]
+    assert board.write(ZERO) == OK and board.calls == ["zero"]
 
 
-@pytest.mark.parametrize(("status", "left", "done"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
-def test_silence_succeeds_once_the_zero_is_sent(status: int, left: int, done: int, board: Board) -> None:
-    board.heard()
-    board.zero, board.word[BOARD.unsent_bytes] = status, left
-    assert board.silence() == done and board.done == ["zero"]
+@pytest.mark.parametrize(("status", "unsent_bytes", "succeeded"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
+def test_silence_succeeds_once_the_zero_is_sent(status: int, unsent_bytes: int, succeeded: int, board: Board) -> None:
+    board.receive_sample()
+    board.zero, board.word[BOARD.unsent_bytes] = status, unsent_bytes
+    assert board.silence() == succeeded and board.calls == ["zero"]
     assert board.word[BOARD.armed] == 0 and board.word[BOARD.lock] == 0
     board.zero = OK
     assert board.write(FORCE) == WITHHELD

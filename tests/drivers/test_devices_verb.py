@@ -15,7 +15,7 @@ import pytest
 from emulators.boards import BOARDS
 from helpers.haply_devices import Service
 from helpers.programs import Program
-from test_hid_emulated import WHY_NOT, beside
+from test_hid_emulated import WHY_NOT, run_beside_device
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.config.schema import DeviceConfig
@@ -170,9 +170,9 @@ def test_a_node_that_may_be_opened_is_usable(node: Path) -> None:
 
 
 def test_missing_nodes_are_diagnosed(root: Path) -> None:
-    gone = at(root / "hidraw5")
-    assert diagnose(gone, find_claim(gone)).state == "node"
-    assert "--device" in diagnose(gone, find_claim(gone)).remedy
+    missing = at(root / "hidraw5")
+    assert diagnose(missing, find_claim(missing)).state == "node"
+    assert "--device" in diagnose(missing, find_claim(missing)).remedy
     bare = at("/dev/bus/usb/001/002", bus="usb")
     assert diagnose(bare, find_claim(bare)).state == "node"
     assert "usbhid" in diagnose(bare, find_claim(bare)).remedy
@@ -235,8 +235,8 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
     assert diagnosis.state == "usable"
     assert "no hidraw node" in diagnosis.reason
     assert "install --system " in how_to_permit(at("", 0x16C0, 0x0486, bus="usb"))
-    with node.open("rb") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+    with node.open("rb") as locked_file:
+        fcntl.flock(locked_file, fcntl.LOCK_EX)
         assert diagnose(arm, find_claim(arm)).state == "busy"
 
 
@@ -272,18 +272,18 @@ def test_a_holder_is_named(node: Path) -> None:
     code = "import sys; kept = open(sys.argv[1]); print('open', flush=True); sys.stdin.read()"
     with Program(
         [sys.executable, "-c", code, str(node)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout is not None and other.stdin is not None
-        assert other.stdout.readline() == "open\n"
+    ) as process:
+        assert process.stdout is not None and process.stdin is not None
+        assert process.stdout.readline() == "open\n"
         diagnosis = diagnose(at(node), find_claim(at(node)))
         assert diagnosis.state == "busy"
-        assert f"process {other.pid} (python" in diagnosis.reason
-        assert diagnosis.remedy == f"kill {other.pid}"
-        other.stdin.close()
-        other.wait(10)
+        assert f"process {process.pid} (python" in diagnosis.reason
+        assert diagnosis.remedy == f"kill {process.pid}"
+        process.stdin.close()
+        process.wait(10)
     assert discovery.holder(str(node)) is None
-    with node.open("rb") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+    with node.open("rb") as locked_file:
+        fcntl.flock(locked_file, fcntl.LOCK_EX)
         holder = discovery.holder(str(node))
         assert holder is not None
         assert holder.pid == os.getpid()
@@ -304,8 +304,8 @@ def test_the_library_file_of_the_rig_is_checked(node: Path) -> None:
     omega = at(node, 0x1451, 0x0402, bus="usb")
     named = DeviceConfig(driver="forcedimension", options={"library_file": "/no/libdrd.so.9"})
     assert "libdrd.so.9': there is no such file" in diagnose(omega, find_claim(omega), named).reason
-    other = DeviceConfig(driver="hid", options={"library_file": "/no/libdrd.so.9"})
-    assert "libdrd.so.9" not in diagnose(omega, find_claim(omega), other).reason
+    config = DeviceConfig(driver="hid", options={"library_file": "/no/libdrd.so.9"})
+    assert "libdrd.so.9" not in diagnose(omega, find_claim(omega), config).reason
 
 
 def test_a_falcon_needs_its_firmware(root: Path) -> None:
@@ -341,27 +341,28 @@ def test_output_without_devices() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_is_listed() -> None:
-    done, saw = beside({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
-    assert done.returncode == 0, done.stderr
-    (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+    result, saw = run_beside_device({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
+    assert result.returncode == 0, result.stderr
+    (device,) = json.JSONDecoder().raw_decode(result.stdout)[0]["devices"]
     assert device["node"] == "/dev/hidraw0"
     assert (device["name"], device["serial"]) == ("Emulated arm", "SN42")
     assert (device["vendor_id"], device["product_id"]) == ("16c0", "0486")
     assert (device["driver"], device["state"]) == ("hid", "usable")
     assert "woodenhaptics-2019" in device["rigs"]
     assert saw["reports"] == 0, "a look sends nothing to the device"
-    done, _ = beside({"arm": "woody-2019", "generation": 2}, *COMMAND)
+    result, _ = run_beside_device({"arm": "woody-2019", "generation": 2}, *COMMAND)
     assert (
-        "/dev/hidraw0  16c0:0486  Emulated arm\n    driver hid: softfinger run --rig woodenhaptics-2019" in done.stdout
+        "/dev/hidraw0  16c0:0486  Emulated arm\n    driver hid: softfinger run --rig woodenhaptics-2019"
+        in result.stdout
     )
 
 
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_without_hidraw_is_listed() -> None:
-    done, saw = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
-    assert done.returncode == 0, done.stderr
-    (device,) = json.JSONDecoder().raw_decode(done.stdout)[0]["devices"]
+    result, saw = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
+    assert result.returncode == 0, result.stderr
+    (device,) = json.JSONDecoder().raw_decode(result.stdout)[0]["devices"]
     assert (device["bus"], device["node"], device["serial"]) == ("usb", "/dev/bus/usb/001/002", "SN42")
     assert (device["driver"], device["state"]) == ("hid", "usable")
     assert "threads carry its reports" in device["reason"]

@@ -22,7 +22,7 @@ from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DriverCo
 OUTSIDE = Path(__file__).parents[1] / "outside_driver"
 
 
-class Recorded(Bench):
+class ReplayBench(Bench):
     cannot: ClassVar[Mapping[str, str]] = {
         "busy": "a recording is read, so any number of processes may have it",
         "permission": "a recording that cannot be read is one that is not there",
@@ -60,7 +60,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(params=["replay", "simulated"])
 def bench(request: pytest.FixtureRequest) -> Bench:
-    return Recorded(request.param)
+    return ReplayBench(request.param)
 
 
 class TestContract(DriverContract):
@@ -131,9 +131,9 @@ def test_the_example_package_runs_after_installation(installed: Path, tmp_path: 
 
     assert "rig, usable" in softfinger("check", rig, path=str(installed)).stdout
     run = ["run", "--rig", rig, "--endpoint", f"ipc://{tmp_path}/t", "--duration", "0.2", "--realtime", "off"]
-    done = softfinger(*run, path=str(installed))
-    assert done.returncode == 0, done.stderr
-    assert "device lissajous" in done.stderr and "stopped after 200 ticks" in done.stderr
+    process = softfinger(*run, path=str(installed))
+    assert process.returncode == 0, process.stderr
+    assert "device lissajous" in process.stderr and "stopped after 200 ticks" in process.stderr
     wrong = tmp_path / "wrong.toml"
     wrong.write_text('[device]\ndriver = "lissajous"\nhz = [0.5, 0.75, 1e9]\n')
     assert (

@@ -182,18 +182,18 @@ def rows_of(count: int) -> np.ndarray:
 
 
 def test_figures_of_known_rows() -> None:
-    found = figures(rows_of(2000), 1000.0)
-    assert found["ticks"] == 2000
-    assert found["seconds"] == pytest.approx(2.0, rel=1e-12)
-    assert found["read"]["p50"] == found["read"]["max"] == 2e-6
-    assert found["cycle"]["p99"] == pytest.approx(3e-6, rel=1e-12)
-    assert found["read"]["over_empty"]["p50"] == pytest.approx(20.0, rel=1e-12)
-    assert found["cycle"]["over_empty"]["p50"] == pytest.approx(15.0, rel=1e-12)
-    assert found["stale_share"] == 0.25
-    assert found["limited_share"] == 1 / 2000
-    assert found["new_samples_hz"] == pytest.approx(750.0, rel=1e-12)
-    assert found["sample_step_s"]["min"] == pytest.approx(1e-3, rel=1e-9)  # a difference of times near 2 s
-    assert found["sample_step_s"]["max"] == pytest.approx(2e-3, rel=1e-9)
+    result = figures(rows_of(2000), 1000.0)
+    assert result["ticks"] == 2000
+    assert result["seconds"] == pytest.approx(2.0, rel=1e-12)
+    assert result["read"]["p50"] == result["read"]["max"] == 2e-6
+    assert result["cycle"]["p99"] == pytest.approx(3e-6, rel=1e-12)
+    assert result["read"]["over_empty"]["p50"] == pytest.approx(20.0, rel=1e-12)
+    assert result["cycle"]["over_empty"]["p50"] == pytest.approx(15.0, rel=1e-12)
+    assert result["stale_share"] == 0.25
+    assert result["limited_share"] == 1 / 2000
+    assert result["new_samples_hz"] == pytest.approx(750.0, rel=1e-12)
+    assert result["sample_step_s"]["min"] == pytest.approx(1e-3, rel=1e-9)  # a difference of times near 2 s
+    assert result["sample_step_s"]["max"] == pytest.approx(2e-3, rel=1e-9)
 
 
 def test_histogram_counts_every_value_once() -> None:
@@ -245,12 +245,12 @@ def test_a_device_that_fails_to_stop_gets_zero_and_is_named() -> None:
     assert not device.wrenches[-1].any()
 
 
-@pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
-def test_a_push_ramps_up_after_it_was_withheld(way: Fault) -> None:
+@pytest.mark.parametrize("fault", ["withheld_read", "withheld_write"])
+def test_a_push_ramps_up_after_it_was_withheld(fault: Fault) -> None:
     slow = ARMED._replace(ramp=0.5)
-    with FaultyDevice(Options(fault=way, at=800, count=5)) as device, Exchange(device, RIG, slow) as exchange:
+    with FaultyDevice(Options(fault=fault, at=800, count=5)) as device, Exchange(device, RIG, slow) as exchange:
         rows = exchange.record(1.2, Push((1.0, 0.0, 0.0), 0.01, 1.2))
-    status = rows[:, READ_STATUS if way == "withheld_read" else WRITE_STATUS]
+    status = rows[:, READ_STATUS if fault == "withheld_read" else WRITE_STATUS]
     (withheld,) = np.nonzero(status == WITHHELD)
     first, last = withheld[0], withheld[-1]
     size = np.abs(rows[:, FORCE])

@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees
+from helpers.rig_files import write_rig
 from test_hid_emulated import CLOSED_LOOP, STROKE, WHY_NOT, on_testbed
 
 from softfinger.config.load import load_scene
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.drivers.falcon import firmware
 from softfinger.proxy.record import AT
 
@@ -32,16 +31,9 @@ pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(WHY_
 beside = functools.partial(on_testbed, "falcon_testbed.py")
 
 
-def rig_with(tmp_path: Path, **keys: object) -> str:
-    text = find("falcon", Rig).read_text()
+def rig_with(folder: Path, **keys: object) -> str:
     # A tick of the emulation waits for two other programs, so silences are longer than on a bus.
-    given = {"kick_s": 0.15, "timeout_s": 1.0, **keys}
-    for key in given:
-        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
-    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in given.items())
-    path = tmp_path / "rig.toml"
-    path.write_text(text.replace('driver = "falcon"\n', f'driver = "falcon"\n{lines}'))
-    return str(path)
+    return str(write_rig(folder, "falcon", **{"kick_s": 0.15, "timeout_s": 1.0, **keys}))
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
@@ -178,19 +170,19 @@ def test_firmware_that_cannot_be_sent(size: int | None, spoil: int, message: str
 
 
 def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
-    for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
+    for serial, message in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
         process, _ = run({}, rig_with(tmp_path, serial=serial), "--duration", "0.005")
-        assert said in process.stderr
+        assert message in process.stderr
 
 
 def test_devices_reports_running_firmware() -> None:
     words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
-    for more, state, said in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
+    for more, state, reply in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
         process, saw = beside({}, *words, *more)
         assert process.returncode == 0, process.stderr
         (device,) = json.JSONDecoder().raw_decode(process.stdout)[0]["devices"]
-        assert (device["driver"], device["state"], device["said"]) == ("falcon", state, said)
-        assert (saw["steps"] > 0) == (said is not None)
+        assert (device["driver"], device["state"], device["said"]) == ("falcon", state, reply)
+        assert (saw["steps"] > 0) == (reply is not None)
         assert saw["most"] == [0, 0, 0]
 
 
@@ -229,8 +221,8 @@ def test_two_falcons_through_libusb() -> None:
     assert second == pytest.approx(0.045, abs=4e-4)
     assert later == pytest.approx(0.045, abs=4e-4)
     assert closed == -1
-    for one, least in ((saw, 30), (saw["second"], 60)):
-        assert one["steps"] >= least and max(one["most"]) > 0 and one["motors"] == [0, 0, 0]
+    for device, least in ((saw, 30), (saw["second"], 60)):
+        assert device["steps"] >= least and max(device["most"]) > 0 and device["motors"] == [0, 0, 0]
 
 
 def test_a_weight_gives_the_gain() -> None:

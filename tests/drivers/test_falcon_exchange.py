@@ -53,8 +53,8 @@ NOTHING = packet((0, 0, 0), 2)
 class Usb(FarEnd):
     """Scripted libusb, and the block of a driver that is homed and armed.
 
-    comes    data of the incoming transfers; None: the transfer ends with state `ends`
-    answers  add the next reply whenever handling of events completes a packet
+    incoming  data of the incoming transfers; None: the transfer ends with state `ends`
+    answers   add the next reply whenever handling of events completes a packet
     """
 
     exchange = exchange
@@ -66,9 +66,9 @@ class Usb(FarEnd):
         word = self.block.word
         self.clock.room = {self.block.handle + 8 * AT.timespec}
         self.transfers = {at: np.zeros(8, np.int64) for at in (AT.transfer_in, AT.transfer_out)}
-        for at, done in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
+        for at, done_word in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
             word[at] = self.transfers[at].ctypes.data
-            self.transfers[at][5] = self.block.handle + 8 * done  # user_data
+            self.transfers[at][5] = self.block.handle + 8 * done_word  # user_data
         word[AT.context], word[AT.submit], word[AT.handle_events], word[AT.cancel] = CONTEXT, SUBMIT, STOPS_MAX, CANCEL
         word[AT.kick], word[AT.timeout_after], word[AT.lights] = KICK, TIMEOUT_NS, packets.GREEN
         word[AT.open] = word[AT.armed] = word[AT.in_done] = word[AT.out_done] = word[AT.homed] = 1
@@ -76,7 +76,7 @@ class Usb(FarEnd):
         self.block.numbers(AT.centre, 3)[:] = (0.0, 0.0, 0.11)
         self.block.numbers(AT.gain, 1)[:] = 10000.0
         self.block.numbers(AT.position, 3)[:] = delta.HOME
-        self.comes: list[bytes | None] = []
+        self.incoming: list[bytes | None] = []
         self.ends, self.answers, self.blocked, self.stubborn, self.error = BROKEN, True, False, False, 0
         self.interrupted = False
         self.waits: list[int] = []
@@ -90,11 +90,11 @@ class Usb(FarEnd):
         self.transfers[at].view(np.int32)[6] = actual
         exchange.on_complete(int(self.word[at]))
 
-    def _call(self, address: int, given: tuple[Any, ...]) -> int:
+    def _call(self, address: int, arguments: tuple[Any, ...]) -> int:
         assert self.word[AT.lock] == 1 or address == SUBMIT
         if address == STOPS_MAX:
-            return self._events(*given)
-        (transfer,) = given
+            return self._events(*arguments)
+        (transfer,) = arguments
         at = AT.transfer_in if transfer == self.word[AT.transfer_in] else AT.transfer_out
         assert transfer == self.word[at]
         if address == CANCEL:
@@ -116,18 +116,18 @@ class Usb(FarEnd):
             return ERROR_INTERRUPTED
         if self.error:
             return self.error
-        for at, done in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
-            if at in self.cancelled and not self.word[done] and not self.stubborn:
+        for at, done_word in ((AT.transfer_in, AT.in_done), (AT.transfer_out, AT.out_done)):
+            if at in self.cancelled and not self.word[done_word] and not self.stubborn:
                 self._done(at, CANCELLED)
         if not self.word[AT.out_done] and not self.blocked:
             self._done(AT.transfer_out, COMPLETED, packets.SIZE)
             if self.answers:
                 self.number += 1
-                self.comes.append(reply(self.number))
-        if self.word[AT.in_done] or not self.comes:
+                self.incoming.append(reply(self.number))
+        if self.word[AT.in_done] or not self.incoming:
             self.clock.now += 1000 * interval[1]
             return 0
-        data = self.comes.pop(0)
+        data = self.incoming.pop(0)
         if data is None:
             self._done(AT.transfer_in, self.ends)
         else:
@@ -136,8 +136,8 @@ class Usb(FarEnd):
             self._done(AT.transfer_in, COMPLETED, len(whole))
         return 0
 
-    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
-        self.comes += comes
+    def read(self, *incoming: bytes) -> tuple[int, np.ndarray]:
+        self.incoming += incoming
         self.waits.clear()
         status, sample = super().read()
         assert self.word[AT.lock] == 0
@@ -207,12 +207,12 @@ def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
     assert usb.word[AT.unanswered] == 1
     usb.clock.now += 31 * MS
     usb.answers = False
-    taken = iter([[], [reply(100)], [reply(200)]])
+    replies = iter([[], [reply(100)], [reply(200)]])
     events = usb._events
 
-    def late(*given: Any) -> int:
-        usb.comes += next(taken, []) if given[1][1] else []
-        return events(*given)
+    def late(*arguments: Any) -> int:
+        usb.incoming += next(replies, []) if arguments[1][1] else []
+        return events(*arguments)
 
     usb._events = late  # type: ignore[method-assign]
     status, sample = usb.read()
@@ -255,11 +255,11 @@ def test_after_a_pause_a_lost_answer_is_not_awaited(usb: Usb) -> None:
     usb.clock.now += 31 * MS
     events = usb._events
 
-    def late(*given: Any) -> int:
-        if usb.clock.now > begun + KICK and not usb.comes and not given_one:
+    def late(*arguments: Any) -> int:
+        if usb.clock.now > begun + KICK and not usb.incoming and not given_one:
             given_one.append(True)
-            usb.comes.append(reply(9))
-        return events(*given)
+            usb.incoming.append(reply(9))
+        return events(*arguments)
 
     begun, given_one = usb.clock.now, list[bool]()
     usb._events = late  # type: ignore[method-assign]
@@ -287,11 +287,11 @@ def test_a_reply_is_a_sample_that_is_repeated(usb: Usb) -> None:
     status, first = usb.read(reply(5))
     assert status == OK
     assert set(usb.waits) == {0}
-    status, again = usb.read()
-    assert (status, again.tolist()) == (STALE, first.tolist())
+    status, second = usb.read()
+    assert (status, second.tolist()) == (STALE, first.tolist())
     assert usb.read(reply(6)[:7])[0] == STALE
-    status, other = usb.read(reply(6)[7:])
-    assert status == OK and other[1] != first[1]
+    status, third = usb.read(reply(6)[7:])
+    assert status == OK and third[1] != first[1]
     assert usb.counts() == {"replies": 2}
 
 
@@ -305,7 +305,7 @@ def test_the_last_reply_of_a_tick_is_used(usb: Usb) -> None:
     assert usb.counts() == {"replies": 6, "passed": 3}
 
 
-def test_a_flood_does_not_hold_the_loop(usb: Usb) -> None:
+def test_a_flood_does_not_delay_the_loop(usb: Usb) -> None:
     assert usb.read(*[reply(n) for n in range(20)])[0] == OK
     assert usb.counts() == {"replies": 8, "passed": 7}
 
@@ -329,7 +329,7 @@ def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
 )  # fmt: skip
 def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -> None:
     usb.ends = ends
-    usb.comes = [None]
+    usb.incoming = [None]
     assert usb.read()[0] == status
     assert usb.word[AT.error] == error
     assert usb.word[AT.in_done] == (status == LOST)
@@ -347,8 +347,8 @@ def test_a_rejected_transfer_is_not_pending(usb: Usb) -> None:
         usb.word[AT.error] = 0
         call = usb._call
 
-        def refusing(address: int, given: tuple[Any, ...], call: Any = call) -> int:
-            return ERROR_IO if address == SUBMIT else call(address, given)
+        def refusing(address: int, arguments: tuple[Any, ...], call: Any = call) -> int:
+            return ERROR_IO if address == SUBMIT else call(address, arguments)
 
         exchange.call_int32 = refusing
         assert (usb.read(reply(1))[0] if knob == AT.in_done else usb.write(*PULL)) == LOST
@@ -425,7 +425,7 @@ def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
     assert usb.write(*ZERO) == OK
     assert usb.write(*ZERO) == STALE
     assert usb.write(*PULL) == HELD
-    assert [any(counts_of(each)) for each in usb.got()] == [True, True, False]
+    assert [any(counts_of(data)) for data in usb.got()] == [True, True, False]
     assert usb.forces() == {"written": 3, "held": 3}
     assert usb.read(reply(1))[0] == OK
     assert usb.write(*PULL) == HELD
@@ -499,12 +499,12 @@ def test_no_force_during_a_silence(usb: Usb) -> None:
     usb.later(1)
     assert usb.write(*PULL) == WITHHELD
     assert usb.write(*ZERO) == WITHHELD
-    assert [any(counts_of(each)) for each in usb.got()] == [True, False]
+    assert [any(counts_of(data)) for data in usb.got()] == [True, False]
     usb.word[AT.has_sample], usb.word[AT.sampled_at] = 0, usb.clock.now
     assert usb.write(*PULL) == WITHHELD
 
 
-def test_only_an_armed_device_takes_a_force(usb: Usb) -> None:
+def test_only_an_armed_device_applies_a_force(usb: Usb) -> None:
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
         usb.word[AT.armed], usb.word[AT.stopped] = armed, stopped
         usb.word[AT.unanswered] = 0
@@ -534,7 +534,7 @@ def test_a_silence_is_kicked_and_times_out(usb: Usb) -> None:
     assert usb.read()[0] == STALE
     usb.later(1)
     assert usb.read()[0] == WITHHELD
-    assert [any(counts_of(each)) for each in usb.got()] == [True, False, False]
+    assert [any(counts_of(data)) for data in usb.got()] == [True, False, False]
     assert usb.forces() == {"written": 3, "kicks": 2}
     usb.word[AT.sampled_at] = usb.clock.now - TIMEOUT_NS
     usb.word[AT.sent_at] = usb.clock.now

@@ -47,8 +47,8 @@ def places(number: int) -> np.ndarray:
 )
 def test_published_positions(counts: tuple[int, int, int], place_mm: tuple[float, float, float]) -> None:
     """Encoder counts give the published positions to their printed digits, from one start of the search."""
-    place, found = forward(delta.FALCON, angles(*counts), delta.HOME)
-    assert found
+    place, converged = forward(delta.FALCON, angles(*counts), delta.HOME)
+    assert converged
     np.testing.assert_allclose(1e3 * np.array(place), place_mm, rtol=0, atol=5.001e-4)  # half of the last digit
 
 
@@ -71,9 +71,9 @@ def test_forward_inverts_inverse_over_the_workspace(cases: Cases) -> None:
     for place, off in zip(places(count).tolist(), near.tolist(), strict=True):
         theta, _ = inverse(delta.FALCON, tuple(place))
         start = delta.HOME if off[0] > 0.0 else (place[0] + off[0], place[1] + off[1], place[2] + off[2])
-        again, found = forward(delta.FALCON, theta, start)
-        assert found, place
-        worst = max(worst, math.dist(place, again))
+        position, converged = forward(delta.FALCON, theta, start)
+        assert converged, place
+        worst = max(worst, math.dist(place, position))
     assert worst < 1e-9
 
 
@@ -81,8 +81,8 @@ def test_a_failed_search_restarts_at_the_centre() -> None:
     for place in places(100):
         theta, _ = inverse(delta.FALCON, tuple(place))
         for last in ((math.nan, 0.0, 0.11), (0.5, -0.5, -0.4)):
-            again, found = forward(delta.FALCON, theta, last)
-            assert found and math.dist(place, again) < 1e-9
+            position, converged = forward(delta.FALCON, theta, last)
+            assert converged and math.dist(place, position) < 1e-9
 
 
 def test_rows_of_k_are_the_derivative() -> None:

@@ -147,7 +147,7 @@ def test_buttons_and_lost_homing() -> None:
 
 
 def test_options_are_checked() -> None:
-    given = load_rig("falcon").device.options
-    for change, said in (({"counts_per_nm": 1e9}, "counts_per_nm"), ({"kick_s": 0.2}, "timeout_s")):
-        with pytest.raises(ConfigError, match=said):
-            build(Options, {**given, **change}, "falcon [device]")
+    options = load_rig("falcon").device.options
+    for change, message in (({"counts_per_nm": 1e9}, "counts_per_nm"), ({"kick_s": 0.2}, "timeout_s")):
+        with pytest.raises(ConfigError, match=message):
+            build(Options, {**options, **change}, "falcon [device]")

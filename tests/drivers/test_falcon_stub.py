@@ -51,7 +51,7 @@ class TestContract(DriverContract):
 
 def run(device: Falcon, ticks: int) -> tuple[s.LoopEnd, np.ndarray]:
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
-    servo = s.Servo([device], make_tuning(load_scene("paper-plane"), guard, [device.info]), RATE_HZ, ticks)
+    servo = s.ServoThread([device], make_tuning(load_scene("paper-plane"), guard, [device.info]), RATE_HZ, ticks)
     servo.compile()
     servo.start()
     ended = servo.join(60.0)
@@ -71,22 +71,22 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
     with bench.open() as device:
         stub["logged"] = 0
         ended, records = run(device, 1500)
-        seen = stub.log()
+        log = stub.log()
     assert ended == s.LoopEnd(s.FINISHED, OK)
     assert not records[:, AT.servo_device].any(), "a tick without a fresh reply, or with a force that was cut"
     # The first read, and one after a pause of the machine, sends an extra zero. Each packet of a tick finds the knob at
     # the position sensed in that tick.
-    seen = seen[seen[:, 6] == 0][: len(records)]
-    np.testing.assert_allclose(columns(records, AT.probe_position), seen[:, 3:6], rtol=0, atol=COUNT_M)
+    log = log[log[:, 6] == 0][: len(records)]
+    np.testing.assert_allclose(columns(records, AT.probe_position), log[:, 3:6], rtol=0, atol=COUNT_M)
 
     assert assert_engine_agrees(records, load_scene("paper-plane"), RATE_HZ) > 300
     assert set(records[:, AT.contact_mode]) == {0.0, 1.0, 2.0}
     # Half a count at each motor is 4 mN at the knob. K is evaluated at the position of the encoders, 64 um off of some
     # 50 mm over which it changes.
-    given = columns(records, AT.force)
-    error = np.linalg.norm(seen[:, :3] - given, axis=1)
-    assert (error < 0.007 + COUNT_M / 0.02 * np.linalg.norm(given, axis=1)).all()
-    assert given[:, 2].max() > 0.5
+    forces = columns(records, AT.force)
+    error = np.linalg.norm(log[:, :3] - forces, axis=1)
+    assert (error < 0.007 + COUNT_M / 0.02 * np.linalg.norm(forces, axis=1)).all()
+    assert forces[:, 2].max() > 0.5
     assert (stub["threads"], stub["misuse"], stub["flying"], stub["allocated"]) == (0, 0, 0, 0)
     assert stub["opens"] == stub["closes"] and not any(stub.motors())
 
@@ -138,7 +138,7 @@ def test_faults_leave_no_transfer_pending(
         assert not any(stub.motors())
 
 
-def test_only_an_armed_device_takes_a_force(stub: UsbStub) -> None:
+def test_only_an_armed_device_applies_a_force(stub: UsbStub) -> None:
     with open_device(options(), RATE_HZ) as device:
         servo = Servo(device, arm=False)
         servo.read()
@@ -202,8 +202,8 @@ def test_transfers_not_returned_by_libusb_are_not_freed(
     assert stub["opens"] == stub["closes"]
     device.close()
     stub.update(stubborn=0, hush_at=-1)
-    with bench.open() as again:
-        assert Servo(again).read()[0] == OK
+    with bench.open() as reopened:
+        assert Servo(reopened).read()[0] == OK
 
 
 def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBench) -> None:
@@ -300,9 +300,9 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
         servo.write(0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
         assert any(stub.motors(1)) and not any(stub.motors(0))
         servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        found: dict[str, Any] = {}
+        results: dict[str, Any] = {}
         loops = [
-            threading.Thread(target=lambda name=name, device=device: found.update({name: run(device, 300)}))
+            threading.Thread(target=lambda name=name, device=device: results.update({name: run(device, 300)}))
             for name, device in (("first", first), ("second", second))
         ]
         for loop in loops:
@@ -310,7 +310,7 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
         for loop in loops:
             loop.join()
         for name, height in (("first", 0.03), ("second", 0.045)):
-            ended, records = found[name]
+            ended, records = results[name]
             assert ended == s.LoopEnd(s.FINISHED, OK)
             assert np.mean(records[:, AT.servo_device] == OK) > 0.5
             np.testing.assert_allclose(columns(records, AT.probe_position)[:, 2], height, rtol=0, atol=COUNT_M)
@@ -332,14 +332,14 @@ FALCON = SystemDevice("usb", 0x0403, 0xCB48, "FALCON HAPTIC", "SN1", "/dev/bus/u
 def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
     claim = find_claim(FALCON)
     assert claim is not None
-    diagnosis, said = devices.identify_device(FALCON, claim)
-    assert (diagnosis, said) == (Diagnosis("usable"), {"firmware": True})
-    assert devices.as_map(FALCON, claim, diagnosis, said)["said"] == {"firmware": True}
-    assert "    it says: firmware True" in devices.lines([(FALCON, claim, diagnosis, said)])
+    diagnosis, reply = devices.identify_device(FALCON, claim)
+    assert (diagnosis, reply) == (Diagnosis("usable"), {"firmware": True})
+    assert devices.as_map(FALCON, claim, diagnosis, reply)["said"] == {"firmware": True}
+    assert "    it says: firmware True" in devices.lines([(FALCON, claim, diagnosis, reply)])
     stub.update(firmware=1000)
-    diagnosis, said = devices.identify_device(FALCON, claim)
-    assert (diagnosis.state, said) == ("firmware", {"firmware": False})
+    diagnosis, reply = devices.identify_device(FALCON, claim)
+    assert (diagnosis.state, reply) == ("firmware", {"firmware": False})
     assert stub["opens"] == stub["closes"] and stub["loads"] == 0
     stub["held"] = 1
-    diagnosis, said = devices.identify_device(FALCON, claim)
-    assert (diagnosis.state, said) == ("busy", None)
+    diagnosis, reply = devices.identify_device(FALCON, claim)
+    assert (diagnosis.state, reply) == ("busy", None)

@@ -44,37 +44,37 @@ class Library(FarEnd):
         self.gives: dict[str, int] = {}
         self.place, self.rotation, self.angle = np.array([0.01, 0.02, 0.03]), np.eye(3), 0.25
         self.status = dict.fromkeys(range(STATUS_WORDS), 0) | {FORCE: 1}
-        self.asked: list[str] = []
+        self.calls: list[str] = []
         self.wrenches: list[tuple[float, ...]] = []
 
-    def _call(self, address: int, given: tuple[Any, ...]) -> int:
+    def _call(self, address: int, arguments: tuple[Any, ...]) -> int:
         name = LIBRARY_FUNCTIONS[int(address) - 100]
-        self.asked.append(name)
+        self.calls.append(name)
         if name == "get_error":
-            assert given == ()
+            assert arguments == ()
         else:
-            assert given[-1] == ID and given[-1].itemsize == 4
+            assert arguments[-1] == ID and arguments[-1].itemsize == 4
         if name in ("get_frame", "get_position"):
             for k in range(3):
-                given[k][0] = self.place[k]
+                arguments[k][0] = self.place[k]
         if name == "get_frame":
             for k in range(9):
-                given[3][k] = self.rotation.ravel()[k]
+                arguments[3][k] = self.rotation.ravel()[k]
         if name == "get_gripper":
-            given[0][0] = self.angle
+            arguments[0][0] = self.angle
         if name == "get_status":
             for place, value in self.status.items():
-                given[0][place] = value
+                arguments[0][place] = value
         if name == "set_wrench":
-            self.wrenches.append(given[:-1])
+            self.wrenches.append(arguments[:-1])
         return self.gives.get(name, 0)
 
     def read(self) -> tuple[int, np.ndarray]:
-        self.asked.clear()
+        self.calls.clear()
         return super().read()
 
     def write(self, *wrench: float) -> int:
-        self.asked.clear()
+        self.calls.clear()
         self.wrenches.clear()
         return super().write(*wrench)
 
@@ -95,7 +95,7 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
     np.testing.assert_allclose(sample[:3], TO_WORLD @ library.place, atol=1e-15)
     np.testing.assert_allclose(matrix(sample[3:7]), TO_WORLD @ library.rotation @ TO_WORLD.T, atol=1e-12)
     assert sample[7:].tolist() == [2.0, 2.0**32 - 2.0, 0.25]
-    assert library.asked == ["get_frame", "get_buttons", "get_gripper"]
+    assert library.calls == ["get_frame", "get_buttons", "get_gripper"]
     for bits in (1, 6, 0x7FFFFFFF):
         library.gives["get_buttons"] = bits
         assert library.read()[1][8] == bits
@@ -110,7 +110,7 @@ def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
     np.testing.assert_allclose(sample[:3], TO_WORLD @ library.place, atol=1e-15)
     assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]
     assert sample[9] == 0.0
-    assert library.asked == ["get_position", "get_buttons"]
+    assert library.calls == ["get_position", "get_buttons"]
 
 
 @pytest.mark.parametrize(
@@ -152,9 +152,9 @@ def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: 
     library.place += 1.0
     library.word[AT.lock] = 1
     status, sample = library.read()
-    assert (status, sample.tolist(), library.asked) == (STALE, before.tolist(), [])
+    assert (status, sample.tolist(), library.calls) == (STALE, before.tolist(), [])
     assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert library.asked == [] and library.word[AT.lock] == 1
+    assert library.calls == [] and library.word[AT.lock] == 1
     library.word[AT.lock] = 0
     assert library.read()[1][0] == before[0] + 1.0
     assert library.word[AT.lock] == 0
@@ -163,7 +163,7 @@ def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: 
 def test_a_device_that_is_closed_is_lost(library: Library) -> None:
     library.word[AT.open] = 0
     assert library.read()[0] == LOST
-    assert library.asked == []
+    assert library.calls == []
 
 
 # --- failures reported by the library ---
@@ -173,11 +173,11 @@ def test_a_device_that_is_closed_is_lost(library: Library) -> None:
 def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
     library.gives |= {name: -1, "get_error": ERROR_TIMEOUT}
     assert library.read()[0] == TIMEOUT
-    assert library.word[AT.error] == ERROR_TIMEOUT and library.asked[-1] == "get_error"
+    assert library.word[AT.error] == ERROR_TIMEOUT and library.calls[-1] == "get_error"
     library.gives["get_error"] = 2
     library.status |= {FORCE: 0, CAUSE: 6, ERROR: 7}
     assert library.read()[0] == LOST
-    assert library.asked[-2:] == ["get_error", "get_status"]
+    assert library.calls[-2:] == ["get_error", "get_status"]
     assert [library.word[at] for at in (AT.error, AT.cause, AT.faulty)] == [2, 6, 7]
     assert library.counts() == {}
     if name == "get_gripper":
@@ -188,15 +188,15 @@ def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
 
 def test_the_status_is_read_periodically(library: Library) -> None:
     """An armed device's status is read every fourth read; before arming its force is off, so it is not read."""
-    asked = []
+    has_asked = []
     for _ in range(12):
         assert library.read()[0] == OK
-        asked.append("get_status" in library.asked)
-    assert asked == 3 * [False, False, False, True]
+        has_asked.append("get_status" in library.calls)
+    assert has_asked == 3 * [False, False, False, True]
     library.word[AT.armed] = 0
     for _ in range(8):
         library.read()
-        assert "get_status" not in library.asked
+        assert "get_status" not in library.calls
 
 
 @pytest.mark.parametrize(
@@ -208,11 +208,11 @@ def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], 
     library.status |= {CAUSE: 4, **words}
     library.place += 1.0
     assert library.read()[0] == status
-    kept = library.block.numbers(AT.sample, SAMPLE_SIZE).tolist()
-    assert (kept == before.tolist()) is (status == FORCE_OFF)
-    told = (4, words.get(ERROR, 0)) if status == FORCE_OFF else (-1, 0)
-    assert (library.word[AT.cause], library.word[AT.faulty]) == told
-    assert "get_error" not in library.asked
+    sample = library.block.numbers(AT.sample, SAMPLE_SIZE).tolist()
+    assert (sample == before.tolist()) is (status == FORCE_OFF)
+    expected = (4, words.get(ERROR, 0)) if status == FORCE_OFF else (-1, 0)
+    assert (library.word[AT.cause], library.word[AT.faulty]) == expected
+    assert "get_error" not in library.calls
 
 
 def test_a_failed_status_call_is_a_failure(library: Library) -> None:
@@ -231,7 +231,7 @@ def test_a_failed_status_call_is_a_failure(library: Library) -> None:
 def test_a_wrench_is_turned_into_the_librarys_frame(library: Library) -> None:
     assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
     assert library.wrenches == [(0.2, 0.1, 0.3, 0.02, 0.01, 0.03, 0.0)]
-    assert library.asked == ["set_wrench"]
+    assert library.calls == ["set_wrench"]
     library.word[AT.has_torque] = 0
     assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
     assert library.wrenches == [(0.2, 0.1, 0.3, 0.0, 0.0, 0.0, 0.0)]
@@ -255,7 +255,7 @@ def test_a_device_that_is_not_armed_gets_no_wrench(place: int, library: Library)
         library.word[AT.armed], library.word[AT.stopped] = armed, stopped
         assert library.write(*wrench) == WITHHELD
         assert library.write(*ZERO) == OK
-        assert library.asked == []
+        assert library.calls == []
     assert library.counts() == {}
 
 

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
-from helpers.drd_stub import Stub, StubBench, bench, stub, stub_library
+from helpers.drd_stub import OmegaBench, Stub, bench, stub, stub_library
 from helpers.programs import Program, run_program
+from helpers.rig_files import load_rig_in_process
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene
@@ -41,18 +42,15 @@ PRESSING = {"type": 34, "wrist": 1, "z": 0.0115, "az": 0.0035, "ax": 0.006, "ay"
 """Once a second the hand moves 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and releases."""
 
 
-def records_of(servo: s.Servo) -> np.ndarray:
+def records_of(servo: s.ServoThread) -> np.ndarray:
     out = np.empty((8192, RECORD_SIZE))
     return out[: servo.records.take(out)]
 
 
 def fd_rig(stub: Stub, **changes: Any) -> Rig:
-    base = {
-        "device.driver": "forcedimension", "device.library_file": str(stub.path), "servo.realtime": "off",
-        "telemetry.endpoint": "tcp://127.0.0.1:*", "guard.ramp_s": 0.01,
-        "device.watchdog_s": 0.0,  # it counts real time, and this machine may stall any thread for longer
-    }  # fmt: skip
-    return load_rig("replay", base | changes)
+    # The watchdog counts real time, and this machine may stall any thread for longer.
+    device = {"driver": "forcedimension", "library_file": str(stub.path), "watchdog_s": 0.0}
+    return load_rig_in_process("replay", device, changes)
 
 
 def test_the_closed_loop_displays_the_forces_of_the_contact_step(stub: Stub) -> None:
@@ -86,7 +84,7 @@ def test_the_closed_loop_displays_the_forces_of_the_contact_step(stub: Stub) -> 
     ],
 )
 def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
-    fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: StubBench
+    fault: dict[str, float], error: type[HapticError], words: str, stub: Stub, bench: OmegaBench
 ) -> None:
     stub.update(**PRESSING)
     limit = {"device.velocity_threshold": fault["threshold"]} if "threshold" in fault else {}
@@ -110,7 +108,7 @@ def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -
     with forcedimension.open_device(options, RATE_HZ) as device:
         assert stub["force_on"] == 0
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-        servo = s.Servo([device], tuning, RATE_HZ, 300, late)
+        servo = s.ServoThread([device], tuning, RATE_HZ, 300, late)
         servo.compile()
         servo.start()
         ended = servo.join(60.0)
@@ -138,17 +136,17 @@ def test_command_line_runs_with_the_documented_watchdog(stub_library: Path, tmp_
     )
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--duration", "0.3"]
     for _ in range(5):
-        done = run_program(words)
-        if done.returncode == 0:
+        process = run_program(words)
+        if process.returncode == 0:
             return
-    raise AssertionError(done.stderr)
+    raise AssertionError(process.stderr)
 
 
-def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: StubBench) -> None:
+def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: OmegaBench) -> None:
     stub.update(**PRESSING, nan_at=480)  # in contact
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay", {"guard.ramp_s": 0.01}).guard, [device.info])
-        servo = s.Servo([device], tuning, RATE_HZ, 700)
+        servo = s.ServoThread([device], tuning, RATE_HZ, 700)
         servo.compile()
         servo.start()
         assert servo.join(60.0).ending == s.FINISHED
@@ -159,7 +157,7 @@ def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: StubBe
     assert int(records[480, AT.servo_guard]) == POSE_REFUSED
 
 
-def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: StubBench) -> None:
+def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: OmegaBench) -> None:
     with bench.open(status_period_s=0.02) as device:
         servo = Servo(device)
         for _ in range(20):
@@ -172,12 +170,12 @@ def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: StubBench) -> N
 
 @pytest.mark.parametrize("exclusive", [0, 1])
 def test_stop_while_a_transfer_hangs(
-    exclusive: int, stub: Stub, bench: StubBench, caplog: pytest.LogCaptureFixture
+    exclusive: int, stub: Stub, bench: OmegaBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-        servo = s.Servo([device], tuning, RATE_HZ)
+        servo = s.ServoThread([device], tuning, RATE_HZ)
         servo.compile()
         servo.start()
         run_for(servo, 100)
@@ -196,12 +194,12 @@ def test_stop_while_a_transfer_hangs(
         assert stub.norm() == 0.0 and stub["force_on"] == 0
 
 
-def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None:
+def test_stop_waits_for_a_running_exchange(stub: Stub, bench: OmegaBench) -> None:
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     stub["slow_s"] = 0.02  # long enough to call in, shorter than `stop` waits
     for _ in range(3):  # this thread might stall for a full reading, but not each time
         with bench.open() as device:
-            servo = s.Servo([device], tuning, RATE_HZ)
+            servo = s.ServoThread([device], tuning, RATE_HZ)
             servo.compile()
             servo.start()
             while servo.ticks < 3 or not stub.busy():
@@ -215,29 +213,31 @@ def test_stop_waits_for_a_running_exchange(stub: Stub, bench: StubBench) -> None
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive)])
 def test_signal_leaves_the_device_closed_and_without_force(number: int, stub_library: Path, tmp_path: Path) -> None:
-    rig, left = tmp_path / "rig.toml", tmp_path / "left.txt"
+    rig, log = tmp_path / "rig.toml", tmp_path / "left.txt"
     rig.write_text(
         f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\nwatchdog_s = 0.0\n'
         f'[guard]\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n[servo]\nrealtime = "off"\n'
     )
     settings = ",".join(f"{name}={value}" for name, value in PRESSING.items())
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig)]
-    environment = os.environ | {"STUB_DRD_SET": settings, "STUB_DRD_LOG": str(left)}
+    environment = os.environ | {"STUB_DRD_SET": settings, "STUB_DRD_LOG": str(log)}
     with Program(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
         for sample in subscribe(f"ipc://{tmp_path}/t"):
             if sample.force[2] > 0.5:
                 break
         process.send_signal(number)
-        _, said = process.communicate(timeout=60)
-    assert process.returncode == 0, said
-    state = {name: float(value) for name, value in (line.split() for line in left.read_text().splitlines())}
+        _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 0, stderr
+    state = {name: float(value) for name, value in (line.split() for line in log.read_text().splitlines())}
     assert state["peak"] > 0.5
     assert state["motors"] == state["force_on"] == state["expert"] == state["unplugged"] == 0
     assert state["opens"] == state["closes"] == 1
 
 
 def test_shipped_rigs_open_their_device(stub: Stub, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = [name for name in list_shipped(Rig) if (one := load_rig(name).device) and one.driver == "forcedimension"]
+    names = [
+        name for name in list_shipped(Rig) if (config := load_rig(name).device) and config.driver == "forcedimension"
+    ]
     assert names == ["omega-3", "omega-6", "omega-7"]
     for kind, name in zip((33, 34, 35), names, strict=True):
         rig = load_rig(name)

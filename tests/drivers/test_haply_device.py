@@ -45,7 +45,7 @@ BOARD = SystemDevice("serial", 0x16C0, 0x0483, "Haply inverse3", "", "/dev/ttyAC
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
     yield
-    assert not [one for one in threading.enumerate() if one.name == "haply exchange"]
+    assert not [thread for thread in threading.enumerate() if thread.name == "haply exchange"]
 
 
 class Bench(driver_contract.Bench):
@@ -120,7 +120,7 @@ def first_failure(servo: Servo) -> int:
     return int(eventually(lambda: min(servo.read()[0], 0), 10.0))
 
 
-def moved(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
+def move_handle(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
     service.do("move", id=ID, to=to)
     fresh(servo)
     time.sleep(0.02)  # a state with the old position may be in flight
@@ -136,7 +136,7 @@ def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
     with opened(service, **({"mounting": turn} if mounted else {})) as device:
         assert device.info.sensed_dof == 6
         servo = Servo(device)
-        sample = moved(servo, service, {"x": 0.01, "y": -0.1, "z": 0.17})
+        sample = move_handle(servo, service, {"x": 0.01, "y": -0.1, "z": 0.17})
         wanted = (0.1 + 0.1, 0.2 + 0.01, 0.3 + 0.17) if mounted else (0.01, 0.02, 0.02)
         np.testing.assert_allclose(sample[:3], wanted, atol=1e-12)  # rounding
         turned = (0.5, 0.5, 0.5, 0.5) if mounted else (half, half, 0.0, 0.0)
@@ -175,9 +175,9 @@ def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
         assert abs(after["messages"] - after["states"]) <= 2  # the first state, and one in flight
         assert after["unasked"] == 0
         assert set(statuses) == {OK, HELD}
-        taken = [0.01 * n for n, status in enumerate(statuses, 1) if status == OK]
-        given = [force[0] for force, _ in groupby(force for _, force in service.commands()) if any(force)]
-        assert given == pytest.approx(taken, abs=1e-12)  # rounding
+        expected = [0.01 * n for n, status in enumerate(statuses, 1) if status == OK]
+        forces = [force[0] for force, _ in groupby(force for _, force in service.commands()) if any(force)]
+        assert forces == pytest.approx(expected, abs=1e-12)  # rounding
         assert after["held"] == statuses.count(HELD)
 
 
@@ -192,7 +192,7 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
 
 
 @pytest.mark.parametrize(
-    ("page", "told"),
+    ("page", "message"),
     [
         ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver speaks 3.1 to 3.x"),
         ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver speaks 3.1 to 3.x"),
@@ -202,9 +202,9 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
     ],
     ids=["old", "next", "no number", "a list", "nothing", "deep"],
 )  # fmt: skip
-def test_a_service_of_another_version_is_rejected(page: str, told: str, service: Service) -> None:
+def test_a_service_of_another_version_is_rejected(page: str, message: str, service: Service) -> None:
     service.set(pages={"/version": page})
-    with pytest.raises(DeviceError, match=told):
+    with pytest.raises(DeviceError, match=message):
         opened(service)
     opened(service, version="3.5").close()
 
@@ -251,13 +251,13 @@ def test_opening_at_a_silent_service_times_out(service: Service) -> None:
 def test_filters_are_set_as_in_the_rig(service: Service) -> None:
     changed = {"force_gate": 0.0, "damping": 0.5, "gravity_compensation": False, "torque_scaling": False}
     opened(service, filters=changed).close()
-    found = service.do("settings", id=ID)
-    assert not found["home_return"]["enabled"]
-    assert not found["gravity_compensation"]["enabled"]
-    assert not found["torque_scaling"]["enabled"]
-    asked = service.do("seen")["asked"]
-    assert f'POST /inverse3/{ID}/config/force_gate?session=1 {{"gain":0.0}}' in asked
-    assert f'POST /inverse3/{ID}/config/damping?session=1 {{"scalar":0.5}}' in asked
+    filters = service.do("settings", id=ID)
+    assert not filters["home_return"]["enabled"]
+    assert not filters["gravity_compensation"]["enabled"]
+    assert not filters["torque_scaling"]["enabled"]
+    requests = service.do("seen")["asked"]
+    assert f'POST /inverse3/{ID}/config/force_gate?session=1 {{"gain":0.0}}' in requests
+    assert f'POST /inverse3/{ID}/config/damping?session=1 {{"scalar":0.5}}' in requests
     service.set(pages={f"/inverse3/{ID}/config/torque_scaling": '{"ok":false,"error":"locked"}'})
     with pytest.raises(DeviceError, match=r"refused /inverse3/049D/config/torque_scaling.*locked"):
         opened(service)
@@ -301,9 +301,9 @@ def test_another_kind_of_device_is_refused() -> None:
 def test_filters_of_an_older_service() -> None:
     with Service("3.3.0") as old:
         opened(old, filters={"torque_scaling": False, "gravity_scale": 0.8}).close()
-        found = old.do("settings", id=ID)
-        assert found["torque_scaling"] == {"enabled": False}
-        assert found["gravity_compensation"] == {"enabled": True, "scaling_factor": 0.8}
+        filters = old.do("settings", id=ID)
+        assert filters["torque_scaling"] == {"enabled": False}
+        assert filters["gravity_compensation"] == {"enabled": True, "scaling_factor": 0.8}
         with pytest.raises(DeviceError, match=r"force_gate and damping can only be set at a service of 3.5"):
             opened(old, filters={"force_gate": 0.0})
 
@@ -325,17 +325,17 @@ def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
 def test_warnings_of_the_service_are_reported(service: Service) -> None:
     with exchanging(service) as (device, _):
         assert device.warning() == ""
-        for status, told in (
+        for status, warning in (
             ({"power_supply": False, "calibrated": False}, "no power supply, and gives no force; it is not calibrated"),
             ({"power_supply": True, "calibrated": True}, ""),
         ):
             service.do("status", id=ID, to=status)
-            until(lambda told=told: told in device.warning() and bool(told) == bool(device.warning()), 5.0)
+            until(lambda warning=warning: warning in device.warning() and bool(warning) == bool(device.warning()), 5.0)
 
 
 def test_the_lock_is_for_one_service() -> None:
-    with Service() as one, Service() as other, opened(one), opened(other):
-        for service in (one, other):
+    with Service() as first, Service() as second, opened(first), opened(second):
+        for service in (first, second):
             with pytest.raises(DeviceBusy, match=f"on port {service.port} is in use by this program"):
                 opened(service)
 
@@ -346,8 +346,8 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         push_up(device, servo)
         until(lambda: servo.read()[0] == WITHHELD, 10.0)
         at_rest(service)
-        given = [row[3] for row in service.log() if row[0] >= begun]
-        assert 1.0 in given
+        forces = [row[3] for row in service.log() if row[0] >= begun]
+        assert 1.0 in forces
         fresh(servo)
 
 
@@ -408,12 +408,12 @@ BAD: dict[str, tuple[Any, int, str]] = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> None:
-    text, wanted, told = BAD[case]
+    text, wanted, reason = BAD[case]
     with exchanging(service) as (device, servo):
         push_up(device, servo)
         service.set(spoil=text)
         assert first_failure(servo) == wanted
-        assert re.search(told, device.reason()), device.reason()
+        assert re.search(reason, device.reason()), device.reason()
         assert len(device.reason()) < 400 and "\x1b" not in device.reason()
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == wanted
         at_rest(service)
@@ -478,16 +478,16 @@ def test_the_service_of_a_rig_is_queried_without_usb(
     monkeypatch.setattr(discovery, "list_attached", list)
     rig = tmp_path / "rig.toml"
     rig.write_text(find(RIG, Rig).read_text("utf-8").replace("port = 10001", f"port = {service.port}"))
-    asked = argparse.Namespace(json=True, ask=True, rig=rig)
-    assert devices.run(asked) == 0
-    (found,) = json.loads(capsys.readouterr().out)["devices"]
-    assert (found["bus"], found["state"], found["rigs"]) == ("service", "usable", [str(rig)])
-    said = {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
-    assert found["said"] == said
+    arguments = argparse.Namespace(json=True, ask=True, rig=rig)
+    assert devices.run(arguments) == 0
+    (entry,) = json.loads(capsys.readouterr().out)["devices"]
+    assert (entry["bus"], entry["state"], entry["rigs"]) == ("service", "usable", [str(rig)])
+    reply = {"service": "3.5.0.0", "devices": ["inverse3 049D"], "grips": ["wireless_verse_grip 7"]}
+    assert entry["said"] == reply
     service.kill()
-    assert devices.run(asked) == 0
-    (found,) = json.loads(capsys.readouterr().out)["devices"]
-    assert found["state"] == "service" and "systemctl start haply-inverse-service" in found["remedy"]
+    assert devices.run(arguments) == 0
+    (entry,) = json.loads(capsys.readouterr().out)["devices"]
+    assert entry["state"] == "service" and "systemctl start haply-inverse-service" in entry["remedy"]
 
 
 def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
@@ -513,10 +513,10 @@ def test_a_device_leaks_no_descriptor(service: Service) -> None:
 
 
 class Listener:
-    def __init__(self, said: bytes, closes: bool) -> None:
+    def __init__(self, reply: bytes, closes: bool) -> None:
         self.end = socket.create_server(("127.0.0.1", 0))
         self.port = self.end.getsockname()[1]
-        self._said, self._closes, self._kept = said, closes, []
+        self._reply, self._closes, self._clients = reply, closes, []
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -525,11 +525,11 @@ class Listener:
             while True:
                 client, _ = self.end.accept()
                 client.recv(65536)
-                client.sendall(self._said)
+                client.sendall(self._reply)
                 if self._closes:
                     client.close()
                 else:
-                    self._kept.append(client)
+                    self._clients.append(client)
 
     def __enter__(self) -> Listener:
         return self
@@ -538,13 +538,13 @@ class Listener:
         self.end.shutdown(socket.SHUT_RDWR)
         self.end.close()
         self._thread.join()
-        for client in self._kept:
+        for client in self._clients:
             client.close()
 
 
 @pytest.mark.parametrize("version", [None, "3.5"], ids=["asked its version", "asked for a WebSocket"])
 @pytest.mark.parametrize(
-    ("said", "closes"),
+    ("reply", "closes"),
     [
         (b"", True), (b"", False), (b"\xff\x00" * 2000, True), (b"HTTP/1.1 200 OK\r\nA: " + 300_000 * b"x", False),
         (b"HTTP/1.1 200 OK\r\nContent-Length: 999999999\r\n\r\n{", False),
@@ -553,6 +553,6 @@ class Listener:
     ],
     ids=["closes", "waits", "noise", "an endless head", "an endless body", "a bad chunk", "a false key"],
 )  # fmt: skip
-def test_another_program_on_the_port_is_rejected_in_time(said: bytes, closes: bool, version: str | None) -> None:
-    with Listener(said, closes) as other, pytest.raises(DeviceError):
-        open_device(rig_options(other.port, version=version), 1000.0)
+def test_another_program_on_the_port_is_rejected_in_time(reply: bytes, closes: bool, version: str | None) -> None:
+    with Listener(reply, closes) as listener, pytest.raises(DeviceError):
+        open_device(rig_options(listener.port, version=version), 1000.0)

@@ -47,7 +47,7 @@ class Device(FarEnd):
             self.word[AT.handled] = self.word[AT.written]
         return status
 
-    def given(self) -> list[float]:
+    def last_wrench(self) -> list[float]:
         """Return the last wrench in the sequence lock: force (N), time (ns), number."""
         assert self.word[AT.wrench_sequence] == 2 * self.word[AT.written]
         return self.block.numbers(AT.wrench, exchange.WRENCH_SIZE).tolist()
@@ -90,7 +90,7 @@ def test_silence_ends_forces_then_the_run(device: Device) -> None:
     device.clock.now += 1
     assert device.read()[0] == STALE
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    assert device.last_wrench()[:3] == [0.0, 0.0, 0.0]
     device.clock.now = START_NS + TIMEOUT_NS
     device.word[AT.read_at] = device.clock.now
     assert device.read()[0] == STALE
@@ -158,11 +158,11 @@ def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> Non
     before = device.read()[1].tolist()
     device.clock.now += 7
     assert device.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
-    np.testing.assert_allclose(device.given(), [-1.0, -0.5, 2.0, START_NS + 7, 1.0], atol=1e-12)
+    np.testing.assert_allclose(device.last_wrench(), [-1.0, -0.5, 2.0, START_NS + 7, 1.0], atol=1e-12)
     assert device.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
-    np.testing.assert_allclose(device.given(), [3.0, 0.0, -4.0, START_NS + 7, 2.0], atol=1e-12)
+    np.testing.assert_allclose(device.last_wrench(), [3.0, 0.0, -4.0, START_NS + 7, 2.0], atol=1e-12)
     assert device.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK  # torque is not displayed
-    assert device.given() == [0.0, 0.0, 0.0, START_NS + 7, 3.0]
+    assert device.last_wrench() == [0.0, 0.0, 0.0, START_NS + 7, 3.0]
     assert device.read()[1].tolist() == before
     assert device.woken.sent == [bytes(ctypes.c_int64(1))] * 3
     assert device.counts() == {"written": 3, "cut": 1}
@@ -174,9 +174,9 @@ def test_the_largest_force_is_not_limited(monkeypatch: pytest.MonkeyPatch) -> No
     device.read()
     for axis, force in enumerate(np.diag([5.0, -5.0, 5.0])):
         assert device.write(*force, 0.0, 0.0, 0.0) == OK
-        assert device.given()[axis] == force[axis]
+        assert device.last_wrench()[axis] == force[axis]
     assert device.write(3.0, 4.0, 0.0, 0.0, 0.0, 0.0) == OK
-    assert device.given()[:3] == [3.0, 4.0, 0.0]
+    assert device.last_wrench()[:3] == [3.0, 4.0, 0.0]
     assert device.counts() == {"written": 4}
 
 
@@ -186,7 +186,7 @@ def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device
     wrench = [0.0] * 6
     wrench[axis], wrench[3] = bad, bad
     assert device.write(*wrench) == WITHHELD
-    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    assert device.last_wrench()[:3] == [0.0, 0.0, 0.0]
     wrench[axis] = 1.0
     assert device.write(*wrench) == OK
 
@@ -194,7 +194,7 @@ def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device
 def test_withheld_forces(device: Device) -> None:
     device.word[AT.armed] = 0
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    assert device.last_wrench()[:3] == [0.0, 0.0, 0.0]
     assert device.write(*ZERO) == OK
     device.word[AT.armed], device.word[AT.wake] = 1, -1
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
@@ -211,18 +211,18 @@ def test_withheld_forces(device: Device) -> None:
 
 def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
     assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0, sends=False) == OK
-    first = device.given()
+    first = device.last_wrench()
     assert [device.write(0.0, 2.0, 0.0, 0.0, 0.0, 0.0, sends=False) for _ in range(2)] == [HELD, HELD]
-    assert device.given() == first and len(device.woken.sent) == 1
+    assert device.last_wrench() == first and len(device.woken.sent) == 1
     assert device.counts() == {"written": 1, "held": 2}
     assert device.write(*ZERO, sends=False) == OK
-    assert device.given()[:3] == [0.0, 0.0, 0.0]
+    assert device.last_wrench()[:3] == [0.0, 0.0, 0.0]
     assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == HELD
     device.word[AT.armed] = 0
     assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == WITHHELD
     device.word[AT.armed], device.word[AT.handled] = 1, device.word[AT.written]
     assert device.write(0.0, 4.0, 0.0, 0.0, 0.0, 0.0) == OK
-    assert device.given()[0] == pytest.approx(4.0)
+    assert device.last_wrench()[0] == pytest.approx(4.0)
     assert device.word[AT.lock] == 0
 
 

@@ -19,9 +19,10 @@ from helpers.called import called
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.haply_devices import ID, RIG, Service, opened
 from helpers.programs import Program, run_program
+from helpers.rig_files import load_rig_in_process, write_rig
 from helpers.waits import until
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
 from softfinger.proxy.record import AT, MODE_NAMES
@@ -37,11 +38,7 @@ PATIENT = {"stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
 
 
 def rig(service: Service, **changes: Any) -> Rig:
-    base = {
-        "device.port": service.port, "servo.realtime": "off", "guard.ramp_s": 0.01,
-        "telemetry.endpoint": "tcp://127.0.0.1:*",
-    }  # fmt: skip
-    return load_rig(RIG, base | {f"device.{key}": value for key, value in PATIENT.items()} | changes)
+    return load_rig_in_process(RIG, {"port": service.port, **PATIENT}, changes)
 
 
 def pushes(service: Service) -> None:
@@ -53,23 +50,19 @@ def test_closed_loop_through_the_daemon() -> None:
     with Service() as service:
         service.do("hand", id=ID, at=[0.0, 0.0, LIFT_M], press=0.005, drag=0.02)
         records = records_of_daemon(rig(service), scene, 2500)
-        given = np.array(service.log())[:, 1:]
+        forces = np.array(service.log())[:, 1:]
     compared = assert_engine_agrees(records, scene, 1000.0)
     assert set(records[:, AT.contact_mode]) == set(range(len(MODE_NAMES)))
     assert compared > 300, "the guard left too few ticks in contact to compare"
     ticks = iter(records[:, AT.force : AT.force + 3].tolist())
-    felt = [row for row, _ in groupby(given.tolist()) if any(row)]  # a force is sent again if there is no new one
-    assert len(felt) > 300
-    assert all(any(row == tick for tick in ticks) for row in felt)
-    assert not given[-1].any()
+    changes = [row for row, _ in groupby(forces.tolist()) if any(row)]  # a force is sent again if there is no new one
+    assert len(changes) > 300
+    assert all(any(row == tick for tick in ticks) for row in changes)
+    assert not forces[-1].any()
 
 
 def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
-    mine = folder / "rig.toml"
-    text = find(RIG, Rig).read_text()
-    for key, value in {"port": service.port, **PATIENT}.items():
-        text = re.sub(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
-    mine.write_text(text)
+    mine = write_rig(folder, RIG, port=service.port, **PATIENT)
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
     return [*command, "--scene", "paper-plane", "--endpoint", f"ipc://{folder}/{endpoint}"]
 
@@ -105,10 +98,10 @@ def test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported(tmp_path
         pushes(service)
         service.set(deaf=True)
         running.send_signal(signal.SIGTERM)
-        said = running.communicate(timeout=60)[1]
-        assert running.returncode == 4, said
-        assert "zero force is not confirmed" in said or "zero force is not confirmed" in said
-        assert "force is zero" not in said
+        stderr = running.communicate(timeout=60)[1]
+        assert running.returncode == 4, stderr
+        assert "zero force is not confirmed" in stderr or "zero force is not confirmed" in stderr
+        assert "force is zero" not in stderr
 
 
 @pytest.mark.exhaustive
@@ -117,10 +110,10 @@ def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
     environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-m", "softfinger.server.cli", "run", "-q", "--rig", RIG]
     command += ["--endpoint", f"ipc://{tmp_path}/a"]
-    done = run_program(command, env=environ)
-    assert done.returncode == 4
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert "pip install 'softfinger[haply]'" in done.stderr
+    process = run_program(command, env=environ)
+    assert process.returncode == 4
+    assert len(process.stderr.strip().splitlines()) == 1, process.stderr
+    assert "pip install 'softfinger[haply]'" in process.stderr
 
 
 def test_check_lists_the_filters(tmp_path: Path) -> None:
@@ -135,10 +128,10 @@ def test_check_lists_the_filters(tmp_path: Path) -> None:
 
 def test_doctor_queries_the_service() -> None:
     with Service() as service:
-        found = attached.inverse_service(rig(service))
-        assert (found.state, found.seen) == ("good", f"version 3.5.0.0, lists inverse3 {ID}")
+        row = attached.inverse_service(rig(service))
+        assert (row.state, row.seen) == ("good", f"version 3.5.0.0, lists inverse3 {ID}")
         service.do("vanish", id=ID)
         assert attached.inverse_service(rig(service)).state == "bad"
-    found = attached.inverse_service(rig(service))
-    assert found.state == "bad"
-    assert "systemctl start haply-inverse-service" in found.remedy
+    row = attached.inverse_service(rig(service))
+    assert row.state == "bad"
+    assert "systemctl start haply-inverse-service" in row.remedy

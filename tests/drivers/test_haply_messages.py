@@ -71,16 +71,16 @@ def test_a_pose_is_in_bounds_or_nan(values: list[float | None]) -> None:
         "inverse3": [{"device_id": "049D", "state": {"cursor_position": {"x": x, "y": y, "z": z}}}],
         "wireless_verse_grip": [{"device_id": "7", "state": {"orientation": {"w": w, "x": i, "y": j, "z": k}}}],
     }
-    seen = read_state(json.dumps(state).encode(), DEVICE, GRIP)
-    assert math.hypot(*seen.position) <= 10.0 or all(map(math.isnan, seen.position))
-    size = math.hypot(*seen.orientation)
-    assert all(map(math.isnan, seen.orientation)) or size == pytest.approx(1.0, abs=1e-12)  # rounding
+    pose = read_state(json.dumps(state).encode(), DEVICE, GRIP)
+    assert math.hypot(*pose.position) <= 10.0 or all(map(math.isnan, pose.position))
+    size = math.hypot(*pose.orientation)
+    assert all(map(math.isnan, pose.orientation)) or size == pytest.approx(1.0, abs=1e-12)  # rounding
 
 
 def test_a_command_has_the_key_of_the_version() -> None:
     force = (0.1, -1e-9, 2.0 / 3.0)
-    said = json.loads(command(DEVICE, "values", force))
-    assert said == {
+    message = json.loads(command(DEVICE, "values", force))
+    assert message == {
         "inverse3": [
             {"device_id": "049D", "commands": {"set_cursor_force": {"values": dict(zip("xyz", force, strict=True))}}}
         ]

@@ -121,8 +121,8 @@ def test_a_board_that_sends_continuously() -> None:
                 servo.read()
                 servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
             answering.settle(device)
-            felt = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.milliamperes))
-            np.testing.assert_allclose(felt, (0.0, 0.0, 1.0), atol=0.012)
+            force = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.milliamperes))
+            np.testing.assert_allclose(force, (0.0, 0.0, 1.0), atol=0.012)
             assert device.counts()["reports"] > 30
         finally:
             over.set()
@@ -160,9 +160,9 @@ def test_position_equals_the_position_of_the_arm(rig: str) -> None:
         assert status == OK
         np.testing.assert_allclose(sample[:3], arm.place, atol=COUNT_M)
         amperes = tuple(i / 1e3 for i in arm.sent[-1][:3])
-        felt = arm.arm.force(arm.place, amperes)
+        force = arm.arm.force(arm.place, amperes)
         # 1 mA of a motor is up to 8 mN at the end, an encoder count turns the force by 1e-3 of itself
-        np.testing.assert_allclose(felt, (0.8, -0.4, 1.2), atol=0.012)
+        np.testing.assert_allclose(force, (0.8, -0.4, 1.2), atol=0.012)
         device.stop()
         assert device.zero_failure() == ""
 
@@ -180,8 +180,8 @@ def test_wrist_buttons_and_mounting() -> None:
         assert status == OK
         np.testing.assert_allclose(sample[:3], (0.1 - y, 0.2 + x, 0.3 + z), atol=COUNT_M)
         assert sample[8] == 3
-        felt = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.sent[-1][:3]))
-        np.testing.assert_allclose(felt, (1.0, 0.0, 0.0), atol=0.012)
+        force = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.sent[-1][:3]))
+        np.testing.assert_allclose(force, (1.0, 0.0, 0.0), atol=0.012)
         assert device.info.sensed_dof == 6
 
 
@@ -251,10 +251,10 @@ def test_calibration_of_a_board_that_pauses() -> None:
     stored: list[float] = []
 
     def answer(data: bytes) -> bytes | None:
-        said = arm.answer(data)
+        reply = arm.answer(data)
         if arm.zero == (0, 0, 0) and not stored:
             stored.append(time.monotonic() + 3.0 * options.timeout_s)
-        return None if stored and time.monotonic() < stored[0] else said
+        return None if stored and time.monotonic() < stored[0] else reply
 
     fd, end = ends()
     with Answering(end, answer), HidDevice(options, fd) as device:
@@ -313,8 +313,8 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
     with pytest.raises(DeviceError, match="is not a hidraw node: "):
         open_device(rig_options("woodenhaptics-2019", path="/dev/null"), 1000.0)
-    with node.open("rb") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+    with node.open("rb") as locked_file:
+        fcntl.flock(locked_file, fcntl.LOCK_EX)
         with pytest.raises(DeviceBusy, match=rf"hidraw9 is used by process {os.getpid()} \("):
             open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
 

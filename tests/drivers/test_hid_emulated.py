@@ -21,10 +21,9 @@ import pytest
 from helpers.closed_loop import assert_engine_agrees
 from helpers.hid_devices import RIGS
 from helpers.programs import run_program
+from helpers.rig_files import write_rig
 
 from softfinger.config.load import load_scene
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.proxy.record import AT
 
 EMULATORS = Path(__file__).parents[1] / "emulators"
@@ -67,20 +66,15 @@ def on_testbed(
     return process, json.loads(lines[-1])
 
 
-def beside(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+def run_beside_device(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     return on_testbed(TESTBEDS[case.get("bus", "hidraw")], case, *command)
 
 
 def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
     endpoint = ("--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
-    return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words)
-
-
-def rig_with(folder: Path, name: str, **keys: object) -> str:
-    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
-    path = folder / f"{name}-{len(list(folder.iterdir()))}.toml"
-    path.write_text(find(name, Rig).read_text().replace('driver = "hid"\n', f'driver = "hid"\n{lines}'))
-    return str(path)
+    return run_beside_device(
+        case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words
+    )
 
 
 @pytest.mark.parametrize(
@@ -95,9 +89,9 @@ def rig_with(folder: Path, name: str, **keys: object) -> str:
 def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
     records_file = tmp_path / "records.npy"
     bus, through = CONNECTIONS[connection]
-    name = rig_with(tmp_path, rig, through=through)
+    name = str(write_rig(tmp_path, rig, through=through))
     program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[connection]), str(records_file))
-    process, saw = beside({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
+    process, saw = run_beside_device({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
     assert process.returncode == 0, process.stderr
     records = np.load(records_file)
     assert set(np.diff(records[:, AT.tick])) == {1.0}, "the subscriber has lost ticks"
@@ -164,7 +158,7 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
 def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
     whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
-    rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
+    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through=through))
     process, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane")
     assert process.returncode == code, process.stderr
     assert re.search(message, process.stderr), process.stderr
@@ -191,7 +185,7 @@ def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, m
 def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
-    mine = rig_with(tmp_path, rig, through=through, timeout_s=1.0)  # a busy machine answers late
+    mine = str(write_rig(tmp_path, rig, through=through, timeout_s=1.0))  # a busy machine answers late
     process, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", "--scene", "frictionless-plane")
     assert process.returncode == 0, process.stderr
     assert saw["astray"] == 0
@@ -200,27 +194,27 @@ def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str,
 
 
 @pytest.mark.parametrize(
-    ("board", "rig", "said"),
+    ("board", "rig", "message"),
     [
         ("lpc1768-14", "woodenhaptics-2015", 'reports input 14 .*: set reports to "woodenhaptics-v2-lpc1768", whose'),
         ("lpc1768-8", "woodenhaptics-2019-lpc1768", 'reports input 8 .*: set reports to "woodenhaptics-v1", whose'),
     ],
 )
-def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, said: str) -> None:
+def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, message: str) -> None:
     case = {"board": board, "arm": "woody-2019", "generation": 1 if board == "lpc1768-8" else 2}
     process, saw = run(case, rig, "--duration", "0.1", "--scene", "frictionless-plane")
     assert process.returncode == 4
-    assert re.search(said, process.stderr), process.stderr
+    assert re.search(message, process.stderr), process.stderr
     assert saw["reports"] == 0
 
 
 def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
-    for serial, said in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
-        rig = rig_with(tmp_path, "woodenhaptics-2019", serial=serial)
+    for serial, message in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
+        rig = str(write_rig(tmp_path, "woodenhaptics-2019", serial=serial))
         process, _ = run(
             {"arm": "woody-2019", "generation": 2}, rig, "--duration", "0.005", "--scene", "frictionless-plane"
         )
-        assert said in process.stderr
+        assert message in process.stderr
 
 
 TRY = """
@@ -251,22 +245,22 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
         ({"path": "/dev/hidraw0"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
         ({"through": "node"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
     ]
-    rigs = [rig_with(tmp_path, "woodenhaptics-2019", **keys) for keys, _ in tries]
-    other = rig_with(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
+    rigs = [str(write_rig(tmp_path, "woodenhaptics-2019", **keys)) for keys, _ in tries]
+    third_rig = str(write_rig(tmp_path, "woodenhaptics-2015", path="1-1:1.0"))
     case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
-    process, _ = beside(case, sys.executable, "-c", TRY, *rigs, other)
+    process, _ = run_beside_device(case, sys.executable, "-c", TRY, *rigs, third_rig)
     assert process.returncode == 0, process.stderr
-    *said, of_the_other = process.stdout.splitlines()[:-1]
-    assert [line.startswith(wanted) for line, (_, wanted) in zip(said, tries, strict=True)] == [True] * 7, said
+    *lines, of_the_other = process.stdout.splitlines()[:-1]
+    assert [line.startswith(wanted) for line, (_, wanted) in zip(lines, tries, strict=True)] == [True] * 7, lines
     assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, and the rig is for 1234:0006")
 
 
 def test_the_error_for_a_missing_node_names_the_module(tmp_path: Path) -> None:
     """For a device without hidraw and a rig with through = "node", the error names the kernel module to load."""
-    rig = rig_with(tmp_path, "woodenhaptics-2019", through="node")
-    process, _ = beside({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
-    said = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
-    assert re.match(said, process.stdout), process.stderr
+    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through="node"))
+    process, _ = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
+    error = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
+    assert re.match(error, process.stdout), process.stderr
 
 
 HOLD = """
@@ -294,8 +288,8 @@ with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, std
 @pytest.mark.parametrize(("connection", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
 def test_a_second_program_names_the_first(connection: str, node: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
-    rig = rig_with(tmp_path, "woodenhaptics-2019", through=through)
+    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through=through))
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}
-    process, _ = beside(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
+    process, _ = run_beside_device(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
     assert process.stdout.splitlines()[:2] == ["4", "4"], process.stderr
     assert len(re.findall(rf"{node} is used by process \d+ \(python", process.stderr)) == 2, process.stderr

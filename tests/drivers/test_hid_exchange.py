@@ -37,8 +37,8 @@ class Board:
         patch.setattr(exchange, "read_now", self._read)
         patch.setattr(exchange, "write_now", self.node.write)
         patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
-        given = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
-        self.block = HidDevice(build(Options, given, "rig"), FD)._block
+        options = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
+        self.block = HidDevice(build(Options, options, "rig"), FD)._block
         self.word = self.block.word
         self.block.fixed = [(AT.values + WRIST, AT.values + POSITION), (AT.model, len(self.word))]  # no wrist is sensed
         self.clock.room = {self.block.handle + 8 * BOARD.timespec}
@@ -53,8 +53,8 @@ class Board:
         assert size == buffer.nbytes
         return self.node.read(fd, address, size)
 
-    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
-        self.node.comes += comes
+    def read(self, *incoming: bytes) -> tuple[int, np.ndarray]:
+        self.node.incoming += incoming
         sample = np.full(SAMPLE_SIZE, np.nan)
         return self.block.call(exchange.read, sample), sample
 
@@ -85,7 +85,7 @@ def report(x: float, y: float, z: float, *rest: float, buttons: int = 0, gripper
     return b"\x03" + struct.pack("<7fBB", x, y, z, *(rest or (1.0, 0.0, 0.0, 0.0)), buttons, gripper)
 
 
-def given(x: int, y: int, z: int) -> bytes:
+def force_report(x: int, y: int, z: int) -> bytes:
     """Return an output report of a force (mN)."""
     return b"\x04" + struct.pack("<3i", x, y, z)
 
@@ -101,8 +101,8 @@ def test_a_report_is_a_pose_in_the_world(length: float, board: Board) -> None:
 
 
 def test_the_last_report_of_a_tick_is_used(board: Board) -> None:
-    comes = [report(n, 0.0, 0.0) for n in (1.0, 2.0, 3.0)]
-    status, sample = board.read(comes[0], b"\x07not ours, and longer than ours is", comes[1], comes[2])
+    reports = [report(n, 0.0, 0.0) for n in (1.0, 2.0, 3.0)]
+    status, sample = board.read(reports[0], b"\x07not ours, and longer than ours is", reports[1], reports[2])
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
     assert board.counts() == {"reports": 3, "drained": 2, "foreign": 1}
     assert board.read()[0] == STALE
@@ -111,7 +111,7 @@ def test_the_last_report_of_a_tick_is_used(board: Board) -> None:
     assert board.counts() == {"reports": 4, "drained": 2, "foreign": 2}
 
 
-def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
+def test_a_flood_does_not_delay_the_loop(board: Board) -> None:
     """A tick reads at most 256 reports, four times the kernel's queue of a node."""
     assert board.read(*[report(1.0, 0.0, 0.0)] * 600)[0] == OK
     assert board.counts() == {"reports": 256, "drained": 255}
@@ -124,7 +124,7 @@ def test_a_report_of_another_length_is_a_fault(spoilt: Any, board: Board) -> Non
 
 
 def test_a_node_that_fails_or_ends_is_lost(board: Board) -> None:
-    board.node.comes = [b""]
+    board.node.incoming = [b""]
     assert board.read()[0] == LOST
     board.node.error = EIO
     assert board.read()[0] == LOST
@@ -159,13 +159,13 @@ def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
     assert board.word[BOARD.has_force] == 1
     assert board.write(*ZERO) == OK
     assert board.word[BOARD.has_force] == 0
-    assert board.sent() == [given(-1000, -500, 2000), given(2400, 0, -3200), given(0, 0, 0)]
+    assert board.sent() == [force_report(-1000, -500, 2000), force_report(2400, 0, -3200), force_report(0, 0, 0)]
     assert board.counts() == {"written": 3, "cut": 1}
     assert board.write(*ZERO) == OK
-    assert board.sent() == [given(0, 0, 0)]  # each report triggers an answer, which the loop needs
+    assert board.sent() == [force_report(0, 0, 0)]  # each report triggers an answer, which the loop needs
 
 
-def test_a_force_that_its_field_cannot_hold_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_force_beyond_the_range_of_its_field_is_clamped(monkeypatch: pytest.MonkeyPatch) -> None:
     reports = described()["reports"]
     fields = [{"meaning": f"force_{k}", "offset": n, "type": "int8", "scale": 100.0} for n, k in enumerate("xyz")]
     fields += [{"meaning": "constant", "offset": 3, "type": "int8", "scale": 9.0}]
@@ -197,7 +197,7 @@ def test_results_of_writing_a_report(board: Board) -> None:
 
 
 def test_a_force_waits_for_the_pump(board: Board) -> None:
-    taken = board.link_by_threads()
+    value = board.link_by_threads()
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
@@ -205,15 +205,15 @@ def test_a_force_waits_for_the_pump(board: Board) -> None:
     assert board.write(*ZERO) == OK
     assert board.block.call(lambda handle: exchange._wake(exchange.Hid(), handle)) == OK
     assert board.block.call(exchange.silence) == 1
-    assert board.sent() == [given(0, 0, 1000), given(0, 0, 2000), given(0, 0, 0)]
+    assert board.sent() == [force_report(0, 0, 1000), force_report(0, 0, 2000), force_report(0, 0, 0)]
     assert board.counts() == {"written": 3, "held": 1, "kicks": 1}
-    taken.value = 2
+    value.value = 2
     board.word[BOARD.armed] = 1
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == OK
     assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
-    taken.value = 3
+    value.value = 3
     assert board.write(*ZERO) == OK
-    assert board.sent() == [given(0, 0, 3000), given(0, 0, 0)]
+    assert board.sent() == [force_report(0, 0, 3000), force_report(0, 0, 0)]
 
 
 def test_a_second_zero_is_sent_if_there_is_room(board: Board) -> None:
@@ -221,7 +221,7 @@ def test_a_second_zero_is_sent_if_there_is_room(board: Board) -> None:
     assert board.write(*ZERO) == OK
     assert board.write(*ZERO) == OK
     assert board.write(*ZERO) == OK
-    assert board.sent() == [given(0, 0, 0)] * 2
+    assert board.sent() == [force_report(0, 0, 0)] * 2
 
 
 def test_silence_is_kicked_by_the_read(board: Board) -> None:
@@ -231,7 +231,7 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
         board.word[BOARD.read_at] = board.clock.now
         assert board.read()[0] in (WITHHELD, STALE)
         assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert board.sent() == [given(0, 0, 1000), *[given(0, 0, 0)] * 4]
+    assert board.sent() == [force_report(0, 0, 1000), *[force_report(0, 0, 0)] * 4]
     assert board.counts() == {"written": 5, "kicks": 2}
     board.clock.now += 100 * MS
     board.word[BOARD.read_at] = board.clock.now
@@ -239,9 +239,9 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
 
 
 def mechanism(kind: dict[str, Any], names: str) -> dict[str, Any]:
-    fields = {way: [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)]
-              for way, m in (("input", ""), ("output", "torque_"))}  # fmt: skip
-    reports = {way: {"bytes": 4 * len(names), "field": each} for way, each in fields.items()}
+    fields = {direction: [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)]
+              for direction, m in (("input", ""), ("output", "torque_"))}  # fmt: skip
+    reports = {direction: {"bytes": 4 * len(names), "field": rows} for direction, rows in fields.items()}
     return {"kinematics": kind, "reports": reports}
 
 

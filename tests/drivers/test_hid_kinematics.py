@@ -36,32 +36,32 @@ def test_published_positions_and_currents() -> None:
 def test_rigs_contain_the_published_table(rig: str) -> None:
     """Each rig's numbers equal the emulator's table, which was written independently."""
     capstan, link, body, origin, constants, counts, calibration, aligned = TABLE[RIGS[rig]]
-    given = rig_options(rig).kinematics
-    assert isinstance(given, Chain)
-    assert given.capstan_m == pytest.approx([d * 1e-3 for d in capstan], abs=1e-12)  # mm converted to m
-    assert given.body_m == pytest.approx([d * 1e-3 for d in body], abs=1e-12)
-    assert (given.link_m, given.origin_m) == (link, origin)
-    assert (given.torque_constant_nm_per_a, given.counts_per_turn) == (constants, counts)
-    assert (given.calibration_counts, given.aligned) == (calibration, tuple(map(bool, aligned)))
+    kinematics = rig_options(rig).kinematics
+    assert isinstance(kinematics, Chain)
+    assert kinematics.capstan_m == pytest.approx([d * 1e-3 for d in capstan], abs=1e-12)  # mm converted to m
+    assert kinematics.body_m == pytest.approx([d * 1e-3 for d in body], abs=1e-12)
+    assert (kinematics.link_m, kinematics.origin_m) == (link, origin)
+    assert (kinematics.torque_constant_nm_per_a, kinematics.counts_per_turn) == (constants, counts)
+    assert (kinematics.calibration_counts, kinematics.aligned) == (calibration, tuple(map(bool, aligned)))
 
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("rig", RIGS)
 def test_forward_inverts_an_independent_inverse(rig: str) -> None:
     """20 000 random points of each workspace are recovered to 1e-9 m from angles computed with triangles."""
-    arm, other = arm_of(rig), Arm(RIGS[rig])
+    arm, independent = arm_of(rig), Arm(RIGS[rig])
     radius = rig_options(rig).workspace_radius_m
     generator = np.random.default_rng(5)
     points = generator.normal(size=(30_000, 3))
     points *= (radius * generator.random(len(points)) ** (1 / 3) / np.linalg.norm(points, axis=1))[:, None]
     # points out of reach of the two links are not in this arm's workspace
-    la, lb, lc = other.link
-    x, y, z = (points + other.origin).T
+    la, lb, lc = independent.link
+    x, y, z = (points + independent.origin).T
     reach = np.hypot(np.hypot(x, y), z - la)
     points = points[(reach < lb + lc) & (reach > abs(lb - lc))][:20_000]
     assert len(points) == 20_000
     worst = max(
-        max(abs(u - v) for u, v in zip(chain.forward(arm, other.angles(point)), point, strict=True))
+        max(abs(u - v) for u, v in zip(chain.forward(arm, independent.angles(point)), point, strict=True))
         for point in map(tuple, points.tolist())
     )
     assert worst < 1e-9
@@ -88,19 +88,19 @@ def test_jacobian_is_the_derivative(rig: str) -> None:
 @pytest.mark.parametrize("unlike", [False, True], ids=["shipped", "three unlike joints"])
 def test_power_is_conserved(unlike: bool) -> None:
     """k I omega = f . v for turning motors, also if all joints differ: checks sign and size of each ratio."""
-    given = rig_options("woodenhaptics-polhem-v1").kinematics
-    assert isinstance(given, Chain)
+    kinematics = rig_options("woodenhaptics-polhem-v1").kinematics
+    assert isinstance(kinematics, Chain)
     if unlike:
-        given = replace(given, body_m=(0.16, 0.12, 0.09), torque_constant_nm_per_a=(0.03, 0.05, 0.02))
-    arm, generator, h = chain.make_chain(given), np.random.default_rng(7), 1e-3
+        kinematics = replace(kinematics, body_m=(0.16, 0.12, 0.09), torque_constant_nm_per_a=(0.03, 0.05, 0.02))
+    arm, generator, h = chain.make_chain(kinematics), np.random.default_rng(7), 1e-3
     for counts in generator.uniform(-3000, 3000, (100, 3)):
         turning, force = generator.normal(size=3), generator.normal(size=3)
         ahead, behind = (
             chain.forward(arm, chain.angles_of(arm, tuple(counts + s * turning))) for s in (h, -h)
         )  # fmt: skip
         current, _ = chain.currents_for(arm, chain.angles_of(arm, tuple(counts)), tuple(force))
-        radians = turning * 2 * np.pi / given.counts_per_turn
-        electrical = np.dot(np.multiply(given.torque_constant_nm_per_a, current), radians)
+        radians = turning * 2 * np.pi / kinematics.counts_per_turn
+        electrical = np.dot(np.multiply(kinematics.torque_constant_nm_per_a, current), radians)
         mechanical = np.dot(force, np.subtract(ahead, behind) / (2 * h))
         assert electrical == pytest.approx(mechanical, abs=1e-11)  # rounding of positions over 2 h
 

@@ -33,18 +33,18 @@ GOOD = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
 def no_thread_is_left() -> Iterator[None]:
     before = set(threading.enumerate())
     yield
-    left = [one for one in set(threading.enumerate()) - before if one.name.startswith("hid ")]
-    for thread in left:  # a hung thread ends once its write returns
+    remaining = [thread for thread in set(threading.enumerate()) - before if thread.name.startswith("hid ")]
+    for thread in remaining:  # a hung thread ends once its write returns
         thread.join(5.0)
-    assert not any(thread.is_alive() for thread in left)
+    assert not any(thread.is_alive() for thread in remaining)
 
 
-class Linked:
+class ThreadedBoard:
     def __init__(self, answer: Callable[[bytes], bytes | None] = lambda _: GOOD, **changes: object) -> None:
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
 
         def note(data: bytes) -> bytes | None:
-            self.heard.append(data)
+            self.received.append(data)
             return answer(data)
 
         options = build(Options, described(**{"timeout_s": 0.2, **changes}), "rig")  # a busy machine answers late
@@ -56,7 +56,7 @@ class Linked:
 
     def force(self, index: int = -1) -> tuple[int, ...]:
         """Return the force (mN) of a report sent to the device."""
-        return struct.unpack("<3i", self.heard[index][1:])
+        return struct.unpack("<3i", self.received[index][1:])
 
     def push(self, newtons: float) -> int:
         return self.servo.write(newtons, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -68,11 +68,11 @@ class Linked:
             time.sleep(0.001)
         return status
 
-    def __enter__(self) -> Linked:
+    def __enter__(self) -> ThreadedBoard:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.api.held.set()
+        self.api.ready.set()
         self.device.close()
         self.answering.unplug()
 
@@ -101,28 +101,28 @@ def test_reports_are_transferred_byte_for_byte() -> None:
 
 
 def test_one_force_is_queued_behind_another() -> None:
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.answering.settle(linked.device)
-        linked.api.held.clear()
+        linked.api.ready.clear()
         statuses = [linked.push(0.1 * (n + 1)) for n in range(21)]
         assert statuses == [OK] * exchange.QUEUED_MAX + [HELD] * (21 - exchange.QUEUED_MAX)
         assert linked.device.counts()["held"] == 21 - exchange.QUEUED_MAX
         assert [linked.push(0.0) for _ in range(5)] == [OK] * 5
         assert linked.push(0.1) == HELD
-        known = len(linked.heard)
-        linked.api.held.set()
+        known = len(linked.received)
+        linked.api.ready.set()
         linked.answering.settle(linked.device)
-        assert [linked.force(n)[0] for n in range(known, len(linked.heard))] == [100, 200, 0]
+        assert [linked.force(n)[0] for n in range(known, len(linked.received))] == [100, 200, 0]
 
 
 def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
     """During a hanging write the device retains its force, so the loop ends with TIMEOUT before `timeout_s`."""
-    with Linked(timeout_s=2.0) as linked:
+    with ThreadedBoard(timeout_s=2.0) as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
-        linked.api.held.clear()
+        linked.api.ready.clear()
         linked.push(2.0)
         assert linked.api.hung.wait(5.0)
         begun = time.monotonic()
@@ -138,11 +138,11 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
 
 @pytest.mark.parametrize("talkative", [False, True])
 def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCaptureFixture) -> None:
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
-        linked.api.held.clear()
+        linked.api.ready.clear()
         linked.push(2.0)
         assert linked.api.hung.wait(5.0)
         stop = threading.Event()
@@ -167,18 +167,18 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         assert "a write has been under way for" in linked.device.zero_failure()
         assert "hid writer: a call of hidapi hangs" in caplog.text
         assert linked.api.closed == 0, "closed under a call"
-        known = len(linked.heard)
-        linked.api.held.set()
+        known = len(linked.received)
+        linked.api.ready.set()
         until(lambda: linked.api.closed)
         linked.answering.unplug()
-        assert [linked.force(n)[0] for n in range(known, len(linked.heard))] == [2000, 0, 0]
+        assert [linked.force(n)[0] for n in range(known, len(linked.received))] == [2000, 0, 0]
         if talkative:
             speaker.join()
 
 
 def test_old_reports_fit_into_one_tick() -> None:
     """Fewer reports are queued during a pause than one tick reads, so the report after it is current."""
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         for n in range(400):
             linked.answering.end.send(b"\x03" + struct.pack("<7fBB", n, 0, 0, 1, 0, 0, 0, 0, 0))
@@ -192,7 +192,7 @@ def test_old_reports_fit_into_one_tick() -> None:
 
 def test_stop_returns_after_the_zero() -> None:
     for _ in range(10):
-        with Linked() as linked:
+        with ThreadedBoard() as linked:
             written: list[bytes] = []
             linked.until(lambda status: status == OK)
             plain = linked.api.write
@@ -242,7 +242,7 @@ def test_calibration_at_opening(rig: str) -> None:
 
 def test_a_failed_calibration_closes_the_device() -> None:
     options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=1.0)  # a busy machine answers late
-    for answer, error, said in (
+    for answer, error, message in (
         (None, DeviceTimeout, "sends no report"),
         (b"\0" * 64, DeviceError, r"did not take the calibration: .* show \[0.0, 0.0, 0.0\] and not \[.*6000"),
     ):
@@ -250,7 +250,7 @@ def test_a_failed_calibration_closes_the_device() -> None:
         with Answering(end, lambda _, answer=answer: answer):
             api = Api(fd)
             link = link_by_threads(api, options)
-            with pytest.raises(error, match=said):
+            with pytest.raises(error, match=message):
                 HidDevice(options, link.fd, link.threads)
             assert api.closed == 1
 
@@ -262,34 +262,34 @@ def test_a_hanging_preset_raises_an_error() -> None:
     api = Api(fd)
 
     def answer(data: bytes) -> bytes:
-        api.held.clear()  # from the first answer on
+        api.ready.clear()  # from the first answer on
         return arm.answer(data)
 
     with Answering(end, answer):
         link = link_by_threads(api, options)
         with pytest.raises(DeviceTimeout, match=r"takes no report \(a write has been under way"):
             HidDevice(options, link.fd, link.threads)
-    api.held.set()  # after the last answer, which would clear it again
+    api.ready.set()  # after the last answer, which would clear it again
 
 
-@pytest.mark.parametrize("way", ["unplugged", "read", "write"])
-def test_a_disconnected_device_is_lost(way: str) -> None:
-    with Linked() as linked:
+@pytest.mark.parametrize("cause", ["unplugged", "read", "write"])
+def test_a_disconnected_device_is_lost(cause: str) -> None:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)
-        if way == "unplugged":
+        if cause == "unplugged":
             linked.answering.unplug()
-        elif way == "read":
-            linked.api.read = gone  # type: ignore[method-assign]
+        elif cause == "read":
+            linked.api.read = raise_read_error  # type: ignore[method-assign]
         else:
             linked.api.refuses = True
             linked.push(1.0)
         assert linked.until(lambda status: status < 0) == LOST
         linked.device.stop()
-        said = {"read": "hid reader: read error", "write": "hid writer: a write of 13 bytes came back as -1"}
-        assert said.get(way, "hid ") in linked.device.reason()
-        if way == "read":
+        reasons = {"read": "hid reader: read error", "write": "hid writer: a write of 13 bytes came back as -1"}
+        assert reasons.get(cause, "hid ") in linked.device.reason()
+        if cause == "read":
             assert linked.force() == (0, 0, 0)
         else:
             assert linked.servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) in (LOST, WITHHELD)
@@ -297,7 +297,7 @@ def test_a_disconnected_device_is_lost(way: str) -> None:
         assert linked.api.closed == 1
 
 
-def gone(*_: object) -> list[int]:
+def raise_read_error(*_: object) -> list[int]:
     raise OSError("read error")
 
 
@@ -307,7 +307,7 @@ def gone(*_: object) -> list[int]:
     ids=["short", "long", "shorter", "nan"],
 )
 def test_an_invalid_report_is_a_protocol_error(report: bytes) -> None:
-    with Linked() as linked:
+    with ThreadedBoard() as linked:
         linked.until(lambda status: status == OK)
         linked.push(1.0)
         linked.answering.settle(linked.device)

@@ -41,14 +41,14 @@ def test_a_led_hand_reaches_its_target_within_its_speed_limits() -> None:
         servo = Servo(device)
         read(servo, 10)
         device.hand().lead((0.04, 0.0, 0.02), turned)
-        way = read(servo, 1500)
+        poses = read(servo, 1500)
     # averaged, because the spring oscillates
-    speeds = np.linalg.norm(way[50:, :3] - way[:-50, :3], axis=1) * RATE_HZ / 50
+    speeds = np.linalg.norm(poses[50:, :3] - poses[:-50, :3], axis=1) * RATE_HZ / 50
     assert 0.9 * SPEED_MAX_M_PER_S < speeds.max() < 1.05 * SPEED_MAX_M_PER_S
-    turns = 2.0 * np.arccos(np.clip(np.abs((way[1:, 3:] * way[:-1, 3:]).sum(axis=1)), 0.0, 1.0)) * RATE_HZ
+    turns = 2.0 * np.arccos(np.clip(np.abs((poses[1:, 3:] * poses[:-1, 3:]).sum(axis=1)), 0.0, 1.0)) * RATE_HZ
     assert turns.max() < TURN_MAX_RAD_PER_S * (1.0 + 1e-6)
-    np.testing.assert_allclose(way[-500:, :3], [[0.04, 0.0, 0.02]] * 500, atol=1e-8)  # 30 time constants
-    np.testing.assert_allclose(way[-1, 3:], turned, atol=1e-8)
+    np.testing.assert_allclose(poses[-500:, :3], [[0.04, 0.0, 0.02]] * 500, atol=1e-8)  # 30 time constants
+    np.testing.assert_allclose(poses[-1, 3:], turned, atol=1e-8)
 
 
 def test_a_lead_without_an_orientation_preserves_it() -> None:

@@ -33,7 +33,7 @@ EXACT: Any = {"rtol": 0, "atol": 1e-12}
 """m, m/rad and N m of devices within 0.3 m: a thousand times rounding."""
 
 ARM = build(HidOptions, load_rig("woodenhaptics-2019").device.options, "woodenhaptics-2019").kinematics
-GIVEN: dict[str, options.Kinematics] = {
+MECHANISMS: dict[str, options.Kinematics] = {
     "paddle": options.Paddle(length_m=0.07, torque_max_nm=9.0),
     "pantograph": options.Pantograph(
         base_m=0.038, inner_m=0.07, outer_m=0.09, origin_m=(0.019, 0.1, 0.0), torque_max_nm=9.0
@@ -59,9 +59,9 @@ def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
     return (rng.uniform(radians(120.0), radians(165.0)), rng.uniform(radians(15.0), radians(60.0)), 0.0)
 
 
-class Ask:
-    def __init__(self, given: options.Kinematics) -> None:
-        self.kind, self.mechanism = kind_of(given, False), make_mechanism(given, 5.0)
+class MechanismProbe:
+    def __init__(self, kinematics: options.Kinematics) -> None:
+        self.kind, self.mechanism = kind_of(kinematics, False), make_mechanism(kinematics, 5.0)
         self.values, self.last = np.zeros(table.SENSED_SIZE), np.array(self.mechanism.delta.home)
 
     def end(self, joints: Any) -> np.ndarray:
@@ -74,17 +74,17 @@ class Ask:
     def torques(self, joints: Any, force: Any) -> tuple[int, np.ndarray]:
         """Return the status of the force, and torques (N m), or currents (A) of a chain."""
         self.end(joints)
-        given = np.zeros(table.COMMANDED_SIZE)
-        how = force_to_command(self.kind, self.mechanism, self.values, self.last, tuple(force), given)
+        torques = np.zeros(table.COMMANDED_SIZE)
+        how = force_to_command(self.kind, self.mechanism, self.values, self.last, tuple(force), torques)
         at = table.CURRENT if isinstance(self.mechanism_of(), options.Chain) else table.TORQUE
-        return how, given[at : at + 3]
+        return how, torques[at : at + 3]
 
     def mechanism_of(self) -> Any:
         return ARM if self.mechanism.chain != NO_MECHANISM.chain else None
 
 
-def along(of: Callable[[Any], np.ndarray], at: Any, way: Any, t: float) -> np.ndarray:
-    return of(at + t * way)
+def along(of: Callable[[Any], np.ndarray], at: Any, direction: Any, t: float) -> np.ndarray:
+    return of(at + t * direction)
 
 
 def derivative(of: Callable[[float], np.ndarray], h: float) -> np.ndarray:
@@ -93,10 +93,10 @@ def derivative(of: Callable[[float], np.ndarray], h: float) -> np.ndarray:
     return sum(w * (of(k * h) - of(-k * h)) for k, w in enumerate(weights, 1)) / h
 
 
-@pytest.mark.parametrize("name", [name for name in GIVEN if not name.startswith("delta")])
+@pytest.mark.parametrize("name", [name for name in MECHANISMS if not name.startswith("delta")])
 def test_power_out_is_power_in(name: str) -> None:
     """f . v = tau . q' with v by differences of the forward kinematics: checks each column of the Jacobian."""
-    rng, ask = np.random.default_rng(31), Ask(GIVEN[name])
+    rng, ask = np.random.default_rng(31), MechanismProbe(MECHANISMS[name])
     # of a chain's motors tau q' is k I 2 pi n' / N
     per = np.ones(3) if name != "chain" else np.array(ARM.torque_constant_nm_per_a) * 2 * pi / ARM.counts_per_turn
     step = 2e-3 * (1.0 if name != "chain" else 1e3)
@@ -114,7 +114,7 @@ def test_power_out_is_power_in(name: str) -> None:
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_power_of_a_delta(name: str) -> None:
     """The same, with the legs' speeds by differences of the inverse kinematics, which is in closed form."""
-    rng, ask = np.random.default_rng(34), Ask(GIVEN[name])
+    rng, ask = np.random.default_rng(34), MechanismProbe(MECHANISMS[name])
     d = ask.mechanism.delta
     for _ in range(200):
         p = rng.uniform((-0.02, -0.02, -0.03), (0.02, 0.02, 0.0)) + d.home
@@ -127,7 +127,7 @@ def test_power_of_a_delta(name: str) -> None:
 
 
 def test_a_paddle_moves_on_its_circle() -> None:
-    ask, r = Ask(GIVEN["paddle"]), 0.07
+    ask, r = MechanismProbe(MECHANISMS["paddle"]), 0.07
     assert ask.end((0.0, 0.0, 0.0)).tolist() == [0.0, 0.0, 0.0]
     for a in np.linspace(-1.0, 1.0, 21):
         x, y, z = ask.end((a, 0.0, 0.0))
@@ -138,21 +138,21 @@ def test_a_paddle_moves_on_its_circle() -> None:
 @pytest.mark.parametrize("name", ["pantograph", "motors on one axis"])
 def test_a_pantograph_inverts_two_triangles(name: str) -> None:
     """Angles by the law of cosines for a position give that position, so the outer links have their length."""
-    given, rng = GIVEN[name], np.random.default_rng(32)
-    assert isinstance(given, options.Pantograph)
-    ask = Ask(given)
+    kinematics, rng = MECHANISMS[name], np.random.default_rng(32)
+    assert isinstance(kinematics, options.Pantograph)
+    ask = MechanismProbe(kinematics)
     for _ in range(500):
-        x, y = rng.uniform(-0.04, 0.04) + 0.5 * given.base_m, rng.uniform(0.06, 0.13)
+        x, y = rng.uniform(-0.04, 0.04) + 0.5 * kinematics.base_m, rng.uniform(0.06, 0.13)
         joints = [0.0, 0.0, 0.0]
-        for k, (from_x, side) in enumerate(((0.0, 1.0), (given.base_m, -1.0))):
+        for k, (from_x, side) in enumerate(((0.0, 1.0), (kinematics.base_m, -1.0))):
             far = hypot(x - from_x, y)
-            bent = acos((given.inner_m**2 + far**2 - given.outer_m**2) / (2 * given.inner_m * far))
+            bent = acos((kinematics.inner_m**2 + far**2 - kinematics.outer_m**2) / (2 * kinematics.inner_m * far))
             joints[k] = atan2(y, x - from_x) + side * bent
-        np.testing.assert_allclose(ask.end(joints) + given.origin_m, (x, y, 0.0), **EXACT)
+        np.testing.assert_allclose(ask.end(joints) + kinematics.origin_m, (x, y, 0.0), **EXACT)
 
 
 def test_the_published_pantograph() -> None:
-    ask = Ask(GIVEN["pantograph"])
+    ask = MechanismProbe(MECHANISMS["pantograph"])
     joints = (radians(168.0), radians(12.0), 0.0)
     half = 0.019 + 0.07 * np.cos(radians(12.0))
     height = 0.07 * np.sin(radians(12.0)) + sqrt(0.09**2 - half**2)
@@ -164,32 +164,32 @@ def test_the_published_pantograph() -> None:
 
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_a_delta_inverts_its_triangles(name: str) -> None:
-    given, rng = GIVEN[name], np.random.default_rng(33)
-    assert isinstance(given, options.Delta)
-    ask = Ask(given)
+    config, rng = MECHANISMS[name], np.random.default_rng(33)
+    assert isinstance(config, options.Delta)
+    ask = MechanismProbe(config)
     for _ in range(200):
         p = rng.uniform((-0.02, -0.02, -0.03), (0.02, 0.02, 0.0)) + ask.mechanism.delta.home
         joints = []
-        for degrees in given.legs_deg:
+        for degrees in config.legs_deg:
             c, s = np.cos(radians(degrees)), np.sin(radians(degrees))
             across, z = -s * p[0] + c * p[1], p[2]
-            out = c * p[0] + s * p[1] + given.end_m - given.base_m  # from the motor's axis, in the leg's plane
-            far, rod = hypot(out, z), sqrt(given.rod_m**2 - across**2)
-            bent = acos((given.arm_m**2 + far**2 - rod**2) / (2 * given.arm_m * far))
+            out = c * p[0] + s * p[1] + config.end_m - config.base_m  # from the motor's axis, in the leg's plane
+            far, rod = hypot(out, z), sqrt(config.rod_m**2 - across**2)
+            bent = acos((config.arm_m**2 + far**2 - rod**2) / (2 * config.arm_m * far))
             joints.append(atan2(z, out) - bent)
-        np.testing.assert_allclose(ask.end(joints) + given.origin_m, p, **EXACT)
+        np.testing.assert_allclose(ask.end(joints) + config.origin_m, p, **EXACT)
 
 
 def test_aligned_links_give_no_force() -> None:
-    given = options.Pantograph(base_m=0.2, inner_m=0.07, outer_m=0.12, torque_max_nm=1e9)
-    ask, force = Ask(given), (0.3, 1.0, 0.0)
-    seen = set()
+    kinematics = options.Pantograph(base_m=0.2, inner_m=0.07, outer_m=0.12, torque_max_nm=1e9)
+    ask, force = MechanismProbe(kinematics), (0.3, 1.0, 0.0)
+    results = set()
     last = None
     for a in np.linspace(radians(80.0), radians(140.0), 8000):
         joints = (a, pi - a, 0.0)
         *_, sine = pantograph.jacobian(ask.mechanism.pantograph, a, pi - a)
         how, torque = ask.torques(joints, force)
-        seen.add(how)
+        results.add(how)
         if sine <= pantograph.SINE_NONE:
             assert how == SINGULAR and not torque.any()
         elif sine < pantograph.SINE_FULL:
@@ -200,46 +200,46 @@ def test_aligned_links_give_no_force() -> None:
         if last is not None:  # no step over 0.0075 degrees: it grows to 0.7 N m and falls to 0 in between
             assert np.abs(torque - last).max() < 0.02
         last = torque
-    assert seen == {FULL, SINGULAR}
+    assert results == {FULL, SINGULAR}
     np.testing.assert_allclose(ask.end((pi, 0.0, 0.0)), (0.1, 0.0, 0.0), **EXACT)
-    both = Ask(options.Pantograph(base_m=0.0, inner_m=0.07, outer_m=0.09, torque_max_nm=1.0))
+    both = MechanismProbe(options.Pantograph(base_m=0.0, inner_m=0.07, outer_m=0.09, torque_max_nm=1.0))
     assert np.isfinite(both.end((1.0, 1.0, 0.0))).all()  # coincident elbows
     assert both.torques((1.0, 1.0, 0.0), force)[0] == SINGULAR
 
 
 def test_a_delta_out_of_reach_has_no_pose() -> None:
-    given = GIVEN["delta"]
-    assert isinstance(given, options.Delta)
-    ask = Ask(given)
+    kinematics = MECHANISMS["delta"]
+    assert isinstance(kinematics, options.Delta)
+    ask = MechanismProbe(kinematics)
     home = ask.mechanism.delta.home
-    there = delta.inverse(ask.mechanism.delta, home)[0]
+    angles = delta.inverse(ask.mechanism.delta, home)[0]
     # legs and rods in one line, all alike: base + (arm + rod) cos a = end
-    in_line = acos((given.end_m - given.base_m) / (given.arm_m + given.rod_m))
+    in_line = acos((kinematics.end_m - kinematics.base_m) / (kinematics.arm_m + kinematics.rod_m))
     for joints in ((0.0, 0.0, 3.0), (in_line,) * 3):
         ask.values[table.COUNTS : table.COUNTS + 3] = joints
         position, _, how = forward_kinematics(ask.kind, ask.mechanism, ask.values, ask.last)
         assert how == SINGULAR and np.isnan(position).all()
-        np.testing.assert_allclose(ask.end(there), np.subtract(home, given.origin_m), **EXACT)
+        np.testing.assert_allclose(ask.end(angles), np.subtract(home, kinematics.origin_m), **EXACT)
 
 
 def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
     d = make_mechanism(options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0).delta
-    seen = set()
+    results = set()
     # on the axis all rods are flat where base + arm cos a = end + rod; the end is then as high as the elbows
     flat = 0.1 * sqrt(1.0 - ((0.02 + 0.17 - 0.12) / 0.1) ** 2)
     for height in np.linspace(d.home[2], flat, 1000):
         torque, able = delta.torques_for(d, (0.0, 0.0, float(height)), (0.0, 0.0, 1.0))
         _, rows = delta.inverse(d, (0.0, 0.0, float(height)))
         det = abs(np.linalg.det(rows)) * d.arm**3
-        seen.add(able)
+        results.add(able)
         assert able == (det > delta.DET_MIN)
         assert able or torque == (0.0, 0.0, 0.0)
-    assert seen == {True, False}
+    assert results == {True, False}
 
 
 @pytest.mark.parametrize("name", ["paddle", "chain"])
 def test_torques_of_serial_joints_are_bounded(name: str) -> None:
-    rng, ask = np.random.default_rng(35), Ask(GIVEN[name])
+    rng, ask = np.random.default_rng(35), MechanismProbe(MECHANISMS[name])
     if name == "paddle":
         poses, most = [(a, 0.0, 0.0) for a in np.linspace(-pi, pi, 101)], 0.07
     else:
@@ -262,7 +262,7 @@ def test_torques_of_serial_joints_are_bounded(name: str) -> None:
     ("name", "kind", "joints"), [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))]
 )
 def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
-    ask = Ask(GIVEN[name])
+    ask = MechanismProbe(MECHANISMS[name])
     assert ask.kind == kind
     _, whole = ask.torques(joints, (1.0, 0.5, 0.0))
     ask.mechanism = ask.mechanism._replace(torque_max=0.01)

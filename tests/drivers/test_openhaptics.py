@@ -34,7 +34,7 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.rules import udev_rules
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo, make_pulling_tuning, run_for
-from softfinger.server.loop.servo_thread import Servo as Loop
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.verbs import devices
 
 __all__ = ["hd", "hd_library", "touch"]  # fixtures
@@ -59,13 +59,13 @@ class TestContract(DriverContract):
     """The contract over the stub."""
 
 
-def held(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
-    def given() -> bool:
+def apply_force(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
+    def is_displayed() -> bool:
         servo.read()
         servo.write(*force, 0.0, 0.0, 0.0)
         return bench.displayed()[:3] == pytest.approx(force, abs=1e-12)
 
-    until(given)
+    until(is_displayed)
 
 
 # --- constants of the header ---
@@ -255,8 +255,8 @@ def test_search_of_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
 
 def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
     hd["calibration"] = library.NEEDS_MANUAL_INPUT
-    said = openhaptics.identify(PORT, bench.options())
-    assert said == {"model": "Touch", "serial": "70001", "calibrated": False}
+    reply = openhaptics.identify(PORT, bench.options())
+    assert reply == {"model": "Touch", "serial": "70001", "calibrated": False}
     assert hd["updated"] == hd["output_sets"] == 0 and not hd["running"]
 
 
@@ -264,8 +264,8 @@ def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> Non
     claim = find_claim(PORT)
     assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
     monkeypatch.setattr(library, "FOLDERS", ())
-    found = diagnose_requirements(claim, {})
-    assert found.state == "library" and "libHD" in found.reason and "library_file" in found.remedy
+    diagnosis = diagnose_requirements(claim, {})
+    assert diagnosis.state == "library" and "libHD" in diagnosis.reason and "library_file" in diagnosis.remedy
     rules = [line for line in udev_rules().splitlines() if '"2988"' in line and '{idVendor}=="2988"' in line]
     (rule,) = [line for line in rules if 'SUBSYSTEM=="tty"' in line]
     assert "ID_MM_DEVICE_IGNORE" in rule and "idProduct" not in rule
@@ -288,8 +288,8 @@ def test_each_generation_of_the_touch_is_claimed(
     (line,) = [line for line in udev_rules().splitlines() if line.startswith(rule)]
     assert ("ID_MM_DEVICE_IGNORE" in line) == (device.bus == "serial")
     bare = device._replace(bus="usb", node="/dev/bus/usb/001/002")
-    found = diagnose(bare, find_claim(bare))
-    assert (found.state, "usbhid" in found.remedy) == ("node", device.bus == "hid")
+    diagnosis = diagnose(bare, find_claim(bare))
+    assert (diagnosis.state, "usbhid" in diagnosis.remedy) == ("node", device.bus == "hid")
     hd["devices"] = 0
     bench.ports((device,))
     with pytest.raises(DeviceError, match=rf"{device.name} \({device.ids}\) at {device.node} is attached"):
@@ -311,18 +311,18 @@ def test_a_device_that_usb_does_not_list_is_identified(
         assert devices.run(argparse.Namespace(json=True, ask=ask, rig=rig)) == 0
         return json.loads(capsys.readouterr().out)["devices"]
 
-    (found,) = listed()
-    assert (found["bus"], found["node"], found["state"]) == ("library", "", "usable")
-    assert found["said"] == {"model": "Touch", "serial": "70001", "calibrated": True}
+    (entry,) = listed()
+    assert (entry["bus"], entry["node"], entry["state"]) == ("library", "", "usable")
+    assert entry["said"] == {"model": "Touch", "serial": "70001", "calibrated": True}
     assert listed(rig=None) == listed(ask=False) == []
     assert devices.run(argparse.Namespace(json=False, ask=True, rig=rig)) == 0
     assert "it says: model Touch, serial 70001, calibrated True" in capsys.readouterr().out
     hd["devices"] = 0
-    (found,) = listed()
-    assert found["state"] == "error" and "Ethernet" in found["reason"] and "GTDD_HOME" in found["reason"]
+    (entry,) = listed()
+    assert entry["state"] == "error" and "Ethernet" in entry["reason"] and "GTDD_HOME" in entry["reason"]
     rig.write_text(text.replace('driver = "openhaptics"', 'driver = "openhaptics"\nlibrary_file = "/no/libHD.so"'))
-    (found,) = listed()
-    assert found["state"] == "library"
+    (entry,) = listed()
+    assert entry["state"] == "library"
 
 
 # --- callback ---
@@ -332,7 +332,7 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
     age_s = 0.02
     with bench.open(force_age_max_s=age_s) as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         wrote = time.monotonic_ns()
         servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         until(lambda: not any(bench.displayed()))
@@ -345,13 +345,13 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
         assert lapses >= 1
         assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
         assert not any(bench.displayed())
-        held(servo, bench, (0.5, 0.0, 0.0))
+        apply_force(servo, bench, (0.5, 0.0, 0.0))
 
 
 def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:
-        servo = Loop([device], make_pulling_tuning(), RATE_HZ)
+        servo = ServoThread([device], make_pulling_tuning(), RATE_HZ)
         servo.compile()
         servo.start()
         run_for(servo, 400)
@@ -372,7 +372,7 @@ def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
     hd["style"] = library.INKWELL
     with bench.open() as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd["docked"] = 1
         assert not any(bench.displayed())
         assert [servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(5)] == [WITHHELD] * 5
@@ -381,10 +381,10 @@ def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
         hd["docked"] = 0
         hd.after(2)
         assert not any(bench.displayed()) and device.warning() == ""
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
     hd["docked"] = 1
     with bench.open(inkwell=False) as device:
-        held(Servo(device), bench, (1.0, 0.0, 0.0))
+        apply_force(Servo(device), bench, (1.0, 0.0, 0.0))
 
 
 def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
@@ -410,7 +410,7 @@ def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
 def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub, bench: TouchBench) -> None:
     with bench.open() as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd.push(code, 0)
         assert not any(bench.displayed())
         assert servo.read()[0] == status
@@ -427,7 +427,7 @@ def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
 def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
     with bench.open() as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd["drop_at"] = 0
         hd.after(2)
         until(lambda: servo.read()[0] == TIMEOUT)
@@ -439,7 +439,7 @@ def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
 def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
     with bench.open() as device:
         servo = Servo(device)
-        held(servo, bench, (1.0, 0.0, 0.0))
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd.update(delay_s=1.5, delay_at=hd["frames"] + 2)
         until(lambda: servo.read()[0] == TIMEOUT)
         frames = hd["frames"]
@@ -470,13 +470,13 @@ def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
     hd["devices"] = 2
     with bench.open_unarmed() as first, bench.open_unarmed(name="Left Device") as second:
         assert second.info.name.endswith("70002")
-        one, two = Servo(first), Servo(second)
-        assert two.read()[1][0] - one.read()[1][0] == pytest.approx(0.1)
-        held(one, bench, (1.0, 0.0, 0.0))
+        first_servo, two = Servo(first), Servo(second)
+        assert two.read()[1][0] - first_servo.read()[1][0] == pytest.approx(0.1)
+        apply_force(first_servo, bench, (1.0, 0.0, 0.0))
         until(lambda: two.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0) == OK and (hd.after(2) or hd.wrench(1)[1] == 0.5))
         second.close()
         assert not any(hd.wrench(1))
-        held(one, bench, (1.0, 0.0, 0.0))
+        apply_force(first_servo, bench, (1.0, 0.0, 0.0))
     assert hd["misuse"] == 0 and not hd["running"]
     both = [bench.open_unarmed(), bench.open_unarmed(name="Left Device")]
     for device in both:
@@ -489,7 +489,7 @@ def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBenc
     """Opening would pause the library's thread while the first device has a force."""
     hd["devices"] = 2
     with bench.open() as first:
-        held(Servo(first), bench, (1.0, 0.0, 0.0))
+        apply_force(Servo(first), bench, (1.0, 0.0, 0.0))
         with pytest.raises(DeviceBusy, match="name both in one rig"):
             bench.open_unarmed(name="Left Device")
         assert Servo(first, arm=False).read()[0] in (OK, STALE)

@@ -57,25 +57,25 @@ class Library(FarEnd):
         self.output, self.refuses = 0, False
         self.errors: list[tuple[int, int, int]] = []
         """(code, internal, device), the last is popped first."""
-        self.asked: list[Any] = []
+        self.calls: list[Any] = []
 
-    def _call(self, address: int, given: tuple[Any, ...]) -> Any:
+    def _call(self, address: int, arguments: tuple[Any, ...]) -> Any:
         name = LIBRARY_FUNCTIONS[int(address) - 100]
-        what = int(given[0]) if given else 0
-        assert all(isinstance(one, np.int32) for one in given[:1])
-        self.asked.append((name, what) if given else name)
+        parameter = int(arguments[0]) if arguments else 0
+        assert all(isinstance(argument, np.int32) for argument in arguments[:1])
+        self.calls.append((name, parameter) if arguments else name)
         if name == "get_error":
             code, internal, device = self.errors.pop() if self.errors else (0, 0, NOBODY)
             return code | internal << 32, device | 0x5A << 32  # unused parts of the struct are undefined
         if name == "get_doubles":
-            given_to = {POSITION: self.place, TRANSFORM: self._columns(), TEMPERATURE: self.temperatures}[what]
-            (ctypes.c_double * len(given_to)).from_address(given[1])[:] = list(given_to)
+            given_to = {POSITION: self.place, TRANSFORM: self._columns(), TEMPERATURE: self.temperatures}[parameter]
+            (ctypes.c_double * len(given_to)).from_address(arguments[1])[:] = list(given_to)
         elif name == "get_integers":
-            ctypes.c_int32.from_address(given[1]).value = self.buttons
+            ctypes.c_int32.from_address(arguments[1]).value = self.buttons
         elif name == "get_booleans":
-            ctypes.c_uint8.from_address(given[1]).value = self.switch
+            ctypes.c_uint8.from_address(arguments[1]).value = self.switch
         elif name == "set_doubles":
-            self.asked[-1] = (name, what, tuple((ctypes.c_double * 3).from_address(given[1])))
+            self.calls[-1] = (name, parameter, tuple((ctypes.c_double * 3).from_address(arguments[1])))
         elif name in ("enable", "disable") and not self.refuses:
             self.output = int(name == "enable")
         return 0x5A00 | self.output if name == "is_enabled" else None  # a char, in an int
@@ -91,7 +91,7 @@ class Library(FarEnd):
         self.block.fixed = [
             (AT.reads, AT.frame_timespec), (AT.servo_timespec, AT.position), (AT.read_pose, AT.read_wrench)
         ]  # fmt: skip
-        self.asked.clear()
+        self.calls.clear()
         return self.block.call(exchange.callback)
 
     def read(self) -> tuple[int, np.ndarray]:
@@ -104,14 +104,16 @@ class Library(FarEnd):
         self.block.fixed = [(0, AT.reads), (AT.position, AT.wrench_sequence), (AT.read_wrench, len(self.word))]
         return super().write(*wrench)
 
-    def given(self, what: int = FORCE) -> list[float]:
+    def displayed_force(self, parameter: int = FORCE) -> list[float]:
         """Return the vector that the last frame wrote to the motors, in the world frame (N, mN m)."""
-        (vector,) = [one[2] for one in self.asked if one[:2] == ("set_doubles", what)]
+        (vector,) = [call[2] for call in self.calls if call[:2] == ("set_doubles", parameter)]
         return [float(v) for v in TURN @ vector]
 
     def displays(self, *wrench: float) -> bool:
         self.frame()
-        return self.given() == list(wrench[:3]) and np.allclose(self.given(TORQUE), 1000.0 * np.array(wrench[3:]))
+        return self.displayed_force() == list(wrench[:3]) and np.allclose(
+            self.displayed_force(TORQUE), 1000.0 * np.array(wrench[3:])
+        )
 
     def warmed_up(self) -> None:
         for _ in range(exchange.PROBES + 1):
@@ -135,13 +137,13 @@ def library(opening: Library) -> Library:
 
 def test_the_order_of_a_frame(library: Library) -> None:
     library.frame()
-    assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
+    assert [call if isinstance(call, str) else call[:2] for call in library.calls] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
         ("get_booleans", INKWELL), ("set_doubles", FORCE), ("set_doubles", TORQUE), ("end_frame", DEVICE), "get_error",
     ]  # fmt: skip
     library.word[AT.has_torque] = library.word[AT.has_inkwell] = 0
     library.frame()
-    assert [one if isinstance(one, str) else one[:2] for one in library.asked] == [
+    assert [call if isinstance(call, str) else call[:2] for call in library.calls] == [
         ("begin_frame", DEVICE), ("get_doubles", POSITION), ("get_doubles", TRANSFORM), ("get_integers", BUTTONS),
         ("set_doubles", FORCE), ("end_frame", DEVICE), "get_error",
     ]  # fmt: skip
@@ -152,7 +154,7 @@ def test_the_motors_are_switched_on_changes_only(opening: Library) -> None:
 
     def frame() -> None:
         opening.frame()
-        switches.append([one[0] for one in opening.asked if one[1:] == (OUTPUT,)])
+        switches.append([call[0] for call in opening.calls if call[1:] == (OUTPUT,)])
 
     frame()
     frame()
@@ -213,12 +215,12 @@ def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndar
 
 
 def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
-    asked, inkwell = [], []
+    frames, inkwell = [], []
     for number in range(301):
         opening.frame()
-        asked += [number] if ("get_doubles", TEMPERATURE) in opening.asked else []
-        inkwell += [] if ("get_booleans", INKWELL) in opening.asked else [number]
-    assert asked == [1, 99, 199, 299] and inkwell == [1]
+        frames += [number] if ("get_doubles", TEMPERATURE) in opening.calls else []
+        inkwell += [] if ("get_booleans", INKWELL) in opening.calls else [number]
+    assert frames == [1, 99, 199, 299] and inkwell == [1]
     for temperatures, wanted in (
         ([0.1, 0.25, 0.05, 0.0, 0.0, 0.0], 250), ([0.0] * 5 + [0.75], 750), ([nan, 0.5, inf, -inf, 0.25, 0.0], 500),
         ([1e300] + [0.0] * 5, 10000), ([-1.0] * 6, 0), ([nan] * 6, 0), ([0.5] * 6 + [0.9], 500),
@@ -228,10 +230,10 @@ def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:
         assert opening.word[AT.temperature] == wanted
     opening.word[AT.has_temperature], opening.word[AT.frames] = 0, 99
     opening.frame()
-    assert ("get_doubles", TEMPERATURE) not in opening.asked
+    assert ("get_doubles", TEMPERATURE) not in opening.calls
     opening.word[AT.frames] = 1
     opening.frame()
-    assert ("get_doubles", TEMPERATURE) not in opening.asked
+    assert ("get_doubles", TEMPERATURE) not in opening.calls
 
 
 # --- forces ---
@@ -274,11 +276,11 @@ def test_a_force_that_is_too_old_by_a_nanosecond(library: Library) -> None:
     for late in (0, 1):
         library.write(*PULL)
         library.frame(AGE_MAX)
-        assert library.given() == list(PULL[:3])
+        assert library.displayed_force() == list(PULL[:3])
         library.write(*PULL)
         library.frame(1 * MS)
         library.frame(AGE_MAX - 1 * MS + late)
-        assert library.given() == ([0.0, 0.0, 0.0] if late else list(PULL[:3]))
+        assert library.displayed_force() == ([0.0, 0.0, 0.0] if late else list(PULL[:3]))
 
 
 def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None:
@@ -287,10 +289,10 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
     library.clock.now += AGE_MAX
     library.write(*PULL)
     library.frame(1)
-    assert library.given() == [0.0, 0.0, 0.0]
+    assert library.displayed_force() == [0.0, 0.0, 0.0]
     assert library.counts()["lapses"] == 1
     library.frame()
-    assert library.given() == [0.0, 0.0, 0.0]  # written before the servo detected it
+    assert library.displayed_force() == [0.0, 0.0, 0.0]  # written before the servo detected it
     assert library.write(*PULL) == WITHHELD
     assert library.write(*PULL) == OK
     assert library.displays(*PULL)
@@ -303,7 +305,7 @@ def test_late_frames_withhold_the_force(library: Library) -> None:
             library.clock.now += MS
             statuses.append(library.write(*PULL))
         library.frame(0)
-        assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
+        assert library.displayed_force() == [0.0, 0.0, 0.0] and library.displayed_force(TORQUE) == [0.0, 0.0, 0.0]
         assert library.word[AT.late] == 1
     assert statuses == [OK] * 5 + [WITHHELD] * 25  # in the first 5 ms no frame was late
     library.frame()
@@ -316,7 +318,7 @@ def test_a_force_that_never_reaches_the_motors_is_a_lapse(library: Library) -> N
     assert library.write(*PULL) == OK
     for _ in range(3):
         library.frame(AGE_MAX + 1)
-        assert library.given() == [0.0, 0.0, 0.0]
+        assert library.displayed_force() == [0.0, 0.0, 0.0]
     assert library.counts()["lapses"] == 1
     library.frame()
     assert library.write(*PULL) == WITHHELD
@@ -333,7 +335,7 @@ def test_writes_while_frames_have_stopped(library: Library) -> None:
     library.clock.now += 1
     assert [library.write(*PULL), library.write(*ZERO)] == [HELD, HELD]
     library.frame(0)
-    assert library.given() == [0.0, 0.0, 0.0]
+    assert library.displayed_force() == [0.0, 0.0, 0.0]
     library.clock.now += AGE_MAX + 1
     assert [library.write(*PULL), library.write(*ZERO)] == [WITHHELD, OK]
 
@@ -356,7 +358,7 @@ def test_no_force_unless_armed_and_running(name: str, value: int, library: Libra
     library.frame()
     library.word[getattr(AT, name)] = value
     assert library.frame() == (OVER if name == "is_leaving" else AGAIN)
-    assert library.given() == [0.0, 0.0, 0.0] and library.given(TORQUE) == [0.0, 0.0, 0.0]
+    assert library.displayed_force() == [0.0, 0.0, 0.0] and library.displayed_force(TORQUE) == [0.0, 0.0, 0.0]
     assert library.output == 0
     assert library.word[AT.has_sent_zero] == (name == "stopped")
     assert library.word[AT.has_left] == (name == "is_leaving")
@@ -365,10 +367,10 @@ def test_no_force_unless_armed_and_running(name: str, value: int, library: Libra
 def test_a_stop_during_a_frame_is_confirmed_by_the_next(library: Library) -> None:
     call = library._call
 
-    def meanwhile(address: int, given: tuple[Any, ...]) -> Any:
+    def meanwhile(address: int, arguments: tuple[Any, ...]) -> Any:
         if LIBRARY_FUNCTIONS[address - 100] == "end_frame":
             library.word[AT.stopped] = library.word[AT.is_leaving] = 1
-        return call(address, given)
+        return call(address, arguments)
 
     exchange.call_void = meanwhile
     assert library.frame() == AGAIN
@@ -381,7 +383,7 @@ def test_a_stop_during_a_frame_is_confirmed_by_the_next(library: Library) -> Non
 def test_a_closed_device_is_not_called(library: Library) -> None:
     library.word[AT.open] = 0
     assert library.frame() == OVER
-    assert library.asked == []
+    assert library.calls == []
     assert library.read()[0] == LOST
 
 
@@ -481,13 +483,13 @@ def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: 
     library.read()
     library.errors = [(code, 7, DEVICE)]
     library.frame()
-    assert library.asked[-2:] == ["get_error"] * 2
+    assert library.calls[-2:] == ["get_error"] * 2
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [status, code, 7]
     assert library.read()[0] == status
     assert library.counts()["errors"] == 1
     sequence = int(library.word[AT.pose_sequence])
     library.frame()
-    assert library.given() == [0.0, 0.0, 0.0] and library.output == 0
+    assert library.displayed_force() == [0.0, 0.0, 0.0] and library.output == 0
     assert library.word[AT.pose_sequence] == sequence
 
 
@@ -508,7 +510,7 @@ def test_the_first_of_two_errors_is_reported(library: Library) -> None:
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [PROTOCOL, 0x402, 3]
 
 
-def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
+def test_errors_of_other_devices_are_ignored(library: Library) -> None:
     library.errors = [(COMM_ERROR, 1, OTHER)] * 2
     library.frame()
     assert library.read()[0] == OK
@@ -520,9 +522,9 @@ def test_errors_of_other_devices_are_not_this_ones(library: Library) -> None:
 
 def test_a_frame_reads_eight_errors(library: Library) -> None:
     library.errors = [(COMM_ERROR, 1, OTHER)] * 20
-    for left in (12, 4, 0):
+    for remaining in (12, 4, 0):
         library.frame()
-        assert len(library.errors) == left
+        assert len(library.errors) == remaining
 
 
 @pytest.mark.parametrize("code", [INVALID_ENUM, INVALID_VALUE, INVALID_OPERATION, INVALID_INPUT_TYPE])

@@ -15,6 +15,7 @@ from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import COMPILE_S, assert_engine_agrees, records_of_daemon
 from helpers.hd_stub import HdStub, TouchBench, hd, hd_library, journal_in, touch
 from helpers.programs import Program
+from helpers.rig_files import load_rig_in_process
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import load_rig, load_scene
@@ -48,11 +49,8 @@ damping_ns_per_m = 0.0
 
 
 def touch_rig(stub: HdStub, **changes: Any) -> Rig:
-    base = {
-        "device.library_file": str(stub.path), "servo.realtime": "off", "telemetry.endpoint": "tcp://127.0.0.1:*",
-        "guard.ramp_s": 0.01, "device.force_age_max_s": 0.1,  # it counts real time: this machine stalls threads
-    }  # fmt: skip
-    return load_rig("touch", base | changes)
+    # The age of a force counts real time, and this machine stalls threads.
+    return load_rig_in_process("touch", {"library_file": str(stub.path), "force_age_max_s": 0.1}, changes)
 
 
 def test_the_closed_loop_displays_the_forces_of_the_contact_step(hd: HdStub, touch: TouchBench) -> None:
@@ -132,7 +130,7 @@ def test_two_devices_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path
 
 def test_forces_of_the_motors_after_a_signal(hd_library: Path, tmp_path: Path) -> None:
     """After SIGKILL the motors retain a force, within the limit. Other signals are in test_ways_out_at_far_ends.py."""
-    rig, left = tmp_path / "rig.toml", tmp_path / "journal"
+    rig, journal = tmp_path / "rig.toml", tmp_path / "journal"
     rig.write_text(
         f'[device]\ndriver = "openhaptics"\nlibrary_file = "{hd_library}"\nforce_age_max_s = 0.1\n'
         f'[guard]\nforce_max_n = 1.5\nramp_s = 0.01\n[telemetry]\nendpoint = "ipc://{tmp_path}/t"\n'
@@ -140,7 +138,7 @@ def test_forces_of_the_motors_after_a_signal(hd_library: Path, tmp_path: Path) -
     )
     settings = ",".join(f"{name}={value}" for name, value in DEEP.items())
     words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(rig), "--scene", "paper-plane"]
-    environment = os.environ | {"STUB_HD_SET": settings, "STUB_HD_LOG": str(left)}
+    environment = os.environ | {"STUB_HD_SET": settings, "STUB_HD_LOG": str(journal)}
     with Program(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
         pressed = 0
         for sample in subscribe(f"ipc://{tmp_path}/t"):
@@ -149,7 +147,7 @@ def test_forces_of_the_motors_after_a_signal(hd_library: Path, tmp_path: Path) -
                 break
         process.send_signal(signal.SIGKILL)
         process.communicate(timeout=60)
-    last = np.linalg.norm(journal_in(left)["force"], axis=1)
+    last = np.linalg.norm(journal_in(journal)["force"], axis=1)
     assert last.max() > 0.5
     assert 0.0 < last[-1] <= 1.5, "the stub's motors do not keep their force"
 

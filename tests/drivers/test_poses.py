@@ -105,10 +105,10 @@ def test_shipped_recordings_load() -> None:
 def test_orientation_is_normalised_and_continuous_in_sign() -> None:
     poses = some_poses()
     flipped = poses.orientation * np.random.default_rng(3).choice([-1.6, 1.4], (len(poses.t), 1))
-    again = check_poses(poses.t, poses.position, flipped, str)
+    rechecked = check_poses(poses.t, poses.position, flipped, str)
     sign = np.sign(flipped[0] @ poses.orientation[0])
-    np.testing.assert_allclose(again.orientation, sign * poses.orientation, atol=4e-16)  # two roundings
-    assert np.all(np.sum(again.orientation[1:] * again.orientation[:-1], axis=1) > 0)
+    np.testing.assert_allclose(rechecked.orientation, sign * poses.orientation, atol=4e-16)  # two roundings
+    assert np.all(np.sum(rechecked.orientation[1:] * rechecked.orientation[:-1], axis=1) > 0)
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -117,10 +117,10 @@ def test_results_are_poses(tmp_path: Path, ending: str) -> None:
     poses = some_poses()
     path = tmp_path / f"results{ending}"
     write_results(path, records_of(poses))
-    again = load_poses(path)
-    np.testing.assert_allclose(again.t, poses.t - poses.t[0], atol=5e-7)  # resolution of an epoch time in float64
-    assert again.position.tobytes() == poses.position.tobytes()
-    np.testing.assert_allclose(again.orientation, poses.orientation, atol=4e-16)  # normalised once more
+    reloaded = load_poses(path)
+    np.testing.assert_allclose(reloaded.t, poses.t - poses.t[0], atol=5e-7)  # resolution of an epoch time in float64
+    assert reloaded.position.tobytes() == poses.position.tobytes()
+    np.testing.assert_allclose(reloaded.orientation, poses.orientation, atol=4e-16)  # normalised once more
 
 
 def test_a_truncated_mcap_gives_its_first_part(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -252,8 +252,8 @@ def test_rotations_take_the_short_arc_for_any_sign() -> None:
     turned = np.stack((np.cos(half), np.sin(half), 0 * half, 0 * half), axis=1)
     samples = resample(Poses(t, np.zeros((3, 3)), turned * [[1.0], [-1.0], [1.0]]), 1000.0)
     wanted = Slerp(t, Rotation.from_rotvec(np.outer(2.0 * half, (1.0, 0.0, 0.0))))(np.arange(201) / 1000.0)
-    found = Rotation.from_quat(samples[:, [4, 5, 6, 3]])
-    assert (wanted.inv() * found).magnitude().max() < 1e-12  # rounding
+    rotations = Rotation.from_quat(samples[:, [4, 5, 6, 3]])
+    assert (wanted.inv() * rotations).magnitude().max() < 1e-12  # rounding
 
 
 def test_resampling_rejects_too_short_and_too_long_recordings() -> None:

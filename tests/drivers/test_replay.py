@@ -73,12 +73,12 @@ def test_a_stopped_device_withholds_forces() -> None:
     servo = Servo(device)
     servo.write(1.0, 0, 0, 0, 0, 0)
     device.stop()
-    kept = device.forces()
+    forces = device.forces()
     assert servo.write(1.0, 0, 0, 0, 0, 0) == WITHHELD
     assert servo.write(0.0, 0, 0, 0, 0, 0) == OK
     device.close()
-    assert device.forces().tobytes() == kept.tobytes()
-    assert kept[-1].tolist() == [0.0] * 6
+    assert device.forces().tobytes() == forces.tobytes()
+    assert forces[-1].tolist() == [0.0] * 6
 
 
 def test_the_log_of_a_long_loop_contains_the_latest_wrenches() -> None:

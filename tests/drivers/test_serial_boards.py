@@ -56,7 +56,7 @@ class TwoDiy(BoardBench):
     def displayed(self) -> tuple[float, ...]:
         if not self.port.pulled:
             written = self.device.counts()["written"]
-            settled(lambda: self.board.answers + (self.port.mute.is_set()), lambda seen: seen >= written, 0.5)
+            settled(lambda: self.board.answers + (self.port.mute.is_set()), lambda answers: answers >= written, 0.5)
         return (*force_of(self.board), 0.0, 0.0, 0.0)
 
     def fault(self, case: str) -> bool:
@@ -166,7 +166,7 @@ def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
         known = fresh(servo)
         board.angles = [140.0, 40.0]
-        port.says = spoil
+        port.spoil = spoil
         servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
         until = time.monotonic() + 0.1
         while time.monotonic() < until:
@@ -175,11 +175,11 @@ def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
             assert sample[:3] == known[:3]
             servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
             time.sleep(0.001)
-        assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
-        port.says = bytes
+        assert settled(lambda: board.torques, lambda torques: not any(torques)) == [0.0, 0.0]
+        port.spoil = bytes
         assert fresh(servo)[:3] != known[:3]
         assert device.reason() == ""
-        port.says = spoil
+        port.spoil = spoil
         while (status := servo.read()[0]) >= 0:
             servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             time.sleep(0.001)
@@ -208,7 +208,7 @@ def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
             assert board.setups == setups and board.host == [5, 5]
             assert all(abs(t) <= 0.123 for _, *torques in board.log[logged:] for t in torques)
             servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
+            assert settled(lambda: board.torques, lambda torques: not any(torques)) == [0.0, 0.0]
 
 
 def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() -> None:
@@ -224,7 +224,7 @@ def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() ->
         assert status in (PROTOCOL, TIMEOUT)
         assert any(board.torques)  # the motors retain their force
         device.close()
-        assert settled(lambda: board.torques, lambda seen: not any(seen)) == [0.0, 0.0]
+        assert settled(lambda: board.torques, lambda torques: not any(torques)) == [0.0, 0.0]
 
 
 def test_a_described_rig_without_a_port_is_rejected() -> None:
@@ -238,8 +238,8 @@ def test_the_sketch_switches_off_by_itself(library: Path) -> None:
         servo = Servo(device)
         fresh(servo)
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        assert settled(board.torque, lambda seen: seen > 0.0) > 0.0
-        assert settled(board.torque, lambda seen: seen == 0.0) == 0.0
+        assert settled(board.torque, lambda torque: torque > 0.0) > 0.0
+        assert settled(board.torque, lambda torque: torque == 0.0) == 0.0
         (on, _), (off, last) = board.changes()[-2:]
         assert last == 0.0
         assert off - on > 0.045

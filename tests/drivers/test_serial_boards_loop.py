@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,10 +19,10 @@ from emulators.slowline import SlowLine
 from helpers.c_stub import compile_stub
 from helpers.described_boards import force_of, settled
 from helpers.programs import Program
+from helpers.rig_files import load_rig_in_process, write_rig
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.server.app import Daemon
 
 pytestmark = pytest.mark.real_time
@@ -37,11 +36,7 @@ DEEP = (142.0, 38.0)
 
 
 def rig(name: str, path: str) -> Rig:
-    changes: dict[str, Any] = {
-        "device.path": path, "device.quiet_s": 0.1, "device.timeout_s": 0.5, "servo.realtime": "off",
-        "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
-    }  # fmt: skip
-    return load_rig(name, changes)
+    return load_rig_in_process(name, {"path": path, "quiet_s": 0.1, "timeout_s": 0.5})
 
 
 @contextmanager
@@ -64,13 +59,13 @@ def test_a_late_board_continues() -> None:
                 time.sleep(late)
                 return answer
 
-            port.says = wait
+            port.spoil = wait
             if stays:
                 time.sleep(0.3)
                 assert force_of(board)[2] > 0.1
             else:
                 assert settled(lambda: any(board.torques), lambda on: not on) is False
-        port.says = bytes
+        port.spoil = bytes
         assert settled(lambda: force_of(board)[2], lambda up: up > 0.1) > 0.1
         daemon.stop()
         daemon.wait(20.0)
@@ -78,12 +73,7 @@ def test_a_late_board_continues() -> None:
 
 
 def words_of(name: str, path: str, folder: Path, *more: str) -> list[str]:
-    mine = folder / "rig.toml"
-    named = f'driver = "serial"\npath = "{path}"\ntimeout_s = 2.0\n'
-    text = (
-        find(name, Rig).read_text().replace('driver = "serial"\n', named).replace("quiet_s = 0.02 ", "quiet_s = 0.1  ")
-    )
-    mine.write_text(text)
+    mine = write_rig(folder, name, path=path, quiet_s=0.1, timeout_s=2.0)
     words = ["run", "--rig", str(mine), "--realtime", "off", "--scene", "paper-plane"]
     return [*words, "--endpoint", f"ipc://{folder}/a", *more]
 
@@ -99,7 +89,7 @@ def command(
 
 def press(board: Firmware, process: subprocess.Popen[str]) -> None:
     until = time.monotonic() + 120.0
-    while board.taken < 50:
+    while board.commands < 50:
         assert process.poll() is None and time.monotonic() < until, process.stderr and process.stderr.read()
         time.sleep(0.01)
     for share in np.linspace(0.0, 1.0, 200):
@@ -160,15 +150,15 @@ def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
             assert abs(back[0]) < 0.005 and max(map(abs, np.diff(back))) < 0.01  # N m at the motor: it fades in
             stall()
             process.send_signal(signal.SIGTERM)
-            said = process.communicate(timeout=60)[1]
+            stderr = process.communicate(timeout=60)[1]
         ended = len(board.changes())
         line.stalled.clear()
         settled(lambda: line.waiting, lambda waiting: waiting == 0)
         assert not any(torque for _, torque in board.changes()[ended:])
         assert board.torque() == 0.0
-    assert process.returncode == 4, said
-    assert "zero force is not confirmed" in said and "force is zero" not in said
-    assert "too many frames wait in the port" in said
+    assert process.returncode == 4, stderr
+    assert "zero force is not confirmed" in stderr and "force is zero" not in stderr
+    assert "too many frames wait in the port" in stderr
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)

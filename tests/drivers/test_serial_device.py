@@ -104,14 +104,14 @@ def test_pose_and_force_in_the_world(mounted: bool) -> None:
 def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
     with board(quiet_s=0.02) as (device, itself, cable):
         servo = Servo(device)
-        for again in (True, False):
+        for wakes_up in (True, False):
             fresh(servo)
             servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
             settle(device, cable)
             servo.read()
             cable.hush()
             frames, wakes, begun = len(itself.sent), itself.wakes, time.monotonic()
-            while (status := servo.read()[0]) >= 0 and not (again and itself.wakes > wakes):
+            while (status := servo.read()[0]) >= 0 and not (wakes_up and itself.wakes > wakes):
                 silent = time.monotonic() - begun
                 wrote = servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
                 if silent > 0.025:  # counted from before the driver's last frame
@@ -122,7 +122,7 @@ def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
             assert itself.force == (0.0, 0.0, 0.0)
             assert sent.count(0) == 1 and sent[-1] == 0
             cable.mute.clear()
-            if again:
+            if wakes_up:
                 cable.say(itself.frame())
                 continue
             assert status == TIMEOUT
@@ -226,8 +226,8 @@ def test_an_empty_port_is_not_read() -> None:
             np.testing.assert_allclose(sample[:3], (0.05, 0.05, 0.05), atol=1e-6)  # the frame's micrometres
         finally:
             os.dup2(terminal, fd)
-            for each in (terminal, out, into):
-                os.close(each)
+            for descriptor in (terminal, out, into):
+                os.close(descriptor)
 
 
 def test_stop_while_the_loop_writes() -> None:

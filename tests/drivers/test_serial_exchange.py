@@ -56,14 +56,14 @@ class Board:
         patch.setattr(exchange, "read_waiting", self._read)
         patch.setattr(exchange, "write_now", self.port.write)
         patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
-        given = options.kinematics
-        mechanism = NO_MECHANISM if given is None else make_mechanism(given, options.force_max_n)
+        kinematics = options.kinematics
+        mechanism = NO_MECHANISM if kinematics is None else make_mechanism(kinematics, options.force_max_n)
         opened = SerialDevice.__new__(SerialDevice)  # without the board's answer to its opening
         opened._options = options
         self.block = opened._make_block(FD, FrameConversion(*options.mounting.frame(), options.force_max_n, mechanism))
         self.word = self.block.word
         self.block.fixed = [(AT.model, AT.last_position)]
-        if given is not None:  # no text is received
+        if kinematics is not None:  # no text is received
             self.block.fixed.append((AT.incoming, len(self.word)))
         self.clock.room = {self.block.handle + 8 * BOARD.timespec}
         self.word[BOARD.has_sample], self.word[BOARD.sampled_at] = 1, START_NS
@@ -78,8 +78,8 @@ class Board:
             assert address + size <= self.word[AT.stream] + self.block._arrays[AT.stream].nbytes
         return self.port.read_waiting(fd, address, size, word)
 
-    def read(self, *comes: bytes) -> tuple[int, np.ndarray]:
-        self.port.comes += comes
+    def read(self, *incoming: bytes) -> tuple[int, np.ndarray]:
+        self.port.incoming += incoming
         sample = np.full(SAMPLE_SIZE, np.nan)
         return self.block.call(exchange.read, sample), sample
 
@@ -136,7 +136,7 @@ def test_the_last_frame_of_a_tick_is_used(board: Board) -> None:
     assert board.counts() == {"bytes": 192 + 7 + 64, "frames": 4, "drained": 2}
 
 
-def test_a_flood_does_not_hold_the_loop(board: Board) -> None:
+def test_a_flood_does_not_delay_the_loop(board: Board) -> None:
     """A tick reads at most 16 kB, four times the kernel's queue of a port; the rest is read in the next tick."""
     assert board.read(b" " * 40_000)[0] == STALE
     assert board.counts() == {"bytes": 16 * 1024}
@@ -240,11 +240,11 @@ def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
 
 
 def test_the_remainder_of_a_frame_is_sent_at_once(board: Board) -> None:
-    taken = iter([20, None])
+    room = iter([20, None])
     write = board.port.write
 
     def in_parts(fd: int, address: int, size: int) -> int:
-        board.port.room = next(taken)
+        board.port.room = next(room)
         return write(fd, address, size)
 
     exchange.write_now = in_parts
@@ -342,12 +342,12 @@ def described(**changes: Any) -> Options:
             ],
         },
     }  # fmt: skip
-    given = {
+    keys = {
         "path": "/dev/ttyACM0", "force_max_n": 4.0, "stiffness_max_n_per_m": 900.0, "damping_max_ns_per_m": 3.0,
         "workspace_radius_m": 0.05, "frames": {**frames, **changes.pop("frames", {})}, "mounting": MOUNTING,
         "kinematics": {"kind": "cartesian"}, "quiet_s": 0.02, "timeout_s": 0.2,
     }  # fmt: skip
-    return build(Options, {**given, **changes}, "rig")
+    return build(Options, {**keys, **changes}, "rig")
 
 
 def answer(*numbers: float, buttons: int = 0, gripper: int = 0) -> bytes:
@@ -355,85 +355,85 @@ def answer(*numbers: float, buttons: int = 0, gripper: int = 0) -> bytes:
     return b"\7" + struct.pack("<7fBB", *place, *q, buttons, gripper)
 
 
-def given(x: int, y: int, z: int) -> bytes:
+def force_frame(x: int, y: int, z: int) -> bytes:
     return b"\2" + struct.pack("<4h", x, y, z, 258)
 
 
 @pytest.fixture
-def other(monkeypatch: pytest.MonkeyPatch) -> Board:
+def described_board(monkeypatch: pytest.MonkeyPatch) -> Board:
     return Board(described(), monkeypatch)
 
 
-def test_a_described_frame_is_a_pose_in_the_world(other: Board) -> None:
+def test_a_described_frame_is_a_pose_in_the_world(described_board: Board) -> None:
     q = (0.5, 0.1, -0.7, 0.5)
-    status, sample = other.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
+    status, sample = described_board.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
     assert status == OK
     check_pose(sample, (0.25, 0.5, -0.125), q, rounding=1e-7)  # a float32 of 0.7
     assert sample[7:].tolist() == [2.0, 6.0, 0.5]
-    assert other.read(answer(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))[0] == PROTOCOL
-    assert other.counts() == {"bytes": 62, "frames": 2}
+    assert described_board.read(answer(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))[0] == PROTOCOL
+    assert described_board.counts() == {"bytes": 62, "frames": 2}
 
 
-def test_a_force_is_written_as_described(other: Board) -> None:
-    other.read(answer(0.0, 0.0, 0.0))
-    assert other.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
-    assert other.sent() == given(-10000, -5000, 20000)
-    other.read(answer(0.0, 0.0, 0.0))
-    assert other.write(0.0, 0.0, -30.0, 0.0, 0.0, 0.0) == STALE  # the motors: 4 N, and the field: 3.2768 N
-    assert other.sent() == given(0, 0, -32768)
-    other.read(answer(0.0, 0.0, 0.0))
-    assert other.write(0.0, 3.5, 0.0, 0.0, 0.0, 0.0) == STALE  # only the field
-    assert other.sent() == given(32767, 0, 0)
-    other.read(answer(0.0, 0.0, 0.0))
-    assert other.write(*ZERO) == OK
-    assert other.sent() == given(0, 0, 0)
-    assert other.counts() == {"bytes": 124, "frames": 4, "written": 4, "cut": 2}
+def test_a_force_is_written_as_described(described_board: Board) -> None:
+    described_board.read(answer(0.0, 0.0, 0.0))
+    assert described_board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
+    assert described_board.sent() == force_frame(-10000, -5000, 20000)
+    described_board.read(answer(0.0, 0.0, 0.0))
+    assert described_board.write(0.0, 0.0, -30.0, 0.0, 0.0, 0.0) == STALE  # the motors: 4 N, and the field: 3.2768 N
+    assert described_board.sent() == force_frame(0, 0, -32768)
+    described_board.read(answer(0.0, 0.0, 0.0))
+    assert described_board.write(0.0, 3.5, 0.0, 0.0, 0.0, 0.0) == STALE  # only the field
+    assert described_board.sent() == force_frame(32767, 0, 0)
+    described_board.read(answer(0.0, 0.0, 0.0))
+    assert described_board.write(*ZERO) == OK
+    assert described_board.sent() == force_frame(0, 0, 0)
+    assert described_board.counts() == {"bytes": 124, "frames": 4, "written": 4, "cut": 2}
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    other = Board(described(mounting={}), monkeypatch)
+    described_board = Board(described(mounting={}), monkeypatch)
     numbers = [0.0, 0.0, 0.0]
     numbers[axis] = 1.0
-    assert other.write(*numbers, 0.0, 0.0, 0.0) == OK
-    assert other.word[BOARD.has_force] == 1
-    assert other.sent() == given(*(round(1e4 * n) for n in numbers))
-    other.read(answer(0.0, 0.0, 0.0))
-    other.write(*ZERO)
-    assert other.sent() == given(0, 0, 0)
+    assert described_board.write(*numbers, 0.0, 0.0, 0.0) == OK
+    assert described_board.word[BOARD.has_force] == 1
+    assert described_board.sent() == force_frame(*(round(1e4 * n) for n in numbers))
+    described_board.read(answer(0.0, 0.0, 0.0))
+    described_board.write(*ZERO)
+    assert described_board.sent() == force_frame(0, 0, 0)
 
 
-def test_resync_bytes_follow_an_unanswered_frame(other: Board) -> None:
-    assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert other.sent() == given(0, 0, 10000)
-    assert other.write(*ZERO) == OK
-    assert other.sent() == b"\3" * 4 + given(0, 0, 0)
-    assert other.wake() == OK
-    assert other.sent() == b"\3" * 4 + given(0, 0, 0)
-    other.read(answer(0.0, 0.0, 0.0))
-    assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert other.sent() == given(0, 0, 10000)
-    assert other.counts() == {"bytes": 31, "frames": 1, "written": 4, "kicks": 1}
+def test_resync_bytes_follow_an_unanswered_frame(described_board: Board) -> None:
+    assert described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert described_board.sent() == force_frame(0, 0, 10000)
+    assert described_board.write(*ZERO) == OK
+    assert described_board.sent() == b"\3" * 4 + force_frame(0, 0, 0)
+    assert described_board.wake() == OK
+    assert described_board.sent() == b"\3" * 4 + force_frame(0, 0, 0)
+    described_board.read(answer(0.0, 0.0, 0.0))
+    assert described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert described_board.sent() == force_frame(0, 0, 10000)
+    assert described_board.counts() == {"bytes": 31, "frames": 1, "written": 4, "kicks": 1}
 
 
-def test_a_described_board_is_woken_after_its_frame(other: Board) -> None:
-    other.port.room = 3
-    assert other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert other.wake() == HELD
-    assert "kicks" not in other.counts()
-    other.port.room = None
-    assert other.wake() == OK
-    assert other.sent() == given(0, 0, 10000) + b"\3" * 4 + given(0, 0, 0)
-    assert other.counts() == {"written": 2, "kicks": 1}
+def test_a_described_board_is_woken_after_its_frame(described_board: Board) -> None:
+    described_board.port.room = 3
+    assert described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert described_board.wake() == HELD
+    assert "kicks" not in described_board.counts()
+    described_board.port.room = None
+    assert described_board.wake() == OK
+    assert described_board.sent() == force_frame(0, 0, 10000) + b"\3" * 4 + force_frame(0, 0, 0)
+    assert described_board.counts() == {"written": 2, "kicks": 1}
 
 
-def test_bytes_before_a_request_are_discarded(other: Board) -> None:
-    other.read(b"\7\7\7")
-    other.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    status, sample = other.read(answer(0.25, 0.0, 0.0))
+def test_bytes_before_a_request_are_discarded(described_board: Board) -> None:
+    described_board.read(b"\7\7\7")
+    described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    status, sample = described_board.read(answer(0.25, 0.0, 0.0))
     assert (status, sample[1]) == (OK, pytest.approx(0.45))
-    assert other.read()[0] == STALE
-    assert [other.read(bytes([byte]))[0] for byte in answer(0.25, 0.0, 0.0)] == [STALE] * 30 + [OK]
+    assert described_board.read()[0] == STALE
+    assert [described_board.read(bytes([byte]))[0] for byte in answer(0.25, 0.0, 0.0)] == [STALE] * 30 + [OK]
 
 
 @pytest.mark.parametrize("mode", ["answer", "stream"])

@@ -26,7 +26,7 @@ from softfinger.server.driver_contract import Servo
 PAGE = "devices/serial.md"
 
 
-def printed(folder: Path) -> Path:
+def write_example(folder: Path) -> Path:
     ((_, title, text),) = [fence for fence in fences(PAGE) if fence[1]]
     path = folder / title
     path.write_text(text)
@@ -36,7 +36,7 @@ def printed(folder: Path) -> Path:
 def test_the_printed_rig_is_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    printed(tmp_path)
+    write_example(tmp_path)
     monkeypatch.chdir(tmp_path)
     lines = [line for kind, _, text in fences(PAGE) if kind == "sh" for line in commands(text)]
     assert lines == ["softfinger check my-board.toml"]
@@ -66,7 +66,7 @@ def test_the_printed_rig_runs(tmp_path: Path) -> None:
             "device.path": board.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "guard.ramp_s": 0.01,
             "servo.realtime": "off", "telemetry.endpoint": "tcp://127.0.0.1:*",
         }  # fmt: skip
-        with Daemon(load_rig(str(printed(tmp_path)), changes), load_scene("paper-plane")) as daemon:
+        with Daemon(load_rig(str(write_example(tmp_path)), changes), load_scene("paper-plane")) as daemon:
             daemon.start()
             time.sleep(0.1)
             assert board.most == 0.0
@@ -123,13 +123,13 @@ torque_max_nm = 0.05
 """A rig written by the page's instructions, for a board with another protocol."""
 
 
-def asked_rig(folder: Path, board: AskedBoard, check: str) -> Rig:
+def load_asked_rig(folder: Path, board: AskedBoard, check: str) -> Rig:
     file = folder / "asked.toml"
     file.write_text(ASKED.format(path=board.path, check=check))
     return load_rig(str(file))
 
 
-def opened_by(rig: Rig) -> Device:
+def open_rig_device(rig: Rig) -> Device:
     assert rig.device is not None
     return open_device(rig.device, rig.servo.rate_hz)
 
@@ -139,7 +139,7 @@ def test_a_board_with_another_protocol_runs(tmp_path: Path) -> None:
     out = np.deg2rad(60.0)
     with AskedBoard() as board:
         board.angles, board.buttons = (np.pi - out, out), 5
-        with opened_by(asked_rig(tmp_path, board, "crc16-modbus")) as device:
+        with open_rig_device(load_asked_rig(tmp_path, board, "crc16-modbus")) as device:
             device.arm()
             servo = Servo(device)
             sample = fresh(servo)
@@ -151,8 +151,8 @@ def test_a_board_with_another_protocol_runs(tmp_path: Path) -> None:
             # along y, both links turned by da: dy = (l cos a - elbow / (height - l sin a) * l sin a) da
             slope = 0.08 * np.cos(out) + elbow / (height - 0.08 * np.sin(out)) * 0.08 * np.sin(out)
             servo.write(0.0, 0.5, 0.0, 0.0, 0.0, 0.0)
-            one, two = settled(lambda: board.torques, lambda torques: any(torques))
-            assert one == -two
+            first, two = settled(lambda: board.torques, lambda torques: any(torques))
+            assert first == -two
             # of the two motors; steps of 0.1 mN m, and the angle's
             assert 2.0 * abs(two) == pytest.approx(0.5 * abs(slope), abs=2e-4)
         assert settled(lambda: board.torques, lambda torques: not any(torques)) == (0.0, 0.0)
@@ -163,5 +163,5 @@ def test_a_board_with_another_protocol_runs(tmp_path: Path) -> None:
 def test_a_board_with_another_checksum_never_answers(tmp_path: Path) -> None:
     with AskedBoard() as board:
         with pytest.raises(DeviceTimeout, match=r"sends no frame within 0\.5 s.*has not answered 55 54 00 00 00 00 "):
-            opened_by(asked_rig(tmp_path, board, "crc16-ccitt"))
+            open_rig_device(load_asked_rig(tmp_path, board, "crc16-ccitt"))
         assert board.refused

@@ -15,10 +15,11 @@ from emulators.hand import stroke
 from emulators.serialboard import Board, Cable
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.programs import Program, run_program
+from helpers.rig_files import load_rig_in_process
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import eventually, until
 
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
 from softfinger.proxy.record import AT, MODE_NAMES
@@ -34,11 +35,7 @@ def comes_to_rest(board: Board) -> bool:
 
 
 def rig(cable: Cable, **changes: Any) -> Rig:
-    base = {
-        "device.path": cable.path, "device.quiet_s": 0.1, "device.timeout_s": 1.0, "servo.realtime": "off",
-        "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*",
-    }  # fmt: skip
-    return load_rig(RIG, base | changes)
+    return load_rig_in_process(RIG, {"path": cable.path, "quiet_s": 0.1, "timeout_s": 1.0}, changes)
 
 
 def test_closed_loop_through_the_daemon() -> None:
@@ -55,10 +52,10 @@ def test_closed_loop_through_the_daemon() -> None:
     places = records[:, AT.probe_position : AT.probe_position + 3] * 1e6
     np.testing.assert_allclose(places, np.round(places), atol=1e-6)  # rounding of mm to m
     # The board received forces of the ticks, to the millinewton, in order.
-    given = iter(np.floor(records[:, AT.force : AT.force + 3] * 1e3 + 0.5).tolist())
-    felt = [row for row in np.round(reached * 1e3).tolist() if any(row)]
-    assert len(felt) > 300
-    assert all(any(row == tick for tick in given) for row in felt)
+    forces = iter(np.floor(records[:, AT.force : AT.force + 3] * 1e3 + 0.5).tolist())
+    changes = [row for row in np.round(reached * 1e3).tolist() if any(row)]
+    assert len(changes) > 300
+    assert all(any(row == tick for tick in forces) for row in changes)
     # The hand's spring (300 N/m) and the wall's share the hand's depth; without a wall it would be 4 mm.
     stiffness = scene.object[0].material.stiffness_n_per_m
     # It presses half of the time: the middle of that half, since a late board lets the hand go deeper.
@@ -87,9 +84,9 @@ def test_the_command_line_on_a_port(tmp_path: Path) -> None:
             )
             until(lambda: board.force[2] >= 0.5)  # also after the second
             first.send_signal(signal.SIGINT)
-            said = first.communicate(timeout=60)[1]
-        assert first.returncode == 0, said
-        assert f"device serial 16c0:0483 at {cable.path} at 1000 Hz" in said
-        assert "force is zero" in said
+            stderr = first.communicate(timeout=60)[1]
+        assert first.returncode == 0, stderr
+        assert f"device serial 16c0:0483 at {cable.path} at 1000 Hz" in stderr
+        assert "force is zero" in stderr
         assert comes_to_rest(board)
         assert board.faults == []

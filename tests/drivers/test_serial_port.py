@@ -30,8 +30,8 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):
             opened(cable)
         command = [sys.executable, "-c", OPEN, cable.path]
-        other = run_program(command, check=True)
-        assert other.stdout == f"DeviceBusy {cable.path} is used by process {os.getpid()}\n"
+        process = run_program(command, check=True)
+        assert process.stdout == f"DeviceBusy {cable.path} is used by process {os.getpid()}\n"
         # TIOCEXCL also excludes programs without a lock, unless they run as root.
         user, mine = os.geteuid(), rig_options(path=cable.path)
         if user == 0:
@@ -69,12 +69,12 @@ def test_a_port_without_permission() -> None:
         if user == 0:  # only root may change a file's group
             os.chown(node, 0, 20)
             cases.append((0o060, r"run `sudo usermod -aG dialout \$USER`, and log in again"))
-        for mode, said in cases:
+        for mode, reason in cases:
             node.chmod(mode)
             if user == 0:
                 os.seteuid(65534)
             try:
-                with pytest.raises(DevicePermission, match=f"may not be opened by this user.*{said}"):
+                with pytest.raises(DevicePermission, match=f"may not be opened by this user.*{reason}"):
                     port.open_port(rig_options(path=str(node)))
             finally:
                 os.seteuid(user)
@@ -83,9 +83,9 @@ def test_a_port_without_permission() -> None:
 
 
 def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports, one = discovery.serial_ports, discovery.serial_port
+    ports, original = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
-    monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
+    monkeypatch.setattr(discovery, "serial_port", lambda path: original(path, tmp_path))
     with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no serial port on USB is"):
         port.find_port(rig_options())
     plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
@@ -109,9 +109,9 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_teensy_is_not_identified_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports, one = discovery.serial_ports, discovery.serial_port
+    ports, original = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
-    monkeypatch.setattr(discovery, "serial_port", lambda path: one(path, tmp_path))
+    monkeypatch.setattr(discovery, "serial_port", lambda path: original(path, tmp_path))
     plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN1", product="Haply inverse3")
     with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is .*; attached are a Haply Inverse3 "):
         port.find_port(rig_options())
@@ -120,8 +120,8 @@ def test_a_teensy_is_not_identified_by_its_ids(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(DeviceError, match=r"/dev/ttyACM0 is a Haply Inverse3 \('Haply inverse3'\), which"):
         port.open_port(rig_options(path="/dev/ttyACM0"))
     plug_serial(tmp_path, "ttyACM1", "16c0", "0483", "SN2", product="USB Serial")
-    said = r"/dev/ttyACM1 may be the device or not: its product is 'USB Serial', .*path = \"/dev/ttyACM1\" under"
-    with pytest.raises(DeviceNotFound, match=said):
+    message = r"/dev/ttyACM1 may be the device or not: its product is 'USB Serial', .*path = \"/dev/ttyACM1\" under"
+    with pytest.raises(DeviceNotFound, match=message):
         port.find_port(rig_options())
     assert port.find_port(rig_options(serial="SN2")) == "/dev/ttyACM1"
     plug_serial(tmp_path, "ttyUSB0", "0403", "6001")

@@ -42,7 +42,7 @@ class Port:
         self.kind, self.per_ms, self.board = kind, per_ms, board
         self.waiting: list[tuple[int, int, int]] = []
         """Queued bytes: time of the write (ns), number of the write, value."""
-        self.comes, self.error, self.stalled, self.writes = b"", 0, False, 0
+        self.incoming, self.error, self.stalled, self.writes = b"", 0, False, 0
         self._credit = 0.0
 
     def advance(self, now: int) -> None:
@@ -50,16 +50,16 @@ class Port:
         while self.waiting and self._credit >= 1.0 and not self.stalled:
             written, _, byte = self.waiting.pop(0)
             self._credit -= 1.0
-            self.comes += self.board.take(byte, (now - written) / MS)
+            self.incoming += self.board.take(byte, (now - written) / MS)
         self._credit = min(self._credit, self.per_ms)
-        self.comes += self.board.streams()
+        self.incoming += self.board.streams()
 
     def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
         if self.error:
             return -self.error
-        given, self.comes = self.comes[:size], self.comes[size:]
-        ctypes.memmove(address, given, len(given))
-        return len(given)
+        data, self.incoming = self.incoming[:size], self.incoming[size:]
+        ctypes.memmove(address, data, len(data))
+        return len(data)
 
     def write(self, fd: int, address: int, size: int) -> int:
         if self.error:
@@ -89,7 +89,7 @@ class Reader:
     """Frame parser of a board. `given` has one entry per frame: if it has a force, and its age at arrival (ms)."""
 
     def __init__(self) -> None:
-        self.given: list[tuple[bool, float]] = []
+        self.received: list[tuple[bool, float]] = []
         self.rest = b""
 
     def take(self, byte: int, age_ms: float) -> bytes:
@@ -104,7 +104,7 @@ class Reader:
 
     @property
     def pushes(self) -> bool:
-        return bool(self.given) and self.given[-1][0]
+        return bool(self.received) and self.received[-1][0]
 
 
 def crc8(data: bytes) -> int:
@@ -122,7 +122,7 @@ class Hapkit(Reader):
     def parse(self, age_ms: float) -> bytes:
         if len(self.rest) >= 4:
             if self.rest[0] == 0x5A and crc8(self.rest[:3]) == self.rest[3]:
-                self.given.append((self.rest[1:3] != b"\0\0", age_ms))
+                self.received.append((self.rest[1:3] != b"\0\0", age_ms))
                 self.rest = b""
             else:
                 self.rest = self.rest[1:]
@@ -141,7 +141,7 @@ class Haply2diy(Reader):
             self.rest = b""
         elif len(self.rest) >= 10:
             # resync bytes complete a truncated frame with 1e-36 N m
-            self.given.append((max(map(abs, struct.unpack("<2f", self.rest[2:]))) > 1e-9, age_ms))
+            self.received.append((max(map(abs, struct.unpack("<2f", self.rest[2:]))) > 1e-9, age_ms))
             self.rest = b""
             return b"\5" + struct.pack("<2f", 30.0, 150.0)
         return b""
@@ -155,7 +155,7 @@ class Woody(Reader):
             return b""
         line, self.rest = self.rest, b""
         if len(line) == 64:
-            self.given.append((line.split()[:3] != [b"0"] * 3, age_ms))
+            self.received.append((line.split()[:3] != [b"0"] * 3, age_ms))
         return frame(1.0, 2.0, 3.0)
 
 
@@ -218,7 +218,7 @@ class Run:
 
 def old_forces(run: Run) -> int:
     longest = 3 * run.reader.bytes / run.port.per_ms + 2.0
-    return sum(pushes and age > longest for pushes, age in run.reader.given)
+    return sum(pushes and age > longest for pushes, age in run.reader.received)
 
 
 def slow(run: Run) -> None:
@@ -264,17 +264,17 @@ def test_no_old_force_is_played_and_the_last_is_zero(
     run.ticks(20)
     assert run.reader.pushes
     line(run)
-    before = len(run.reader.given)
+    before = len(run.reader.received)
     end(run)
     failure = run.device.zero_failure()
-    held = run.port.stalled
+    was_stalled = run.port.stalled
     run.goes_on()
-    kept = 3 if kind == "chip" else 0
-    assert old_forces(run) <= kept
-    assert sum(pushes for pushes, _ in run.reader.given[before:]) <= kept + 1  # one force was being transmitted
+    buffered = 3 if kind == "chip" else 0
+    assert old_forces(run) <= buffered
+    assert sum(pushes for pushes, _ in run.reader.received[before:]) <= buffered + 1  # one force was being transmitted
     assert not run.reader.pushes
     # confirmed only if the line transmits the zero
-    assert bool(failure) == (held and end is stopped)
+    assert bool(failure) == (was_stalled and end is stopped)
 
 
 def test_a_stop_reports_why_its_zero_is_not_confirmed(
@@ -287,9 +287,9 @@ def test_a_stop_reports_why_its_zero_is_not_confirmed(
     run.end()
     assert run.device.zero_failure() == "8 bytes have been pending for 1 s"
     assert 1000 * MS < run.clock.now - begun < 1100 * MS
-    again = run.clock.now
+    started = run.clock.now
     run.device.stop()
-    assert run.clock.now - again < 200 * MS
+    assert run.clock.now - started < 200 * MS
     assert caplog.text.count("zero force has not reached it: 8 bytes have been pending") == 1
     run.port.stalled = False
     run.device.stop()

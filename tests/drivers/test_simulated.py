@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.refusals import refusal
 
 from softfinger.config.devices import presets
-from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.sources import list_shipped
@@ -137,10 +137,9 @@ def test_forces_are_saved_on_close(tmp_path: Path) -> None:
     ],
 )
 def test_unusable_options_name_key_and_range(options: dict[str, Any], words: list[str]) -> None:
-    with pytest.raises(ConfigError) as caught:
-        build(Options, options, "rig.toml [device]")
+    message = refusal(build, Options, options, "rig.toml [device]")
     for word in words:
-        assert word in str(caught.value)
+        assert word in message
 
 
 def test_shipped_rigs_open_their_device() -> None:

@@ -34,7 +34,7 @@ GOOD = Handle((0.2,) * 3)
 
 
 @entry
-def travel(plant, state, commands, goals, turns, line, places, felt):
+def travel(plant, state, commands, goals, turns, line, places, forces):
     """Run one tick per row of `commands` (n, 3); store positions, velocities, motor forces and orientations (n, 13)."""
     for i in range(commands.shape[0]):
         command = (commands[i, 0], commands[i, 1], commands[i, 2])
@@ -43,7 +43,7 @@ def travel(plant, state, commands, goals, turns, line, places, felt):
         state = advance(plant, state, command, goal, turn, line)
         x = sense(plant, state)
         for k in range(3):
-            felt[i, k] = x[k]
+            forces[i, k] = x[k]
             places[i, k], places[i, 3 + k], places[i, 6 + k] = state.position[k], state.velocity[k], state.force[k]
         for k in range(4):
             places[i, 9 + k] = state.orientation[k]
@@ -212,8 +212,8 @@ def test_orientation_follows_directly_or_with_its_lag():
     direct = Journey(make_plant(T, Handle((0.2,) * 3)), np.zeros((100, 3)), turns=turns)
     assert direct.q.tolist() == [list(turned)] * 100
     lagging = Journey(make_plant(T, Handle((0.2,) * 3, orientation_lag=tau)), np.zeros((100, 3)), turns=turns)
-    left = angle - 2.0 * np.arctan2(lagging.q[:, 2], lagging.q[:, 0])
-    np.testing.assert_allclose(left, angle * np.exp(-T * np.arange(1, 101) / tau), rtol=1e-12)
+    remaining = angle - 2.0 * np.arctan2(lagging.q[:, 2], lagging.q[:, 0])
+    np.testing.assert_allclose(remaining, angle * np.exp(-T * np.arange(1, 101) / tau), rtol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(lagging.q, axis=1), 1.0, rtol=1e-15)
 
 
@@ -251,8 +251,8 @@ def test_decaying_states_reach_zero(lag):
     commands = np.zeros((20000, 3))
     commands[:20] = 0.3, -0.2, 0.1
     moved = Journey(make_plant(T, GOOD._replace(damping=(3.0, 8.0, 20.0), lag=lag)), commands)
-    for told in (moved.v, moved.force):
-        assert np.all((told == 0.0) | (np.abs(told) >= FLUSH_MAX))
+    for state in (moved.v, moved.force):
+        assert np.all((state == 0.0) | (np.abs(state) >= FLUSH_MAX))
     assert np.all(moved.v[-1] == 0.0) and np.all(moved.force[-1] == 0.0)
     # Half a second after the push only the handle's damping remains: v decreases by exp(-B T / M) per tick.
     assert moved.v[3000, 0] / moved.v[2999, 0] == pytest.approx(np.exp(-3.0 / 0.2 * T), rel=1e-12)

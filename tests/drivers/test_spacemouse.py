@@ -238,7 +238,7 @@ def test_short_reports_and_foreign_ones() -> None:
 def test_random_reports_give_a_pose_or_a_fault() -> None:
     """20 000 random reports give a pose in the box with a unit quaternion, or a protocol error."""
     generator = np.random.default_rng(5)
-    seen = {OK: 0, PROTOCOL: 0}
+    counts = {OK: 0, PROTOCOL: 0}
     with puck() as (_, servo, end):
         for n in range(20_000):
             data = bytearray(generator.bytes(int(generator.integers(1, 80)) if n % 2 else 13))
@@ -246,31 +246,31 @@ def test_random_reports_give_a_pose_or_a_fault() -> None:
                 data[0] = n % 5
             end.send(data)
             status, sample = servo.read()
-            seen[status] += 1
+            counts[status] += 1
             if status == OK:
                 assert all(map(math.isfinite, sample))
                 assert max(map(abs, sample[:3])) <= 0.1
                 assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-12)  # rounding of a normalisation
-    assert min(seen.values()) > 100
+    assert min(counts.values()) > 100
 
 
 @numba.njit
 def wild(reports: np.ndarray, counts: np.ndarray, setup: Any, deflection: np.ndarray, buttons: np.ndarray) -> Any:
-    seen = np.zeros(3, np.int64)
+    outcomes = np.zeros(3, np.int64)
     position, orientation = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     for n in range(len(counts)):
         status = decode(reports[n], counts[n], deflection, buttons)
-        seen[0 if status == OK else 1 if status == STALE else 2] += 1
+        outcomes[0 if status == OK else 1 if status == STALE else 2] += 1
         position, orientation = move(setup, position, orientation, deflection, 0.001)
         unit = sum([q * q for q in orientation])
         if not (np.abs(deflection).max() <= 32768.0 and abs(unit - 1.0) < 1e-12 and 0.0 <= buttons[0] < 2.0**48):
-            seen[0] = -1
-            return seen
+            outcomes[0] = -1
+            return outcomes
         for k in range(3):
             if not abs(position[k]) <= 0.1:
-                seen[0] = -1
-                return seen
-    return seen
+                outcomes[0] = -1
+                return outcomes
+    return outcomes
 
 
 @pytest.mark.scaled
@@ -303,7 +303,7 @@ def test_a_puck_touches_a_scene() -> None:
     fd, end = ends()
     options = build(Options, rig.device.options | {"start_m": [0.0, 0.0, 0.012]}, "rig")
     with end, SpaceMouse(options, fd, RATE_HZ) as device:
-        servo = s.Servo([device], make_tuning(scene, rig.guard, [device.info]), RATE_HZ, 900)
+        servo = s.ServoThread([device], make_tuning(scene, rig.guard, [device.info]), RATE_HZ, 900)
         servo.compile()
         end.send(emulated.combined(up=-60, right=100)[0])  # 9 mm/s: at the end 6 mm deep, which no guard clamps
         servo.start()
@@ -408,7 +408,7 @@ def attach(root: Path, name: str, nodes: dict[str, str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"gain_m_per_s": 1.0}, "gain_m_per_s = 1.0: must be"),
         ({"start_m": [0.0, 0.0, 0.2]}, "start_m = .*outside of the workspace"),
@@ -416,6 +416,6 @@ def attach(root: Path, name: str, nodes: dict[str, str]) -> None:
         ({"gain": 1.0}, "gain"),
     ],
 )
-def test_wrong_options_are_named(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_wrong_options_are_named(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         build(Options, wrong, "rig [device]")

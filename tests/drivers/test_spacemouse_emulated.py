@@ -35,15 +35,15 @@ def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Pat
     It touches after some 1.4 s, and its force is clamped 0.8 s later: a pause of the emulated bus, after which the
     force fades in for half a second, leaves ticks to compare.
     """
-    kept = tmp_path / "records.npy"
+    path = tmp_path / "records.npy"
     case = {"reports": reports, "push": {"up": -80, "right": 40}, "buttons": 5}
-    done, saw = beside(case, sys.executable, str(CLOSED_LOOP), "spacemouse", "paper-plane", "3000", str(kept))
-    assert done.returncode == 0, done.stderr
-    records = np.load(kept)
-    way = np.ptp(records[:, AT.probe_position : AT.probe_position + 3], axis=0)
-    assert way[0] / way[2] == pytest.approx((40 - 15) / (80 - 15), rel=1e-9)  # one time for both: only rounding
-    assert way[1] == 0.0
-    assert way[2] > 0.02, "the puck's reports came too late"
+    process, saw = beside(case, sys.executable, str(CLOSED_LOOP), "spacemouse", "paper-plane", "3000", str(path))
+    assert process.returncode == 0, process.stderr
+    records = np.load(path)
+    extent = np.ptp(records[:, AT.probe_position : AT.probe_position + 3], axis=0)
+    assert extent[0] / extent[2] == pytest.approx((40 - 15) / (80 - 15), rel=1e-9)  # one time for both: only rounding
+    assert extent[1] == 0.0
+    assert extent[2] > 0.02, "the puck's reports came too late"
     assert {0.0, 1.0} <= set(records[:, AT.contact_mode])
     assert assert_engine_agrees(records, load_scene("paper-plane"), 1000.0) > 50
     assert records[-1, AT.buttons] == 5
@@ -51,14 +51,14 @@ def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Pat
 
 
 def test_an_unplugged_puck_ends_the_run() -> None:
-    done, _ = run({"unplug_after_s": 2.0}, "--rig", "spacemouse", "--duration", "60")
-    assert done.returncode == 4, done.stderr
-    assert "spacemouse SpaceNavigator is gone (status -1 on read): plug it in again" in done.stderr
+    process, _ = run({"unplug_after_s": 2.0}, "--rig", "spacemouse", "--duration", "60")
+    assert process.returncode == 4, process.stderr
+    assert "spacemouse SpaceNavigator is gone (status -1 on read): plug it in again" in process.stderr
 
 
 def test_a_daemon_that_does_not_use_the_puck_logs_its_removal(tmp_path: Path) -> None:
     socket = tmp_path / "telemetry"
-    done, _ = run({"unplug_when": str(socket)}, "--duration", "6", "--endpoint", f"ipc://{socket}")
-    assert done.returncode == 0, done.stderr
-    assert "detached: SpaceNavigator (046d:c626) at /dev/hidraw0" in done.stderr
-    assert "stopped after 6000 ticks" in done.stderr
+    process, _ = run({"unplug_when": str(socket)}, "--duration", "6", "--endpoint", f"ipc://{socket}")
+    assert process.returncode == 0, process.stderr
+    assert "detached: SpaceNavigator (046d:c626) at /dev/hidraw0" in process.stderr
+    assert "stopped after 6000 ticks" in process.stderr

@@ -34,7 +34,7 @@ SIGNALS = {signal.SIGTERM: 0, signal.SIGINT: 0, signal.SIGHUP: 129, signal.SIGQU
 
 def when_pressed(far: Far, act: Callable[[], object]) -> AbstractContextManager[list[float]]:
     def begin(over: threading.Event) -> None:
-        while not over.wait(0.005) and len(far.given(0)) <= 50:
+        while not over.wait(0.005) and len(far.forces_since(0)) <= 50:
             pass
         far.press()
 
@@ -70,11 +70,11 @@ def test_a_signal_in_contact_ends_the_force_within_a_second(
         with when_pressed(far, lambda: os.kill(os.getpid(), number)) as sent:
             code = main(words(far, tmp_path))
         settled(far.newest, lambda size: size == 0.0)
-        given = far.given(0)
+        forces = far.forces_since(0)
     assert sent and code == SIGNALS[number] and "force is zero" in caplog.text
-    sizes = np.linalg.norm(given[:, 1:], axis=1)
+    sizes = np.linalg.norm(forces[:, 1:], axis=1)
     assert sizes.max() > CONTACT_N and sizes[-1] == 0.0
-    last = given[np.flatnonzero(sizes)[-1] + 1, 0]  # the zero after the last force
+    last = forces[np.flatnonzero(sizes)[-1] + 1, 0]  # the zero after the last force
     assert last - sent[0] < SIGNAL_S
 
 
@@ -82,13 +82,13 @@ class Fault(NamedTuple):
     """Action on a device in contact and error text; `zero` unless the device is then unreachable."""
 
     act: Callable[[Far], object]
-    says: str
+    message: str
     zero: bool = True
     brief: bool = False
 
 
 def answers(spoil: Callable[[bytes], bytes]) -> Callable[[Far], object]:
-    return lambda far: setattr(far.device, "spoil" if hasattr(far.device, "spoil") else "says", spoil)
+    return lambda far: setattr(far.device, "spoil", spoil)
 
 
 def late(answer: bytes) -> bytes:
@@ -162,10 +162,10 @@ def test_a_fault_in_contact_ends_the_run_without_force(
     name: str, case: Fault, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:
-        with when_pressed(far, lambda: case.act(far)) as done:
+        with when_pressed(far, lambda: case.act(far)) as acted:
             code = main(words(far, tmp_path))
         assert not case.zero or settled(far.newest, lambda size: size == 0.0) == 0.0
-    said = capsys.readouterr().err
-    assert done and code == 4, said
-    errors: list[Any] = [line for line in said.splitlines() if line.startswith("softfinger: ")]
-    assert len(errors) == 1 and re.search(case.says, errors[0]), said
+    stderr = capsys.readouterr().err
+    assert acted and code == 4, stderr
+    errors: list[Any] = [line for line in stderr.splitlines() if line.startswith("softfinger: ")]
+    assert len(errors) == 1 and re.search(case.message, errors[0]), stderr

@@ -24,7 +24,7 @@ from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
 from softfinger.server.driver_contract import PULL, RATE_HZ
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
 
@@ -71,11 +71,11 @@ def serial() -> Iterator[Line]:
 
 @contextmanager
 def hid(through: str) -> Iterator[Line]:
-    given: list[tuple[int, ...]] = []
+    torques: list[tuple[int, ...]] = []
     wait = [0.0]
 
     def answer(report: bytes) -> bytes:
-        given.append(struct.unpack("<3i", report[1:]))
+        torques.append(struct.unpack("<3i", report[1:]))
         time.sleep(wait[0])
         return b"\x03" + struct.pack("<7fBB", 10, -20, 5, 1, 0, 0, 0, 0, 0)
 
@@ -96,7 +96,7 @@ def hid(through: str) -> Iterator[Line]:
             def late(by_s: float) -> None:
                 wait[0] = by_s
 
-            yield Line(device, lambda: np.array(given).reshape(-1, 3) * 1e-3, stall, late)
+            yield Line(device, lambda: np.array(torques).reshape(-1, 3) * 1e-3, stall, late)
 
 
 @contextmanager
@@ -135,9 +135,9 @@ def pulling(ramp_s: float) -> Tuning:
 
 
 @contextmanager
-def running(line: Line, ramp_s: float) -> Iterator[Servo]:
+def running(line: Line, ramp_s: float) -> Iterator[ServoThread]:
     line.device.info = replace(line.device.info, own_clock=True)
-    servo = Servo([line.device], pulling(ramp_s), RATE_HZ)
+    servo = ServoThread([line.device], pulling(ramp_s), RATE_HZ)
     servo.compile()
     line.device.arm()
     servo.start()

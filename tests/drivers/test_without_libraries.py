@@ -38,7 +38,7 @@ print(*{line.strip().split(None, 5)[5] for line in open("/proc/self/maps") if "l
 """Program that prints if pyusb has a libusb, and which files of that name it has loaded."""
 
 
-def hidden(*paths: Path | str) -> list[str]:
+def hide_files(*paths: Path | str) -> list[str]:
     script = "".join(f"mount --bind /dev/null '{path}' && " for path in paths) + 'exec "$@"'
     return [*NAMESPACE, "sh", "-c", script, "sh"]
 
@@ -66,9 +66,9 @@ def environment(folder: Path, *, system: str, package: bool) -> dict[str, str]:
 
 
 def loaded(environ: dict[str, str]) -> tuple[bool, str]:
-    done = run_program([sys.executable, "-c", LOADED], env=environ, check=True)
-    found, files = done.stdout.split("\n")[:2]
-    return found == "True", files
+    process = run_program([sys.executable, "-c", LOADED], env=environ, check=True)
+    is_loaded, files = process.stdout.split("\n")[:2]
+    return is_loaded == "True", files
 
 
 @pytest.mark.parametrize("package", [True, False], ids=["package", "no package"])
@@ -80,9 +80,9 @@ def test_the_systems_libusb_is_preferred(package: bool, tmp_path: Path) -> None:
 def test_the_packages_libusb_is_the_fallback(tmp_path: Path) -> None:
     environ = environment(tmp_path, system="broken", package=True)
     assert loaded(environ) == (True, str(Path(str(libusb_package.get_library_path())).resolve()))
-    code, said = said_by(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
-    assert code != 0 and "libusb is not installed" not in said, said
-    assert re.search(r"no Falcon|USB devices cannot be listed", said), said
+    code, output = run_softfinger(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
+    assert code != 0 and "libusb is not installed" not in output, output
+    assert re.search(r"no Falcon|USB devices cannot be listed", output), output
 
 
 @pytest.fixture
@@ -96,11 +96,11 @@ def endpoints(folder: Path) -> list[str]:
     return ["--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
 
 
-def said_by(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, str]:
+def run_softfinger(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple[int, str]:
     front, environ = bare
-    done = run_program([*front, *COMMAND, *words, "--quiet"], env=environ)
-    assert "Traceback" not in done.stderr + done.stdout
-    return done.returncode, done.stdout + done.stderr
+    process = run_program([*front, *COMMAND, *words, "--quiet"], env=environ)
+    assert "Traceback" not in process.stderr + process.stdout
+    return process.returncode, process.stdout + process.stderr
 
 
 MISSING = {
@@ -128,22 +128,22 @@ for rig in rigs:
 def test_run_names_the_missing_part_in_one_error(bare: tuple[list[str], dict[str, str]], tmp_path: Path) -> None:
     front, environ = bare
     command = [*front, sys.executable, "-c", RUN_EACH, " ".join(endpoints(tmp_path)), *MISSING]
-    done = run_program(command, env=environ, check=True)
-    ended = [json.loads(line) for line in done.stdout.splitlines()]
+    process = run_program(command, env=environ, check=True)
+    ended = [json.loads(line) for line in process.stdout.splitlines()]
     assert [rig for rig, _, _ in ended] == list(MISSING)
-    for rig, code, said in ended:
-        assert code != 0 and "Traceback" not in said, said
-        assert re.search(MISSING[rig], said), said
-        assert len(said.strip().splitlines()) == 1, said
+    for rig, code, output in ended:
+        assert code != 0 and "Traceback" not in output, output
+        assert re.search(MISSING[rig], output), output
+        assert len(output.strip().splitlines()) == 1, output
 
 
 def test_no_libusb_at_all(tmp_path: Path) -> None:
     environ = environment(tmp_path, system="as it is", package=False)
     if loaded(environ)[0]:
         pytest.skip("this system has a libusb")
-    code, said = said_by(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
+    code, output = run_softfinger(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
     assert code != 0
-    assert re.search(NEITHER, said) and len(said.strip().splitlines()) == 1, said
+    assert re.search(NEITHER, output) and len(output.strip().splitlines()) == 1, output
 
 
 @pytest.mark.skipif(COMPILER is None, reason="the stub for the maker's library is C, and there is no compiler")
@@ -155,19 +155,19 @@ def test_makers_library_that_sees_no_device(
     rig.write_text(f'[device]\ndriver = "forcedimension"\nlibrary_file = "{stub_library}"\n')
     front, environ = bare
     words = ("run", "--rig", str(rig), *endpoints(tmp_path))
-    code, said = said_by((front, environ | {"STUB_DRD_SET": "devices=0"}), *words)
-    assert code != 0, said
-    assert said.strip().splitlines()[-1].startswith("softfinger: no device of Force Dimension is attached"), said
+    code, output = run_softfinger((front, environ | {"STUB_DRD_SET": "devices=0"}), *words)
+    assert code != 0, output
+    assert output.strip().splitlines()[-1].startswith("softfinger: no device of Force Dimension is attached"), output
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [("devices", "--ask"), ("doctor", "--seconds", "0.1")])
 def test_diagnosis_needs_no_libusb(words: tuple[str, ...], bare: tuple[list[str], dict[str, str]]) -> None:
-    code, said = said_by(bare, *words)
+    code, output = run_softfinger(bare, *words)
     if words[0] == "doctor":
-        assert re.search(r"libusb: not found", said), said
+        assert re.search(r"libusb: not found", output), output
     else:
-        assert code == 0, said
+        assert code == 0, output
 
 
 @pytest.mark.sampled(1)
@@ -180,11 +180,11 @@ def test_hidapi_without_its_libraries(words: tuple[str, ...], tmp_path: Path) ->
     if not bundled:
         pytest.skip("this hidapi brings no libraries of its own")
     own = endpoints(tmp_path) if words[0] == "run" else []
-    code, said = said_by((hidden(*bundled), dict(os.environ)), *words, *own)
+    code, output = run_softfinger((hide_files(*bundled), dict(os.environ)), *words, *own)
     if words[0] == "run":
         # Without root the files are hidden in a namespace that contains no files of root, so cached kernels cause
         # warnings.
-        (error,) = [line for line in said.splitlines() if line.startswith("softfinger: ")]
-        assert code != 0 and "hidapi cannot be loaded" in error and said.endswith(f"{error}\n"), said
+        (error,) = [line for line in output.splitlines() if line.startswith("softfinger: ")]
+        assert code != 0 and "hidapi cannot be loaded" in error and output.endswith(f"{error}\n"), output
     else:
-        assert code == 0, said
+        assert code == 0, output

@@ -47,8 +47,8 @@ class AskedBoard(FarTerminal):
         if request[:2] != b"\x55\x54" or struct.unpack(">H", request[6:])[0] != modbus(request[:6]):
             self.refused.append(request)
             return b""
-        one, two = struct.unpack(">hh", request[2:6])
-        self.torques = (one * 1e-4, two * 1e-4)
+        first, two = struct.unpack(">hh", request[2:6])
+        self.torques = (first * 1e-4, two * 1e-4)
         shown = [round(angle / 1.7453292519943296e-4) for angle in self.angles]
         head = struct.pack(">BBhh", 0x7E, self.buttons, *shown)
         return head + struct.pack(">H", ccitt(head))

@@ -91,8 +91,8 @@ class BusServos(FarTerminal):
 
     def turn(self) -> None:
         self._rest += self.read()
-        while (found := self._packet()) is not None:
-            number, instruction, parameters, size = found
+        while (packet := self._packet()) is not None:
+            number, instruction, parameters, size = packet
             now = time.monotonic()
             self._free_at = max(self._free_at, now) + size * self._byte_s
             self.requests += 1

@@ -71,7 +71,7 @@ class ClockBoard:
         self._process.start()
         os.close(far)
 
-    def taken(self) -> NDArray[np.float64]:
+    def received_forces(self) -> NDArray[np.float64]:
         """Return time (s, monotonic clock) and force along z (N) of every frame so far, shape (n, 2)."""
         data = self._log.read_bytes()
         return np.frombuffer(data[: len(data) // 16 * 16]).reshape(-1, 2)
@@ -89,8 +89,8 @@ def _run(far: int, mode: str, log: Path) -> None:
     rest, due = b"", time.monotonic()
     with log.open("wb", buffering=0) as out:
         while True:
-            left = max(0.0, due - time.monotonic()) if mode == "stream" else None
-            if select.select([far], [], [], left)[0]:
+            remaining = max(0.0, due - time.monotonic()) if mode == "stream" else None
+            if select.select([far], [], [], remaining)[0]:
                 rest += os.read(far, 4096)
                 while len(rest) >= BYTES:
                     mark, _, _, force, check = FRAME.unpack_from(rest)

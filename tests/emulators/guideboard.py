@@ -28,7 +28,7 @@ class GuideBoard(FarTerminal):
     def __init__(self) -> None:
         super().__init__(period_s=0.001)
         self.angle, self.torque, self.most = 0.0, 0.0, 0.0
-        self._rest, self._heard = b"", time.monotonic()
+        self._rest, self._received_s = b"", time.monotonic()
 
     def turn(self) -> None:
         frame = b"\xa5" + struct.pack("<h", round(self.angle / 0.001))
@@ -39,8 +39,8 @@ class GuideBoard(FarTerminal):
             if frame[0] == 0x5A and crc8(frame[:3]) == frame[3]:
                 self.torque = struct.unpack("<h", frame[1:3])[0] * 1e-6
                 self.most = max(self.most, self.torque)
-                self._rest, self._heard = self._rest[4:], time.monotonic()
+                self._rest, self._received_s = self._rest[4:], time.monotonic()
             else:
                 self._rest = self._rest[1:]
-        if time.monotonic() - self._heard > SILENCE_S:
+        if time.monotonic() - self._received_s > SILENCE_S:
             self.torque = 0.0

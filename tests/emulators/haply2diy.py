@@ -53,7 +53,7 @@ class Firmware:
         """Device that the motors and encoders of each port belong to; 0: none."""
         self.encoders = [(0.0, 0.0)] * 2
         """Offset set for an encoder, and the angle of its link at that time (degrees)."""
-        self.setups = self.answers = self.taken = 0
+        self.setups = self.answers = self.commands = 0
 
     def motor(self, port: int) -> int:
         return 1 - port  # of the link
@@ -92,7 +92,7 @@ class Firmware:
             torques[k] = value
         if mine:
             self.give(torques)
-            self.taken += 1
+            self.commands += 1
         tremor = TREMOR if self.answers % 2 else 0.0
         shown = [self.encoders[k][0] + self.angles[self.motor(k)] - self.encoders[k][1] + tremor for k in mine]
         return bytes([device & 0xFF]) + struct.pack(f"<{len(mine)}f", *shown)
@@ -118,7 +118,7 @@ class Port(Terminal):
         self.board = board
         self.hears: Callable[[bytes], bytes] = bytes
         """Change of the bytes to the board on the line."""
-        self.says: Callable[[bytes], bytes] = bytes
+        self.spoil: Callable[[bytes], bytes] = bytes
         """Change of an answer on the line."""
         self._came = bytearray()
         self._thread.start()
@@ -153,7 +153,7 @@ class Port(Terminal):
 
     def write(self, data: bytes) -> None:
         if not self.mute.is_set():
-            self.say(self.says(data))
+            self.say(self.spoil(data))
 
     def power_off(self) -> None:
         self.board.give([0.0, 0.0])

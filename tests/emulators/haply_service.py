@@ -43,7 +43,7 @@ CENTRE: Final = {"x": 0.0, "y": -0.12, "z": 0.15}
 ZERO: Final = (0.0, 0.0, 0.0)
 
 
-class Given(NamedTuple):
+class SessionForce(NamedTuple):
     """A force (N) of a session on a device, and the time at which it ends (s, monotonic clock)."""
 
     force: tuple[float, float, float]
@@ -57,7 +57,7 @@ class Inverse:
         """m; "clock": x is the fraction of the monotonic clock's second."""
         self.handle: Handle | None = None
         """Hand on the device; each message moves it by a millisecond. None: the device does not move."""
-        self.given: dict[int, Given] = {}
+        self.requests: dict[int, SessionForce] = {}
         self.log: list[tuple[float, float, float, float]] = []
         """Time (s, monotonic clock) and force (N) of each command, and of each end of one."""
         self.settings: dict[str, Any] = {
@@ -68,15 +68,15 @@ class Inverse:
         self.status = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
 
     def force(self, now: float) -> tuple[float, float, float]:
-        for session, given in sorted(self.given.items(), key=lambda one: one[1].until):
-            if given.until <= now:
-                del self.given[session]
-                self.log.append((given.until, *self._sum()))
+        for session, request in sorted(self.requests.items(), key=lambda entry: entry[1].until):
+            if request.until <= now:
+                del self.requests[session]
+                self.log.append((request.until, *self._sum()))
         return self._sum()
 
     def take(self, session: int, force: tuple[float, float, float], now: float, idle_s: float) -> None:
         self.force(now)
-        self.given[session] = Given(force, now + idle_s)
+        self.requests[session] = SessionForce(force, now + idle_s)
         self.log.append((now, *self._sum()))
         if self.handle is not None:
             self.handle.move(self._sum())
@@ -85,7 +85,7 @@ class Inverse:
 
     def leave(self, session: int, now: float) -> None:
         self.force(now)
-        if self.given.pop(session, None) is not None:
+        if self.requests.pop(session, None) is not None:
             self.log.append((now, *self._sum()))
 
     def state(self, now: float) -> dict[str, Any]:
@@ -98,7 +98,7 @@ class Inverse:
             "body_orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
             "current_cursor_force": {"x": x, "y": y, "z": z},
             "control_domain": "cartesian",
-            "control_mode": "force" if self.given else "idle",
+            "control_mode": "force" if self.requests else "idle",
             "transform": {
                 "position": {"x": 0.0, "y": 0.0, "z": 0.0},
                 "rotation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
@@ -107,7 +107,7 @@ class Inverse:
         }
 
     def _sum(self) -> tuple[float, float, float]:
-        x, y, z = (sum(given.force[k] for given in self.given.values()) for k in range(3))
+        x, y, z = (sum(request.force[k] for request in self.requests.values()) for k in range(3))
         return (float(x), float(y), float(z))
 
 
@@ -115,14 +115,14 @@ class Service:
     def __init__(self, version: str, devices: list[str], grips: list[str], idle_s: float = IDLE_S) -> None:
         self.version, self.idle_s, self.lock = version, idle_s, threading.RLock()
         self.devices: dict[str, dict[str, Inverse]] = {}
-        for one in devices:
-            group, _, name = one.partition(":")
+        for device in devices:
+            group, _, name = device.partition(":")
             self.devices.setdefault(group, {})[name] = Inverse(name)
         self.grips: dict[str, dict[str, dict[str, Any]]] = {}
-        for one in grips:
-            group, _, name = one.partition(":")
+        for device in grips:
+            group, _, name = device.partition(":")
             self.grips.setdefault(group, {})[name] = _grip(group)
-        self.gone: set[str] = set()
+        self.absent: set[str] = set()
         """Ids removed from the list."""
         self.sessions = 0
         self.filters: dict[int, dict[str, Any]] = {}
@@ -152,11 +152,11 @@ class Service:
         """If set, it sends a state per millisecond while `deaf`."""
         self.pages: dict[str, str] = {}
         """Bodies that replace those of HTTP, by path."""
-        self.asked: list[str] = []
+        self.http_requests: list[str] = []
         """HTTP request lines with their bodies."""
-        self.heard = 0
+        self.message_count = 0
         """Number of messages from clients."""
-        self.said: list[str] = []
+        self.sent: list[str] = []
         """First message of each session."""
         self.commands: dict[str, list[tuple[float, tuple[float, float, float]]]] = {}
         """Received forces (N) with their times (s, monotonic clock), in order, by device; without ends of sessions."""
@@ -182,17 +182,17 @@ class Service:
     def hear(self, session: int, text: str) -> None:
         with self.lock:
             message, now = json.loads(text), time.monotonic()
-            self.heard += 1
+            self.message_count += 1
             for group, devices in self.devices.items():
                 for entry in message.get(group, []):
                     device = devices.get(entry.get("device_id"))
                     force = entry.get("commands", {}).get("set_cursor_force", {}).get(self.force_key)
                     if device is None or force is None:
                         continue
-                    given = (force["x"], force["y"], force["z"])
-                    self.commands.setdefault(device.name, []).append((now, given))
-                    if device.name not in self.gone:
-                        device.take(session, given, now, self.idle_s)
+                    force_n = (force["x"], force["y"], force["z"])
+                    self.commands.setdefault(device.name, []).append((now, force_n))
+                    if device.name not in self.absent:
+                        device.take(session, force_n, now, self.idle_s)
 
     def view(self, session: int, whole: bool) -> str:
         with self.lock:
@@ -203,19 +203,19 @@ class Service:
                     {"device_id": device.name, "state": device.state(now), "status": device.status}
                     | ({"config": self._config(group, device, session)} if whole else {})
                     for device in devices.values()
-                    if device.name not in self.gone
+                    if device.name not in self.absent
                 ]
             for group, grips in self.grips.items():
                 shown[group] = [
                     {"device_id": name, "state": state, "status": {"ready": True}}
                     for name, state in grips.items()
-                    if name not in self.gone
+                    if name not in self.absent
                 ]
             return json.dumps(shown).replace("Infinity", "null").replace("NaN", "null")  # as the maker's JSON library
 
     def answer_http(self, method: str, path: str, body: str) -> tuple[int, str]:
         with self.lock:
-            self.asked.append(f"{method} {path} {body}".strip())
+            self.http_requests.append(f"{method} {path} {body}".strip())
             if path in self.pages:
                 return 200, self.pages[path]
             path = path.partition("?")[0]
@@ -237,7 +237,7 @@ class Service:
             if device is not None and key in ("force_gate", "damping"):
                 return 200, self._applied(body)
         if len(path) == 1 and path[0] in ("gravity_compensation", "torque_scaling"):
-            device = next((one for one in self.all() if one.name == body["device_id"]), None)
+            device = next((device for device in self.all() if device.name == body["device_id"]), None)
             if device is not None:
                 device.settings[path[0]]["enabled"] = body["enable"]
                 if "gravity_scaling_factor" in body:
@@ -333,7 +333,7 @@ class Connection:
                     elif isinstance(event, Frame) and event.opcode is Opcode.TEXT:
                         text = bytes(event.data).decode()
                         if first:
-                            service.said.append(text)
+                            service.sent.append(text)
                         first = False
                         service.hear(session, text)
                         if service.late_s:
@@ -397,12 +397,12 @@ class Desk:
                             group[line["id"]] |= line["to"]
                 case "vanish":
                     now = time.monotonic()
-                    service.gone.add(line["id"])
+                    service.absent.add(line["id"])
                     for device in service.all():  # its motors have no power
-                        for session in [*device.given] if device.name == line["id"] else []:
+                        for session in [*device.requests] if device.name == line["id"] else []:
                             device.leave(session, now)
                 case "return":
-                    service.gone.discard(line["id"])
+                    service.absent.discard(line["id"])
                 case "force":
                     return self._device(line["id"]).force(time.monotonic())
                 case "log":
@@ -414,9 +414,9 @@ class Desk:
                     return self._device(line["id"]).settings
                 case "seen":
                     return {
-                        "asked": service.asked,
-                        "said": service.said,
-                        "heard": service.heard,
+                        "asked": service.http_requests,
+                        "said": service.sent,
+                        "heard": service.message_count,
                         "sessions": service.sessions,
                     }
         return None

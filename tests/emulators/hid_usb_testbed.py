@@ -41,8 +41,8 @@ class UsbBed(usbfs.UsbDevice, testbed.Bed):
 
     def _descriptors(self) -> bytes:
         body = b""
-        for n, one in enumerate(self.board.interfaces):
-            ends = bytes([7, 5, one.end_in, 3, one.bytes_in, 0, 1, 7, 5, one.end_out, 3, one.bytes_out, 0, 1])
+        for n, part in enumerate(self.board.interfaces):
+            ends = bytes([7, 5, part.end_in, 3, part.bytes_in, 0, 1, 7, 5, part.end_out, 3, part.bytes_out, 0, 1])
             hid = bytes([9, 0x21, 0x11, 1, 0, 1, REPORT]) + struct.pack("<H", len(self._report(n)))
             body += bytes([9, 4, n, 0, 2, 3, 0, 0, 0]) + hid + ends
         return usbfs.descriptors(self.ids, 0x0100, 64, len(self.board.interfaces), body)

@@ -29,7 +29,7 @@ class PuckBed(testbed.Bed):
         self.board = Board(*self.ids, self.name, (Interface(self.descriptor, 0x81, 0x02, 13, 13),))
         self.queue: list[bytes] = []
         self.written: list[bytes] = []
-        self.gone = False
+        self.unplugged = False
         self._wire()
         GLib.timeout_add(REPORT_PERIOD_MS, self._report)
         if "unplug_when" in case:
@@ -41,13 +41,13 @@ class PuckBed(testbed.Bed):
             if len(self.queue) < 64:  # as many as the kernel queues
                 self.queue.append(report)
                 os.write(self.terminal, b"\1")
-        return not self.gone
+        return not self.unplugged
 
     def _unplug_when(self) -> bool:
         return self._unplug() if os.path.exists(self.case["unplug_when"]) else True
 
     def _unplug(self) -> bool:
-        self.gone = True
+        self.unplugged = True
         vendor, product = self.ids
         hid = f"/sys{testbed.DEVICE}/1-1:1.0/0003:{vendor:04X}:{product:04X}.0001"
         for path in (f"{hid}/hidraw/hidraw0", hid, f"/sys{testbed.DEVICE}/1-1:1.0", f"/sys{testbed.DEVICE}"):
@@ -56,7 +56,7 @@ class PuckBed(testbed.Bed):
         return False
 
     def _past(self, event: str) -> bool:
-        return self.gone
+        return self.unplugged
 
     def _write(self, _: object, client: object) -> bool:
         data = bytes(client.get_arg().retrieve())

@@ -82,7 +82,7 @@ class Cable(Terminal):
         """Change of an answer on the line."""
         self.came = 0
         """Bytes read from the line."""
-        self.heard = 0
+        self.received_bytes = 0
         """Bytes processed and answered."""
         self._thread.start()
 
@@ -104,7 +104,7 @@ class Cable(Terminal):
                 with self._saying:
                     if not self.mute.is_set():
                         self.say(self.spoil(answer))
-                self.heard += len(line)
+                self.received_bytes += len(line)
 
     def sent_to(self) -> int:
         waiting = array("i", [0])

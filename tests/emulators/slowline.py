@@ -105,9 +105,9 @@ class SlowLine:
     def _carry(self, most: int, now: float) -> int:
         count = 0 if self.stalled.is_set() else min(most, len(self._queue))
         if count > 0:
-            taken = [self._queue.popleft() for _ in range(count)]
-            self.oldest_s = max(self.oldest_s, now - taken[0][0])
-            os.write(self._board, bytes(byte for _, byte in taken))
+            transmitted = [self._queue.popleft() for _ in range(count)]
+            self.oldest_s = max(self.oldest_s, now - transmitted[0][0])
+            os.write(self._board, bytes(byte for _, byte in transmitted))
             self._words[_GONE] += count
         return count
 

@@ -117,13 +117,13 @@ class Bed:
 
     def _read(self, _: object, client: object) -> bool:
         result = client.execute()
-        taken = result[0] if isinstance(result, tuple) else result
+        count = result[0] if isinstance(result, tuple) else result
         if self._past("lost_after"):
             client.complete(-1, EIO)
             return True
-        for _ in range(max(0, taken - 1)):
+        for _ in range(max(0, count - 1)):
             os.write(self.terminal, b"\1")
-        if taken > 0 and self.queue:
+        if count > 0 and self.queue:
             data = self.queue.pop(0)[: len(client.get_arg().retrieve())]
             client.get_arg().update(0, data)
             client.complete(len(data), 0)

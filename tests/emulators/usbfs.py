@@ -38,7 +38,7 @@ class Stream:
     """Requests of one opening of the node: the kernel returns each only to its own opening."""
 
     def __init__(self) -> None:
-        self.done: list[object] = []
+        self.completed: list[object] = []
         self.waiting: list[tuple[object, object, int, float]] = []
         """Transfers in: URB, buffer, length, time of the request."""
         self.blocked: list[object] = []
@@ -46,7 +46,7 @@ class Stream:
     def finish(self, urb: object, status: int, actual: int) -> None:
         urb.update(4, struct.pack("<i", status))
         urb.update(28, struct.pack("<i", actual))
-        self.done.append(urb)
+        self.completed.append(urb)
 
     def end(self, urbs: list[object], status: int) -> None:
         for urb in urbs:
@@ -121,9 +121,9 @@ class UsbDevice:
             stream.waiting, stream.blocked = [], []
         else:
             self.deliver(stream)
-        if not stream.done:
+        if not stream.completed:
             return -ENODEV if self.lost else -EAGAIN
-        argument.resolve(0, 8).set_ptr(0, stream.done.pop(0))
+        argument.resolve(0, 8).set_ptr(0, stream.completed.pop(0))
         return 0
 
     def _discard(self, stream: Stream) -> int:

@@ -117,7 +117,7 @@ class Woody(Handle):
         self.wrist = (0, 0, 0)
         self.zero = (0, 0, 0)
         """Displayed counts minus true ones: not 0 before calibration."""
-        self.heard = time.monotonic()
+        self.received_s = time.monotonic()
         self.silences: list[float] = []
         """Gaps between reports (s) after which the amplifiers were off."""
         self.sent: list[tuple[int, ...]] = []
@@ -129,9 +129,9 @@ class Woody(Handle):
                 f"a host's report has 0 and {self.report_bytes} bytes, this has {report[:1]!r}, {len(report)}"
             )
         now = time.monotonic()
-        if now - self.heard > AMPLIFIERS_OFF_S:
-            self.silences.append(now - self.heard)
-        self.heard = now
+        if now - self.received_s > AMPLIFIERS_OFF_S:
+            self.silences.append(now - self.received_s)
+        self.received_s = now
         words = struct.unpack_from("<4h" if self.generation == 1 else "<7h", report, 1)
         self.sent.append(words)
         if self.generation == 2 and words[3] == 1:

@@ -43,9 +43,9 @@ def why_none() -> str:
 def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:
     """Wait until `true` returns a true value, at most WAIT_S; return its last value."""
     until = time.monotonic() + WAIT_S
-    while not (found := true()) and time.monotonic() < until:
+    while not (value := true()) and time.monotonic() < until:
         time.sleep(every_s)
-    return found
+    return value
 
 
 def coloured(picture: NDArray[np.int64]) -> dict[str, int]:
@@ -76,11 +76,11 @@ class Screen:
     def at(self, point: tuple[float, float, float]) -> tuple[float, float]:
         """Return the screen position of a point of the page's world, as seen by the page's camera now."""
         box = self.page.locator("canvas").first.bounding_box()
-        world, view, projection = (np.reshape(each, (4, 4)).T for each in self.page.evaluate(CAMERA))
+        world, view, projection = (np.reshape(matrix, (4, 4)).T for matrix in self.page.evaluate(CAMERA))
         x, y, _, w = projection @ view @ world @ (*point, 1.0)
         return box["x"] + 0.5 * box["width"] * (1.0 + x / w), box["y"] + 0.5 * box["height"] * (1.0 - y / w)
 
-    def drag(self, start: tuple[float, float], way: tuple[float, float], key: str | None = None) -> None:
+    def drag(self, start: tuple[float, float], distance: tuple[float, float], key: str | None = None) -> None:
         """Drag the mouse from `start` by `way` pixels in steps, optionally with a key pressed."""
         mouse, keyboard = self.page.mouse, self.page.keyboard
         if key is not None:
@@ -88,17 +88,17 @@ class Screen:
         mouse.move(*start)
         mouse.down()
         for share in np.linspace(0.1, 1.0, 10):
-            mouse.move(start[0] + share * way[0], start[1] + share * way[1])
+            mouse.move(start[0] + share * distance[0], start[1] + share * distance[1])
             time.sleep(0.1)
         mouse.up()
         if key is not None:
             keyboard.up(key)
 
-    def touch(self, start: tuple[float, float], way: tuple[float, float]) -> None:
+    def touch(self, start: tuple[float, float], distance: tuple[float, float]) -> None:
         """Drag one finger from `start` by `way` pixels in steps, with events of a touch screen."""
         session = self.page.context.new_cdp_session(self.page)
         for share in np.linspace(0.0, 1.0, 11):
-            at = {"x": start[0] + share * way[0], "y": start[1] + share * way[1]}
+            at = {"x": start[0] + share * distance[0], "y": start[1] + share * distance[1]}
             kind = "touchMove" if share else "touchStart"
             session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [at]})
             time.sleep(0.1)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from softfinger.server import cli
 
 
-class Done(NamedTuple):
+class VerbResult(NamedTuple):
     """Exit code and output of a verb, without its log."""
 
     returncode: int
@@ -17,12 +17,12 @@ class Done(NamedTuple):
     stderr: str
 
 
-def called(*words: str) -> Done:
+def called(*words: str) -> VerbResult:
     """Call `main` as the program does."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
             code = cli.main(list(words))
-        except SystemExit as left:  # argparse
-            code = int(str(left.code))
-    return Done(code, out.getvalue(), err.getvalue())
+        except SystemExit as ended:  # argparse
+            code = int(str(ended.code))
+    return VerbResult(code, out.getvalue(), err.getvalue())

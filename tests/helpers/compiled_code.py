@@ -40,11 +40,11 @@ class Compiled(NamedTuple):
 
 def functions(ir: str) -> dict[str, str]:
     """Return the bodies of the functions of an LLVM module, without numba's wrappers for Python."""
-    found = {}
+    bodies = {}
     for match in re.finditer(r'^define [^\n]*?@"?([^"(\s]+)"?\(.*?^}', ir, re.MULTILINE | re.DOTALL):
         if not match[1].startswith(("_ZN7cpython", "cfunc.")):
-            found[match[1]] = match[0]
-    return found
+            bodies[match[1]] = match[0]
+    return bodies
 
 
 def called_in(body: str) -> Counter[str]:
@@ -94,7 +94,7 @@ def plain(body: str, name: str) -> str:
 
 def kernels_in(ir: str) -> set[str]:
     """Return our kernels that have an environment in the module, as every compiled function has."""
-    found = set()
+    names = set()
     for mangled in re.findall(r'^@"?_ZN08NumbaEnv(\S+)', ir, re.MULTILINE):
         parts, rest = [], mangled
         while match := re.match(r"\d+", rest):
@@ -102,5 +102,5 @@ def kernels_in(ir: str) -> set[str]:
             parts.append(rest[match.end() : end])
             rest = rest[end:]
         if parts[:3] == ["softfinger", "proxy", "kernels"]:
-            found.add(".".join(parts[3:]))
-    return found
+            names.add(".".join(parts[3:]))
+    return names

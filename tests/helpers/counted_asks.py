@@ -42,29 +42,29 @@ def count(scenes: list[Any]) -> list[Any]:
     from softfinger.proxy.scene import build_scene, start_state
 
     assert PLAIN
-    asked = 0
+    lookups = 0
 
     def counted(kernel: Any, cost: int) -> Any:
         def call(*args: Any) -> Any:
-            nonlocal asked
-            asked += cost
+            nonlocal lookups
+            lookups += cost
             return kernel(*args)
 
         return call
 
     tiles.tile_at = nearest.tile_at = counted(tiles.tile_at, 1)
     surface.height_at = counted(surface.height_at, nearest.LOOK)
-    found = []
-    for method, things, points in scenes:
-        tree = build_scene(scene_with(*things, rolling={"method": method}))
-        state, each, centers = start_state(tree), [], []
+    results = []
+    for method, objects, points in scenes:
+        tree = build_scene(scene_with(*objects, rolling={"method": method}))
+        state, per_tick, centers = start_state(tree), [], []
         for x, y, z, *turned in poses_at(points).tolist():
-            asked = 0
+            lookups = 0
             state, (contact,) = step(tree, state, (Pose((x, y, z), tuple(turned)),), 1e-3)
-            each.append(asked)
+            per_tick.append(lookups)
             centers.append([float(v) for v in contact.center])
-        found.append((each, centers))
-    return found
+        results.append((per_tick, centers))
+    return results
 
 
 if __name__ == "__main__":

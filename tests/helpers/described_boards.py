@@ -47,10 +47,10 @@ def force_of(board: Firmware) -> np.ndarray:
 def force_at(angles: Sequence[float], torques: Sequence[float]) -> np.ndarray:
     """Return the force (3,) N of torques (N m, ports 1 and 2) at angles (degrees): J^-T tau, with J by differences."""
     h = 1e-4  # degrees
-    one, two = angles
+    first, two = angles
     columns = [
-        (np.subtract(place(one + h, two), place(one - h, two))) / np.radians(2 * h),
-        (np.subtract(place(one, two + h), place(one, two - h))) / np.radians(2 * h),
+        (np.subtract(place(first + h, two), place(first - h, two))) / np.radians(2 * h),
+        (np.subtract(place(first, two + h), place(first, two - h))) / np.radians(2 * h),
     ]
     x, y = np.linalg.solve(np.array(columns), (torques[1], torques[0]))  # link 1 is on port 2
     return TO_WORLD @ np.array([x, y, 0.0])

@@ -113,7 +113,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
         usb.backend.libusb1.get_backend, selection.NODES = get_backend, root
 
 
-class StubBench(Bench):
+class OmegaBench(Bench):
     """Bench with an omega on the stub."""
 
     def __init__(self, stub: Stub) -> None:
@@ -160,5 +160,5 @@ class StubBench(Bench):
 
 
 @pytest.fixture
-def bench(stub: Stub) -> StubBench:
-    return StubBench(stub)
+def bench(stub: Stub) -> OmegaBench:
+    return OmegaBench(stub)

@@ -124,8 +124,8 @@ def session(folder: Path, experiment: str) -> Iterator[Session]:
     )
     assert process.stderr is not None
     try:
-        said = (re.search(r"http://\S+/", line) for line in process.stderr)
-        address = next(found for found in said if found)[0]
+        matches = (re.search(r"http://\S+/", line) for line in process.stderr)
+        address = next(match for match in matches if match)[0]
         with browser() as page:
             shown(page, address)
             yield Session(page, folder, process)

@@ -8,14 +8,14 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from helpers.asked_bench import AskedBench
+from helpers.remote_bench import RemoteBench
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import OK, STALE, WITHHELD
 from softfinger.drivers.falcon.device import Falcon, Options, open_device
 from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 
 
-class Emulated(AskedBench):
+class Emulated(RemoteBench):
     """Bench with the emulated device of the testbed, through libusb."""
 
     # Half a motor count at each leg is 4 mN at the knob, and the knob moves by 0.1 mm before the reading.
@@ -23,8 +23,8 @@ class Emulated(AskedBench):
 
     def open(self) -> Falcon:
         # A tick of the emulation waits for two other programs: it has longer silences than a bus.
-        given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
-        device = open_device(build(Options, given, "falcon [device]"), RATE_HZ)
+        options = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
+        device = open_device(build(Options, options, "falcon [device]"), RATE_HZ)
         device.arm()
         return device
 

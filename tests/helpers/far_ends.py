@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from helpers import described_boards, haply_devices, usb_stub
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.drd_stub import SOURCE as DRD
-from helpers.drd_stub import Stub, StubBench
+from helpers.drd_stub import OmegaBench, Stub
 from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub, TouchBench
 from helpers.hid_devices import woody
@@ -70,10 +70,10 @@ class Timed(list[Any]):
 
 def rows(times: Any, forces: Any) -> NDArray[np.float64]:
     """Return `received` from times (n,) and forces (n, 1 to 3)."""
-    given = np.array(forces, float).reshape(len(times), -1 if len(times) else 0)
+    columns = np.array(forces, float).reshape(len(times), -1 if len(times) else 0)
     out = np.zeros((len(times), 4))
     out[:, 0] = times
-    out[:, 1 : 1 + given.shape[1]] = given
+    out[:, 1 : 1 + columns.shape[1]] = columns
     return out
 
 
@@ -157,7 +157,7 @@ def force_dimension(tmp_path: Path) -> Iterator[FarEnd]:
     stub = Stub(compiled(DRD, "libdrd.so.3.17.5"))
     stub.reset()
     stub.update(z=0.008, ax=0.002, ay=0.002)
-    with StubBench(stub).open() as device:
+    with OmegaBench(stub).open() as device:
         yield FarEnd(device, stub.log)
 
 
@@ -190,22 +190,22 @@ def haply(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         yield FarEnd(device, received, handover=2, hush=lambda: service.set(mute=True))
 
 
-class Given(Firmware):
+class RecordingFirmware(Firmware):
     """A 2DIY that records every command."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.given = Timed()
+        self.sent_torques = Timed()
 
     def give(self, torques: list[float]) -> None:
         super().give(torques)
-        self.given.append(tuple(self.torques))
+        self.sent_torques.append(tuple(self.torques))
 
 
 @contextmanager
 def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """Haply 2DIY on a pseudo terminal, with its fingertip in the floor; its motors receive N m."""
-    firmware = Given()
+    firmware = RecordingFirmware()
     with (
         Port(firmware) as port,
         described_boards.opened("haply-2diy", port.path, **{"timeout_s": 2.0, **keys}) as device,
@@ -215,9 +215,10 @@ def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         def received() -> NDArray[np.float64]:
             written = device.counts()["written"]
             described_boards.settled(
-                lambda: firmware.taken, lambda taken: taken >= written or at_rest(lambda: firmware.taken)
+                lambda: firmware.commands,
+                lambda written_bytes: written_bytes >= written or at_rest(lambda: firmware.commands),
             )
-            return rows(firmware.given.times, firmware.given)
+            return rows(firmware.sent_torques.times, firmware.sent_torques)
 
         yield FarEnd(device, received, most=2.0 * TORQUE_MAX, hush=port.mute.set)
 
@@ -227,7 +228,7 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """Hapkit with its sketch on a pseudo terminal, in the floor, with a trembling hand; its motor receives N m. Its log
     contains only changes."""
     needs(CXX, NO_CXX)
-    done = threading.Event()
+    ended = threading.Event()
     with (
         Hapkit(sketch_library()) as sketch,
         described_boards.opened("hapkit", sketch.path, **{"timeout_s": 2.0, **keys}) as device,
@@ -235,7 +236,7 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         sketch.turn(0.094)
 
         def tremble() -> None:
-            while not done.wait(0.002):
+            while not ended.wait(0.002):
                 sketch.turn(0.094 + 0.004 * np.sin(12.0 * time.monotonic()))
 
         hand = threading.Thread(target=tremble)
@@ -248,7 +249,7 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         try:
             yield FarEnd(device, received, most=0.03, hush=sketch.mute)
         finally:
-            done.set()
+            ended.set()
             hand.join()
 
 

@@ -6,7 +6,6 @@ times. Simulated and replayed devices have no emulated counterpart.
 
 from __future__ import annotations
 
-import json
 import re
 import threading
 import time
@@ -29,12 +28,11 @@ from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.described_boards import force_at
 from helpers.drd_stub import SOURCE as DRD
 from helpers.drd_stub import Stub
-from helpers.far_ends import Given, Timed, compiled, needs, rows, sketch_library
+from helpers.far_ends import RecordingFirmware, Timed, compiled, needs, rows, sketch_library
 from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub
 from helpers.hid_devices import woody
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
+from helpers.rig_files import write_rig
 
 Array = NDArray[np.float64]
 
@@ -47,19 +45,19 @@ PRESS_TICKS = 200
 class Far(NamedTuple):
     """Emulated device of a rig.
 
-    rig         file of the rig
-    device      controlled by tests: stub, service, board or its port
-    given       received forces from that index on (-1: the latest), in order (n, 4): s of the monotonic clock, N
-    press       put the hand some millimetres into a floor at z = 0
-    unplug      pull the cable
-    resolution  N, of the motors
-    sees        axes of the world along which it moves
-    powerless   True if the device has no force without its cable; others retain the last force
+    rig           file of the rig
+    device        controlled by tests: stub, service, board or its port
+    forces_since  received forces from that index on (-1: the latest), in order (n, 4): s (monotonic clock), N
+    press         put the hand some millimetres into a floor at z = 0
+    unplug        pull the cable
+    resolution    N, of the motors
+    sees          axes of the world along which it moves
+    powerless     True if the device has no force without its cable; others retain the last force
     """
 
     rig: str
     device: Any
-    given: Callable[[int], Array]
+    forces_since: Callable[[int], Array]
     press: Callable[[], None]
     unplug: Callable[[], None]
     resolution: float = 1e-6
@@ -68,8 +66,8 @@ class Far(NamedTuple):
 
     def newest(self) -> float:
         """Size (N) of the latest force; 0 before the first."""
-        given = self.given(-1)
-        return float(np.linalg.norm(given[-1, 1:])) if len(given) else 0.0
+        forces = self.forces_since(-1)
+        return float(np.linalg.norm(forces[-1, 1:])) if len(forces) else 0.0
 
 
 @contextmanager
@@ -80,7 +78,7 @@ def when_forced(
 
     begin  called first, in the same thread, with an event that is set when the block ends
     """
-    done: list[float] = []
+    times: list[float] = []
     over = threading.Event()
 
     def wait() -> None:
@@ -88,14 +86,14 @@ def when_forced(
             begin(over)
         while not over.wait(0.002):
             if far.newest() > least_n and not over.is_set():
-                done.append(time.monotonic())
+                times.append(time.monotonic())
                 act()
                 return
 
     thread = threading.Thread(target=wait, daemon=True)
     thread.start()
     try:
-        yield done
+        yield times
     finally:
         over.set()
         thread.join()
@@ -103,20 +101,16 @@ def when_forced(
 
 def rig_file(folder: Path, name: str, **keys: object) -> str:
     """Write a shipped rig with changed keys of [device], without real time, whose force has risen after 50 ms."""
-    text = find(name, Rig).read_text()
-    for key in keys:
-        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
-    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
-    text = text.replace("[device]\n", f"[device]\n{lines}").replace('realtime = "auto"', 'realtime = "off"')
-    file = folder / f"my-{name}.toml"
+    file = write_rig(folder, name, **keys)
+    text = file.read_text().replace('realtime = "auto"', 'realtime = "off"')
     file.write_text(re.sub(r"^ramp_s = \S+", "ramp_s = 0.05", text, flags=re.MULTILINE))
     return str(file)
 
 
-def slowly(put: Callable[[float], None]) -> None:
+def slowly(set_share: Callable[[float], None]) -> None:
     """Position of the hand, from 0 to 1, over time."""
     for share in np.linspace(0.0, 1.0, PRESS_TICKS):
-        put(float(share))
+        set_share(float(share))
         time.sleep(0.002)
 
 
@@ -126,12 +120,12 @@ def open_haptics(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
     stub = HdStub(compiled(HD, "libHD.so.3.4.0", "-pthread"))
     stub.reset()
 
-    def given(first: int) -> Array:
+    def forces_since(first: int) -> Array:
         journal = stub.journal()[first:]
         return rows(journal["ns"] * 1e-9, journal["force"])
 
     rig = rig_file(folder, "touch", library_file=str(stub.path), force_age_max_s=0.1)
-    yield Far(rig, stub, given, lambda: stub.update(y=8.0), lambda: stub.update(unplugged=1), powerless=True)
+    yield Far(rig, stub, forces_since, lambda: stub.update(y=8.0), lambda: stub.update(unplugged=1), powerless=True)
     stub.reset()
 
 
@@ -154,7 +148,7 @@ def falcon(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
     stub.reset()
     stub["logged"] = 0
 
-    def given(first: int) -> Array:
+    def forces_since(first: int) -> Array:
         times = stub.times()
         return rows(times[first:], stub.log()[: len(times)][first:, :3])
 
@@ -166,7 +160,7 @@ def falcon(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
 
     rig = rig_file(folder, "falcon", counts_per_nm=10000.0, kick_s=0.15, timeout_s=2.0)
     with usb_stub.in_place_of_libusb(library):
-        yield Far(rig, stub, given, press, unplug, usb_stub.FalconBench.force_step_n)
+        yield Far(rig, stub, forces_since, press, unplug, usb_stub.FalconBench.force_step_n)
     assert (stub["misuse"], stub["flying"], stub["allocated"]) == (0, 0, 0) and stub["opens"] == stub["closes"]
     stub.reset()
 
@@ -180,7 +174,7 @@ def hid(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
         for opener in ("softfinger.tools.doctor.report.open_device", "softfinger.drivers.registry.open_device"):
             patch.setattr(opener, lambda *_: device)
 
-        def given(first: int) -> Array:
+        def forces_since(first: int) -> Array:
             amperes = np.array(list(sent)[first:], float).reshape(-1, 7)[:, :3] * 1e-3
             forces = np.array([arm.arm.force(arm.place, tuple(row)) for row in amperes]).reshape(-1, 3)
             return rows(sent.times[first:][: len(forces)], forces)
@@ -190,7 +184,7 @@ def hid(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
 
         # half a milliampere in each of three motors
         rig = rig_file(folder, "woodenhaptics-2019", timeout_s=2.0)
-        yield Far(rig, answering, given, press, answering.unplug, 0.01)
+        yield Far(rig, answering, forces_since, press, answering.unplug, 0.01)
 
 
 @contextmanager
@@ -198,7 +192,7 @@ def haply(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
     with haply_devices.Service() as service:
         service.do("hand", id=haply_devices.ID, at=[0.0, 0.0, 0.03], press=0.0, drag=0.0)
 
-        def given(first: int) -> Array:
+        def forces_since(first: int) -> Array:
             return np.array([[0.0, *service.force()]] if first == -1 else service.log()[first:]).reshape(-1, 4)
 
         def press() -> None:
@@ -208,7 +202,7 @@ def haply(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
             service.do("vanish", id=haply_devices.ID)
 
         rig = rig_file(folder, "haply-inverse3", port=service.port, stale_s=0.2, **PATIENT)
-        yield Far(rig, service, given, press, unplug, powerless=True)
+        yield Far(rig, service, forces_since, press, unplug, powerless=True)
 
 
 @contextmanager
@@ -217,7 +211,7 @@ def serial(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
     with Cable(Board(lambda _: place[0])) as cable:
         cable.board.sent = sent = Timed()
 
-        def given(first: int) -> Array:
+        def forces_since(first: int) -> Array:
             forces = np.array(list(sent)[first:], float).reshape(-1, 7)[:, :3] * 1e-3
             return rows(sent.times[first:][: len(forces)], forces)
 
@@ -225,23 +219,23 @@ def serial(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
             place[0] = (0.0, 0.0, 0.006)
 
         rig = rig_file(folder, "woodenhaptics-v3", path=cable.path, **PATIENT)
-        yield Far(rig, cable, given, press, cable.pull, 1e-3)
+        yield Far(rig, cable, forces_since, press, cable.pull, 1e-3)
 
 
 @contextmanager
 def two_diy(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
-    board = Given()
+    board = RecordingFirmware()
     with Port(board) as port:
 
-        def given(first: int) -> Array:
-            forces = [force_at(board.angles, torques) for torques in list(board.given)[first:]]
-            return rows(board.given.times[first:][: len(forces)], np.array(forces).reshape(-1, 3))
+        def forces_since(first: int) -> Array:
+            forces = [force_at(board.angles, torques) for torques in list(board.sent_torques)[first:]]
+            return rows(board.sent_torques.times[first:][: len(forces)], np.array(forces).reshape(-1, 3))
 
         def press() -> None:
             slowly(lambda share: board.__setattr__("angles", [168.0 - 26.0 * share, 12.0 + 26.0 * share]))
 
         rig = rig_file(folder, "haply-2diy", path=port.path, **PATIENT)
-        yield Far(rig, port, given, press, port.pull, 1e-6, "xz", powerless=True)
+        yield Far(rig, port, forces_since, press, port.pull, 1e-6, "xz", powerless=True)
 
 
 @contextmanager
@@ -250,7 +244,7 @@ def hapkit(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
     with Hapkit(sketch_library()) as board:
         board.turn(0.3)
 
-        def given(first: int) -> Array:
+        def forces_since(first: int) -> Array:
             changes = np.array(board.changes()[first:]).reshape(-1, 2)
             per_torque = SECTOR_M / PULLEY_M / HANDLE_M
             return np.column_stack([changes[:, 0], np.zeros((len(changes), 2)), changes[:, 1] * per_torque])
@@ -259,7 +253,9 @@ def hapkit(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
             slowly(lambda share: board.turn(0.3 - 0.25 * share))
 
         # a duty cycle of 1/255 gives 0.03 N m duty^2; at 0.2 N the duty is 0.2
-        yield Far(rig_file(folder, "hapkit", path=board.path, **PATIENT), board, given, press, board.pull, 0.01, "z")
+        yield Far(
+            rig_file(folder, "hapkit", path=board.path, **PATIENT), board, forces_since, press, board.pull, 0.01, "z"
+        )
 
 
 FAR_RIGS: dict[str, Callable[[Path, pytest.MonkeyPatch], Any]] = {

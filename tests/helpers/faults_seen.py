@@ -27,7 +27,7 @@ class FaultsSeen:
         if report.outcome != "passed":
             test["outcome"] = report.outcome
         if report.when == "call":
-            test["seen"] = [said for name, said in report.user_properties if name == SEEN][-1:]
+            test["seen"] = [value for name, value in report.user_properties if name == SEEN][-1:]
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         if not hasattr(session.config, "workerinput"):

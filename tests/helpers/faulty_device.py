@@ -92,19 +92,19 @@ def _write(handle: int, wrench: Any) -> int:
     word = int64_at(handle)
     if word[ARMED] == 0 or word[WRITES] >= ROOM:
         return OK
-    kept = float64_at(word[KEPT] + 48 * word[WRITES])
+    wrenches = float64_at(word[KEPT] + 48 * word[WRITES])
     for i in range(6):
-        kept[i] = wrench[i]
+        wrenches[i] = wrench[i]
     word[WRITES] += 1
     if word[FAULT] == 4 and word[READS] > word[AT]:
         return LOST
     if word[FAULT] == 10 and word[AT] < word[READS] <= word[AT] + word[COUNT]:
         for i in range(6):
-            kept[i] = 0.0
+            wrenches[i] = 0.0
         return WITHHELD
     if word[FAULT] == 13 and word[AT] < word[READS] <= word[AT] + word[COUNT]:
         for i in range(6):
-            kept[i] = float64_at(word[KEPT] + 48 * (word[WRITES] - 2))[i]
+            wrenches[i] = float64_at(word[KEPT] + 48 * (word[WRITES] - 2))[i]
         return HELD
     return UNKNOWN if word[FAULT] == 15 and word[READS] > word[AT] else OK
 
@@ -124,9 +124,9 @@ class FaultyDevice(Device):
     def __init__(self, options: Options) -> None:
         self._options = options
         self._word = np.zeros(16, np.int64)
-        self._kept = np.zeros((ROOM, 6))
+        self._wrenches = np.zeros((ROOM, 6))
         self._word[[AT, FAULT, KEPT, STALL_US, COUNT, JUMP_UM]] = (
-            options.at, FAULTS.index(options.fault), self._kept.ctypes.data, options.stall_us, options.count,
+            options.at, FAULTS.index(options.fault), self._wrenches.ctypes.data, options.stall_us, options.count,
             round(1e6 * options.jump_m),
         )  # fmt: skip
         far = (1.0, 1.0, 1.0)
@@ -150,7 +150,7 @@ class FaultyDevice(Device):
             raise OSError("the port has gone")
         if not self._stopped:
             self._stopped = True
-            self._kept[self._word[WRITES]] = 0.0
+            self._wrenches[self._word[WRITES]] = 0.0
             self._word[WRITES] += 1
             self._word[ARMED] = 0
 
@@ -164,7 +164,7 @@ class FaultyDevice(Device):
     @property
     def wrenches(self) -> np.ndarray:
         """Wrenches on the hand (k, 6), oldest first."""
-        return self._kept[: self._word[WRITES]].copy()
+        return self._wrenches[: self._word[WRITES]].copy()
 
     def _note(self, act: str) -> None:
         self.acts.append((act, threading.get_native_id(), int(self._word[READS])))

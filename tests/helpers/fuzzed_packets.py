@@ -80,9 +80,9 @@ def pictures() -> list[bytes]:
     """Grey pictures of 8 and 16 bits."""
     heights = np.arange(64, dtype=np.uint8).reshape(8, 8)
     made = []
-    for each in (heights, heights.astype(np.uint16) * 1000):
+    for pixels in (heights, heights.astype(np.uint16) * 1000):
         out = io.BytesIO()
-        Image.fromarray(each).save(out, "png")
+        Image.fromarray(pixels).save(out, "png")
         made.append(out.getvalue())
     return made
 
@@ -97,14 +97,14 @@ def arrays() -> list[bytes]:
 
 
 def commands() -> list[bytes]:
-    asked: list[tuple[str, Any]] = [
+    requests: list[tuple[str, Any]] = [
         ("get_state", {}), ("set_params", {"values": {"object.table.material.stiffness_n_per_m": 900.0}}),
         ("set_scene", {"scene": "paper-plane", "overrides": {}}), ("mark", {"label": "a", "data": {"b": [1, None]}}),
         ("drive", {"object": "disc", "position_m": [0.0, 0.0, 0.0], "orientation": [1.0, 0.0, 0.0, 0.0]}),
         ("record_start", {"file": "run.mcap"}), ("zero", {"position_m": [0, 0, 0]}), ("mesh", {"object": 1}),
         ("hand", {"position_m": [0.0, 0.0, 0.01]}),
     ]  # fmt: skip
-    return [msgpack.packb({"command_id": "7", "method": method, "params": params}) for method, params in asked]
+    return [msgpack.packb({"command_id": "7", "method": method, "params": params}) for method, params in requests]
 
 
 def targets(make: Callable[..., Any]) -> dict[str, Any]:
@@ -141,8 +141,8 @@ def _hid(_: Path, data: bytes) -> None:
     for rig in RIGS:
         report = rig_options(rig).reports.input
         values = np.zeros(table.SENSED_SIZE)
-        given = np.frombuffer(data.ljust(report.bytes, b"\0")[: report.bytes], np.uint8).copy()
-        usable = table.decode_once(given, table.input_table(report.field), np.zeros(1, np.int64), values)
+        report_bytes = np.frombuffer(data.ljust(report.bytes, b"\0")[: report.bytes], np.uint8).copy()
+        usable = table.decode_once(report_bytes, table.input_table(report.field), np.zeros(1, np.int64), values)
         _finite_or_refused(bool(usable), values.tolist())
 
 
@@ -160,8 +160,8 @@ def _serial_text(_: Path, data: bytes) -> None:
         piece = data[start : start + 200]
         buffer = np.zeros(frames.LOOKBACK + 256, np.uint8)
         buffer[frames.LOOKBACK : frames.LOOKBACK + len(piece)] = np.frombuffer(piece, np.uint8)
-        taken = frames.decode_stream(buffer.ctypes.data, len(piece), scratch, newest)
-        _finite_or_refused(taken > 0, newest.tolist())
+        size = frames.decode_stream(buffer.ctypes.data, len(piece), scratch, newest)
+        _finite_or_refused(size > 0, newest.tolist())
 
 
 def _serial_described(_: Path, data: bytes) -> None:
@@ -181,9 +181,9 @@ def _serial_described(_: Path, data: bytes) -> None:
         where = (fields.ctypes.data, len(fields), np.zeros(1, np.int64).ctypes.data)
         for aligned in (False, True):
             filled = np.array([len(data)])
-            taken = packets.decode_stream(buffer.ctypes.data, filled, aligned, shape.ctypes.data, where, numbers)
+            size = packets.decode_stream(buffer.ctypes.data, filled, aligned, shape.ctypes.data, where, numbers)
             assert 0 <= filled[0] <= len(data)
-            _finite_or_refused(taken > 0, numbers[1].tolist())
+            _finite_or_refused(size > 0, numbers[1].tolist())
 
 
 def _falcon(_: Path, data: bytes) -> None:
@@ -218,15 +218,15 @@ def _frames(_: Path, data: bytes) -> None:
     from softfinger.drivers.openhaptics import block as hd
     from softfinger.drivers.openhaptics import exchange as openhaptics
 
-    given = np.frombuffer(data.ljust(160, b"\0")[:160], np.float64)
+    numbers = np.frombuffer(data.ljust(160, b"\0")[:160], np.float64)
     theirs = Block(dhd.AT)
-    theirs.numbers(dhd.AT.frame, 12)[:] = given[:12]
+    theirs.numbers(dhd.AT.frame, 12)[:] = numbers[:12]
     sample = np.zeros(9)
     forcedimension._convert_pose(theirs.handle, sample)
     _turned_or_nothing(sample[3:7].tolist())
     theirs = Block(hd.AT)
-    theirs.numbers(hd.AT.position, 3)[:] = given[:3]
-    theirs.numbers(hd.AT.matrix, 16)[:] = given[3:19]
+    theirs.numbers(hd.AT.position, 3)[:] = numbers[:3]
+    theirs.numbers(hd.AT.matrix, 16)[:] = numbers[3:19]
     openhaptics._make_pose(theirs.handle, sample)
     _turned_or_nothing(sample[3:7].tolist())
 
@@ -242,7 +242,7 @@ def _haply_seeds() -> list[bytes]:
         "wireless_verse_grip": [{"device_id": "7", "state": {"orientation": turn, "buttons": {"a": True}}}],
     }
     listed = {"session_id": 1, "inverse3": [{"device_id": "049D", "config": {"mount": None}}]}
-    return [json.dumps(each).encode() for each in (state, listed)]
+    return [json.dumps(message).encode() for message in (state, listed)]
 
 
 def _haply(_: Path, data: bytes) -> None:
@@ -250,5 +250,5 @@ def _haply(_: Path, data: bytes) -> None:
 
     with suppress(Malformed):
         read_inventory(data)
-    seen = read_state(data, DeviceRef("inverse3", "049D"), DeviceRef("wireless_verse_grip", "7"))
-    assert hypot(*seen.position) <= 10.0 or all(map(isnan, seen.position)), seen
+    pose = read_state(data, DeviceRef("inverse3", "049D"), DeviceRef("wireless_verse_grip", "7"))
+    assert hypot(*pose.position) <= 10.0 or all(map(isnan, pose.position)), pose

@@ -67,9 +67,9 @@ def _spoil(data: bytearray, chance: random.Random, seeds: list[bytes]) -> None:
         case 5:
             del data[at:]
         case 6:
-            other = chance.choice(seeds)
-            start = chance.randrange(len(other) + 1)
-            data[at:end] = other[start : start + chance.choice((4, 64, 1000))]
+            donor = chance.choice(seeds)
+            start = chance.randrange(len(donor) + 1)
+            data[at:end] = donor[start : start + chance.choice((4, 64, 1000))]
         case 7 if numbers := list(_NUMBER.finditer(bytes(data))):
             where = chance.choice(numbers)
             data[where.start() : where.end()] = chance.choice(_TOKENS[:15])
@@ -157,9 +157,9 @@ def targets() -> dict[str, Target]:
             try:
                 read()
             except RecordingError as error:
-                said = error
+                refusal = error
         if "said" in locals():
-            raise said
+            raise refusal
 
     return {
         "scene": Target(_shipped("config/scenes/*.toml"), lambda path, _: load_scene(path), config, ".toml"),
@@ -191,11 +191,11 @@ def verdict(target: Target, path: Path, data: bytes) -> str:
             warnings.filterwarnings("ignore", "Inertia matrix")  # MuJoCo warns of a model that it accepts
             target.take(path, data)
     except target.refusals as error:
-        said = str(error)
-        if not said.strip() or len(said) > SAID_MAX:
-            return f"an error of {len(said)} characters: {said[:200]!r}"
-        if target.named and path.name not in said:
-            return f"the error does not name the file: {said[:200]!r}"
+        message = str(error)
+        if not message.strip() or len(message) > SAID_MAX:
+            return f"an error of {len(message)} characters: {message[:200]!r}"
+        if target.named and path.name not in message:
+            return f"the error does not name the file: {message[:200]!r}"
     except Exception:
         return traceback.format_exc()
     return ""
@@ -211,8 +211,8 @@ def bounded() -> Iterator[None]:
 def main(name: str, seconds: float, seed: int, folder: Path) -> int:
     chance, target = random.Random(seed), targets()[name]
     path = folder / f"input{target.ending}"
-    seeds = [each for each in target.seeds() if b"[world]" not in each]  # these would need their model as a file
-    if wrong := next(filter(None, (verdict(target, path, each) for each in seeds)), ""):
+    seeds = [seed for seed in target.seeds() if b"[world]" not in seed]  # these would need their model as a file
+    if wrong := next(filter(None, (verdict(target, path, seed) for seed in seeds)), ""):
         print(f"of the seeds: {wrong}")
         return 1
     next(bounded())

@@ -36,10 +36,10 @@ class Service:
         )
         self.port: int = self._line()
 
-    def do(self, what: str, **how: Any) -> Any:
+    def do(self, action: str, **how: Any) -> Any:
         """Send a request; return the answer."""
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps({"do": what, **how}) + "\n")
+        self.process.stdin.write(json.dumps({"do": action, **how}) + "\n")
         self.process.stdin.flush()
         return self._line()
 
@@ -80,10 +80,10 @@ class Service:
 
 def rig_options(port: int, **changes: Any) -> Options:
     """Return the [device] table of the shipped rig with changed keys and limits for a busy machine."""
-    given = load_rig(RIG).device
-    assert given is not None
+    config = load_rig(RIG).device
+    assert config is not None
     patient = {"port": port, "stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
-    return build(Options, {**given.options, **patient, **changes}, f"{RIG} [device]")
+    return build(Options, {**config.options, **patient, **changes}, f"{RIG} [device]")
 
 
 def opened(service: Service, **changes: Any) -> HaplyDevice:

@@ -55,7 +55,7 @@ class Client:
         command_id = uuid.uuid4().hex[:12]
         socket.send_multipart([b"", msgpack.packb({"command_id": command_id, "method": method, "params": params})])
         until = time.monotonic() + self._timeout_s
-        while (left := until - time.monotonic()) > 0.0 and socket.poll(int(1000 * left)):
+        while (remaining := until - time.monotonic()) > 0.0 and socket.poll(int(1000 * remaining)):
             empty, body = socket.recv_multipart()
             assert empty == b""
             response = Response(**msgpack.unpackb(body, raw=False))

@@ -130,9 +130,9 @@ class Api:
 
     def __init__(self, fd: int) -> None:
         self._end = socket.socket(fileno=fd)
-        self.held = threading.Event()
+        self.ready = threading.Event()
         """While cleared, writes hang."""
-        self.held.set()
+        self.ready.set()
         self.hung = threading.Event()
         """Set when a write hangs."""
         self.refuses = False
@@ -151,9 +151,9 @@ class Api:
         return list(data)
 
     def write(self, buff: bytes) -> int:
-        if not self.held.is_set():
+        if not self.ready.is_set():
             self.hung.set()
-            self.held.wait()
+            self.ready.wait()
         try:
             return -1 if self.refuses else self._end.send(buff)
         except OSError:

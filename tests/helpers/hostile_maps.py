@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from helpers.touching import R, thing, wander
+from helpers.touching import R, make_object, wander
 
 Array = NDArray[np.float64]
 
@@ -98,4 +98,4 @@ def hands(heights: Array, pitch: float) -> dict[str, Array]:
 def part(folder: Path, heights: Array, pitch: float, **keys: Any) -> dict[str, Any]:
     file = folder / "map.npy"
     np.save(file, heights)
-    return thing("part", "heightmap", file=str(file), pitch_m=pitch, level_m=1.0, **keys)
+    return make_object("part", "heightmap", file=str(file), pitch_m=pitch, level_m=1.0, **keys)

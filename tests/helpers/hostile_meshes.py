@@ -27,11 +27,11 @@ def messy_ball(frequency: int = 12, radius: float = 0.05) -> Mesh:
     triangles = ball.triangles.copy()
     turned = rng.permutation(count)[: count // 3]
     triangles[turned] = triangles[turned][:, ::-1]
-    again = np.roll(triangles[rng.permutation(count)[: count // 3]], 1, axis=1)
+    repeated = np.roll(triangles[rng.permutation(count)[: count // 3]], 1, axis=1)
     middles = 0.5 * (ball.vertices[triangles[:50, 0]] + ball.vertices[triangles[:50, 1]])
     on_line = np.stack([triangles[:50, 0], len(ball.vertices) + np.arange(50), triangles[:50, 1]], axis=1)
     pointed = triangles[50:100][:, [0, 0, 1]]
-    whole = np.concatenate([triangles, again, on_line, pointed])
+    whole = np.concatenate([triangles, repeated, on_line, pointed])
     return Mesh(np.concatenate([ball.vertices, middles]), rng.permutation(whole).astype(np.int32))
 
 
@@ -39,8 +39,8 @@ def with_holes(frequency: int = 12, radius: float = 0.05) -> Mesh:
     """A ball without a fifth of its triangles, and without a cap, so that a fingertip can enter."""
     ball, rng = meshes.geodesic(frequency, radius), np.random.default_rng(2)
     middles = ball.vertices[ball.triangles].mean(axis=1)
-    kept = (rng.uniform(size=len(middles)) > 0.2) & (middles[:, 2] < 0.9 * radius)
-    return Mesh(ball.vertices, ball.triangles[kept])
+    is_whole = (rng.uniform(size=len(middles)) > 0.2) & (middles[:, 2] < 0.9 * radius)
+    return Mesh(ball.vertices, ball.triangles[is_whole])
 
 
 def needle_strip(length: float = 0.2, thin: float = 2e-7, count: int = 40) -> Mesh:

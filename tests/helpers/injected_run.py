@@ -46,7 +46,7 @@ def run(
     ticks: int,
     rate_hz: float,
     folder: Path,
-    each: Callable[[int], object] = lambda _: None,
+    after_tick: Callable[[int], object] = lambda _: None,
 ) -> Seen:
     """Run this number of ticks on the paper's plane with all supervision, then close the device.
 
@@ -56,9 +56,9 @@ def run(
     never = [{"kind": "stale", "at_tick": ticks + 1}]
     injected = FaultInjector(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
     guard = load_rig("replay", {"guard.ramp_s": RAMP_S, "guard.frozen_s": FROZEN_S}).guard
-    servo = s.Servo([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
+    servo = s.ServoThread([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
     servo.compile()
-    told: list[str] = []
+    names: list[str] = []
     failures: list[HapticError] = []
 
     def fail(error: HapticError) -> None:
@@ -67,8 +67,8 @@ def run(
 
     path = folder / "run.mcap"
     recorder = Recorder(path.open("wb", buffering=0), [""], {}, lambda *_: None, GUARD_NAMES)
-    supervisor = Supervisor(servo, fail, lambda kind, name, **_: told.append(name))
-    reader = threading.Thread(target=_hand_on, args=(servo, recorder.take, each))
+    supervisor = Supervisor(servo, fail, lambda kind, name, **_: names.append(name))
+    reader = threading.Thread(target=_hand_on, args=(servo, recorder.take, after_tick))
     try:
         servo.start()
         supervisor.start()
@@ -84,19 +84,19 @@ def run(
     error = failures[0] if failures else ended.error
     error = error or shutdown.device_failure(injected, ended)
     error = error or shutdown.loop_failure(ended, servo.ticks, servo.missed, servo.woken_late)
-    done, epoch_s = servo.ticks, servo.epoch_s
+    count, epoch_s = servo.ticks, servo.epoch_s
     servo.close()
     events, recorded = read(path)
-    return Seen(error, events + told, done, recorded, recorded[:, AT.timestamp] - epoch_s)
+    return Seen(error, events + names, count, recorded, recorded[:, AT.timestamp] - epoch_s)
 
 
-def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], each: Callable[[int], object]) -> None:
+def _hand_on(servo: s.ServoThread, take: Callable[[np.ndarray], None], after_tick: Callable[[int], object]) -> None:
     out = np.empty((1024, RECORD_SIZE))
     running = True
     while running:
         servo.records.wait()
         running = servo.is_running
-        each(servo.ticks)
+        after_tick(servo.ticks)
         while (count := servo.records.take(out)) > 0:
             take(out[:count])
 

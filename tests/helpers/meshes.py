@@ -109,10 +109,10 @@ def cylinder(radius: float = 1.0, length: float = 2.0, around: int = 64, along: 
         return Mesh(points.reshape(-1, 3), np.ascontiguousarray(sides))
     bottom, top, last = (along + 1) * around, (along + 1) * around + 1, along * around
     here = np.arange(around)
-    there = (here + 1) % around
+    next_corner = (here + 1) % around
     ends_of = [
-        np.stack([np.full(around, bottom), there, here], axis=1),
-        np.stack([np.full(around, top), last + here, last + there], axis=1),
+        np.stack([np.full(around, bottom), next_corner, here], axis=1),
+        np.stack([np.full(around, top), last + here, last + next_corner], axis=1),
     ]
     middles = [(0.0, 0.0, -0.5 * length), (0.0, 0.0, 0.5 * length)]
     return Mesh(np.concatenate([points.reshape(-1, 3), middles]), np.concatenate([sides, *ends_of]).astype(np.int32))

@@ -115,14 +115,14 @@ class FarEnd:
 class File:
     """A scripted file descriptor of the system.
 
-    comes  results of the reads, in order; of bytes in a stream a read returns as many as it requests
-    room   bytes that it accepts; None: any number; below 0: none, and it returns 0 instead of the error
-    error  of the system, for reads and writes; 0: none
+    incoming  results of the reads, in order; of bytes in a stream a read returns as many as it requests
+    room      bytes that it accepts; None: any number; below 0: none, and it returns 0 instead of the error
+    error     of the system, for reads and writes; 0: none
     """
 
     def __init__(self, number: int, packets: bool = False) -> None:
         self.number, self._packets = number, packets
-        self.comes: list[bytes] = []
+        self.incoming: list[bytes] = []
         self.room: int | None = None
         self.error = 0
         self.sent: list[bytes] = []
@@ -134,17 +134,17 @@ class File:
         self.reads += 1
         if self.error:
             return -self.error
-        if not self.comes:
+        if not self.incoming:
             return -EAGAIN
-        given, rest = self.comes[0][:size], self.comes[0][size:]
-        ctypes.memmove(address, given, len(given))
-        self.comes[:1] = [rest] if rest and not self._packets else []
-        return len(given)
+        data, rest = self.incoming[0][:size], self.incoming[0][size:]
+        ctypes.memmove(address, data, len(data))
+        self.incoming[:1] = [rest] if rest and not self._packets else []
+        return len(data)
 
     def read_waiting(self, fd: int, address: int, size: int, word: int) -> int:
         """Like the function of this name."""
         count = self.read(fd, address, size)
-        ctypes.c_int64.from_address(word).value = len(b"".join(self.comes)) + max(count, 0)
+        ctypes.c_int64.from_address(word).value = len(b"".join(self.incoming)) + max(count, 0)
         return -EIO if count == 0 else max(count, 0) if count == -EAGAIN else count
 
     def write(self, fd: int, address: int, size: int) -> int:
@@ -152,13 +152,13 @@ class File:
         assert fd == self.number
         if self.error:
             return -self.error
-        taken = size if self.room is None else min(size, self.room)
-        if taken <= 0:
-            return -EAGAIN if taken == 0 else 0
-        self.sent.append(ctypes.string_at(int(address), taken))
+        count = size if self.room is None else min(size, self.room)
+        if count <= 0:
+            return -EAGAIN if count == 0 else 0
+        self.sent.append(ctypes.string_at(int(address), count))
         if self.room is not None:
-            self.room -= taken
-        return taken
+            self.room -= count
+        return count
 
 
 def matrix(q: NDArray[np.float64] | list[float]) -> NDArray[np.float64]:

@@ -39,7 +39,9 @@ def _external(name: str, signature: Any) -> Any:
         return lambda: [ctypes.get_errno()]
     function = _C[name]
     function.restype = _in_c(signature.return_type, result=True)
-    function.argtypes = [ctypes.c_void_p if isinstance(one, types.CPointer) else _in_c(one) for one in signature.args]
+    function.argtypes = [
+        ctypes.c_void_p if isinstance(kind, types.CPointer) else _in_c(kind) for kind in signature.args
+    ]
     return function
 
 
@@ -47,8 +49,8 @@ def _called(result: Any) -> Callable[[int, tuple[Any, ...]], Any]:
     """Call the function at an address with the values of a tuple, like proxy.kernels.jit.foreign."""
 
     def call(address: int, arguments: tuple[Any, ...]) -> Any:
-        given = [ctypes.c_double(one) if isinstance(one, float) else _whole(one) for one in arguments]
-        return ctypes.CFUNCTYPE(result, *(type(one) for one in given))(int(address))(*given)
+        values = [ctypes.c_double(value) if isinstance(value, float) else _whole(value) for value in arguments]
+        return ctypes.CFUNCTYPE(result, *(type(value) for value in values))(int(address))(*values)
 
     return call
 
@@ -115,7 +117,7 @@ def _in_c_function(self: Any) -> Any:
         signature = self._sig
         arguments = [_in_c(kind) for kind in signature.args]
         self.plain = ctypes.CFUNCTYPE(_in_c(signature.return_type), *arguments)(
-            lambda *given: self._pyfunc(*given)  # looked up at each call: a mistake may have been planted since
+            lambda *arguments: self._pyfunc(*arguments)  # looked up at each call: a mistake may have been planted since
         )
     return self.plain
 

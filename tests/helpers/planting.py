@@ -67,21 +67,21 @@ def _with(**fields: Any) -> Callable[[Any], ast.AST]:
 
 
 def _rules(node: ast.AST) -> Iterator[Rule]:
-    said = ast.unparse(node) if isinstance(node, ast.expr | ast.AugAssign) else ""
+    source = ast.unparse(node) if isinstance(node, ast.expr | ast.AugAssign) else ""
     match node:
         case ast.Compare():
             for place, before in enumerate(node.ops):
                 for after in _COMPARE[type(before)]:
                     ops = [after() if k == place else op for k, op in enumerate(node.ops)]
-                    yield f"{said}: {type(before).__name__} -> {after.__name__}", _with(ops=ops)
+                    yield f"{source}: {type(before).__name__} -> {after.__name__}", _with(ops=ops)
         case ast.BinOp() | ast.AugAssign() if type(node.op) in _ARITHMETIC:
-            other = _ARITHMETIC[type(node.op)]
-            yield f"{said}: {type(node.op).__name__} -> {other.__name__}", _with(op=other())
+            operator = _ARITHMETIC[type(node.op)]
+            yield f"{source}: {type(node.op).__name__} -> {operator.__name__}", _with(op=operator())
         case ast.BoolOp():
             either = ast.Or() if isinstance(node.op, ast.And) else ast.And()
-            yield f"{said}: {type(either).__name__}", _with(op=either)
+            yield f"{source}: {type(either).__name__}", _with(op=either)
         case ast.UnaryOp(op=ast.Not() | ast.USub() | ast.Invert()):
-            yield f"{said}: without {type(node.op).__name__}", lambda n: n.operand
+            yield f"{source}: without {type(node.op).__name__}", lambda n: n.operand
         case ast.Constant(value=bool(value)):
             yield f"{value} -> {not value}", _with(value=not value)
         case ast.Constant(value=int(value)):
@@ -89,9 +89,9 @@ def _rules(node: ast.AST) -> Iterator[Rule]:
         case ast.Constant(value=float(value)):
             yield f"{value} -> {2.0 * value or 1.0}", _with(value=2.0 * value or 1.0)
         case ast.Call(func=ast.Name(id="min" | "max" as name)):
-            yield f"{said}: {_EXCHANGED[name]}", _with(func=ast.Name(_EXCHANGED[name], ast.Load()))
+            yield f"{source}: {_EXCHANGED[name]}", _with(func=ast.Name(_EXCHANGED[name], ast.Load()))
         case ast.Call(args=[ast.Name() | ast.Attribute(), ast.Name() | ast.Attribute()]):
-            yield f"{said}: arguments swapped", _with(args=node.args[::-1])
+            yield f"{source}: arguments swapped", _with(args=node.args[::-1])
     if isinstance(node, ast.If | ast.While | ast.IfExp) and isinstance(node.test, ast.Name | ast.Attribute | ast.Call):
         yield f"not {ast.unparse(node.test)}", _with(test=ast.UnaryOp(ast.Not(), node.test))
     left_out = isinstance(node, ast.AugAssign | ast.Raise | ast.Break | ast.Continue)
@@ -117,7 +117,7 @@ def _skipped(node: ast.AST) -> set[int]:
         out = [node.annotation]
     elif isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Expr) and ast.unparse(node).startswith("log.")):
         out = [node]
-    return {id(below) for one in out if one is not None for below in ast.walk(one)}
+    return {id(below) for part in out if part is not None for below in ast.walk(part)}
 
 
 def _owners(tree: ast.Module) -> dict[int, str]:
@@ -165,15 +165,15 @@ def _constant_rules(value: ast.expr | None) -> list[str]:
 
 
 def functions_of(root: Path, files: set[str]) -> Functions:
-    found: dict[tuple[str, str], list[FunctionType]] = {}
+    functions: dict[tuple[str, str], list[FunctionType]] = {}
     gc.unfreeze()  # conftest.py has frozen the imported objects, which `get_objects` omits
-    for one in gc.get_objects():
-        if isinstance(one, FunctionType):
-            file = file_of(root, one.__code__)
+    for candidate in gc.get_objects():
+        if isinstance(candidate, FunctionType):
+            file = file_of(root, candidate.__code__)
             if file in files:
-                found.setdefault((file, one.__code__.co_qualname), []).append(one)
+                functions.setdefault((file, candidate.__code__.co_qualname), []).append(candidate)
     gc.freeze()
-    return found
+    return functions
 
 
 def file_of(root: Path, code: CodeType) -> str:
@@ -195,8 +195,8 @@ def plant(root: Path, mistake: Mistake, functions: Functions) -> None:
             for name, value in ast.iter_fields(parent):
                 if value is node:
                     setattr(parent, name, changed)
-                elif isinstance(value, list) and any(each is node for each in value):
-                    value[:] = [changed if each is node else each for each in value]
+                elif isinstance(value, list) and any(item is node for item in value):
+                    value[:] = [changed if item is node else item for item in value]
     code = compile(ast.fix_missing_locations(tree), f"{root}/.dev/softfinger/{mistake.file}", "exec", dont_inherit=True)
     for below in _codes(code):
         for function in functions.get((mistake.file, below.co_qualname), ()):
@@ -217,10 +217,10 @@ def _plant_constant(mistake: Mistake) -> None:
     if isinstance(before, dict):
         del before[list(before)[mistake.rule]]
         return
-    for other in list(sys.modules.values()):
-        same = getattr(other, "__dict__", {}).get(mistake.function) is before
-        if other is module or (same and _imports(other, mistake.function)):
-            setattr(other, mistake.function, 2 * before + 1)
+    for importer in list(sys.modules.values()):
+        same = getattr(importer, "__dict__", {}).get(mistake.function) is before
+        if importer is module or (same and _imports(importer, mistake.function)):
+            setattr(importer, mistake.function, 2 * before + 1)
 
 
 def _imports(module: ModuleType, name: str) -> bool:

@@ -19,35 +19,35 @@ def complaints(frames, monotonic=()):
         return [f"no msgpack: {error}"]
     if not isinstance(message, dict):
         return ["no map"]
-    found = []
+    faults = []
     timestamp = message.get("timestamp")
     if not isinstance(timestamp, float):
-        found.append("no timestamp as a float: it uses the time of receipt for ever")
+        faults.append("no timestamp as a float: it uses the time of receipt for ever")
     elif (timestamp > EPOCH_AFTER_S) == (topic.decode() in monotonic):
-        found.append(f"timestamp {timestamp} is of another clock than the other topics'")
+        faults.append(f"timestamp {timestamp} is of another clock than the other topics'")
     series = {}
-    _walk("", message, series, found)
-    return found
+    _walk("", message, series, faults)
+    return faults
 
 
-def _walk(name, value, series, found):
+def _walk(name, value, series, faults):
     if isinstance(value, dict):
         for key, child in value.items():
             if not isinstance(key, str):
-                found.append(f"key {key!r} of {name or 'the map'} is not text")
+                faults.append(f"key {key!r} of {name or 'the map'} is not text")
             else:
-                _walk(f"{name}/{key}" if name else key, child, series, found)
+                _walk(f"{name}/{key}" if name else key, child, series, faults)
     elif isinstance(value, list):
         for i, child in enumerate(value):
-            _walk(f"{name}[{i}]", child, series, found)
+            _walk(f"{name}[{i}]", child, series, faults)
     elif isinstance(value, bool | int | float):
         if name in series:
-            found.append(f"two values for the series {name}")
+            faults.append(f"two values for the series {name}")
         if not math.isfinite(value):
-            found.append(f"{name} is {value}: an empty series")
+            faults.append(f"{name} is {value}: an empty series")
         series[name] = value
     elif not isinstance(value, str):  # PlotJuggler ignores it
-        found.append(f"{name} is a {type(value).__name__}, which it does not read")
+        faults.append(f"{name} is a {type(value).__name__}, which it does not read")
 
 
 def prefix_complaints(topics):

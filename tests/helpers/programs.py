@@ -38,5 +38,7 @@ class Program(subprocess.Popen[Any]):
 def run_program(
     command: Sequence[Any], *, check: bool = False, timeout: float = 2.0 * LIMIT_S, **options: Any
 ) -> subprocess.CompletedProcess[str]:
-    """Run a program to its end; return its exit code and output as text."""
-    return subprocess.run(command, capture_output=True, text=True, check=check, timeout=timeout, **options)
+    """Run a program to its end; return its exit code and output as text. `check`: fail with its output unless 0."""
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout, **options)
+    assert not check or process.returncode == 0, f"exit {process.returncode}\n{process.stdout}{process.stderr}"
+    return process

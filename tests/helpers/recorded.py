@@ -31,8 +31,8 @@ def run() -> np.ndarray:
 
 
 def about(**changes: Any) -> dict[str, Any]:
-    said = {"scene": describe(load_scene(SCENE)), "rig": describe(load_rig("replay")), "scene_name": SCENE}
-    return said | {"rate_hz": 1000.0} | changes
+    header = {"scene": describe(load_scene(SCENE)), "rig": describe(load_rig("replay")), "scene_name": SCENE}
+    return header | {"rate_hz": 1000.0} | changes
 
 
 def recorded(path: Path, records: np.ndarray, events: list[dict[str, Any]] = (), **changes: Any) -> Path:

@@ -37,8 +37,8 @@ def board(
 def settle(device: SerialDevice, cable: Cable) -> None:
     """Wait until the board has received all that the driver has sent; after a stop, until a zero and no more."""
     until = time.monotonic() + 10.0
-    while cable.heard < FRAME_BYTES * device.counts()["written"] + device.counts()["kicks"]:
-        if device.counts()["dropped"] and not any(cable.board.force) and at_rest(lambda: cable.heard):
+    while cable.received_bytes < FRAME_BYTES * device.counts()["written"] + device.counts()["kicks"]:
+        if device.counts()["dropped"] and not any(cable.board.force) and at_rest(lambda: cable.received_bytes):
             return
         assert time.monotonic() < until, "the emulated board does not take its frames"
         time.sleep(0.0002)

@@ -16,8 +16,8 @@ def collect_shares(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[float]]:
     shares = defaultdict[str, list[float]](list)
 
     @contextmanager
-    def collect(what: str, total: int, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
-        yield lambda count: shares[what].append(count / total)
+    def collect(stage: str, total: int, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+        yield lambda count: shares[stage].append(count / total)
 
     monkeypatch.setattr(progress, "_lines", collect)
     monkeypatch.setattr(progress, "on_terminal", lambda: False)

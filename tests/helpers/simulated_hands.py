@@ -34,13 +34,13 @@ class SimulatedHands:
         owner = tuning.scene.bodies.block.owner
         self.model, self.data = owner.model, owner.data
         pairs = pair(scene, rig)
-        devices = [make_simulation(build(Options, each.device.options, each.table), 1.0 / DT) for each in pairs]
-        self._names = [each.finger for each in pairs]
+        devices = [make_simulation(build(Options, entry.device.options, entry.table), 1.0 / DT) for entry in pairs]
+        self._names = [entry.finger for entry in pairs]
         self._hands = tuple(
-            DrivenPlant(each.plant, PlantInputs(each.intention, each.poses, np.zeros(DELAY_LINE_SIZE)))
-            for each in devices
+            DrivenPlant(device.plant, PlantInputs(device.intention, device.poses, np.zeros(DELAY_LINE_SIZE)))
+            for device in devices
         )
-        self._loop = ClosedLoop(tuning, [each.state for each in devices])
+        self._loop = ClosedLoop(tuning, [device.state for device in devices])
         self._ticks = 0
         begin_bodies(tuning.scene, DT)
 

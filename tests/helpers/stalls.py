@@ -73,11 +73,11 @@ class Sleepers:
             assert program.stdin is not None
             program.stdin.write(b"\n")
             program.stdin.flush()
-        told = []
+        durations = []
         for program in self._programs:
             assert program.stdout is not None
-            told.append(float(program.stdout.readline()))
-        return max(told)
+            durations.append(float(program.stdout.readline()))
+        return max(durations)
 
     def rest(self) -> None:
         """Wait until the machine has been free of stalls for REST_S, at most REST_WAIT_S."""
@@ -134,12 +134,12 @@ class Patience:
                 break
             always_taken &= min(stall_s, taken_s() - before_s) >= TAKEN_S
             why = failed[0].longreprtext.strip().splitlines()[-1]
-            told = (REPEATED, f"{item.nodeid}: overslept {stall_s * 1e3:.0f} ms; {why}")
+            note = (REPEATED, f"{item.nodeid}: overslept {stall_s * 1e3:.0f} ms; {why}")
             if turn < TURNS and not kept_time:
-                item.user_properties.append(told)
+                item.user_properties.append(note)
                 self._sleepers.rest()
             else:
-                failed[0].user_properties.append(told)
+                failed[0].user_properties.append(note)
                 if self._put_off:
                     failed[0].user_properties.append((PUT_OFF, item.nodeid))
                     why = "put off until no other tests run"
@@ -158,14 +158,14 @@ class Patience:
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         reports = [report for kind in ("passed", "failed", "skipped") for report in terminalreporter.getreports(kind)]
-        told = [said for report in reports for said in getattr(report, "user_properties", ())]
-        if repeated := [text for name, text in told if name == REPEATED]:
+        notes = [note for report in reports for note in getattr(report, "user_properties", ())]
+        if repeated := [text for name, text in notes if name == REPEATED]:
             terminalreporter.section("repeated")
             for line in repeated:
                 terminalreporter.line(str(line))
         if self._put_off:
             with open(self._put_off, "w", encoding="utf-8") as file:
-                file.writelines(f"{test}\n" for name, test in told if name == PUT_OFF)
+                file.writelines(f"{test}\n" for name, test in notes if name == PUT_OFF)
 
     def pytest_unconfigure(self) -> None:
         if self._sleepers is not None:

@@ -40,7 +40,7 @@ def outside_at(balls: Balls, vertices: Array, normals: Array, radius: float, rng
     return int(some[int(free.argmax())])
 
 
-def ways(vertices: Array, normals: Array, at: int, ticks: int, radius: float, rng: np.random.Generator) -> Array:
+def vertex_path(vertices: Array, normals: Array, at: int, ticks: int, radius: float, rng: np.random.Generator) -> Array:
     """Return points (ticks, 3) m of the fingertip's centre: onto vertex `at`, to its neighbours, up, to the next."""
     corners, times = [vertices[at] + 2.0 * radius * normals[at]], [0.0]
 
@@ -55,15 +55,15 @@ def ways(vertices: Array, normals: Array, at: int, ticks: int, radius: float, rn
         go_to(2.0 * radius)
         go_to(radius - depth)
         for _ in range(int(rng.integers(0, 5))):
-            at = beside(vertices, at, radius, rng)
+            at = neighbour_of(vertices, at, radius, rng)
             go_to(radius - depth)
         go_to(2.0 * radius)
-        at = int(rng.integers(len(vertices))) if rng.uniform() < FAR else beside(vertices, at, radius, rng)
+        at = int(rng.integers(len(vertices))) if rng.uniform() < FAR else neighbour_of(vertices, at, radius, rng)
     at_ticks = TICK_S * np.arange(ticks)
     return np.stack([np.interp(at_ticks, times, axis) for axis in np.array(corners).T], axis=1)
 
 
-def beside(vertices: Array, at: int, radius: float, rng: np.random.Generator) -> int:
+def neighbour_of(vertices: Array, at: int, radius: float, rng: np.random.Generator) -> int:
     """Return a vertex close to another, or that vertex if there is none."""
     others = rng.integers(len(vertices), size=2000)
     apart = np.linalg.norm(vertices[others] - vertices[at], axis=1)
@@ -79,4 +79,4 @@ def hand(mesh: Mesh, ticks: int, radius: float, rng: np.random.Generator) -> Arr
     at = outside_at(balls_of(points, corners), vertices, normals, radius, rng)
     axis = rng.normal(size=3)
     turned = spun(axis / np.linalg.norm(axis), np.sin(2.0 * TICK_S * np.arange(ticks)))
-    return posed(ways(vertices, normals, at, ticks, radius, rng), turned)
+    return posed(vertex_path(vertices, normals, at, ticks, radius, rng), turned)

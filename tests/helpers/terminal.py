@@ -65,8 +65,8 @@ def on_terminal(
     """Run a program on a terminal, and yield its output as it arrives."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-    kept = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
-    environment = kept | {"TERM": "xterm-256color"} | variables
+    inherited = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
+    environment = inherited | {"TERM": "xterm-256color"} | variables
 
     def written() -> Iterator[str]:
         rest = b""

@@ -60,7 +60,7 @@ def thread(core: float = 0.01, height: float = 0.003, length: float = 0.04, turn
 
 
 def bar(size: tuple[float, float, float]) -> Mesh:
-    x, y, z = (0.5 * each for each in size)
+    x, y, z = (0.5 * extent for extent in size)
     corners = np.array([(i, j, k) for i in (-x, x) for j in (-y, y) for k in (-z, z)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
@@ -71,13 +71,13 @@ def lattice(pitch: float = 0.015, bars: int = 3, width: float = 0.001) -> Mesh:
     """Bars along each axis that intersect, 1 mm wide."""
     places = pitch * (np.arange(bars) - 0.5 * (bars - 1))
     length = pitch * bars
-    found = []
+    meshes = []
     for a in places:
         for b in places:
-            found.append(moved(bar((length, width, width)), (0.0, float(a), float(b))))
-            found.append(moved(bar((width, length, width)), (float(a), 0.0, float(b))))
-            found.append(moved(bar((width, width, length)), (float(a), float(b), 0.0)))
-    return joined(*found)
+            meshes.append(moved(bar((length, width, width)), (0.0, float(a), float(b))))
+            meshes.append(moved(bar((width, length, width)), (float(a), 0.0, float(b))))
+            meshes.append(moved(bar((width, width, length)), (float(a), float(b), 0.0)))
+    return joined(*meshes)
 
 
 def needles(count: int = 9, length: float = 0.03, radius: float = 0.0008, spread: float = 0.02) -> Mesh:
@@ -85,9 +85,9 @@ def needles(count: int = 9, length: float = 0.03, radius: float = 0.0008, spread
     angle = 2.0 * np.pi * np.arange(8) / 8
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(8, -0.5 * length)])
     corners = np.vstack([ring, [(0.0, 0.0, 0.5 * length), (0.0, 0.0, -0.5 * length)]])
-    faces = [each for k in range(8) for each in ((k, (k + 1) % 8, 8), ((k + 1) % 8, k, 9))]
-    one = Mesh(corners, np.array(faces, np.int32))
-    return joined(*(moved(one, (float(x), float(y), 0.0)) for x, y in rng.uniform(-spread, spread, (count, 2))))
+    faces = [face for k in range(8) for face in ((k, (k + 1) % 8, 8), ((k + 1) % 8, k, 9))]
+    needle = Mesh(corners, np.array(faces, np.int32))
+    return joined(*(moved(needle, (float(x), float(y), 0.0)) for x, y in rng.uniform(-spread, spread, (count, 2))))
 
 
 KINDS = {

@@ -25,7 +25,7 @@ SLIPPERY = {"friction": {"static": 0.0, "kinetic": 0.0}}
 """Material with a friction coefficient of zero: compiled code with friction, with other numbers."""
 
 
-def saved(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: str = "part.ply") -> str:
+def write_part(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: str = "part.ply") -> str:
     """Write a binary PLY of `vertices` (n, 3) m and `triangles` (m, 3); return its path."""
     points, corners = np.asarray(vertices, "<f8"), np.asarray(triangles)
     head = (
@@ -40,7 +40,7 @@ def saved(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: str = "
     return str(path)
 
 
-def thing(name: str, shape: str, **keys: Any) -> dict[str, Any]:
+def make_object(name: str, shape: str, **keys: Any) -> dict[str, Any]:
     """Return an object; `material` has the named keys, of which None removes one."""
     material = {"stiffness_n_per_m": 1000.0, "friction": FRICTION, "torsion": TORSION} | keys.pop("material", {})
     return {"name": name, "shape": shape, "material": {k: v for k, v in material.items() if v is not None}, **keys}
@@ -85,7 +85,7 @@ def posed(points: ArrayLike, turned: Array | None = None) -> Array:
     return np.hstack([places, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)) if turned is None else turned])
 
 
-def go(running: Engine, points: ArrayLike, turned: Array | None = None) -> Array:
+def visit(running: Engine, points: ArrayLike, turned: Array | None = None) -> Array:
     """Return the records of a visit to each of `points` (n, 3)."""
     return running.run(posed(points, turned))
 
@@ -101,7 +101,7 @@ def wander(seed: int, ticks: int, reach: float, speed: float = 1e-4) -> Array:
     rng = np.random.default_rng(seed)
     waves = rng.normal(size=(6, 3, 2)) / np.arange(1, 7)[:, None, None]
     t = np.arange(ticks)[:, None] * speed / reach
-    way = np.zeros((ticks, 3))
+    path = np.zeros((ticks, 3))
     for k, a in enumerate(waves):
-        way += a[:, 0] * np.sin((k + 1) * t) + a[:, 1] * np.cos((k + 1) * t)
-    return reach * way / np.abs(way).max()
+        path += a[:, 0] * np.sin((k + 1) * t) + a[:, 1] * np.cos((k + 1) * t)
+    return reach * path / np.abs(path).max()

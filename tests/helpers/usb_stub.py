@@ -89,9 +89,9 @@ class UsbStub:
 
     def fuzz(self, device: Falcon, ticks: int) -> list[int]:
         """Run this number of ticks in C against corrupted replies; return the stub's counts."""
-        io, seen = device.io(), Counts()
-        self._library.stub_fuzz(io.read, io.write, io.handle, io.handle + 8 * AT.counts, SAMPLE_SIZE, ticks, seen)
-        return list(seen)
+        io, counts = device.io(), Counts()
+        self._library.stub_fuzz(io.read, io.write, io.handle, io.handle + 8 * AT.counts, SAMPLE_SIZE, ticks, counts)
+        return list(counts)
 
 
 def word(device: Falcon, place: int) -> int:
@@ -136,8 +136,8 @@ def stub(usb_library: Path) -> Iterator[UsbStub]:
 
 def options(**changes: Any) -> Options:
     """Return the [device] table of the shipped rig with changed keys and a known gain of the motors."""
-    given = {**load_rig("falcon").device.options, "counts_per_nm": 10000.0, **changes}
-    return build(Options, given, "falcon [device]")
+    keys = {**load_rig("falcon").device.options, "counts_per_nm": 10000.0, **changes}
+    return build(Options, keys, "falcon [device]")
 
 
 class FalconBench(Bench):

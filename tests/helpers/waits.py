@@ -15,17 +15,17 @@ from softfinger.server.driver_contract import Servo
 WAIT_S = 120.0
 
 
-def eventually(what: Callable[[], Any], seconds: float = WAIT_S, every_s: float = 0.001) -> Any:
+def eventually(condition: Callable[[], Any], seconds: float = WAIT_S, every_s: float = 0.001) -> Any:
     """Wait until a function returns a true value; return its last value."""
     end = time.monotonic() + seconds
-    while not (found := what()) and time.monotonic() < end:
+    while not (value := condition()) and time.monotonic() < end:
         time.sleep(every_s)
-    return found
+    return value
 
 
-def until(what: Callable[[], Any], seconds: float = WAIT_S, said: str = "") -> None:
+def until(condition: Callable[[], Any], seconds: float = WAIT_S, message: str = "") -> None:
     """Fail unless a function returns a true value in time."""
-    assert eventually(what, seconds), f"{said or 'the condition'}: not within {seconds} s"
+    assert eventually(condition, seconds), f"{message or 'the condition'}: not within {seconds} s"
 
 
 def fresh(servo: Servo) -> list[float]:

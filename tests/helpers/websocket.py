@@ -36,9 +36,9 @@ class Viewer:
         while True:
             kind, data = self._frame()
             if kind == TEXT:
-                said = json.loads(data)
-                if said["op"] == "advertise":
-                    self._subscribe(said["channels"])
+                message = json.loads(data)
+                if message["op"] == "advertise":
+                    self._subscribe(message["channels"])
             elif kind == BINARY and data[0] == 1:
                 number, time_ns = struct.unpack_from("<IQ", data, 1)
                 yield self._subscribed[number], time_ns, data[13:]

@@ -59,6 +59,6 @@ class BeadsTable(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="
 
 
 @shape_bodies.register
-def _beads(thing: BeadsTable) -> list[Body]:
-    balls = np.loadtxt(thing.balls_file, ndmin=2)
+def _beads(table: BeadsTable) -> list[Body]:
+    balls = np.loadtxt(table.balls_file, ndmin=2)
     return [Body(Beads(float(len(balls)), ReadOnly(balls)))]

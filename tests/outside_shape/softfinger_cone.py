@@ -59,5 +59,5 @@ class ConeTable(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="c
 
 
 @shape_bodies.register
-def _cone(thing: ConeTable) -> list[Body]:
-    return [Body(Cone(sin(thing.half_angle_rad), cos(thing.half_angle_rad)))]
+def _cone(table: ConeTable) -> list[Body]:
+    return [Body(Cone(sin(table.half_angle_rad), cos(table.half_angle_rad)))]

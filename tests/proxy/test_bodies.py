@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from helpers.refusals import refusal
 from numpy.typing import NDArray
 from scipy.special import ellipk
 
@@ -174,8 +175,8 @@ def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path
 
     cone = static * press
     assert slips_at(0.0, 3.0, 0.0)[0] == pytest.approx(cone, rel=0.01)
-    left = math.sqrt(1.0 - 0.6**2) if model_of_torsion == "limit_surface" else 1.0
-    assert slips_at(0.6 * cone, 0.0, 0.01)[1] == pytest.approx(left * length * press, rel=0.01)
+    share = math.sqrt(1.0 - 0.6**2) if model_of_torsion == "limit_surface" else 1.0
+    assert slips_at(0.6 * cone, 0.0, 0.01)[1] == pytest.approx(share * length * press, rel=0.01)
 
 
 def test_body_gets_the_opposite_wrench_of_the_fingers(tmp_path: Path) -> None:
@@ -203,7 +204,7 @@ BODIES = [
 
 
 @pytest.mark.parametrize(("mass", "substeps"), BODIES)
-@pytest.mark.parametrize("stiffness", [*(pytest.param(each, marks=REST) for each in (200.0, 1000.0)), 3000.0])
+@pytest.mark.parametrize("stiffness", [*(pytest.param(stiffness, marks=REST) for stiffness in (200.0, 1000.0)), 3000.0])
 def test_a_held_body_comes_to_rest(mass: float, substeps: int, stiffness: float, tmp_path: Path) -> None:
     path = box(tmp_path, mass, gravity=0.0)
     Path(path).write_text(Path(path).read_text().replace('"0.001" integ', f'"{0.001 / substeps}" integ'))
@@ -245,7 +246,7 @@ def test_dampers_that_fit_a_heavy_body_stop_it(mass: float, stiffness: float, tm
 
 def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
     hand_path = pinch(150, 3.0, offset=0.008, height=HALF)
-    engine, other = (held_by_two(box(tmp_path, floor=FLOOR, height=HALF)) for _ in range(2))
+    engine, second_engine = (held_by_two(box(tmp_path, floor=FLOOR, height=HALF)) for _ in range(2))
     first = engine.run(hand_path)["thumb"].copy()
     place = engine.data.qpos.copy()
     engine.set("coupling.damping_ns_per_m", 1.5)
@@ -256,9 +257,9 @@ def test_the_same_poses_give_the_same_bits(tmp_path: Path) -> None:
     with pytest.raises(PoseError, match="the bodies of"):
         engine.run(hand_path, 0.002)
     engine.reset()
-    for again in (engine, other):
-        np.testing.assert_array_equal(again.run(hand_path)["thumb"], first)
-        np.testing.assert_array_equal(again.data.qpos, place)
+    for running in (engine, second_engine):
+        np.testing.assert_array_equal(running.run(hand_path)["thumb"], first)
+        np.testing.assert_array_equal(running.data.qpos, place)
 
 
 SHAPES = """
@@ -290,9 +291,9 @@ def test_geoms_have_the_distances_of_mujoco(tmp_path: Path) -> None:
     world = advance(engine.scene.objects, start_state(engine.scene).world, 1e-3)
     objects = place_all(engine.scene.objects, world)
     random = np.random.default_rng(1)
-    for row, thing in enumerate(engine.config.object):
+    for row, entry in enumerate(engine.config.object):
         placed = object_at(objects, float(row))
-        geom = engine.model.geom(thing.name).id
+        geom = engine.model.geom(entry.name).id
         for _ in range(20):
             x = engine.data.geom_xpos[geom] + random.uniform(-0.1, 0.1, 3)
             engine.data.mocap_pos[0] = x
@@ -301,7 +302,7 @@ def test_geoms_have_the_distances_of_mujoco(tmp_path: Path) -> None:
             ours = closest_on(placed.shape, placed.pose, tuple(x))[0]
             # MuJoCo searches ellipsoids and cylinders to a tolerance of 1e-6 m; inside it measures another distance
             if theirs > 0.0:
-                assert ours - 0.001 == pytest.approx(theirs, abs=2e-6), thing.name
+                assert ours - 0.001 == pytest.approx(theirs, abs=2e-6), entry.name
 
 
 @PLAIN_ONLY
@@ -344,7 +345,7 @@ def test_rules_select_the_material_of_each_geom(tmp_path: Path) -> None:
         {"name": "d", "material": {"stiffness_n_per_m": 5.0}},
     ]
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": str(path), "geom": rules}})
-    assert {thing.name: thing.material.stiffness_n_per_m for thing in scene.object} == {"a": 4, "b": 2, "c": 3, "d": 5}
+    assert {entry.name: entry.material.stiffness_n_per_m for entry in scene.object} == {"a": 4, "b": 2, "c": 3, "d": 5}
     assert scene.world is not None
     notes = {geom.name: geom.note for geom in convert_geoms(scene.world)}
     assert "does not collide" in notes["geom-3"] and "without an end" in notes["d"]
@@ -490,10 +491,9 @@ def test_an_unusable_model_raises_one_clear_error(name: str, tmp_path: Path) -> 
         '<mujoco><asset><mesh name="s" file="../secret.stl"/></asset><worldbody><body name="b">'
         '<geom type="mesh" mesh="s"/></body></worldbody></mujoco>'
     )
-    with pytest.raises(ConfigError) as error:
-        Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
-    assert expected in str(error.value) and "hostile.xml" in str(error.value)
-    assert "\n" not in str(error.value) and len(str(error.value)) < 500
+    message = refusal(Engine, {"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": RUBBER}})
+    assert expected in message and "hostile.xml" in message
+    assert "\n" not in message and len(message) < 500
 
 
 WRONG: dict[str, Callable[[dict[str, Any]], Any]] = {
@@ -528,9 +528,7 @@ def test_a_scene_that_does_not_fit_its_world_is_refused(name: str, tmp_path: Pat
         "world": {"model": box(tmp_path, height=0.1), "material": RUBBER},
     }
     WRONG[name](scene)
-    with pytest.raises(ConfigError) as error:
-        Engine(scene)
-    assert "\n" not in str(error.value)
+    assert "\n" not in refusal(Engine, scene)
 
 
 def test_an_object_replaces_a_geom_and_moves_with_a_body(tmp_path: Path) -> None:
@@ -542,7 +540,7 @@ def test_an_object_replaces_a_geom_and_moves_with_a_body(tmp_path: Path) -> None
             "object": [ring | {"motion": {"kind": "body", "body": "box"}}],
         }
     )
-    assert [thing.name for thing in engine.config.object] == ["ring", "box"]
+    assert [entry.name for entry in engine.config.object] == ["ring", "box"]
     engine.run([[0.03, 0.0, 0.02 - 1e-4 * k, 1.0, 0.0, 0.0, 0.0] for k in range(120)])
     assert engine.data.qvel[2] < 0.0 and engine.data.qvel[4] > 0.0  # pushed down, and turned by the lever arm
 

@@ -37,7 +37,7 @@ GEOMS = {
 }
 
 
-def made(folder: Path, kind: str) -> Engine:
+def make_engine(folder: Path, kind: str) -> Engine:
     """Engine with the geom on a free weightless body, far above a floor; the model's file is in `folder`."""
     assets = {"hfield": f"<{HILLS.format(ELEVATIONS)}/>", "mesh": '<mesh name="blob" file="blob.stl"/>'}
     blob = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
@@ -62,12 +62,12 @@ def visit(random: np.random.Generator, above: bool) -> Array:
         start[2] = abs(start[2]) + 2.0
     start /= np.linalg.norm(start)
     near, far = random.uniform(0.004, 0.007), 2.5 * (R + SIZE)
-    way = [start * far, start * near]
+    corners = [start * far, start * near]
     aside = np.cross(start, random.normal(size=3))
-    way.append(way[-1] + 0.006 * aside / np.linalg.norm(aside))
+    corners.append(corners[-1] + 0.006 * aside / np.linalg.norm(aside))
     leaving = start + 0.8 * aside / np.linalg.norm(aside)
-    way.append(way[-1] + 2.0 * far * leaving / np.linalg.norm(leaving))
-    legs = [np.linspace(a, b, max(int(np.linalg.norm(b - a) / STEP), 2), endpoint=False) for a, b in pairwise(way)]
+    corners.append(corners[-1] + 2.0 * far * leaving / np.linalg.norm(leaving))
+    legs = [np.linspace(a, b, max(int(np.linalg.norm(b - a) / STEP), 2), endpoint=False) for a, b in pairwise(corners)]
     places = np.concatenate(legs)
     turned = np.cumsum(np.full((len(places), 1), 1e-3), axis=0) * random.normal(size=3)
     quaternions = np.hstack([np.ones((len(places), 1)), 0.5 * turned])
@@ -79,7 +79,7 @@ def visit(random: np.random.Generator, above: bool) -> Array:
 @pytest.mark.parametrize("kind", GEOMS)
 def test_a_probe_clear_of_a_body_gets_zero_force(kind: str, tmp_path: Path, cases: Any) -> None:
     """Clear means farther from the geom's middle than geom and fingertip reach, or above a height field's maximum."""
-    random, engine = np.random.default_rng(7), made(tmp_path, kind)
+    random, engine = np.random.default_rng(7), make_engine(tmp_path, kind)
     for _ in range(cases(2, 40)):
         engine.reset()
         engine.data.qvel[:] = [*random.uniform(-0.05, 0.05, 3), *random.uniform(-1.0, 1.0, 3)]

@@ -12,8 +12,8 @@ pytestmark = pytest.mark.plain
 
 @entry
 def solve(count, n1, n2, n3, b1, b2, b3):
-    held = solve_half_spaces(count, n1, n2, n3, b1, b2, b3)
-    return held.push, displacement(held.place, n1, n2, n3)
+    solution = solve_half_spaces(count, n1, n2, n3, b1, b2, b3)
+    return solution.push, displacement(solution.place, n1, n2, n3)
 
 
 def unit(rng):

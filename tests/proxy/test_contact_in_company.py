@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import meshes, touching
 from helpers.hostile_meshes import bar
-from helpers.touching import Array, posed, saved
+from helpers.touching import Array, posed, write_part
 from references.laws import LAWS
 from references.rotation import quaternion
 
@@ -61,8 +61,8 @@ SHIFTED = ["contact.object", *(f"contacts{i}.object" for i in range(3))]
 """Fields with an object index, which changes if other objects precede the object."""
 
 
-def far(material: dict[str, Any]) -> list[dict[str, Any]]:
-    return [each | {"material": material} for each in FAR]
+def distant_objects(material: dict[str, Any]) -> list[dict[str, Any]]:
+    return [entry | {"material": material} for entry in FAR]
 
 
 def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **tables: Any) -> Engine:
@@ -71,11 +71,11 @@ def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **table
     return touching.engine(*objects, **own | tables)
 
 
-def thing(shape: str, folder: Path, material: dict[str, Any]) -> dict[str, Any]:
-    if shape == "mesh box":
-        return {"name": "it", "shape": "mesh", "file": saved(folder, *bar(0.02, 0.0175, 0.015)), "material": material}
-    if shape == "mesh ball":
-        return {"name": "it", "shape": "mesh", "file": saved(folder, *meshes.geodesic(6, BALL)), "material": material}
+def make_table(shape: str, folder: Path, material: dict[str, Any]) -> dict[str, Any]:
+    solids = {"mesh box": lambda: bar(0.02, 0.0175, 0.015), "mesh ball": lambda: meshes.geodesic(6, BALL)}
+    if shape in solids:
+        file = write_part(folder, *solids[shape]())
+        return {"name": "it", "shape": "mesh", "file": file, "material": material}
     return {"name": "it", **SHAPES[shape], "material": material}
 
 
@@ -104,16 +104,16 @@ def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:
 
 
 def check_out_of_reach(shape: str, method: str | None, folder: Path, material: dict[str, Any], **tables: Any) -> None:
-    it, others = thing(shape, folder, material), far(material)
+    it, others = make_table(shape, folder, material), distant_objects(material)
     poses = handling(300, 11, 0.012 if "hollow" in shape else 0.016)[::2]
     if shape == "plane":
         poses[:, 2] += R
     alone, company = engine([it], method, **tables), engine([others[0], it, *others[1:]], method, **tables)
     if "finger" in tables:
         both = {"thumb": poses, "index": handling(300, 12, 0.016)[::2]}
-        one, several = alone.run(both), company.run(both)
+        single, several = alone.run(both), company.run(both)
         for name in both:
-            assert_same_but_for_numbers(one[name], several[name], 1)
+            assert_same_but_for_numbers(single[name], several[name], 1)
         return
     assert_same_but_for_numbers(alone.run(poses), company.run(poses), 1)
 
@@ -153,8 +153,8 @@ def test_an_object_out_of_reach_changes_no_bit_under_any_law(shape: str, law: st
 
 @pytest.mark.parametrize("shape", ["plane", "sphere", "cylinder"])
 def test_an_object_out_of_reach_changes_no_bit_for_an_ellipsoid(shape: str, tmp_path: Path) -> None:
-    others = [each | {"material": GRIP} for each in FAR if each["shape"] != "box"]  # an ellipsoid cannot touch boxes
-    it, form = thing(shape, tmp_path, GRIP), {"radii_m": [0.01, 0.008, 0.012]}
+    others = [entry | {"material": GRIP} for entry in FAR if entry["shape"] != "box"]  # an ellipsoid cannot touch boxes
+    it, form = make_table(shape, tmp_path, GRIP), {"radii_m": [0.01, 0.008, 0.012]}
     poses = handling(300, 11, 0.016)[::2] + np.array([0.0, 0.0, R if shape == "plane" else 0.0, 0.0, 0.0, 0.0, 0.0])
     alone, company = engine([it], "midpoint", fingertip=form), engine([*others, it], "midpoint", fingertip=form)
     assert_same_but_for_numbers(alone.run(poses), company.run(poses), 2)
@@ -169,7 +169,7 @@ COMPANY = [pytest.param(False, id="alone"), pytest.param(True, id="in company")]
 
 
 def with_company(it: dict[str, Any], company: bool) -> list[dict[str, Any]]:
-    return [*far(it["material"])[:1], it] if company else [it]
+    return [*distant_objects(it["material"])[:1], it] if company else [it]
 
 
 def line(*corners: Sequence[float], ticks: int = 50) -> Array:
@@ -232,7 +232,7 @@ def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, c
     if kind == "box":
         it = {"name": "it", "shape": "box", "size_m": [2 * half] * 3, "material": STICKY}
     else:
-        it = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *bar(half, half, half)), "material": STICKY}
+        it = {"name": "it", "shape": "mesh", "file": write_part(tmp_path, *bar(half, half, half)), "material": STICKY}
     n, across = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0), np.array([1.0, 0.0, -1.0]) / np.sqrt(2.0)
     corner = np.array([half, 0.0, half])
     places = [corner + (R + 1e-3) * n, corner + (R - deep) * n, corner + (R - deep) * n + 2e-4 * across]
@@ -244,7 +244,7 @@ def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, c
 @pytest.mark.exhaustive
 def test_a_contact_that_sticks_to_a_mesh_sphere(tmp_path: Path) -> None:
     ball = meshes.geodesic(24, BALL)
-    it = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *ball), "material": STICKY}
+    it = {"name": "it", "shape": "mesh", "file": write_part(tmp_path, *ball), "material": STICKY}
     n = ball.vertices[0] / BALL
     across = np.cross(n, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
@@ -271,11 +271,11 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> N
         for name, side in (("thumb", -1.0), ("index", 1.0))
     }
     records = running.run(pinch, dt)
-    held = {name: poses[-1:] for name, poses in pinch.items()}
+    last_poses = {name: poses[-1:] for name, poses in pinch.items()}
     # The squared frequency follows from the force on the sphere at a small displacement, compared with 2 K_t.
     u = 2e-5
     running.set("object.it.position_m", [u, 0.0, 0.0])
-    records = running.run(held, dt)
+    records = running.run(last_poses, dt)
     on_ball = -sum(float(record["force"][-1, 0]) for record in records.values())
     frequency, expected = np.sqrt(-on_ball / u / mass), np.sqrt(2.0 * K / mass)
     assert frequency == pytest.approx(expected, rel=1e-4)
@@ -336,7 +336,7 @@ def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, company: bool, 
     """
     half = (0.02, 0.0175, 0.015)
     box = {"name": "it", "shape": "box", "size_m": [2.0 * h for h in half], "material": GRIP}
-    mesh = {"name": "it", "shape": "mesh", "file": saved(tmp_path, *bar(*half)), "material": GRIP}
+    mesh = {"name": "it", "shape": "mesh", "file": write_part(tmp_path, *bar(*half)), "material": GRIP}
     places = over_a_box(seed, half, 700)
     poses = posed(places)
     solid, made = engine([box]).run(poses), engine(with_company(mesh, company)).run(poses)

@@ -120,15 +120,15 @@ def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> No
 
 @pytest.mark.scaled
 def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: Cases) -> None:
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for seed in SEEDS[: cases(FEW, len(SEEDS))]:
         rng = np.random.default_rng(seed)
         scene, q = random_case(rng, plane_scene)
         records = Engine(scene).run(np.array(random_motion(rng, q).poses), DT)
         for cause in records["contact.cause"]:
-            seen[CAUSE_NAMES[int(cause)]] = seen.get(CAUSE_NAMES[int(cause)], 0) + 1
+            counts[CAUSE_NAMES[int(cause)]] = counts.get(CAUSE_NAMES[int(cause)], 0) + 1
     of_one_object = set(CAUSE_NAMES) - {"restart"}  # restarts occur only on meshes
-    assert all(seen.get(cause, 0) >= 5 for cause in of_one_object), seen
+    assert all(counts.get(cause, 0) >= 5 for cause in of_one_object), counts
 
 
 def test_large_rotations_in_one_tick(plane_scene: SceneFactory) -> None:

@@ -22,12 +22,12 @@ POSE = [0.001, 0.0, 0.0095], [1.0, 0.0, 0.0, 0.0]
 def test_a_copy_continues(scene: str, duplicate: Callable[[Engine], Engine]) -> None:
     engine = Engine(scene)
     engine.step(*POSE)
-    other = duplicate(engine)
+    copied = duplicate(engine)
     for x in (0.002, 0.003):
         pose: Any = [x, 0.0, 0.009], POSE[1]
-        np.testing.assert_array_equal(other.step(*pose).record, engine.step(*pose).record)
+        np.testing.assert_array_equal(copied.step(*pose).record, engine.step(*pose).record)
     before, third = engine._state.copy(), duplicate(engine)
-    other.reset()
-    other.step(*POSE)
+    copied.reset()
+    copied.step(*POSE)
     np.testing.assert_array_equal(engine._state, before)
     np.testing.assert_array_equal(engine.step(*POSE).record, third.step(*POSE).record)

@@ -47,7 +47,7 @@ FRICTION: Final[list[dict[str, Any]]] = [
 ]
 
 
-def handled(rng: np.random.Generator, ticks: int) -> Array:
+def random_poses(rng: np.random.Generator, ticks: int) -> Array:
     """Poses (ticks, 7) in and out of an object at the origin, by up to 5 mm and 0.2 rad per tick."""
     t = 0.001 * np.arange(ticks)[:, None]
     rates, phases = rng.uniform(2.0, 40.0, (3, 3)), rng.uniform(0.0, 6.0, (3, 3))
@@ -74,12 +74,12 @@ def test_the_depth_is_never_negative(
     touched = 0
     for number in range(cases(3, 300)):
         stuff = {"stiffness_n_per_m": 1000.0} | NORMAL[number % 3] | FRICTION[(number // 3 + number) % 3]
-        things = [
+        objects = [
             SHAPES[shape] | {"name": f"{shape}-{k}", "material": stuff, "position_m": [0.004 * k, 0.0, 0.001 * k]}
             for k in range(count)
         ]
-        scene = load_scene({"fingertip": {"radius_m": R}, "object": things})
-        records = Engine(scene).run(handled(rng, cases(100, 150)))
+        scene = load_scene({"fingertip": {"radius_m": R}, "object": objects})
+        records = Engine(scene).run(random_poses(rng, cases(100, 150)))
         depth, force = records["contact.penetration"], records["contact.normal_force"]
         assert (depth >= 0.0).all(), (number, depth.min())
         assert (depth[records["contact.mode"] == 0] == 0.0).all()

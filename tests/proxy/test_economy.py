@@ -123,8 +123,8 @@ def scene(name: str) -> schema.Scene:
     table |= {key: changes[key] for key in ("motion", "texture") if key in changes}
     tables = {key: changes[key] for key in ("rolling", "effect") if key in changes}
     tables["fingertip"] = {"radius_m": 0.01} | changes.get("fingertip", {})
-    things = [table, *(thing | stuff for thing in changes.get("others", []))]
-    return build(schema.Scene, {"object": things, **tables}, name)
+    objects = [table, *(entry | stuff for entry in changes.get("others", []))]
+    return build(schema.Scene, {"object": objects, **tables}, name)
 
 
 @functools.cache
@@ -228,23 +228,22 @@ def in_a_process(*code: str) -> dict[str, dict[str, Any]]:
     path = os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])
     environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "12345"}
     script = "\n".join([*code, "print(json.dumps(found))"])
-    done = run_program([sys.executable, "-c", script], env=environment)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, dict[str, Any]] = json.loads(done.stdout)
-    return found
+    process = run_program([sys.executable, "-c", script], env=environment, check=True)
+    reports: dict[str, dict[str, Any]] = json.loads(process.stdout)
+    return reports
 
 
 @pytest.mark.exhaustive
 def test_an_unused_surface_does_not_change_compiled_code() -> None:
     names = ["bare", "whole"]
-    found = in_a_process(REGISTER, COMPILE % names, USE)
+    reports = in_a_process(REGISTER, COMPILE % names, USE)
     for name in names:
-        assert found[name]["body"] == compiled(name).body
-        assert set(found[name]["kernels"]) == compiled(name).kernels
+        assert reports[name]["body"] == compiled(name).body
+        assert set(reports[name]["kernels"]) == compiled(name).kernels
     # The comparison is sensitive to a part, and the surface was registered: a scene that uses it contains its kernel.
-    bodies = [found[name]["body"] for name in found] + [compiled("friction").body, compiled("second object").body]
+    bodies = [reports[name]["body"] for name in reports] + [compiled("friction").body, compiled("second object").body]
     assert len(set(bodies)) == len(bodies)
-    assert "rest_on_curved" in {kernel.split(".")[-1] for kernel in found["new"]["kernels"]}
+    assert "rest_on_curved" in {kernel.split(".")[-1] for kernel in reports["new"]["kernels"]}
 
 
 def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
@@ -261,12 +260,12 @@ def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
     assert machines == set(get_args(schema.StateMachine))
     options = {key for key in schema.Friction.__struct_fields__ if key not in {"static", "kinetic"}}
 
-    def given(s: schema.Scene) -> set[str]:
+    def friction_keys(s: schema.Scene) -> set[str]:
         present = [t.material.friction for t in s.object if t.material.friction]
         return {key for friction in present for key in options if getattr(friction, key) is not None}
 
     # Static friction may also depend on direction: the same code with other numbers.
-    assert news(given) == options - {"static_scale"}
+    assert news(friction_keys) == options - {"static_scale"}
     assert news(lambda s: {t.material.torsion.model for t in s.object if t.material.torsion}) == set(
         get_args(schema.TorsionModel)
     )

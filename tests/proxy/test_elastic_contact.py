@@ -29,19 +29,19 @@ HEIGHT, RADIUS, STIFFNESS, SIDE = 0.02, 0.008, 1000.0, 800.0
 
 def scene(friction: bool = False, fingers: int = 1, **values: Any) -> Any:
     """Return the pad of `press-a-pad`, which needs no solver, with `values` in its table `elastic`."""
-    thing = describe(load_scene("press-a-pad"))["object"][0]
+    pad = describe(load_scene("press-a-pad"))["object"][0]
     material: dict[str, Any] = {"stiffness_n_per_m": STIFFNESS}
     if friction:
         material["friction"] = {"static": 0.6, "kinetic": 0.5}
-    elastic = thing["elastic"] | {"damping_s": 0.0} | values
-    return scene_of(thing | {"elastic": elastic, "material": material, "position_m": [0.0, 0.0, 0.0]}, fingers)
+    elastic = pad["elastic"] | {"damping_s": 0.0} | values
+    return scene_of(pad | {"elastic": elastic, "material": material, "position_m": [0.0, 0.0, 0.0]}, fingers)
 
 
-def scene_of(thing: dict[str, Any], fingers: int = 1) -> Any:
+def scene_of(pad: dict[str, Any], fingers: int = 1) -> Any:
     tips: dict[str, Any] = {"fingertip": {"radius_m": RADIUS}}
     if fingers > 1:
         tips = {"finger": [{"name": name, "radius_m": RADIUS} for name in "abcde"[:fingers]]}
-    return load_scene({"object": [thing], "coupling": {"stiffness_n_per_m": SIDE}, **tips})
+    return load_scene({"object": [pad], "coupling": {"stiffness_n_per_m": SIDE}, **tips})
 
 
 def at(x: float, y: float, depth: float) -> list[float]:
@@ -73,9 +73,11 @@ def test_the_spring_of_the_finger_is_in_series_with_the_surface() -> None:
     # The surface yields sideways, too, so that the contact is slightly to the side of the probe.
     x, y = 0.001, 0.002
     for _ in range(20):
-        found = compliance_at(engine, facet_below(engine, x, y), (x, y, HEIGHT))
-        x, y = 0.001 + found[0, 2] * load, 0.002 + found[1, 2] * load
-    assert load == pytest.approx(depth / (1.0 / STIFFNESS + found[2, 2]), rel=1e-6)  # gmsh rounds heights to 1e-10 m
+        compliance = compliance_at(engine, facet_below(engine, x, y), (x, y, HEIGHT))
+        x, y = 0.001 + compliance[0, 2] * load, 0.002 + compliance[1, 2] * load
+    assert load == pytest.approx(
+        depth / (1.0 / STIFFNESS + compliance[2, 2]), rel=1e-6
+    )  # gmsh rounds heights to 1e-10 m
 
 
 def path(count: int) -> Any:
@@ -91,17 +93,17 @@ def path(count: int) -> Any:
 
 
 @pytest.mark.parametrize("friction", [False, True])
-def test_a_stiff_body_is_felt_as_the_rigid_mesh(tmp_path: Path, friction: bool) -> None:
+def test_a_stiff_body_has_the_force_of_the_rigid_mesh(tmp_path: Path, friction: bool) -> None:
     stiff = scene(friction, youngs_pa=1e15)
     surface = body_of(stiff.object[0]).surface
-    lines = ["v {!r} {!r} {!r}".format(*each) for each in surface.vertices.tolist()]
-    lines += ["f {} {} {}".format(*each) for each in (surface.triangles + 1).tolist()]
+    lines = ["v {!r} {!r} {!r}".format(*row) for row in surface.vertices.tolist()]
+    lines += ["f {} {} {}".format(*row) for row in (surface.triangles + 1).tolist()]
     (tmp_path / "surface.obj").write_text("\n".join(lines))
-    thing = describe(stiff)["object"][0] | {"file": str(tmp_path / "surface.obj")}
-    rigid = scene_of({key: value for key, value in thing.items() if key != "elastic"})
-    found, expected = Engine(stiff).run(path(200))["force"], Engine(rigid).run(path(200))["force"]
+    pad = describe(stiff)["object"][0] | {"file": str(tmp_path / "surface.obj")}
+    rigid = scene_of({key: value for key, value in pad.items() if key != "elastic"})
+    forces, expected = Engine(stiff).run(path(200))["force"], Engine(rigid).run(path(200))["force"]
     assert abs(expected).max() > 1.0
-    assert found == pytest.approx(expected, abs=1e-9)
+    assert forces == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_recorded_velocity_is_that_of_the_probe() -> None:
@@ -119,12 +121,12 @@ def groove(folder: Path, compliance: float) -> Any:
     """
     vertices = np.array([(x, y, abs(x)) for x in (-0.02, 0.0, 0.02) for y in (-0.02, 0.02)])
     triangles = np.array([(0, 2, 3), (0, 3, 1), (2, 4, 5), (2, 5, 3)], np.int32)
-    lines = ["v {} {} {}".format(*each) for each in vertices]
-    lines += ["f {} {} {}".format(*each) for each in triangles + 1]
+    lines = ["v {} {} {}".format(*row) for row in vertices]
+    lines += ["f {} {} {}".format(*row) for row in triangles + 1]
     (folder / "groove.obj").write_text("\n".join(lines))
-    thing = describe(scene())["object"][0] | {"file": str(folder / "groove.obj")}
-    thing["elastic"]["solution"] = str(folder / "groove.npz")
-    config = scene_of(thing)
+    pad = describe(scene())["object"][0] | {"file": str(folder / "groove.obj")}
+    pad["elastic"]["solution"] = str(folder / "groove.npz")
+    config = scene_of(pad)
     elastic = config.object[0].elastic
     blocks = np.tile(elastic.youngs_pa * compliance * np.eye(3), (6, 6, 1, 1))
     body = ElasticBody(
@@ -143,11 +145,11 @@ def test_a_finger_between_two_walls_loads_the_body_with_the_forces_of_both(tmp_p
     """Each wall bears its spring times the depth over sqrt(2): together they are as stiff as one spring."""
     depth, compliance = 0.001, 2e-4
     engine = Engine(groove(tmp_path, compliance))
-    found = engine.run(np.tile([0.0, 0.003, RADIUS * np.sqrt(2.0) - depth, 1.0, 0.0, 0.0, 0.0], (4, 1)))
-    assert (found["contacts1.force"][-1] != 0.0).any()
+    records = engine.run(np.tile([0.0, 0.003, RADIUS * np.sqrt(2.0) - depth, 1.0, 0.0, 0.0, 0.0], (4, 1)))
+    assert (records["contacts1.force"][-1] != 0.0).any()
     force = depth / (1.0 / STIFFNESS + compliance)
-    assert found["force"][-1] == pytest.approx([0.0, 0.0, force], abs=1e-6)
-    assert found["contact.displacement"][-1] == pytest.approx([0.0, 0.0, -compliance * force], abs=1e-9)
+    assert records["force"][-1] == pytest.approx([0.0, 0.0, force], abs=1e-6)
+    assert records["contact.displacement"][-1] == pytest.approx([0.0, 0.0, -compliance * force], abs=1e-9)
 
 
 def test_friction_stays_in_its_cone_on_the_deformed_surface() -> None:
@@ -164,12 +166,12 @@ def test_a_sliding_contact_is_solved_in_three_rounds(monkeypatch: pytest.MonkeyP
     """The slopes of Newton's method are exact, with friction too: more rounds change nothing."""
     angle = 0.1 + 0.006 * np.arange(120)
     poses = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
-    found = []
+    runs = []
     for rounds in (3, 6):
         monkeypatch.setattr(step, "ROUNDS", rounds)
-        found.append(Engine(scene(friction=True)).run(poses)[40:])
-    assert (found[1]["contact.mode"] == 2).all()
-    assert found[0]["force"] == pytest.approx(found[1]["force"], abs=2e-8)  # 1e-11 m of each, at 1000 N/m
+        runs.append(Engine(scene(friction=True)).run(poses)[40:])
+    assert (runs[1]["contact.mode"] == 2).all()
+    assert runs[0]["force"] == pytest.approx(runs[1]["force"], abs=2e-8)  # 1e-11 m of each, at 1000 N/m
 
 
 def random_track(random: np.random.Generator, x: float) -> Any:
@@ -194,11 +196,11 @@ def test_the_displacement_is_that_under_the_loads_for_any_modulus(fingers: int, 
         for k in range(16):
             touching = [name for name in names if records[name]["contact.mode"][k] > 0]
             spots = [spot_under(engine, records[name], k) for name in touching]
-            for name, one in zip(touching, spots, strict=True):
+            for name, spot in zip(touching, spots, strict=True):
                 expected = np.zeros(3)
-                for other, two in zip(touching, spots, strict=True):
-                    compliance = compliance_of(one, compute_node_rows(engine.scene.elastic, one, two))
-                    expected -= np.array(compliance) @ records[other]["force"][k]
+                for neighbour, loaded_spot in zip(touching, spots, strict=True):
+                    compliance = compliance_of(spot, compute_node_rows(engine.scene.elastic, spot, loaded_spot))
+                    expected -= np.array(compliance) @ records[neighbour]["force"][k]
                 error = np.linalg.norm(records[name]["contact.displacement"][k] - expected)
                 if int(records[name]["contact.nonlinear"][k]) & UNSOLVED:
                     unsolved += 1
@@ -243,8 +245,8 @@ def test_a_correction_that_is_not_a_number_is_not_used(fingers: int, monkeypatch
 
     def press() -> list[Any]:
         records = engine.run(pose) if fingers > 1 else {"a": engine.run(pose["a"])}
-        assert all(np.isfinite(each["force"]).all() for each in records.values())
-        return [int(each["contact.nonlinear"][-1]) & UNSOLVED for each in records.values()]
+        assert all(np.isfinite(rows["force"]).all() for rows in records.values())
+        return [int(rows["contact.nonlinear"][-1]) & UNSOLVED for rows in records.values()]
 
     monkeypatch.setattr(mat3, "inverse", lambda m: tuple((np.nan,) * 3 for _ in range(3)))
     assert press() == [UNSOLVED] * fingers
@@ -260,7 +262,7 @@ def test_a_contact_that_moves_in_steps_of_encoders_is_mostly_solved_in_two_round
     """The start of a tick takes the motion of all probes into account, not only the change of the last tick."""
     calls: list[Any] = []
     rigid = step.step_finger
-    monkeypatch.setattr(step, "step_finger", lambda *given: (calls.append(1), rigid(*given))[1])
+    monkeypatch.setattr(step, "step_finger", lambda *arguments: (calls.append(1), rigid(*arguments))[1])
     angle, engine = 0.006 * np.arange(120), Engine(scene(True, fingers))
     slid = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
     slid[:, :3] = np.round(slid[:, :3] / 1e-5) * 1e-5
@@ -278,44 +280,46 @@ def test_an_expected_change_that_is_not_a_number_is_not_used() -> None:
 def test_the_surface_below_a_free_finger_is_searched_once_a_tick_and_only_while_the_other_presses(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found: list[Any] = []
+    searches: list[Any] = []
     nearest = spots.nearest_spot
-    monkeypatch.setattr(spots, "nearest_spot", lambda *given: (found.append(nearest(*given)), found[-1])[1])
+    monkeypatch.setattr(
+        spots, "nearest_spot", lambda *arguments: (searches.append(nearest(*arguments)), searches[-1])[1]
+    )
     config, count = scene(friction=True, fingers=2), 30
     angle = 0.006 * np.arange(count)
     slid = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
     away = np.tile(at(0.005, 0.001, -0.02), (count, 1))
     Engine(config).run({"a": slid, "b": away})
-    assert len(found) == count
+    assert len(searches) == count
     Engine(config).run({"a": away, "b": away})
-    assert len(found) == count
+    assert len(searches) == count
 
 
-def test_two_fingers_feel_each_other_through_the_body() -> None:
+def test_two_fingers_displace_each_other_through_the_body() -> None:
     engine = Engine(scene(fingers=2))
-    held, beside, away = at(-0.004, 0.0, 0.0015), at(0.005, 0.001, 0.0005), at(0.005, 0.001, -0.02)
-    records = engine.run({"a": np.tile(held, (10, 1)), "b": np.array([away] * 5 + [beside] * 5)})
+    pressed, pressing, away = at(-0.004, 0.0, 0.0015), at(0.005, 0.001, 0.0005), at(0.005, 0.001, -0.02)
+    records = engine.run({"a": np.tile(pressed, (10, 1)), "b": np.array([away] * 5 + [pressing] * 5)})
     alone, together = records["a"]["force"][4], records["a"]["force"][9]
-    single = Engine(scene()).run(np.tile(held, (5, 1)))["force"][4]
+    single = Engine(scene()).run(np.tile(pressed, (5, 1)))["force"][4]
     assert alone == pytest.approx(single, abs=2e-8)  # each is solved to 1e-11 m, and the spring has 1000 N/m
     assert together[2] < alone[2] - 0.005
-    single = Engine(scene()).run(np.tile(beside, (5, 1)))["force"][4]
+    single = Engine(scene()).run(np.tile(pressing, (5, 1)))["force"][4]
     assert records["b"]["force"][9][2] < single[2] - 0.005
     elastic, body = engine.scene.elastic, engine.scene.objects.body
-    one, two = (
+    first, second = (
         spot_on(elastic, body, float(facet_below(engine, *point[:2])), (*point[:2], HEIGHT), (0.0, 0.0, 1.0))
-        for point in (held, beside)
+        for point in (pressed, pressing)
     )
-    there = np.array(compliance_of(one, compute_node_rows(elastic, one, two)))
-    back = np.array(compliance_of(two, compute_node_rows(elastic, two, one)))
-    assert there == pytest.approx(back.T, abs=1e-10 * abs(there).max())
+    forward = np.array(compliance_of(first, compute_node_rows(elastic, first, second)))
+    back = np.array(compliance_of(second, compute_node_rows(elastic, second, first)))
+    assert forward == pytest.approx(back.T, abs=1e-10 * abs(forward).max())
 
 
 def test_the_strains_under_two_fingers_are_added() -> None:
     """Each finger alone strains the pad by less than 10 %."""
-    one, two = (np.tile(at(x, 0.0, 0.001), (4, 1)) for x in (-0.009, 0.009))
-    assert Engine(scene()).run(one)["contact.nonlinear"][-1] == 0
-    both = Engine(scene(fingers=2)).run({"a": one, "b": two})
+    first, second = (np.tile(at(x, 0.0, 0.001), (4, 1)) for x in (-0.009, 0.009))
+    assert Engine(scene()).run(first)["contact.nonlinear"][-1] == 0
+    both = Engine(scene(fingers=2)).run({"a": first, "b": second})
     assert [both[name]["contact.nonlinear"][-1] for name in "ab"] == [LARGE_STRAIN, LARGE_STRAIN]
 
 
@@ -325,10 +329,10 @@ def test_the_work_across_facets_is_the_change_of_the_energy_of_springs_and_body(
 
     def step(turn: float) -> tuple[Any, Any, float]:
         pose = at(0.003 * np.cos(turn), 0.003 * np.sin(turn), 0.001 + 0.0005 * np.sin(turn))
-        found = engine.step(pose[:3], pose[3:])
-        load = -found.normal_force * np.array(found.normal)
-        energy = 0.5 * STIFFNESS * found.penetration**2 + 0.5 * load @ found.displacement
-        return np.array(pose[:3]), np.array(found.force), energy
+        result = engine.step(pose[:3], pose[3:])
+        load = -result.normal_force * np.array(result.normal)
+        energy = 0.5 * STIFFNESS * result.penetration**2 + 0.5 * load @ result.displacement
+        return np.array(pose[:3]), np.array(result.force), energy
 
     def work(first: float, last: float, start: Any, end: Any, halvings: int = 22) -> Any:
         middle = 0.5 * (first + last)
@@ -340,10 +344,10 @@ def test_the_work_across_facets_is_the_change_of_the_energy_of_springs_and_body(
 
     turns = np.linspace(0.0, 2.0 * np.pi, 51)
     ends = [step(turn) for turn in turns[-5:]][-1:] + [step(turn) for turn in turns[1:]]
-    done = [work(*turns[k : k + 2], *ends[k : k + 2]) for k in range(50)]
+    works = [work(*turns[k : k + 2], *ends[k : k + 2]) for k in range(50)]
     energies = np.array([end[2] for end in ends])
     assert np.abs(np.diff(energies)).sum() > 5e-4
-    assert np.cumsum(done) == pytest.approx(energies[0] - energies[1:], abs=1e-9)
+    assert np.cumsum(works) == pytest.approx(energies[0] - energies[1:], abs=1e-9)
 
 
 def test_the_forces_of_two_fingers_are_the_gradient_of_the_common_energy() -> None:
@@ -355,10 +359,10 @@ def test_the_forces_of_two_fingers_are_the_gradient_of_the_common_energy() -> No
         tracks = {name: np.tile(place, (4, 1)) for name, place in places.items()}
         tracks[moved][:, :3] += shift
         records, energy = engine.run(tracks), 0.0
-        for found in records.values():
-            load = -found["contact.normal_force"][-1] * found["contact.normal"][-1]
-            energy += 0.5 * STIFFNESS * found["contact.penetration"][-1] ** 2
-            energy += 0.5 * load @ found["contact.displacement"][-1]
+        for rows in records.values():
+            load = -rows["contact.normal_force"][-1] * rows["contact.normal"][-1]
+            energy += 0.5 * STIFFNESS * rows["contact.penetration"][-1] ** 2
+            energy += 0.5 * load @ rows["contact.displacement"][-1]
         return energy, {name: records[name]["force"][-1] for name in places}
 
     _, forces = rendered()
@@ -410,8 +414,8 @@ def test_forces_and_displacements_turn_with_the_object() -> None:
         name: np.concatenate([track[:, [2, 0, 1]], np.tile(turned, (80, 1))], axis=1) for name, track in tracks.items()
     }
     expected = Engine(straight).run(tracks)
-    found = Engine(msgspec.structs.replace(straight, object=(upright,))).run(rolled)
+    records = Engine(msgspec.structs.replace(straight, object=(upright,))).run(rolled)
     for name in tracks:
         for field, tolerance in (("force", 1e-7), ("contact.displacement", 1e-10), ("contact.point", 1e-10)):
-            assert found[name][field] == pytest.approx(expected[name][field][:, [2, 0, 1]], abs=tolerance)
+            assert records[name][field] == pytest.approx(expected[name][field][:, [2, 0, 1]], abs=tolerance)
         assert abs(expected[name]["contact.displacement"][:, 2]).max() > 1e-4

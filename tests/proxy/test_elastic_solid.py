@@ -67,8 +67,8 @@ def test_a_block_under_uniform_load_shortens_by_its_length_over_e_a() -> None:
     length, width = 0.03, 0.02
     solid = Solid(fill(*box(width, width, length), 0.01), NU, lambda x: np.isclose(x, 0.0))  # symmetry planes
     load = traction(solid, on_face(length, 2), (0.0, 0.0, -1.0))
-    found = displacement(solid, load, (width, width, length))
-    assert found == pytest.approx([NU * width, NU * width, -length], rel=1e-9)
+    shift = displacement(solid, load, (width, width, length))
+    assert shift == pytest.approx([NU * width, NU * width, -length], rel=1e-9)
 
 
 def test_a_cantilever_bends_as_a_beam_with_shear() -> None:
@@ -77,8 +77,8 @@ def test_a_cantilever_bends_as_a_beam_with_shear() -> None:
     end = traction(solid, on_face(length, 0), (0.0, 0.0, -load / (width * height)))
     inertia, shear = width * height**3 / 12.0, 5.0 / 6.0 / (2.0 * (1.0 + NU))
     beam = load * length**3 / (3.0 * inertia) + load * length / (shear * width * height)
-    found = -displacement(solid, end, (length, 0.5 * width, 0.5 * height))[2]
-    assert found == pytest.approx(beam, rel=0.02)
+    deflection = -displacement(solid, end, (length, 0.5 * width, 0.5 * height))[2]
+    assert deflection == pytest.approx(beam, rel=0.02)
 
 
 def test_a_simply_supported_plate_sags_by_naviers_solution() -> None:
@@ -152,25 +152,27 @@ def test_reciprocity_of_two_patches_before_it_is_imposed() -> None:
     tops = np.array([[0.01, 0.012, 0.012], [0.021, 0.017, 0.012]])
     loads = patch_loads(solid, tops, np.tile([0.0, 0.0, 1.0], (2, 1)), 0.006)
     first, second = (np.stack([load[:, k].toarray()[:, 0] for load in loads], axis=1) for k in (0, 1))
-    there, back = second.T @ solid.solve(first), first.T @ solid.solve(second)
-    assert there == pytest.approx(back.T, rel=1e-10, abs=1e-10 * abs(there).max())
-    assert solve_patches(solid, loads).compliance[1, 0] == pytest.approx(there, rel=1e-9, abs=1e-9 * abs(there).max())
+    forward, back = second.T @ solid.solve(first), first.T @ solid.solve(second)
+    assert forward == pytest.approx(back.T, rel=1e-10, abs=1e-10 * abs(forward).max())
+    assert solve_patches(solid, loads).compliance[1, 0] == pytest.approx(
+        forward, rel=1e-9, abs=1e-9 * abs(forward).max()
+    )
 
 
 def test_every_part_of_a_body_is_solved_separately() -> None:
     """Two blocks that do not touch, as a file of tetrahedra may have; one of them not fixed is refused."""
-    one = fill(*box(0.03, 0.02, 0.03), 0.008)
-    count = len(one.vertices)
+    single = fill(*box(0.03, 0.02, 0.03), 0.008)
+    count = len(single.vertices)
     far = Volume(
-        np.concatenate([one.vertices, one.vertices + np.array([0.05, 0.0, 0.0])]),
-        np.concatenate([one.tetrahedra, one.tetrahedra + count]),
+        np.concatenate([single.vertices, single.vertices + np.array([0.05, 0.0, 0.0])]),
+        np.concatenate([single.tetrahedra, single.tetrahedra + count]),
     )
-    solid, both = (Solid(each, NU, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1)) for each in (one, far))
+    solid, both = (Solid(volume, NU, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1)) for volume in (single, far))
     load = traction(solid, on_face(0.03, 2), (0.0, 0.0, -1.0))
-    alone, found = solid.solve(load[:, None]), both.solve(traction(both, on_face(0.03, 2), (0.0, 0.0, -1.0))[:, None])
+    alone, shifts = solid.solve(load[:, None]), both.solve(traction(both, on_face(0.03, 2), (0.0, 0.0, -1.0))[:, None])
     for part in (0, count):
         nodes = slice(part, part + count)
-        assert found[both.basis.nodal_dofs[:, nodes], 0] == pytest.approx(
+        assert shifts[both.basis.nodal_dofs[:, nodes], 0] == pytest.approx(
             alone[solid.basis.nodal_dofs, 0], rel=1e-9, abs=1e-9 * abs(alone).max()
         )
     with pytest.raises(ValueError, match="fixed: the body can still move"):
@@ -184,8 +186,8 @@ def test_rotation_and_strain_of_the_surface_are_those_of_known_displacements() -
     moved = np.zeros((solid.basis.N, 2))
     moved[solid.basis.nodal_dofs.T, 0] = np.cross(turn, places)
     moved[solid.basis.nodal_dofs[0], 1] = 0.002 * places[:, 0]
-    found = largest_rotation_and_strain(surface_gradient(solid), moved)
-    assert found == pytest.approx(np.array([[1e-3, 0.0], [0.0, 0.002]]), abs=1e-12)
+    largest = largest_rotation_and_strain(surface_gradient(solid), moved)
+    assert largest == pytest.approx(np.array([[1e-3, 0.0], [0.0, 0.002]]), abs=1e-12)
 
 
 def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
@@ -213,8 +215,8 @@ def pad_scene(folder: Path, triangles: Any = None, **changes: Any) -> Any:
     lines += ["f " + " ".join(str(i + 1) for i in face) for face in (faces if triangles is None else faces[triangles])]
     (folder / "pad.obj").write_text("\n".join(lines))
     elastic = {"youngs_pa": 1e5, "poisson": 0.4, "fixed": [{"region": "below", "z_m": 1e-6}], "resolution_m": 0.006}
-    thing = {"shape": "mesh", "name": "pad", "file": str(folder / "pad.obj"), "material": {"stiffness_n_per_m": 1000.0}}
-    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [thing | {"elastic": elastic | changes}]})
+    block = {"shape": "mesh", "name": "pad", "file": str(folder / "pad.obj"), "material": {"stiffness_n_per_m": 1000.0}}
+    return load_scene({"fingertip": {"radius_m": 0.008}, "object": [block | {"elastic": elastic | changes}]})
 
 
 def pad(folder: Path, **changes: Any) -> Any:
@@ -237,10 +239,10 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
     from scipy.sparse.linalg import spsolve
 
     config = pad_scene(tmp_path)
-    thing, kernel = config.object[0], build_scene(config)
-    assert thing.elastic is not None
-    volume = volume_of(thing, thing.elastic.resolution_m)
-    solid = solid_of(volume, thing.elastic)
+    block, kernel = config.object[0], build_scene(config)
+    assert block.elastic is not None
+    volume = volume_of(block, block.elastic.resolution_m)
+    solid = solid_of(volume, block.elastic)
     mesh = kernel.objects.body.shape.row[0]
     vertices, corners = mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3)
     normals = vertex_normals(volume.vertices, boundary(volume))
@@ -251,19 +253,19 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
         weights, places = random.dirichlet([1.0, 1.0, 1.0]), vertices[corners[facet]]
         normal = np.cross(places[1] - places[0], places[2] - places[0])
         own = [((volume.vertices - place) ** 2).sum(axis=1).argmin() for place in places]
-        patches = patch_loads(solid, volume.vertices[own], normals[own], thing.elastic.radius_m)
+        patches = patch_loads(solid, volume.vertices[own], normals[own], block.elastic.radius_m)
         loads.append(np.stack([patch @ weights for patch in patches], axis=1))
         up = tuple((normal / np.linalg.norm(normal)).tolist())
         spots.append(spot_on(kernel.elastic, kernel.objects.body, float(facet), tuple(weights @ places), up))
     nodal = np.stack([load @ force for load, force in zip(loads, forces, strict=True)], axis=1)
     basis = skfem.Basis(solid.basis.mesh, solid.basis.elem, intorder=2)
-    stiffness = linear_elasticity(*lame_parameters(thing.elastic.youngs_pa, thing.elastic.poisson)).assemble(basis)
+    stiffness = linear_elasticity(*lame_parameters(block.elastic.youngs_pa, block.elastic.poisson)).assemble(basis)
     fixed = basis.get_dofs(lambda x: np.isclose(x[2], 0.0))
     free, direct = np.setdiff1d(np.arange(basis.N), fixed), np.zeros(nodal.shape)
     direct[free] = spsolve(stiffness.tocsc()[free][:, free], nodal[free])
     for load, spot, force, moved in zip(loads, spots, forces, direct.T, strict=True):
-        found = mat3.times(compliance_of(spot, compute_node_rows(kernel.elastic, spot, spot)), tuple(force))
-        assert found == pytest.approx(load.T @ moved, rel=1e-8, abs=1e-8 * max(map(abs, found)))
+        shift = mat3.times(compliance_of(spot, compute_node_rows(kernel.elastic, spot, spot)), tuple(force))
+        assert shift == pytest.approx(load.T @ moved, rel=1e-8, abs=1e-8 * max(map(abs, shift)))
 
 
 @pytest.mark.parametrize(
@@ -307,8 +309,8 @@ def test_tetrahedra_of_second_order_are_read_by_their_corners(tmp_path: Path) ->
     middle = [0.5 * (corners[a] + corners[b]) for a, b in ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))]
     cells = [("triangle", [[0, 2, 1]]), ("tetra10", [list(range(10))])]
     meshio.Mesh(np.concatenate([corners, middle]), cells).write(tmp_path / "ten.vtu")
-    found = read_volume(str(tmp_path / "ten.vtu"), 1.0)
-    assert found.vertices == pytest.approx(corners) and found.tetrahedra.tolist() == [[0, 1, 2, 3]]
+    volume = read_volume(str(tmp_path / "ten.vtu"), 1.0)
+    assert volume.vertices == pytest.approx(corners) and volume.tetrahedra.tolist() == [[0, 1, 2, 3]]
 
 
 @pytest.mark.parametrize("ending", [".msh", ".vtu"])
@@ -325,9 +327,9 @@ def test_a_file_that_is_no_mesh_is_refused_without_other_output(
 
 
 def test_a_file_in_millimetres_is_refused_with_its_size(tmp_path: Path) -> None:
-    thing = msgspec.structs.replace(pad(tmp_path), scale=1000.0)
+    block = msgspec.structs.replace(pad(tmp_path), scale=1000.0)
     with pytest.raises(ConfigError, match=r"tetrahedra, at most.* change `scale` if the body is not 30 x 30 x 12 m"):
-        body_of(thing)
+        body_of(block)
 
 
 def test_a_full_disk_is_named_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -345,10 +347,10 @@ def test_a_tetrahedral_mesh_file_is_used_as_the_body(tmp_path: Path) -> None:
     meshio = pytest.importorskip("meshio")
     volume = fill(*box(0.03, 0.03, 0.012), 0.008)
     meshio.Mesh(volume.vertices, [("tetra", volume.tetrahedra)]).write(tmp_path / "pad.vtu")
-    thing = msgspec.structs.replace(pad(tmp_path, resolution_m=0.008), file=str(tmp_path / "pad.vtu"))
-    report = body_of(thing).report
+    block = msgspec.structs.replace(pad(tmp_path, resolution_m=0.008), file=str(tmp_path / "pad.vtu"))
+    report = body_of(block).report
     assert report.tetrahedra == len(volume.tetrahedra) and report.error is None
-    assert about(thing).report.watertight
+    assert about(block).report.watertight
 
 
 def test_a_body_of_too_many_compliant_vertices_is_refused_before_it_is_solved(tmp_path: Path) -> None:
@@ -357,7 +359,7 @@ def test_a_body_of_too_many_compliant_vertices_is_refused_before_it_is_solved(tm
     mesh = skfem.MeshTet.init_tensor(sides, sides, np.array([0.0, 0.001])).oriented()
     meshio.Mesh(mesh.p.T, [("tetra", mesh.t.T)]).write(tmp_path / "plate.vtu")
     end = [{"region": "half_space", "point_m": [1e-6, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}]
-    thing = msgspec.structs.replace(pad(tmp_path, fixed=end), file=str(tmp_path / "plate.vtu"))
+    block = msgspec.structs.replace(pad(tmp_path, fixed=end), file=str(tmp_path / "plate.vtu"))
     with pytest.raises(ConfigError, match="3,280 compliant surface vertices, at most 2,500 are supported") as refused:
-        body_of(thing)
+        body_of(block)
     assert "\n" not in str(refused.value)

@@ -56,7 +56,7 @@ STICKY = {"static": 1000.0, "kinetic": 1000.0}
 GRIP = {"static": 0.6, "kinetic": 0.5}
 
 
-def scene(tip: dict[str, Any], *things: dict[str, Any], friction: dict[str, float] = GRIP, **changes: Any) -> Scene:
+def scene(tip: dict[str, Any], *objects: dict[str, Any], friction: dict[str, float] = GRIP, **changes: Any) -> Scene:
     """Return a scene whose type depends only on the list of shapes, since each type is compiled."""
     made_of = {
         "stiffness_n_per_m": K, "damping_ns_per_m": 0.0, "friction": friction,
@@ -67,12 +67,12 @@ def scene(tip: dict[str, Any], *things: dict[str, Any], friction: dict[str, floa
         "rolling": {"method": "montana_rk4"},
         "coupling": {"damping_ns_per_m": 0.0},
         "probe": {"velocity_time_constant_s": 0.0},
-        "object": [thing | {"name": f"object {i}", "material": made_of} for i, thing in enumerate(things)],
+        "object": [entry | {"name": f"object {i}", "material": made_of} for i, entry in enumerate(objects)],
     }
     return build(Scene, tables, "test scene")
 
 
-def grown(shape: Any, orientation: ArrayLike, axes: model.Vec3 = AXES) -> model.MinkowskiSum:
+def minkowski_sum(shape: Any, orientation: ArrayLike, axes: model.Vec3 = AXES) -> model.MinkowskiSum:
     q = np.asarray(orientation, float)
     return model.MinkowskiSum(shape, axes, tuple(float(part) for part in q / np.linalg.norm(q)), min(axes))  # type: ignore[arg-type]
 
@@ -89,9 +89,9 @@ def test_gap_is_the_distance_of_the_two_bodies(name: str) -> None:
         axes = tuple(float(a) for a in rng.uniform(0.003, 0.012, 3))
         q = rng.normal(size=4)
         x = np.add(foot, rng.uniform(0.002, 0.02) * np.array(n))
-        seen = grown(shape, q, axes)  # type: ignore[arg-type]
-        gap, point, normal = closest(seen, tuple(x))
-        gap, center = gap - seen.radius, np.add(point, seen.radius * np.array(normal))
+        minkowski = minkowski_sum(shape, q, axes)  # type: ignore[arg-type]
+        gap, point, normal = closest(minkowski, tuple(x))
+        gap, center = gap - minkowski.radius, np.add(point, minkowski.radius * np.array(normal))
         # Centre, gap and normal are consistent, to rounding of coordinates of some centimetres.
         np.testing.assert_allclose(x - center, gap * np.array(normal), rtol=0.0, atol=1e-15)
         contact = center + matrix(q) @ touching_at(axes, q / np.linalg.norm(q), np.array(normal))
@@ -110,13 +110,13 @@ def test_equal_radii_are_the_ball(names: tuple[str, ...]) -> None:
     x = np.stack([4e-3 * np.sin(7 * t), 3e-3 * np.sin(4 * t), 0.0095 + 1e-3 * np.sin(9 * t)], axis=1)
     q = np.stack([np.ones_like(t), 0.2 * np.sin(5 * t), 0.3 * np.sin(3 * t), 0.2 * t], axis=1)
     poses = np.hstack([x, q / np.linalg.norm(q, axis=1)[:, None]])
-    things = [TABLES[name] for name in names]
-    if len(things) > 1:
-        things[1] = things[1] | BESIDE
-    ball = Engine(scene({"radius_m": 0.01}, *things, damping_ns_per_m=1.0)).run(poses)
+    objects = [TABLES[name] for name in names]
+    if len(objects) > 1:
+        objects[1] = objects[1] | BESIDE
+    ball = Engine(scene({"radius_m": 0.01}, *objects, damping_ns_per_m=1.0)).run(poses)
     tip = {"radii_m": [0.01] * 3, "orientation_wxyz": list(TURN)}
-    same = Engine(scene(tip, *things, damping_ns_per_m=1.0)).run(poses)
-    assert len(things) == 1 or (same["contacts1.object"] >= 0).any()
+    same = Engine(scene(tip, *objects, damping_ns_per_m=1.0)).run(poses)
+    assert len(objects) == 1 or (same["contacts1.object"] >= 0).any()
     assert set(ball["contact.mode"]) == {0.0, 1.0, 2.0}
     np.testing.assert_allclose(same, ball, rtol=0.0, atol=1e-12)
 
@@ -132,8 +132,8 @@ def test_roundness_is_the_curvature_radius_at_the_contact_point() -> None:
         spot = touching_at(AXES, multiply(q, TURN), n)
         _, bend = normal_and_curvature(spot, model.Ellipsoid(AXES, 1.0))
         curvatures = np.linalg.eigvalsh(bend)[1:]  # the third is 0, along the normal
-        found = radius_of_curvature(form, min(AXES), tuple(q), tuple(n))
-        assert found == pytest.approx(1.0 / np.sqrt(curvatures.prod()), rel=1e-12)
+        radius = radius_of_curvature(form, min(AXES), tuple(q), tuple(n))
+        assert radius == pytest.approx(1.0 / np.sqrt(curvatures.prod()), rel=1e-12)
 
 
 def end_of_roll(method: Any, shape: Any, point: Array, w: Array, ticks: int) -> tuple[Array, Array, float]:
@@ -144,7 +144,7 @@ def end_of_roll(method: Any, shape: Any, point: Array, w: Array, ticks: int) -> 
     spin = 0.0
     for tick in range(ticks):
         now = multiply(quaternion(w * (tick + 1) / ticks), TURN)
-        out = roll(method, grown(shape, now), min(AXES), center, normal, turn)
+        out = roll(method, minkowski_sum(shape, now), min(AXES), center, normal, turn)
         center, normal, spin = out.center, out.normal, spin + out.spin
     return np.array(center), np.array(normal), spin
 
@@ -231,7 +231,7 @@ def test_rolling_round_a_parallel_turns_the_finger() -> None:
     a, c, beta = 0.008, 0.011, 0.6
     height = np.hypot(a * np.sin(beta), c * np.cos(beta))
     rho = a * a * np.sin(beta) / height
-    found = []
+    paths = []
     for ticks in (250, 500):
         s = np.linspace(0.0, 2.0 * np.pi, ticks + 1)
         poses = []
@@ -241,13 +241,13 @@ def test_rolling_round_a_parallel_turns_the_finger() -> None:
             poses.append(np.concatenate([[0.0, 0.0, height - 1e-3], about]))
         made = scene({"radii_m": [a, a, c]}, TABLES["plane"], friction=STICKY)
         points = Engine(made).run(np.array(poses))["contact.point"]
-        found.append((points - points[0])[:: ticks // 250])
+        paths.append((points - points[0])[:: ticks // 250])
     turned = np.cos(beta) * np.linspace(0.0, 2.0 * np.pi, 251)
     circle = rho / np.cos(beta) * np.stack([np.cos(turned) - 1.0, np.sin(turned), 0.0 * turned], axis=1)
     # The rate is constant within a tick, an error of second order. Its extrapolation leaves one of fourth order: (2 pi
     # / 250)^4 of a circle of 7 mm.
-    np.testing.assert_allclose(found[1], circle, rtol=0.0, atol=4e-7)
-    np.testing.assert_allclose((4.0 * found[1] - found[0]) / 3.0, circle, rtol=0.0, atol=3e-9)
+    np.testing.assert_allclose(paths[1], circle, rtol=0.0, atol=4e-7)
+    np.testing.assert_allclose((4.0 * paths[1] - paths[0]) / 3.0, circle, rtol=0.0, atol=3e-9)
 
 
 def work(rows: Array) -> Array:
@@ -259,7 +259,7 @@ def work(rows: Array) -> Array:
     return np.concatenate([[0.0], -np.cumsum(np.sum(mean[0] * moved, axis=1) + np.sum(mean[1] * turned, axis=1))])
 
 
-def handled(ticks: int, lowest: float) -> Array:
+def closed_path(ticks: int, lowest: float) -> Array:
     t = 2.0 * np.pi * np.arange(ticks + 1) / ticks
     s = np.sin(t)
     x = np.stack([8e-4 * s, 5e-4 * np.sin(2 * t), lowest - 4e-4 * s * s], axis=1)
@@ -278,7 +278,7 @@ def test_sticking_contact_returns_the_work_of_the_hand(cases: Cases, name: str) 
     few = cases(300, 1000)
     for ticks in (few, 2 * few):
         engine.reset()
-        rows = engine.run(handled(ticks, lowest))
+        rows = engine.run(closed_path(ticks, lowest))
         assert set(rows["contact.mode"]) == {ROLLING}
         stored = stored_energy(rows)
         off.append(np.abs(work(rows) - (stored - stored[0])).max())
@@ -290,7 +290,7 @@ def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
     tip = {"radii_m": list(AXES), "orientation_wxyz": list(TURN)}
     lowest = support(AXES, TURN, [0.0, 0.0, 1.0]) - 1.2e-3
     ticks = cases(200, 1000)
-    once = handled(ticks, lowest)
+    once = closed_path(ticks, lowest)
     rows = Engine(scene(tip, TABLES["plane"], TABLES["sphere"] | BESIDE)).run(np.vstack([once, *[once[1:]] * 3]))
     shared = rows["contacts1.object"] >= 0
     assert shared.any() and not shared.all()
@@ -365,12 +365,12 @@ def test_curvature_is_the_derivative_of_the_normal(kind: str) -> None:
     random, step, behind = np.random.default_rng(8), 1e-6, 0.009
     for _ in range(10):
         q = random.normal(size=4)
-        seen = model.MinkowskiSum(SHAPES[kind], AXES, tuple((q / np.linalg.norm(q)).tolist()), behind)
+        minkowski = model.MinkowskiSum(SHAPES[kind], AXES, tuple((q / np.linalg.norm(q)).tolist()), behind)
         x = random.normal(size=3)
-        _, point, n = closest(seen, tuple((0.05 * x / np.linalg.norm(x)).tolist()))
+        _, point, n = closest(minkowski, tuple((0.05 * x / np.linalg.norm(x)).tolist()))
         center = np.array(point) + behind * np.array(n)
-        k1, k2, first = curvature(seen, behind, point, n)
+        k1, k2, first = curvature(minkowski, behind, point, n)
         assert kind == "plane" or k1 > 1.0
         for along, k in ((np.array(first), k1), (np.cross(n, first), k2)):
-            ahead, back = (np.array(closest(seen, tuple((center + h * along).tolist()))[2]) for h in (step, -step))
+            ahead, back = (np.array(closest(minkowski, tuple((center + h * along).tolist()))[2]) for h in (step, -step))
             np.testing.assert_allclose((ahead - back) / (2.0 * step), k * along, atol=1e-3)

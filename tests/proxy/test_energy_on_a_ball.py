@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.touching import go
+from helpers.touching import visit
 from references.hand import Array
 
 from softfinger.proxy.engine import Engine
@@ -19,8 +19,8 @@ MIDDLE = R + BALL
 
 
 def scene(ball: dict[str, Any], **tables: Any) -> dict[str, Any]:
-    thing = {"name": "ball", "shape": "sphere", "radius_m": BALL}
-    return {"fingertip": {"radius_m": R}, "object": [{**thing, **ball}], **tables}
+    base = {"name": "ball", "shape": "sphere", "radius_m": BALL}
+    return {"fingertip": {"radius_m": R}, "object": [{**base, **ball}], **tables}
 
 
 def along(corners: list[tuple[float, ...]], ticks: int) -> Array:
@@ -38,11 +38,11 @@ def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside:
     psi = turn * R / MIDDLE
     material = {"stiffness_n_per_m": K_N, "friction": {"static": 10.0, "kinetic": 10.0}}
     coupled = {"coupling": {"stiffness_n_per_m": coupling, "damping_ns_per_m": 0.0}}
-    given = scene({"material": material}, rolling={"method": "midpoint"}, **coupled)
+    config = scene({"material": material}, rolling={"method": "midpoint"}, **coupled)
     if several:
         far = {"name": "far", "shape": "plane", "position_m": [0.0, 0.0, -1.0], "material": material}
-        given["object"] = [*given["object"], far]
-    running = Engine(given)
+        config["object"] = [*config["object"], far]
+    running = Engine(config)
 
     def gained(ticks: int) -> float:
         corners = [(-1e-3, 0, 0), (depth, 0, 0), (depth, aside, 0), (depth, aside, 1), (depth, 0, 1), (depth, 0, 0)]
@@ -72,10 +72,10 @@ def test_stick_slip_gains_energy_between_two_depths(sense: int) -> None:
     effect = {"kind": "stick_slip", "stiffness_n_per_m": stiffness, "force_max_n": 5.0}
     running = Engine(scene({"material": {"stiffness_n_per_m": K_N}, "effect": [effect]}))
     round_trip = [(0.0, shallow), (angle, shallow), (angle, deep), (0.0, deep), (0.0, shallow)][::sense]
-    way = np.concatenate([along([(0.0, -0.0005), (0.0, shallow)], 100)[:-1], along(round_trip, 100)])
-    out = np.stack([np.sin(way[:, 0]), 0.0 * way[:, 0], np.cos(way[:, 0])], axis=1)
-    places = (MIDDLE - way[:, 1])[:, None] * out
-    force = go(running, places)["force"]
+    path = np.concatenate([along([(0.0, -0.0005), (0.0, shallow)], 100)[:-1], along(round_trip, 100)])
+    out = np.stack([np.sin(path[:, 0]), 0.0 * path[:, 0], np.cos(path[:, 0])], axis=1)
+    places = (MIDDLE - path[:, 1])[:, None] * out
+    force = visit(running, places)["force"]
     work = np.sum((0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0))[100:])
     wanted = -sense * stiffness * MIDDLE * (deep - shallow) * (1.0 - np.cos(angle))
     assert work == pytest.approx(wanted, rel=1e-3)  # the trapezoidal rule at a hundred steps per leg: 2e-4

@@ -62,23 +62,23 @@ def run(engine: Engine, hand: Hand) -> NDArray[np.float64]:
 @pytest.mark.parametrize("name", list(PATCHES))
 def test_radius_is_the_closed_form(name: str) -> None:
     records = run(soft(PATCHES[name]), Hand([0, 0, R + 0.001]).go(90, [0, 0, -0.009]))
-    load, found = records["contact.normal_force"], records["contact.patch_radius"]
+    load, radii = records["contact.normal_force"], records["contact.patch_radius"]
     touching = load > 0.0
-    assert touching.sum() == 80 and (found[~touching] == 0.0).all()
+    assert touching.sum() == 80 and (radii[~touching] == 0.0).all()
     # Rounding of r - z limits the depth to five digits less than float64.
-    assert found[touching] == pytest.approx(radius(name, load[touching]), rel=1e-12)
-    assert (np.diff(found[touching]) > 0.0).all()
+    assert radii[touching] == pytest.approx(radius(name, load[touching]), rel=1e-12)
+    assert (np.diff(radii[touching]) > 0.0).all()
 
 
 def test_an_elastic_object_adds_its_compliance() -> None:
     """The contact modulus is 1/E* = (1 - nu^2) (1/E_1 + 1/E_2); the torsional stiffness uses 1/G = 1/G_1 + 1/G_2."""
-    other = 200e3
-    engine = soft(HERTZ, material={"torsion": FOLLOWS, "shear_modulus_pa": other})
+    modulus = 200e3
+    engine = soft(HERTZ, material={"torsion": FOLLOWS, "shear_modulus_pa": modulus})
     records = run(engine, pressed(0.002).go(10, turn=[0, 0, 1e-3]))
-    effective = 1.0 / (0.75 * (1.0 / (3.0 * G) + 1.0 / (3.0 * other)))
+    effective = 1.0 / (0.75 * (1.0 / (3.0 * G) + 1.0 / (3.0 * modulus)))
     a = (3.0 * 2.0 * R / (4.0 * effective)) ** (1.0 / 3.0)
     assert records["contact.patch_radius"][-1] == pytest.approx(a, rel=1e-12)
-    stiffness = 16.0 / 3.0 * a**3 / (1.0 / G + 1.0 / other)
+    stiffness = 16.0 / 3.0 * a**3 / (1.0 / G + 1.0 / modulus)
     assert records["contact.torsion"][-1] == pytest.approx(-stiffness * 1e-3, rel=1e-9)
 
 
@@ -156,7 +156,7 @@ def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
     alpha, load = 0.3, 2.0
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
     hand = pressed(0.002).go(500, turn=[1.0, 0, 0])
-    there = hand.at
+    limit_tick = hand.at
     hand.go(100)
     rest = hand.at
     records = run(engine, hand.go(500, turn=[-1.0, 0, 0]))
@@ -164,8 +164,8 @@ def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
     rolled = np.linspace(0.0, 1.0, 501)
     torque = records["torque"]
     expected = np.minimum(3.0 / 16.0 * alpha * R * load * rolled, limit)
-    assert torque[1 : there + 1, 0] == pytest.approx(-expected, rel=1e-9, abs=1e-15)
-    assert np.ptp(torque[there : rest + 1, 0]) == 0.0
+    assert torque[1 : limit_tick + 1, 0] == pytest.approx(-expected, rel=1e-9, abs=1e-15)
+    assert np.ptp(torque[limit_tick : rest + 1, 0]) == 0.0
     assert torque[-1, 0] == pytest.approx(limit, rel=1e-9)
     assert np.abs(torque[:, 1:]).max() < 1e-15
 
@@ -317,8 +317,8 @@ def test_each_finger_has_the_patch_of_a_single_finger() -> None:
     fingers = [{"name": name, **tip} for name, tip in tips.items()]
     both = Engine(build(Scene, paper_mapping(fingertip=None, finger=fingers, material=material), "both"))
     poses = np.array(pressed().go(100, move=[0.004, 0, -0.001], turn=[0.1, 0, 0.3]).poses)
-    found = both.run(dict.fromkeys(tips, poses))
+    records = both.run(dict.fromkeys(tips, poses))
     for name, tip in tips.items():
         alone = Engine(build(Scene, paper_mapping(fingertip=tip, material=material), name)).run(poses)
-        assert np.array_equal(found[name], alone)
+        assert np.array_equal(records[name], alone)
         assert alone[-1, AT.contact_patch_radius] > 0.0

@@ -57,7 +57,7 @@ def engine(name: str, static: float, kinetic: float) -> Engine:
     material: dict[str, Any] = {"stiffness_n_per_m": K}
     if static > 0.0:
         material["friction"] = {"static": static, "kinetic": kinetic}
-    objects = [each | {"name": f"object {i}", "material": material} for i, each in enumerate(SCENES[name])]
+    objects = [entry | {"name": f"object {i}", "material": material} for i, entry in enumerate(SCENES[name])]
     return touching.engine(*objects, rolling={"method": "euler_zxz"} if static > 0.0 else None)
 
 
@@ -88,16 +88,16 @@ def reach_of(name: str) -> float:
     return 0.025 if name in FLAT else 0.012
 
 
-def gap(thing: Mapping[str, Any], points: Array) -> Array:
+def gap(entry: Mapping[str, Any], points: Array) -> Array:
     """Distances (n,) m of points (n, 3) m from an object, negative inside."""
-    local = points - np.array(thing.get("position_m", (0.0, 0.0, 0.0)))
-    if thing["shape"] == "sphere":
-        return np.asarray(np.linalg.norm(local, axis=1) - thing["radius_m"])
-    if thing["shape"] == "plane":
-        turned_to = thing.get("orientation_wxyz")
+    local = points - np.array(entry.get("position_m", (0.0, 0.0, 0.0)))
+    if entry["shape"] == "sphere":
+        return np.asarray(np.linalg.norm(local, axis=1) - entry["radius_m"])
+    if entry["shape"] == "plane":
+        turned_to = entry.get("orientation_wxyz")
         return np.asarray(local[:, 2 if turned_to is None else 0 if turned_to is TO_X else 1])
-    beyond = np.abs(local) - 0.5 * np.array(thing["size_m"])
-    if thing.get("inside"):
+    beyond = np.abs(local) - 0.5 * np.array(entry["size_m"])
+    if entry.get("inside"):
         return np.asarray(-beyond.max(axis=1))
     return np.asarray(np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0))
 
@@ -107,8 +107,8 @@ def check_statics(name: str, records: Any, probe: Array, static: float, at_rest:
     `at_rest` the forces add up to K (c - x)."""
     center, touching = records["proxy.position"], records["contact.mode"] > 0
     assert touching.mean() > 0.5
-    for thing in SCENES[name]:
-        assert gap(thing, center)[touching].min() > R * (1.0 - 1e-9)
+    for entry in SCENES[name]:
+        assert gap(entry, center)[touching].min() > R * (1.0 - 1e-9)
     total = np.zeros_like(center)
     for i in range(3):
         force, normal = records[f"contacts{i}.force"], records[f"contacts{i}.normal"]
@@ -180,10 +180,10 @@ def test_the_force_is_continuous(name: str) -> None:
     poses = closed_path(name, 3, 0.05)
     records = engine(name, 0.6, 0.6).run(poses)
     assert (records["contacts1.object"] >= 0).any()
-    way = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
     roll = 2.0 * R * np.linalg.norm(np.diff(poses[:, 4:], axis=0), axis=1)
     jump = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
-    assert (jump <= 1.1 * K * (way + roll) + 1e-9).all()
+    assert (jump <= 1.1 * K * (travel + roll) + 1e-9).all()
 
 
 def gained(records: Any, poses: Array) -> float:
@@ -192,7 +192,7 @@ def gained(records: Any, poses: Array) -> float:
     touching = records["contact.mode"] > 0
     stretched = np.where(touching[:, None], records["proxy.position"] - x, 0.0)
     turns = 2.0 * (w[:-1] * v[1:] - w[1:] * v[:-1] - np.cross(v[1:], v[:-1]))  # to third order
-    force, torque = (0.5 * (records[each][1:] + records[each][:-1]) for each in ("force", "torque"))
+    force, torque = (0.5 * (records[field][1:] + records[field][:-1]) for field in ("force", "torque"))
     work = np.sum(force * np.diff(x, axis=0) + torque * turns, axis=1)
     stored = np.diff(0.5 * K * np.sum(stretched**2, axis=1))
     return float(np.sum((work + stored)[touching[1:] & touching[:-1]]))

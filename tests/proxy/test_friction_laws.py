@@ -61,12 +61,12 @@ def test_forces_contain_no_length_margin(plane_scene: SceneFactory, stiffness: f
         material={"stiffness_n_per_m": stiffness}, coupling={"stiffness_n_per_m": stiffness, "damping_ns_per_m": 0.0}
     )
     hand = pressed(depth).go(10, move=[0.3 * depth, 0, 0])
-    held = hand.at
+    slide_tick = hand.at
     trace = drive(Engine(scene), hand.go(70, move=[7 * depth, 0, 0]))
     # Positions of 1e-2 m are rounded to 2e-18 m; the bound allows ten such errors.
     rounding = stiffness * 2e-17
     assert trace.normal_force[1:] == pytest.approx(stiffness * depth, abs=rounding)
-    assert trace.force[held, 0] == pytest.approx(-0.3 * stiffness * depth, abs=rounding)
+    assert trace.force[slide_tick, 0] == pytest.approx(-0.3 * stiffness * depth, abs=rounding)
     assert trace.force[-1, 0] == pytest.approx(-0.5 * stiffness * depth, abs=rounding)
 
 
@@ -129,11 +129,11 @@ def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(plane_scene: SceneF
 @pytest.mark.parametrize("heading", np.linspace(0, 2 * np.pi, 9)[:-1] + 0.1)
 def test_anisotropic_slide_dissipates_the_most(plane_scene: SceneFactory, heading: float) -> None:
     """The friction force of a steady slip along (x, y) is (a^2 x, b^2 y) / |(a x, b y)|, which dissipates the most."""
-    way = np.array([np.cos(heading), np.sin(heading)])
-    hand = pressed().go(600, move=[*(0.03 * way), 0])
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    hand = pressed().go(600, move=[*(0.03 * direction), 0])
     trace = drive(Engine(plane_scene(material={"friction": ANISOTROPIC})), hand)
     a, b = 0.5 * 0.9, 0.5 * 0.4
-    expected = -np.array([a**2 * way[0], b**2 * way[1]]) / np.hypot(a * way[0], b * way[1])
+    expected = -np.array([a**2 * direction[0], b**2 * direction[1]]) / np.hypot(a * direction[0], b * direction[1])
     # The deflection turns to its final direction within a few deflection lengths of slip; the slide is sixty long.
     assert trace.force[-1, :2] == pytest.approx(expected, abs=1e-9)
     assert trace.causes == ["touch", "drag"]
@@ -143,14 +143,14 @@ def test_anisotropic_slide_dissipates_the_most(plane_scene: SceneFactory, headin
 @pytest.mark.parametrize("heading", [0.0, 0.7, np.pi / 2, 4.0])
 def test_anisotropic_drag_breaks_loose_on_the_ellipse(plane_scene: SceneFactory, heading: float) -> None:
     """The force peaks at mu_s f_N times the scale of its direction, on the first tick on which the drag exceeds it."""
-    way = np.array([np.cos(heading), np.sin(heading)])
-    hand = pressed().go(300, move=[*(0.0021 * way), 0])
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    hand = pressed().go(300, move=[*(0.0021 * direction), 0])
     trace = drive(Engine(plane_scene(material={"friction": ANISOTROPIC})), hand)
     slide = trace.events[1][0]
     size = np.hypot(trace.force[:, 0] / 1.0, trace.force[:, 1] / 0.5)
     assert size[slide] == pytest.approx(0.6, rel=EXACT)
     assert size.max() == pytest.approx(0.6, rel=EXACT)
-    assert slide == 1 + int(np.ceil(0.6e-3 / np.hypot(way[0], way[1] / 0.5) / 7e-6))
+    assert slide == 1 + int(np.ceil(0.6e-3 / np.hypot(direction[0], direction[1] / 0.5) / 7e-6))
 
 
 def test_anisotropy_turns_with_the_object(plane_scene: SceneFactory) -> None:
@@ -180,9 +180,9 @@ def test_anisotropy_turns_with_every_kind_of_object(plane_scene: SceneFactory, t
     turn = list(quaternion([0.0, 0.0, 0.7]))
     material, hand = {"friction": ANISOTROPIC}, pressed().go(200, move=[0.004, 0.002, 0])
     plane = drive(Engine(plane_scene(material=material, table={"orientation_wxyz": turn})), hand)
-    other = drive(Engine(plane_scene(material=material, table={**table, "orientation_wxyz": turn})), hand)
+    turned = drive(Engine(plane_scene(material=material, table={**table, "orientation_wxyz": turn})), hand)
     # The sphere of 1 km drops by 1e-8 m at 4 mm, and its normal turns by 4e-6 rad.
-    assert other.force == pytest.approx(plane.force, abs=2e-5)
+    assert turned.force == pytest.approx(plane.force, abs=2e-5)
     straight = drive(Engine(plane_scene(material=material)), hand)
     assert np.abs(plane.force - straight.force).max() > 0.05
 
@@ -287,7 +287,7 @@ def test_faulty_friction_is_refused(friction: dict[str, Any], message: str) -> N
         build(Scene, paper_mapping(material={"friction": friction}), "test scene")
 
 
-def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
+def test_only_the_features_of_a_scene_are_compiled(plane_scene: SceneFactory) -> None:
     assert friction_laws(plane_scene(rolling=None, material={"friction": None})) == [None]
     assert friction_laws(plane_scene()) == [model.Friction(0.6, 0.5)]
     stribeck = plane_scene(material={"friction": {"stribeck_speed_m_per_s": 0.1}})

@@ -17,7 +17,7 @@ import pytest
 from helpers import counted_asks, meshes
 from helpers.hostile_maps import MADE, STIFFNESS, hands, outside_by, part
 from helpers.programs import run_program
-from helpers.touching import SMOOTH, R, engine, posed, saved, spun, thing
+from helpers.touching import SMOOTH, R, engine, make_object, posed, spun, write_part
 from numpy.typing import NDArray
 from references.brute_force import balls_of, brute_distances
 
@@ -40,11 +40,11 @@ def companion(kind: str, folder: Path, heights: Array, pitch: float, **keys: Any
     half, low, high = 0.5 * pitch * max(heights.shape), float(heights.min()), float(heights.max())
     size = max(R, 0.3 * half)
     if kind == "plane":
-        return thing("other", "plane", position_m=[0.2 * half, 0.0, high], orientation_wxyz=list(TILTED), **keys)
+        return make_object("other", "plane", position_m=[0.2 * half, 0.0, high], orientation_wxyz=list(TILTED), **keys)
     if kind == "ball":
-        return thing("other", "sphere", radius_m=size, position_m=[0.0, 0.0, low], **keys)
+        return make_object("other", "sphere", radius_m=size, position_m=[0.0, 0.0, low], **keys)
     if kind == "mesh":
-        return thing("other", "mesh", file=saved(folder, *bumpy(size)), position_m=[0.0, 0.0, low], **keys)
+        return make_object("other", "mesh", file=write_part(folder, *bumpy(size)), position_m=[0.0, 0.0, low], **keys)
     made = part(folder, heights, pitch, orientation_wxyz=list(TILTED), position_m=[0.0, 0.3 * half, high], **keys)
     return made | {"name": "other"}
 
@@ -72,32 +72,32 @@ def outside_of_companion(kind: str, made: dict[str, Any], heights: Array, pitch:
     return outside_by(kernel_heightmap(heights, pitch), turned_back(at))
 
 
-def way(heights: Array, pitch: float, count: int) -> Array:
+def path_over(heights: Array, pitch: float, count: int) -> Array:
     """Path through the first `count` points of each of `hands`, each started from above all objects."""
     up = np.array([[0.0, 0.0, heights.max() + 3.0 * R + 2.0 * np.ptp(heights) + pitch * max(heights.shape)]])
-    return np.vstack([each for points in hands(heights, pitch).values() for each in (up, points[:count])])
+    return np.vstack([rows for points in hands(heights, pitch).values() for rows in (up, points[:count])])
 
 
-def some_of(cases: Cases, *numbers: int) -> list[str]:
+def select_maps(cases: Cases, *numbers: int) -> list[str]:
     """Return the map names of these indices, which differ between tests; all names with --exhaustive."""
     names = list(MADE)
     return [names[number] for number in (range(len(names)) if cases(0, 1) else numbers)]
 
 
-def touched_safely(folder: Path, kind: str, names: list[str], count: int, **keys: Any) -> None:
+def check_touches(folder: Path, kind: str, names: list[str], count: int, **keys: Any) -> None:
     """Drag, throw and press on maps next to such an object; check that the proxy is finite and outside of both. Without
     friction the force is at most three times the spring force, one for each of three contacts."""
     for name in names:
         pitch, heights = MADE[name]()
-        points, tables = way(heights, pitch, count), {"rolling": None} if keys else {}
+        points, tables = path_over(heights, pitch, count), {"rolling": None} if keys else {}
         poses = posed(points, spun((0.0, 0.6, 0.8), np.sin(0.05 * np.arange(len(points)))))
         (folder / name).mkdir()
-        other = companion(kind, folder, heights, pitch, **keys)
-        records = engine(part(folder / name, heights, pitch, **keys), other, **tables).run(poses)
+        neighbour = companion(kind, folder, heights, pitch, **keys)
+        records = engine(part(folder / name, heights, pitch, **keys), neighbour, **tables).run(poses)
         centers = records["proxy.position"][records["contact.mode"] > 0]
         assert len(centers) > 0.1 * len(points) and np.isfinite(np.asarray(records)).all()
         assert outside_by(kernel_heightmap(heights, pitch), centers) >= -INSIDE * R, name
-        assert outside_of_companion(kind, other, heights, pitch, centers) >= -INSIDE * R, name
+        assert outside_of_companion(kind, neighbour, heights, pitch, centers) >= -INSIDE * R, name
         if keys:
             depth = np.linalg.norm(records["proxy.position"] - records["probe.position"], axis=1)
             force = np.linalg.norm(records["force"], axis=1)
@@ -113,19 +113,19 @@ BESIDE: Final = {"plane": (2, 6), "ball": (3, 7), "mesh": (0, 5), "map": (4, 1)}
 @pytest.mark.parametrize("kind", COMPANY)
 def test_hostile_maps_next_to_another_object(tmp_path: Path, cases: Cases, kind: str) -> None:
     """Without friction, which displaces the recorded proxy."""
-    touched_safely(tmp_path, kind, some_of(cases, *BESIDE[kind]), cases(10, 150), material=SMOOTH)
+    check_touches(tmp_path, kind, select_maps(cases, *BESIDE[kind]), cases(10, 150), material=SMOOTH)
 
 
 def test_hostile_maps_next_to_a_plane_with_friction(tmp_path: Path, cases: Cases) -> None:
-    touched_safely(tmp_path, "plane", some_of(cases, 5, 8), cases(10, 150))
+    check_touches(tmp_path, "plane", select_maps(cases, 5, 8), cases(10, 150))
 
 
 def test_hostile_maps_with_many_rolling_steps(tmp_path: Path, cases: Cases) -> None:
-    for name in some_of(cases, 2, 6, 8):
+    for name in select_maps(cases, 2, 6, 8):
         pitch, heights = MADE[name]()
         folder = tmp_path / name
         folder.mkdir()
-        points = way(heights, pitch, cases(10, 150))
+        points = path_over(heights, pitch, cases(10, 150))
         ticks = np.arange(len(points))
         poses = posed(points, spun((0.6, 0.0, 0.8), 0.5 * ticks * np.sin(0.02 * ticks)))
         records = engine(part(folder, heights, pitch), rolling={"method": "montana_rk45"}).run(poses)
@@ -139,20 +139,20 @@ def test_queries_of_a_tick_stay_within_the_budget(tmp_path: Path, cases: Cases) 
     counting, in `make test-all` compiled, the same ticks give the same proxies."""
     scenes, most = [], []
     for situation in ("alone", "map", *(("plane", "ball") if cases(0, 1) else ())):
-        for name in some_of(cases, 3, 6, 7):
+        for name in select_maps(cases, 3, 6, 7):
             pitch, heights = MADE[name]()
             folder = tmp_path / situation / name
             (folder / "other").mkdir(parents=True)
-            things = [part(folder, heights, pitch)]
+            objects = [part(folder, heights, pitch)]
             if situation != "alone":
-                things.append(companion(situation, folder / "other", heights, pitch))
+                objects.append(companion(situation, folder / "other", heights, pitch))
             method = "montana_rk45" if situation == "alone" else "midpoint"
-            scenes.append((method, things, way(heights, pitch, 150)[:: cases(27, 9)].tolist()))
+            scenes.append((method, objects, path_over(heights, pitch, 150)[:: cases(27, 9)].tolist()))
             most.append(counted_asks.ALONE if situation == "alone" else counted_asks.IN_COMPANY)
     options = {"cwd": Path(counted_asks.__file__).parents[1], "env": os.environ | {"NUMBA_DISABLE_JIT": "1"}}
     command = [sys.executable, "-m", "helpers.counted_asks"]
     output = run_program(command, input=json.dumps(scenes), check=True, timeout=1200, **options).stdout
-    for bound, (method, things, points), (lookups, centers) in zip(most, scenes, json.loads(output), strict=True):
+    for bound, (method, objects, points), (lookups, centers) in zip(most, scenes, json.loads(output), strict=True):
         assert 0 < max(lookups) <= bound
-        records = engine(*things, rolling={"method": method}).run(counted_asks.poses_at(points))
+        records = engine(*objects, rolling={"method": method}).run(counted_asks.poses_at(points))
         np.testing.assert_allclose(records["proxy.position"], centers, rtol=0, atol=1e-9)

@@ -31,16 +31,16 @@ LAST: Final = LOOK * (5 + 2 * LOOKS) + 4 * LEVELS
 
 
 @entry
-def ask(shape: Any, points: Any, radius: float, found: Any) -> None:
+def ask(shape: Any, points: Any, radius: float, results: Any) -> None:
     """Fill `found` (n, 4) with the cost of nearest and limited-gap queries, the gap, and the nearest point's error."""
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
-        found[k, 0] = nearest_from(shape, x, x, BUDGET).spent
-        found[k, 1] = gap_within(shape, x, radius, BUDGET).spent
+        results[k, 0] = nearest_from(shape, x, x, BUDGET).spent
+        results[k, 1] = gap_within(shape, x, radius, BUDGET).spent
         gap, point, normal, _ = closest_or_bound(shape, x)
-        found[k, 2] = gap
+        results[k, 2] = gap
         off = vec3.sub(vec3.add_scaled(point, gap, normal), x)
-        found[k, 3] = vec3.norm(off)
+        results[k, 3] = vec3.norm(off)
 
 
 def is_safe(running: Engine, shape: Any, points: Array, smooth: bool) -> Array:
@@ -89,12 +89,12 @@ def test_no_query_exceeds_its_budget(name: str) -> None:
     spread = np.array([*[0.5 * pitch * max(heights.shape)] * 2, R])
     points = rng.uniform(-1.0, 1.0, (60, 3)) * spread + (0.0, 0.0, heights.max() + R)
     points = np.vstack([points, 0.01 * R * rng.normal(size=(60, 3))])
-    found = np.zeros((len(points), 4))
-    ask(shape, points, R, found)
-    assert found[:, :2].max() <= BUDGET + LAST
-    assert found[found[:, 2] >= 0.0, 3].max() <= 1e-12
+    results = np.zeros((len(points), 4))
+    ask(shape, points, R, results)
+    assert results[:, :2].max() <= BUDGET + LAST
+    assert results[results[:, 2] >= 0.0, 3].max() <= 1e-12
     places = surface(shape, 3e-3)
-    for x, gap in zip(points, found[:, 2], strict=True):
+    for x, gap in zip(points, results[:, 2], strict=True):
         assert abs(gap) <= np.linalg.norm(places - x, axis=1).min() * (1.0 + 1e-12)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.hostile_maps import grid_of, part
-from helpers.touching import SMOOTH, R, engine, go, posed, thing
+from helpers.touching import SMOOTH, R, engine, make_object, posed, visit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -115,7 +115,7 @@ def test_the_surface_is_a_sum_of_b_splines(name: str) -> None:
     """Everywhere, also beyond the rim, heights equal NumPy's evaluation of the coefficients by truncated powers."""
     shape = SHAPES[name]
     half = 0.6 * np.array([shape.columns, shape.rows]) * shape.pitch
-    x, y = (np.random.default_rng(9).uniform(-each, each, 20) for each in half)
+    x, y = (np.random.default_rng(9).uniform(-extent, extent, 20) for extent in half)
     expected = grid_of(shape, x, y)
     # Sums of 16 terms of about the map's height, in two orders.
     np.testing.assert_allclose(heights_of(shape, *expected[:, :2].T)[:, 0], expected[:, 2], rtol=0, atol=1e-17)
@@ -257,9 +257,9 @@ def test_gap_to_a_tilted_plane_is_its_closed_form() -> None:
 
 
 def test_gap_to_a_cap_converges_with_fourth_order() -> None:
-    way = np.random.default_rng(6).uniform([-0.1, -0.1, 1.0], [0.1, 0.1, 1.0], (200, 3))
+    directions = np.random.default_rng(6).uniform([-0.1, -0.1, 1.0], [0.1, 0.1, 1.0], (200, 3))
     out = np.random.default_rng(7).uniform(0.058, 0.072, (200, 1))
-    points = way / np.linalg.norm(way, axis=1, keepdims=True) * out - [0.0, 0.0, 0.06]
+    points = directions / np.linalg.norm(directions, axis=1, keepdims=True) * out - [0.0, 0.0, 0.06]
     errors = []
     for pitch in (2e-3, 1e-3):
         heights = sampled(round(0.06 / pitch), round(0.06 / pitch), pitch, lambda x, y: cap_of(0.06, x, y))
@@ -337,14 +337,14 @@ def test_a_level_map_is_the_plane(tmp_path: Path, keys: dict[str, Any], modes: s
     poses = stroke(2, 1500, 0.03, 0.0085, 0.0125) if not keys else stroke(3, 1000, 0.006, 0.0085, 0.0115)
     height = 0.0 if keys else 0.002
     floor = part(tmp_path, np.full((40, 40), height), 1e-3, position_m=[0.0, 0.0, -height], **keys)
-    level, plane = (engine(each).run(poses) for each in (floor, thing("plane", "plane", **keys)))
+    level, plane = (engine(config).run(poses) for config in (floor, make_object("plane", "plane", **keys)))
     assert modes <= set(plane["contact.mode"])
     np.testing.assert_allclose(level, plane, rtol=0, atol=1e-12)
 
 
 def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
     poses = stroke(4, 750, 0.006, 0.0085, 0.0105)
-    ball = engine(thing("ball", "sphere", radius_m=0.06, position_m=[0.0, 0.0, -0.06])).run(poses)
+    ball = engine(make_object("ball", "sphere", radius_m=0.06, position_m=[0.0, 0.0, -0.06])).run(poses)
     over = engine(part(tmp_path, sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)).run(poses)
     assert {0.0, 1.0, 2.0} <= set(ball["contact.mode"])
     np.testing.assert_array_equal(over["contact.mode"], ball["contact.mode"])
@@ -357,7 +357,7 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize(
-    "name", [pytest.param(each, marks=pytest.mark.exhaustive if each == "noise" else ()) for each in MAPS]
+    "name", [pytest.param(map_name, marks=pytest.mark.exhaustive if map_name == "noise" else ()) for map_name in MAPS]
 )
 def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[int, int], int]) -> None:
     """With friction, torsion and rolling, deep and shallow, also over the rim: 300 ticks on each map except the noise,
@@ -391,7 +391,7 @@ def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
         inside = np.linalg.norm(surface - [0.0, 0.0, middle], axis=1).min() < R and middle < 0.02
         low, high = (middle, high) if inside else (low, middle)
     down = np.column_stack([np.full(300, 1e-4), np.zeros(300), np.linspace(0.02, high - 0.001, 300)])
-    records = go(groove, np.vstack([down, np.tile(down[-1], (50, 1))]))
+    records = visit(groove, np.vstack([down, np.tile(down[-1], (50, 1))]))
     # The brute-force search samples the walls every 50 um: 0.1 um in height. The probe is 0.1 mm off the centre.
     np.testing.assert_allclose(records["proxy.position"][-1], [0.0, 0.0, high], atol=2e-6)
     np.testing.assert_allclose(records["force"][-1], [-0.1, 0.0, 1.0], atol=3e-3)
@@ -402,7 +402,7 @@ def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
     heights[:, 30] = 0.02
     ridge = engine(part(tmp_path, heights, 5e-4), rolling=None)
     start, end = [-0.02, 0.0, 0.0105], [0.03, 0.0, 0.0095]
-    records = go(ridge, [start, start, end, end, end, end])
+    records = visit(ridge, [start, start, end, end, end, end])
     assert (records["proxy.position"][2:, 0] < 0.0).all() and (records[2:, AT.contact_mode] > 0).all()
 
 
@@ -411,9 +411,9 @@ def test_height_maps_next_to_a_wall(tmp_path: Path, cases: Callable[[int, int], 
     """With a wall as second object, a level map agrees with a plane to 1e-11 m, the tolerance of resting on two
     objects."""
     grip: dict[str, Any] = {"material": {"torsion": None}}
-    wall = thing("wall", "plane", orientation_wxyz=[math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0], **grip)
+    wall = make_object("wall", "plane", orientation_wxyz=[math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0], **grip)
     poses = stroke(8, 2000, 0.012, 0.0085, 0.0115)[: cases(100, 2000)]
-    floors = part(tmp_path, np.zeros((40, 40)), 1e-3, **grip), thing("plane", "plane", **grip)
+    floors = part(tmp_path, np.zeros((40, 40)), 1e-3, **grip), make_object("plane", "plane", **grip)
     level, plane = (engine(floor, wall, rolling=None).run(poses) for floor in floors)
     assert (plane["contacts1.object"] >= 0).any()
     np.testing.assert_allclose(level["force"], plane["force"], rtol=0, atol=1e-9)
@@ -430,6 +430,6 @@ def test_every_method_rolls_over_a_cap_as_over_a_ball(method: Any) -> None:
     at, on = ((0.0, 0.0, R), (0.0, 0.0, 1.0)), ((0.0, 0.0, 0.06 + R), (0.0, 0.0, 1.0))
     for k in range(100):
         turn = rotations.exp((0.01 * math.cos(0.05 * k), 0.01 * math.sin(0.05 * k), 0.004))
-        at, on = (compiled_roll(method, each, R, *place, turn)[:2] for each, place in ((shape, at), (BALL, on)))
+        at, on = (compiled_roll(method, body, R, *place, turn)[:2] for body, place in ((shape, at), (BALL, on)))
     assert abs(on[0][0]) > 1e-3  # it has moved
     np.testing.assert_allclose(np.add(at[0], [0.0, 0.0, 0.06]), on[0], rtol=0, atol=2e-8)

@@ -30,10 +30,10 @@ def test_a_heavy_body_rolls_on_soft_fingertips_and_comes_to_rest_slowly(tmp_path
     coupling["torsional_damping_nms_per_rad"] = math.sqrt(TORSION * inertia)
     material = RUBBER | {"stiffness_n_per_m": SOFT, "damping_ns_per_m": damping}
     engine, force = held_by_two(box(tmp_path, HEAVY, gravity=0.0), material, coupling), 3.0
-    way = pinch(100, 500.0 / SOFT * force)
-    engine.run(way)
+    path = pinch(100, 500.0 / SOFT * force)
+    engine.run(path)
     engine.data.qvel[:] = [0.0, 0.0, 0.0, 0.0, 0.2, 0.0]
-    hold = {name: np.repeat(poses[-1:], 2, axis=0) for name, poses in way.items()}
+    hold = {name: np.repeat(poses[-1:], 2, axis=0) for name, poses in path.items()}
     rate = np.zeros(350)
     for step in range(len(rate)):
         engine.run(hold)
@@ -59,10 +59,10 @@ def test_a_held_and_rolled_body_does_not_creep(tmp_path: Path, cases: Cases) -> 
     m to 1e-17 m, ten thousand ticks to 1e-13 m. After 3 s, 1e-11 m is a safe bound; an encoder's step is 1e-6 m.
     """
     engine = held_by_two(box(tmp_path))
-    way = pinch(100, 3.0, offset=0.008)
-    engine.run(way)
+    path = pinch(100, 3.0, offset=0.008)
+    engine.run(path)
     angle = 0.5 * 0.03
-    hold = {name: np.repeat(poses[-1:], 500, axis=0) for name, poses in way.items()}
+    hold = {name: np.repeat(poses[-1:], 500, axis=0) for name, poses in path.items()}
     for poses in hold.values():
         poses[:, 3:] = [math.cos(angle), 0.0, math.sin(angle), 0.0]
     for _ in range(cases(4, 6)):

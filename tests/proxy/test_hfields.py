@@ -58,10 +58,10 @@ def hills() -> Array:
     return np.asarray(np.sin(x / WAVES_M[0] + 0.3) * np.cos(y[:, None] / WAVES_M[1] - 0.4))
 
 
-def written(folder: Path, source: str = "elevation", joint: str = "", size: str = SIZE) -> Path:
+def write_model(folder: Path, source: str = "elevation", joint: str = "", size: str = SIZE) -> Path:
     """Write the model, with its elevations inline, in a binary file or in a picture; return its path."""
     elevations = hills()
-    numbers = f'elevation="{" ".join(f"{each!r}" for each in elevations.ravel().tolist())}"'
+    numbers = f'elevation="{" ".join(f"{elevation!r}" for elevation in elevations.ravel().tolist())}"'
     rows, columns = ROWS, COLUMNS
     if source == "binary":  # its first row is at the smallest y
         head = np.array([ROWS, COLUMNS], np.int32).tobytes()
@@ -78,7 +78,7 @@ def written(folder: Path, source: str = "elevation", joint: str = "", size: str 
     return path
 
 
-def made(path: Path, **tables: Any) -> Engine:
+def make_engine(path: Path, **tables: Any) -> Engine:
     return Engine({"fingertip": {"radius_m": R}, "world": {"model": str(path), "material": WOOD}, **tables})
 
 
@@ -88,7 +88,7 @@ def made(path: Path, **tables: Any) -> Engine:
 def test_a_height_field_matches_mujocos_rays(joint: str, source: str, tmp_path: Path) -> None:
     """At the nodes heights match to 32 bits; between them the surfaces differ by the curvature. MuJoCo has two
     triangles per pixel, our surface is smooth: they differ by up to p^2 / 4 (1 / a^2 + 1 / b^2) times the amplitude."""
-    engine = made(written(tmp_path, source, joint))
+    engine = make_engine(write_model(tmp_path, source, joint))
     if joint:
         engine.data.qvel[:] = [0.3, -0.2, 0.1, 2.0, 3.0, -1.0]
         engine.run([[0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]] * 50)
@@ -101,25 +101,25 @@ def test_a_height_field_matches_mujocos_rays(joint: str, source: str, tmp_path: 
     between = 0.25 * PITCH**2 * bend * 1.05  # and the error of a spline through samples of a sine
     if source == "picture":
         between += TOP / 255.0  # half a level at each corner, and as much from the spline through them
-    seen = set()
+    distances = set()
     for half_row in range(2 * ROWS - 1):
         for half_column in range(2 * COLUMNS - 1):
             local = 0.5 * PITCH * np.array([half_column - COLUMNS + 1, half_row - ROWS + 1])
             local *= 1.0 - 1e-7  # a ray on the rim may miss
             start = at + axes @ [*local, 0.05]
-            way = mujoco.mj_ray(engine.model, engine.data, start, -axes[:, 2], None, 1, -1, np.zeros(1, np.int32))
-            assert way > 0.0
-            hit = start - way * axes[:, 2]
+            distance = mujoco.mj_ray(engine.model, engine.data, start, -axes[:, 2], None, 1, -1, np.zeros(1, np.int32))
+            assert distance > 0.0
+            hit = start - distance * axes[:, 2]
             gap = closest_to_within(placed, 0.0, tuple(hit.tolist()), BUDGET)[0]
             node = half_row % 2 == half_column % 2 == 0
-            seen.add(round(way, 6))
+            distances.add(round(distance, 6))
             assert abs(gap) < (1e-8 if node else between), (half_row, half_column, gap)
-    assert len(seen) > 50  # the surface is not flat
+    assert len(distances) > 50  # the surface is not flat
 
 
 def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
     world = schema.World(
-        model=str(written(tmp_path, size="0.03 0.03 0.006 0.01")), material=schema.Material(stiffness_n_per_m=500.0)
+        model=str(write_model(tmp_path, size="0.03 0.03 0.006 0.01")), material=schema.Material(stiffness_n_per_m=500.0)
     )
     (geom,) = convert_geoms(world)
     assert geom.object is None
@@ -128,26 +128,26 @@ def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
         "resampling"
     )
     with pytest.raises(ConfigError, match="no geom can be touched: hills is a height field with pixels"):
-        made(Path(world.model))
+        make_engine(Path(world.model))
 
 
 def test_a_heightmap_object_can_use_a_models_height_field(tmp_path: Path) -> None:
-    path = written(tmp_path)
-    thing = {"name": "hills", "shape": "heightmap", "file": str(path), "hfield": "hills", "pitch_m": PITCH}
-    thing |= {"level_m": TOP, "material": WOOD}
-    scene = {"fingertip": {"radius_m": R}, "object": [thing]}
+    path = write_model(tmp_path)
+    entry = {"name": "hills", "shape": "heightmap", "file": str(path), "hfield": "hills", "pitch_m": PITCH}
+    entry |= {"level_m": TOP, "material": WOOD}
+    scene = {"fingertip": {"radius_m": R}, "object": [entry]}
     (read,) = load_scene(scene).object
     assert isinstance(read, schema.Heightmap)
     np.testing.assert_allclose(read_heights(read), elevations_m(), atol=TOP * 2.0**-23)  # 32 bits
-    thing["hfield"] = "hils"
+    entry["hfield"] = "hils"
     with pytest.raises(ConfigError, match=r"hills\.xml: has no height field 'hils'; it has: hills"):
         Engine(scene)
 
 
 def elevations_m() -> Array:
     """Heights (rows, columns) of the geom above its frame, m, the first row at the smallest y."""
-    found = hills()[::-1]
-    return np.asarray(TOP * (found - found.min()) / np.ptp(found))
+    elevations = hills()[::-1]
+    return np.asarray(TOP * (elevations - elevations.min()) / np.ptp(elevations))
 
 
 def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,11 +170,11 @@ def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureF
 def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
     """The page gets one vertex per height in the geom's frame, and its surface follows the body."""
     viser = pytest.importorskip("viser")
-    path = str(written(tmp_path, joint="<freejoint/>"))
+    path = str(write_model(tmp_path, joint="<freejoint/>"))
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}})
-    (thing,) = scene.object
-    assert isinstance(thing, Filed) and isinstance(thing.motion, schema.Body)
-    (vertices, triangles), of = picture_of(thing)
+    (hills_object,) = scene.object
+    assert isinstance(hills_object, Filed) and isinstance(hills_object.motion, schema.Body)
+    (vertices, triangles), of = picture_of(hills_object)
     assert of == len(triangles) == 2 * (ROWS - 1) * (COLUMNS - 1)
     x, y = (PITCH * (np.arange(n) - 0.5 * (n - 1)) for n in (COLUMNS, ROWS))
     expected = np.stack([*np.meshgrid(x, y), elevations_m()], axis=-1).reshape(-1, 3)
@@ -185,11 +185,11 @@ def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
         bodies.draw(0, surface_meshes.decode_mesh(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
         half = math.sqrt(0.5)  # rotate the body so that the geom has the same orientation in the world as in its frame
         turn, back = np.empty(4), np.empty(4)
-        mujoco.mju_negQuat(back, np.array(thing.orientation_wxyz))
+        mujoco.mju_negQuat(back, np.array(hills_object.orientation_wxyz))
         mujoco.mju_mulQuat(turn, np.array([half, 0.0, 0.0, half]), back)
         offset = np.empty(3)
-        mujoco.mju_rotVecQuat(offset, np.array(thing.position_m), turn)
-        bodies.move_bodies({thing.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
+        mujoco.mju_rotVecQuat(offset, np.array(hills_object.position_m), turn)
+        bodies.move_bodies({hills_object.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
         for row, column in ((2, 3), (6, 9)):  # a quarter turn: x of the map is y of the world
             foot = bodies.below(np.array([0.3 - y[row], 0.2 + x[column], 1.0]))
             assert foot is not None and foot.point[2] == pytest.approx(0.1 + elevations_m()[row, column], abs=1e-7)
@@ -200,7 +200,7 @@ def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
 @pytest.mark.skipif(not PLAIN, reason="asked in plain Python: compiled, the scene takes a minute")
 def test_a_recorded_contact_is_replayed_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A press and drag over the hills of a free body gives the same forces in every tick of a replay."""
-    written(tmp_path, joint="<freejoint/>")
+    write_model(tmp_path, joint="<freejoint/>")
     scene, poses, file = (str(tmp_path / name) for name in ("hills.toml", "poses.csv", "run.mcap"))
     material = "stiffness_n_per_m = 500.0, damping_ns_per_m = 2.0, friction = { static = 0.6, kinetic = 0.5 }"
     Path(scene).write_text(
@@ -208,10 +208,10 @@ def test_a_recorded_contact_is_replayed_to_the_bit(tmp_path: Path, capsys: pytes
         f'[world]\nmodel = "hills.xml"\nmaterial = {{ {material} }}\n'
     )
     share = np.linspace(0.0, 1.0, 200)
-    way = np.zeros((200, 8))
-    way[:, 0], way[:, 1], way[:, 4] = 1e-3 * np.arange(200), 0.02 + 0.01 * share, 1.0
-    way[:, 2], way[:, 3] = 0.03, 0.09 - 0.03 * share
-    np.savetxt(poses, way, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
+    rows = np.zeros((200, 8))
+    rows[:, 0], rows[:, 1], rows[:, 4] = 1e-3 * np.arange(200), 0.02 + 0.01 * share, 1.0
+    rows[:, 2], rows[:, 3] = 0.03, 0.09 - 0.03 * share
+    np.savetxt(poses, rows, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
     assert cli.main(["simulate", "--scene", scene, "--poses", poses, "--out", file]) == 0
     assert "no contact" not in capsys.readouterr().out
     assert cli.main(["replay", file, "--scene", scene, "--tolerance", "0", "--json"]) == 0

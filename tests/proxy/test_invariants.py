@@ -41,14 +41,14 @@ def numbers(rows, columns):
     """
     count = rows * columns
     return st.binary(min_size=2 * count, max_size=2 * count).map(
-        lambda found: np.frombuffer(found, np.int16).reshape(rows, columns) / 32768.0
+        lambda data: np.frombuffer(data, np.int16).reshape(rows, columns) / 32768.0
     )
 
 
 def scene(kind, material="grip", at=(0.5, 0.5, 0.5)):
     stuff = {"grip": GRIP, "slick": SLICK, "springs": GRIP | {"damping_ns_per_m": 0.0}}[material]
     ball = {"name": "ball", "shape": "sphere", "radius_m": 0.02, "material": stuff}
-    things = {
+    objects = {
         "zoo": [
             {"name": "floor", "shape": "plane", "position_m": [0, 0, -0.02], "material": stuff},
             ball | {"position_m": [0.03, 0.0, 0.0]},
@@ -72,7 +72,7 @@ def scene(kind, material="grip", at=(0.5, 0.5, 0.5)):
         "slick": {},
         "springs": {"rolling": {"method": "rotation_vector"}, "coupling": {"damping_ns_per_m": 0.0}},
     }[material]
-    return build(Scene, {"fingertip": {"radius_m": R}, "object": things, **tables}, "invariants")
+    return build(Scene, {"fingertip": {"radius_m": R}, "object": objects, **tables}, "invariants")
 
 
 @functools.cache
@@ -88,11 +88,11 @@ def gaps(x):
     return np.array([x[:, 2] + 0.02, np.linalg.norm(x - np.array([0.03, 0.0, 0.0]), axis=1) - 0.02, block])
 
 
-def visits(start, found):
+def visits(start, draws):
     """Return poses (n + 1, 7): `start`, then a point within 60 mm for each row (n, 6), each rotated by up to 0.1
     rad."""
-    orientations, _ = walk(np.vstack([np.zeros(3), 0.1 * found[:, 3:]]), len(found) + 1)
-    return np.hstack([np.vstack([start, 0.06 * found[:, :3]]), orientations])
+    orientations, _ = walk(np.vstack([np.zeros(3), 0.1 * draws[:, 3:]]), len(draws) + 1)
+    return np.hstack([np.vstack([start, 0.06 * draws[:, :3]]), orientations])
 
 
 def visit(running, poses):
@@ -107,8 +107,8 @@ ABOVE = (0.0, 0.0, 0.055)
 @pytest.mark.scaled
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
-def test_proxy_is_never_inside_any_object(found, count):
-    records = visit(engine("zoo"), visits(ABOVE, found[:count]))
+def test_proxy_is_never_inside_any_object(draws, count):
+    records = visit(engine("zoo"), visits(ABOVE, draws[:count]))
     # The solver stops at 1e-10 of the radius; these formulas round, too.
     assert gaps(records["proxy.position"]).min() > R * (1.0 - 1e-9)
 
@@ -116,10 +116,10 @@ def test_proxy_is_never_inside_any_object(found, count):
 @pytest.mark.scaled
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
-def test_force_is_within_the_friction_cone_and_never_pulls(found, count):
+def test_force_is_within_the_friction_cone_and_never_pulls(draws, count):
     """The normal force is not negative, the tangential force at most mu_s times it, and the torsional moment within its
     limit."""
-    records = visit(engine("ball"), visits(0.06 * found[0, :3], found[:count]))
+    records = visit(engine("ball"), visits(0.06 * draws[0, :3], draws[:count]))
     normal = records["contact.normal_force"]
     assert (normal >= 0.0).all()
     assert (records["contact.tangential_force"] <= 0.6 * normal * (1.0 + 1e-9) + 1e-15).all()
@@ -169,13 +169,13 @@ def test_closed_cycle_of_a_frictionless_contact_creates_no_energy(kind):
 
     @examples(20)
     @given(numbers(6, 3), st.integers(4, 6))
-    def check(found, count):
+    def check(draws, count):
         # All corners are in a ball of 0.35 reach around a point at 0.95 reach: partly in contact, never near the
         # centre.
-        toward = found[0] * which
+        toward = draws[0] * which
         size = np.linalg.norm(toward)
         middle = 0.95 * reach * (toward / size if size > 0.0 else np.array([1.0, 0.0, 0.0]))
-        corners = middle + 0.35 * reach * found[1:count] / np.sqrt(3.0)
+        corners = middle + 0.35 * reach * draws[1:count] / np.sqrt(3.0)
         depth = reach - np.sqrt(np.sum(which * corners**2, axis=1))
         energy = 0.5 * 1000.0 * np.maximum(-depth if kind == "hollow ball" else depth, 0.0) ** 2
         work = legs_of_force(running, corners, which, reach)
@@ -203,7 +203,7 @@ def cycle(at, goals, turns, ticks=8):
 @pytest.mark.scaled
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
-def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(found, count):
+def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(draws, count):
     """While pressing, rolling, dragging, spinning and returning, the work of the hand is at least the energy stored in
     the springs.
 
@@ -212,8 +212,8 @@ def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(found, count):
     """
     running = engine("floor", "springs")
     running.reset()
-    goals = np.array([0.0, 0.0, R - 0.001]) + found[:count, :3] * [0.004, 0.004, 0.002]
-    records = running.run(cycle(np.array([0.0, 0.0, R + 0.002]), goals, 0.3 * found[:count, 3:]))
+    goals = np.array([0.0, 0.0, R - 0.001]) + draws[:count, :3] * [0.004, 0.004, 0.002]
+    records = running.run(cycle(np.array([0.0, 0.0, R + 0.002]), goals, 0.3 * draws[:count, 3:]))
     # Sums of up to forty terms of up to 1e-2 J.
     assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
 
@@ -221,7 +221,7 @@ def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(found, count):
 @pytest.mark.scaled
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
-def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
+def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(draws, count):
     """The same on a ball, up to the rotation of the normal within a tick.
 
     The proxy moves by l = |slip| + r |turn| per tick, the normal rotates by up to l / D with D the sum of the radii,
@@ -231,49 +231,49 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(found, count):
     """
     running, reach = engine("ball", "springs"), R + 0.02
     running.reset()
-    outward = np.array([0.0, 0.0, reach]) + found[:count, :3] * [0.004, 0.004, 0.0]
+    outward = np.array([0.0, 0.0, reach]) + draws[:count, :3] * [0.004, 0.004, 0.0]
     outward /= np.linalg.norm(outward, axis=1)[:, None]
-    goals = outward * (reach - 0.001 + 0.002 * found[:count, 2:3])
-    records = running.run(cycle(np.array([0.0, 0.0, reach + 0.002]), goals, 0.3 * found[:count, 3:]))
+    goals = outward * (reach - 0.001 + 0.002 * draws[:count, 2:3])
+    records = running.run(cycle(np.array([0.0, 0.0, reach + 0.002]), goals, 0.3 * draws[:count, 3:]))
     turned = np.linalg.norm(axis_angles(records["probe.orientation"]), axis=1)
-    way = np.linalg.norm(np.diff(records["proxy.position"], axis=0), axis=1) + R * turned
+    travel = np.linalg.norm(np.diff(records["proxy.position"], axis=0), axis=1) + R * turned
     force = np.linalg.norm(records["force"], axis=1)[1:]
     moment = np.abs(K_Z * records["contact.spin"])[1:]
-    missed = np.cumsum((force * way + moment * turned) * way / reach + 0.5 * 1000.0 * (way**2 / reach) ** 2)
+    missed = np.cumsum((force * travel + moment * turned) * travel / reach + 0.5 * 1000.0 * (travel**2 / reach) ** 2)
     assert ((work_of_the_hand(records) - stored_energy(records))[1:] + missed).min() > -1e-14
 
 
 @pytest.mark.scaled
 @examples(40)
 @given(quaternions, shift, numbers(4, 6), st.integers(2, 4))
-def test_results_do_not_depend_on_the_world_frame(q, moved, found, count):
+def test_results_do_not_depend_on_the_world_frame(q, moved, draws, count):
     """Results move with a rigid motion of scene and hand."""
     turned = np.asarray(q) / np.linalg.norm(q)
     turn, center = matrix(turned), np.asarray(moved)
     # Starts outside: a first pose at the centre of the ball has no normal except the coordinates'.
-    poses = visits((0.05, 0.02, 0.03), found[:count])
-    one = visit(engine("ball"), poses)
-    there = engine("ball elsewhere")
-    there.tune(scene("ball elsewhere", at=center.tolist()))
-    other = visit(there, np.hstack([poses[:, :3] @ turn.T + center, multiply(turned, poses[:, 3:])]))
-    modes = one["contact.mode"] == other["contact.mode"]
+    poses = visits((0.05, 0.02, 0.03), draws[:count])
+    first = visit(engine("ball"), poses)
+    moved_engine = engine("ball elsewhere")
+    moved_engine.tune(scene("ball elsewhere", at=center.tolist()))
+    second = visit(moved_engine, np.hstack([poses[:, :3] @ turn.T + center, multiply(turned, poses[:, 3:])]))
+    modes = first["contact.mode"] == second["contact.mode"]
     same = len(modes) if modes.all() else int(np.argmin(modes))
     if same < len(modes):
         # Modes differ only at a threshold to the last digit: that of contact, or the friction cone.
-        room = 0.6 * one["contact.normal_force"] - one["contact.tangential_force"]
+        room = 0.6 * first["contact.normal_force"] - first["contact.tangential_force"]
         assert abs(np.linalg.norm(poses[same, :3]) - 0.03) < 1e-9 or abs(room[same]) < 1e-9
     # Rounding of coordinates up to 1 m, relative to a radius of 10 mm, over a few ticks, times 1000 N/m.
     for name, shifted, error in (("force", 0.0, 1e-9), ("torque", 0.0, 1e-9), ("proxy.position", center, 1e-12)):
-        expected = one[name][:same] @ turn.T + shifted
-        assert np.abs(other[name][:same] - expected).max() < error, name
+        expected = first[name][:same] @ turn.T + shifted
+        assert np.abs(second[name][:same] - expected).max() < error, name
 
 
 @pytest.mark.scaled
 @examples(40)
 @given(numbers(6, 6), st.integers(1, 6))
-def test_finger_side_point_follows_exactly_from_the_orientation(found, count):
+def test_finger_side_point_follows_exactly_from_the_orientation(draws, count):
     """The contact point on the fingertip is -r R^T n, so it cannot drift."""
-    records = visit(engine("zoo"), visits(0.06 * found[0, :3], found[:count]))
+    records = visit(engine("zoo"), visits(0.06 * draws[0, :3], draws[:count]))
     for record in records[records["contact.mode"] > 0.0]:
         normal, finger = record["contact.normal"], record["contact.finger_point"]
         turn = matrix(record["probe.orientation"])
@@ -350,10 +350,10 @@ def matrices_of(quaternions):
 @pytest.mark.scaled
 @examples(150)
 @given(numbers(1, 4), st.floats(-6.0, 6.0))
-def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
-    if not found.any():
+def test_any_quaternion_gives_a_rotation_matrix(draws, exponent):
+    if not draws.any():
         return
-    q = 10.0**exponent * found / np.linalg.norm(found)
+    q = 10.0**exponent * draws / np.linalg.norm(draws)
     matrices = matrices_of(q)
     assert_rotations(matrices)
     np.testing.assert_allclose(matrices[0], matrix(q[0]), atol=16 * ULP)
@@ -362,8 +362,8 @@ def test_any_quaternion_gives_a_rotation_matrix(found, exponent):
 @pytest.mark.scaled
 @examples(50)
 @given(numbers(3, 3), st.integers(1, 300))
-def test_a_sequence_of_rotations_stays_normalised(found, ticks):
-    orientations, steps = walk(3.0 * found, ticks)
+def test_a_sequence_of_rotations_stays_normalised(draws, ticks):
+    orientations, steps = walk(3.0 * draws, ticks)
     # One product and one normalisation of a unit quaternion per tick; a step is the product of two unit quaternions.
     assert np.abs(np.linalg.norm(orientations, axis=1) - 1.0).max() <= 4 * ULP
     assert np.abs(np.linalg.norm(steps, axis=1) - 1.0).max() <= 8 * ULP
@@ -374,8 +374,8 @@ def test_a_sequence_of_rotations_stays_normalised(found, ticks):
 @pytest.mark.scaled
 @examples(100)
 @given(numbers(1, 7), st.floats(-100.0, 100.0), st.floats(0.0, 1e9))
-def test_poses_of_moving_objects_stay_rotations(found, rate, time):
-    q, axis = found[0, :4], found[0, 4:]
+def test_poses_of_moving_objects_stay_rotations(draws, rate, time):
+    q, axis = draws[0, :4], draws[0, 4:]
     if not (q.any() and axis.any()):
         return
     unit = tuple((axis / np.linalg.norm(axis)).tolist())
@@ -390,11 +390,11 @@ def test_poses_of_moving_objects_stay_rotations(found, rate, time):
 @pytest.mark.scaled
 @examples(12)
 @given(numbers(3, 3), st.floats(1e-4, 2e-3))
-def test_contact_directions_stay_normalised_over_many_ticks(found, deep):
+def test_contact_directions_stay_normalised_over_many_ticks(draws, deep):
     running = engine("ball", "springs")
     running.reset()
     poses = np.tile([0.0, 0.0, R + 0.02 - deep, 0.0, 0.0, 0.0, 0.0], (200, 1))
-    poses[:, 3:], _ = walk(0.3 * found, 200)
+    poses[:, 3:], _ = walk(0.3 * draws, 200)
     records = running.run(poses)
     assert records["contact.mode"].all()
     assert np.abs(np.linalg.norm(records["contact.normal"], axis=1) - 1.0).max() <= 16 * ULP

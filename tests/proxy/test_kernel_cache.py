@@ -84,15 +84,14 @@ def scripts(tmp_path: Path) -> Path:
 
 
 def start(
-    what: Path | str, cache: Path | str, prepare: Callable[[], None] | None = None, **env: str | None
+    program: Path | str, cache: Path | str, prepare: Callable[[], None] | None = None, **env: str | None
 ) -> tuple[str, str]:
     """Run a script or code in a new process; return its stdout and stderr. It must exit with 0."""
-    command = [sys.executable, "-B", *(["-c", what] if isinstance(what, str) else [str(what)])]
+    command = [sys.executable, "-B", *(["-c", program] if isinstance(program, str) else [str(program)])]
     changed = {"SOFTFINGER_CACHE_DIR": str(cache), **env}
     environment = {k: v for k, v in (os.environ | changed).items() if v is not None}
-    done = run_program(command, env=environment, preexec_fn=prepare)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip(), done.stderr
+    process = run_program(command, env=environment, preexec_fn=prepare, check=True)
+    return process.stdout.strip(), process.stderr
 
 
 def kernels(cache: Path) -> list[Path]:
@@ -111,10 +110,10 @@ def test_a_kernel_is_loaded_until_a_neighbouring_file_is_edited(scripts: Path, t
     outer.write_text(f"import sys\n{OUTER}\nprint(bool({{'numba.np.arraymath', 'scipy.linalg'}} & sys.modules.keys()))")
     assert start(outer, cache) == ("4.0 0\nTrue", "")
     assert start(outer, cache) == ("4.0 1\nFalse", "")
-    (kept,) = kernels(cache)
-    for folder in (cache, kept.parent):
+    (kernel,) = kernels(cache)
+    for folder in (cache, kernel.parent):
         assert folder.stat().st_mode & 0o777 == 0o700
-    assert kept.stat().st_mode & 0o777 == 0o600
+    assert kernel.stat().st_mode & 0o777 == 0o600
     inner = scripts / "inner.py"
     inner.write_text(inner.read_text().replace("FACTOR = 2.0", "FACTOR = 0.25"))
     assert start(outer, cache) == ("1.375 0\nTrue", "")
@@ -129,23 +128,23 @@ def test_a_cached_kernel_may_call_numba_s_allocator(tmp_path: Path) -> None:
 
 
 def flip(place: float) -> Callable[[Path, bytes], object]:
-    def change(kept: Path, whole: bytes) -> None:
+    def change(kernel: Path, whole: bytes) -> None:
         data = bytearray(whole)
         data[int(place * len(data))] ^= 0x10
-        kept.write_bytes(data)
+        kernel.write_bytes(data)
 
     return change
 
 
-def lead_elsewhere(kept: Path, whole: bytes) -> None:
-    elsewhere = kept.parents[2] / "elsewhere"
+def lead_elsewhere(kernel: Path, whole: bytes) -> None:
+    elsewhere = kernel.parents[2] / "elsewhere"
     elsewhere.write_bytes(whole)
-    kept.symlink_to(elsewhere)
+    kernel.symlink_to(elsewhere)
 
 
-def pickle_other(kept: Path, whole: bytes) -> None:
+def pickle_other(kernel: Path, whole: bytes) -> None:
     body = pickle.dumps("no kernel")
-    kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
+    kernel.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
 
 
 DAMAGED: dict[str, Callable[[Path, bytes], object]] = {
@@ -153,9 +152,9 @@ DAMAGED: dict[str, Callable[[Path, bytes], object]] = {
     "early_bit": flip(0.01),
     "middle_bit": flip(0.5),
     "last_bit": flip(0.999),
-    "empty": lambda kept, whole: kept.touch(),
-    "short": lambda kept, whole: kept.write_bytes(whole[: len(whole) // 2]),
-    "fifo": lambda kept, whole: os.mkfifo(kept),
+    "empty": lambda kernel, whole: kernel.touch(),
+    "short": lambda kernel, whole: kernel.write_bytes(whole[: len(whole) // 2]),
+    "fifo": lambda kernel, whole: os.mkfifo(kernel),
     "link": lead_elsewhere,
     "other_pickle": pickle_other,
 }
@@ -171,17 +170,17 @@ def test_damaged_kernels_are_compiled_again(scripts: Path, tmp_path: Path) -> No
     head = "from inner import scaled\nfrom softfinger.proxy.kernels.jit.decorators import entry\n"
     script.write_text("\n".join([head, *made, *calls]))
     assert start(script, cache) == ("\n".join(["4.0 0"] * len(DAMAGED)), "")
-    kept = {path.name.partition("-")[0]: path for path in kernels(cache)}
-    assert kept.keys() == DAMAGED.keys()
+    by_name = {path.name.partition("-")[0]: path for path in kernels(cache)}
+    assert by_name.keys() == DAMAGED.keys()
     for name, damage in DAMAGED.items():
-        whole = kept[name].read_bytes()
+        whole = by_name[name].read_bytes()
         if not name.endswith("_bit"):
-            kept[name].unlink()
-        damage(kept[name], whole)
+            by_name[name].unlink()
+        damage(by_name[name], whole)
     printed, log = start(script, cache)
     assert printed.splitlines() == ["4.0 0"] * len(DAMAGED)
     for name in DAMAGED:
-        (line,) = (line for line in log.splitlines() if kept[name].name in line)
+        (line,) = (line for line in log.splitlines() if by_name[name].name in line)
         assert "compiled again" in line and ("damaged" in line or not name.endswith("_bit"))
     assert start(script, cache) == ("\n".join(["4.0 1"] * len(DAMAGED)), "")
 
@@ -270,7 +269,7 @@ class Planted:
 
 
 @as_root
-def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> None:
+def test_a_kernel_planted_by_another_user_is_not_run(scripts: Path, tmp_path: Path) -> None:
     """A pickle with a valid checksum under the name of a kernel is executed only if file and folder belong to the
     current user.
 
@@ -279,9 +278,9 @@ def test_what_another_user_planted_is_not_run(scripts: Path, tmp_path: Path) -> 
     """
     cache, proof = tmp_path / "cache", tmp_path / "proof"
     start(scripts / "outer.py", cache)
-    (kept,) = kernels(cache)
+    (kernel,) = kernels(cache)
     body = pickle.dumps(Planted(proof))
-    kept.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
+    kernel.write_bytes(MAGIC + hashlib.sha256(body).digest() + body)
     for whose in ("folder", "file"):
         shutil.copytree(cache, tmp_path / whose)
     start(scripts / "outer.py", cache)
@@ -352,8 +351,8 @@ def test_links_of_another_user_are_refused(tmp_path: Path) -> None:
 def test_kinds_in_finds_a_class_in_any_signature() -> None:
     """A class is found in a tuple, in `Rows` and behind a TypeRef, so its file is part of the cache key."""
     plane = Plane((0.0, 0.0, 1.0), 0.0)
-    for given in (plane, (1.0, plane), Rows([plane, plane])):
-        kind = numba.typeof(given)
+    for argument in (plane, (1.0, plane), Rows([plane, plane])):
+        kind = numba.typeof(argument)
         assert Plane in kinds_in((kind,)) and Plane in kinds_in((numba.types.TypeRef(kind),))
 
 

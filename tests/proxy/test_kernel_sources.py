@@ -35,7 +35,7 @@ def hashed_with(file: str, module: str) -> bool:
 
 
 def unseen(file: str, text: str) -> list[str]:
-    tree, found = ast.parse(text), []
+    tree, messages = ast.parse(text), []
     names = {
         alias.asname or alias.name: node.module
         for node in ast.walk(tree)
@@ -46,8 +46,8 @@ def unseen(file: str, text: str) -> list[str]:
         if isinstance(function, ast.FunctionDef) and any(map(KERNEL.match, map(ast.unparse, function.decorator_list))):
             used = {node.id for part in function.body for node in ast.walk(part) if isinstance(node, ast.Name)}
             lost = {name for name in used & names.keys() if not hashed_with(file, str(names[name]))}
-            found += [f"{file}: {function.name}: {name}" for name in sorted(lost)]
-    return found
+            messages += [f"{file}: {function.name}: {name}" for name in sorted(lost)]
+    return messages
 
 
 @pytest.mark.plain
@@ -56,12 +56,12 @@ def test_names_in_kernels_are_from_hashed_sources() -> None:
     texts = {str(path.relative_to(ROOT)): path.read_text("utf-8") for path in files}
     with_kernels = {file: text for file, text in texts.items() if f"{OURS}proxy.kernels.jit" in text}
     assert len(with_kernels) > 100
-    assert [each for file, text in with_kernels.items() for each in unseen(file, text)] == []
+    assert [message for file, text in with_kernels.items() for message in unseen(file, text)] == []
 
 
 @pytest.mark.plain
 @pytest.mark.parametrize(
-    ("file", "module", "seen"),
+    ("file", "module", "is_reported"),
     [
         ("proxy/kernels/step.py", "config.limits", False),
         ("proxy/kernels/step.py", "proxy.record", True),
@@ -71,9 +71,9 @@ def test_names_in_kernels_are_from_hashed_sources() -> None:
         ("tools/accuracy/measure.py", "drivers.block", True),
     ],
 )
-def test_names_from_unhashed_sources_are_found(file: str, module: str, seen: bool) -> None:
+def test_names_from_unhashed_sources_are_found(file: str, module: str, is_reported: bool) -> None:
     text = f"from softfinger.{module} import X\n@jit\ndef kernel(a):\n    return a * X\n"
-    assert unseen(file, text) == ([] if seen else [f"{file}: kernel: X"])
+    assert unseen(file, text) == ([] if is_reported else [f"{file}: kernel: X"])
 
 
 SHOW = r"""
@@ -121,6 +121,6 @@ def test_an_edit_invalidates_only_the_kernels_it_concerns(tmp_path: Path) -> Non
     edits = "\n".join(["", *moved_by])
     process = run_program(command, env=os.environ | {"PYTHONPATH": site}, input=edits + "\n", check=True)
     lines = process.stdout.splitlines()
-    kept = [lines[first : first + 1 + len(names)] for first in range(0, len(lines), 1 + len(names))]
-    found = [[one != other for one, other in zip(before, after, strict=True)] for before, after in pairwise(kept)]
-    assert dict(zip(moved_by, found, strict=True)) == moved_by
+    runs = [lines[first : first + 1 + len(names)] for first in range(0, len(lines), 1 + len(names))]
+    changes = [[old != new for old, new in zip(before, after, strict=True)] for before, after in pairwise(runs)]
+    assert dict(zip(moved_by, changes, strict=True)) == moved_by

@@ -52,18 +52,18 @@ FAR = {"name": "far", "shape": "sphere", "radius_m": 0.01, "position_m": [3.0, 0
 def cone() -> Iterator[Any]:
     """Import another package's shape afresh; its table is registered only while a module of tests needs it."""
     folder, before = str(Path(__file__).parents[1] / "outside_shape"), list(schema.ObjectBase.added)
-    other = sys.modules.pop("softfinger_cone", None)
+    loaded = sys.modules.pop("softfinger_cone", None)
     sys.path.insert(0, folder)
     yield importlib.import_module("softfinger_cone")
     sys.path.remove(folder)
     schema.ObjectBase.added[:] = before
     del sys.modules["softfinger_cone"]
-    if other is not None:
-        sys.modules["softfinger_cone"] = other
+    if loaded is not None:
+        sys.modules["softfinger_cone"] = loaded
 
 
-def scene(*things: dict[str, Any], **tables: Any) -> schema.Scene:
-    objects = [{"name": f"n{number}", "material": RUBBER} | thing for number, thing in enumerate(things)]
+def scene(*entries: dict[str, Any], **tables: Any) -> schema.Scene:
+    objects = [{"name": f"n{number}", "material": RUBBER} | entry for number, entry in enumerate(entries)]
     base = {"fingertip": {"radius_m": R}, "rolling": {"method": "midpoint"}}
     return build(schema.Scene, base | tables | {"object": objects}, "test")
 
@@ -192,12 +192,12 @@ def test_two_fingers_on_free_bodies_are_reset_and_copied(tmp_path: Path) -> None
     push[:, 0], push[:, 2], push[:, 3] = -2.0 * apart - height - R - 0.002 + 0.012 * share, height, 1.0
     halves = [{"thumb": over[part], "index": push[part]} for part in (slice(200), slice(200, 400))]
     first = [engine.run(half) for half in halves]
-    touched = {number for half in first for each in half.values() for number in each["contact.object"].tolist()}
+    touched = {number for half in first for rows in half.values() for number in rows["contact.object"].tolist()}
     assert len(touched) > 3  # including -1 for no object
     assert all(max(half[name]["contact.normal_force"].max() for half in first) > 0.3 for name in ("thumb", "index"))
     engine.reset()
-    again = engine.run(halves[0])
+    repeated = engine.run(halves[0])
     continued = copy.deepcopy(engine).run(halves[1])
     for name in ("thumb", "index"):
-        np.testing.assert_array_equal(again[name], first[0][name])
+        np.testing.assert_array_equal(repeated[name], first[0][name])
         np.testing.assert_array_equal(continued[name], first[1][name])

@@ -56,7 +56,7 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     BUILT.clear()
 
 
-def same(a: Tree, b: Tree) -> bool:
+def are_equal(a: Tree, b: Tree) -> bool:
     return all(
         (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
         if isinstance(x, np.ndarray)
@@ -66,38 +66,38 @@ def same(a: Tree, b: Tree) -> bool:
 
 
 def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    thing = part(tmp_path)
+    mesh = part(tmp_path)
     forget(monkeypatch)
-    first = tree_of(thing, folder)
-    description = about(thing)
-    assert tree_of(thing, folder) is first and BUILT == [180]
+    first = tree_of(mesh, folder)
+    description = about(mesh)
+    assert tree_of(mesh, folder) is first and BUILT == [180]
     forget(monkeypatch)
-    again = tree_of(thing, folder)
-    assert BUILT == [] and same(first, again) and not again.corners.flags.writeable
+    loaded = tree_of(mesh, folder)
+    assert BUILT == [] and are_equal(first, loaded) and not loaded.corners.flags.writeable
     monkeypatch.setattr(prepared, "_read_and_mend", None)  # loaded results must not read the mesh again
-    assert about(thing).report == description.report
-    assert about(thing).picture.vertices.tobytes() == description.picture.vertices.tobytes()
+    assert about(mesh).report == description.report
+    assert about(mesh).picture.vertices.tobytes() == description.picture.vertices.tobytes()
 
 
 def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     forget(monkeypatch)
-    thing = part(tmp_path)
-    tree_of(thing, folder)
-    assert tree_of(part(tmp_path, scale=0.5), folder).size == 1.0 * tree_of(thing, folder).size / 2
+    mesh = part(tmp_path)
+    tree_of(mesh, folder)
+    assert tree_of(part(tmp_path, scale=0.5), folder).size == 1.0 * tree_of(mesh, folder).size / 2
     tree_of(part(tmp_path, 4), folder)
     assert BUILT == [180, 180, 320]
-    (tmp_path / "copy.obj").write_bytes(Path(thing.file).read_bytes())
-    copy = schema.Mesh(name="copy", file=str(tmp_path / "copy.obj"), material=thing.material)
-    assert same(tree_of(copy, folder), tree_of(thing, folder)) and len(BUILT) == 3
+    (tmp_path / "copy.obj").write_bytes(Path(mesh.file).read_bytes())
+    copy = schema.Mesh(name="copy", file=str(tmp_path / "copy.obj"), material=mesh.material)
+    assert are_equal(tree_of(copy, folder), tree_of(mesh, folder)) and len(BUILT) == 3
 
 
 def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     forget(monkeypatch)
-    thing = part(tmp_path)
-    tree_of(thing, folder)
+    mesh = part(tmp_path)
+    tree_of(mesh, folder)
     forget(monkeypatch)
     monkeypatch.setattr(prepared, "SOURCE_HASH", "another")
-    tree_of(thing, folder)
+    tree_of(mesh, folder)
     assert BUILT == [180]
 
 
@@ -106,8 +106,8 @@ def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, m
     reported: list[Any] = []
 
     @contextmanager
-    def display(what: str, total: int) -> Iterator[Callable[[int], None]]:
-        reported.append((what, total))
+    def display(stage: str, total: int) -> Iterator[Callable[[int], None]]:
+        reported.append((stage, total))
         yield reported.append
 
     monkeypatch.setattr(progress, "display", display)
@@ -118,7 +118,7 @@ def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, m
     assert len(reported) == 5
 
 
-def one(folder: Folder) -> Path:
+def only_file(folder: Folder) -> Path:
     assert folder.path is not None
     (file,) = folder.path.iterdir()
     return file
@@ -128,23 +128,23 @@ ARRAYS = {"a": np.arange(100.0), "b": np.arange(30, dtype=np.int32).reshape(-1, 
 KEY = "ab" * 32
 
 
-def test_arrays_come_back_as_they_were(folder: Folder) -> None:
+def test_arrays_are_restored_unchanged(folder: Folder) -> None:
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1, "count": 3}), folder)
-    found = array_cache.load(KEY, folder)
-    assert found is not None and found.values == {"size": 0.1, "count": 3}
+    entry = array_cache.load(KEY, folder)
+    assert entry is not None and entry.values == {"size": 0.1, "count": 3}
     for name, array in ARRAYS.items():
-        again = found.arrays[name]
-        assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes())
-        assert again.ctypes.data % 64 == 0
+        loaded = entry.arrays[name]
+        assert (loaded.dtype, loaded.shape, loaded.tobytes()) == (array.dtype, array.shape, array.tobytes())
+        assert loaded.ctypes.data % 64 == 0
     assert array_cache.load("cd" * 32, folder) is None
-    assert one(folder).stat().st_mode & 0o777 == 0o600
+    assert only_file(folder).stat().st_mode & 0o777 == 0o600
 
 
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
+def test_damage_is_detected(folder: Folder, data: st.DataObject) -> None:
     array_cache.save(KEY, array_cache.CachedArrays(ARRAYS, {"size": 0.1}), folder)
-    file = one(folder)
+    file = only_file(folder)
     whole = file.read_bytes()
     at = data.draw(st.integers(0, len(whole) - 1), "at")
     bit = data.draw(st.integers(0, 7), "bit")
@@ -154,41 +154,41 @@ def test_damage_is_seen(folder: Folder, data: st.DataObject) -> None:
         "more": whole + bytes(bit + 1),
     }[data.draw(st.sampled_from(["bit", "cut", "more"]), "kind")]
     file.write_bytes(damaged)
-    found = array_cache.load(KEY, folder)
-    if found is not None:  # between two arrays lie bytes that mean nothing
-        assert all(found.arrays[name].tobytes() == array.tobytes() for name, array in ARRAYS.items())
-        assert found.values == {"size": 0.1}
+    entry = array_cache.load(KEY, folder)
+    if entry is not None:  # between two arrays lie bytes that mean nothing
+        assert all(entry.arrays[name].tobytes() == array.tobytes() for name, array in ARRAYS.items())
+        assert entry.values == {"size": 0.1}
 
 
 def test_a_damaged_tree_is_built_again(
     tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     forget(monkeypatch)
-    thing = part(tmp_path)
-    first = tree_of(thing, folder)
-    file = one(folder)
+    mesh = part(tmp_path)
+    first = tree_of(mesh, folder)
+    file = only_file(folder)
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2] ^= 1
     file.write_bytes(whole)
     forget(monkeypatch)
-    assert same(tree_of(thing, folder), first) and BUILT == [180]
+    assert are_equal(tree_of(mesh, folder), first) and BUILT == [180]
     assert "its numbers are damaged" in caplog.text
     forget(monkeypatch)
-    assert same(tree_of(thing, folder), first) and BUILT == []
+    assert are_equal(tree_of(mesh, folder), first) and BUILT == []
 
 
 def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     forget(monkeypatch)
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
-    thing = part(tmp_path)
+    mesh = part(tmp_path)
     for folder in (Folder(tmp_path / "open" / "kept"), Folder(tmp_path / "open"), Folder(None)):
         forget(monkeypatch)
-        assert tree_of(thing, folder).corners.shape == (180, 3) and BUILT == [180]
+        assert tree_of(mesh, folder).corners.shape == (180, 3) and BUILT == [180]
     assert list((tmp_path / "open").iterdir()) == []
 
 
-def test_what_was_not_used_for_longest_makes_room(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_least_recently_used_file_is_removed(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     some = array_cache.CachedArrays({"a": np.zeros(1000)}, {})
     names = [f"{number:02d}" * 32 for number in range(4)]
     for age, name in enumerate(names[:3]):

@@ -5,7 +5,7 @@ import pytest
 from helpers import meshes
 from helpers.hostile_meshes import bar
 from helpers.surface_hand import hand
-from helpers.touching import SMOOTH, R, engine, go, saved, thing, wander
+from helpers.touching import SMOOTH, R, engine, make_object, visit, wander, write_part
 from references.brute_force import balls_of, brute_distances
 
 pytestmark = [pytest.mark.plain, pytest.mark.scaled]
@@ -15,12 +15,12 @@ FINGERS = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": 1000.
 
 def test_two_fingers_on_one_mesh_are_independent(tmp_path, cases):
     bumpy, ticks = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.06), cases(120, 1500)
-    part = thing("part", "mesh", file=saved(tmp_path, *bumpy))
+    part = make_object("part", "mesh", file=write_part(tmp_path, *bumpy))
     poses = {name: hand(bumpy, ticks, R, np.random.default_rng(seed)) for seed, name in ((5, "thumb"), (26, "index"))}
     together = engine(part, fingertip=None, coupling=None, finger=FINGERS).run(poses)
-    for name, each in poses.items():
+    for name, path in poses.items():
         alone = engine(part, fingertip=None, coupling=None, finger=[f for f in FINGERS if f["name"] == name])
-        expected = alone.run({name: each})[name]
+        expected = alone.run({name: path})[name]
         assert (expected["contact.mode"] > 0).mean() > 0.2
         np.testing.assert_array_equal(np.asarray(together[name]), np.asarray(expected))
 
@@ -29,21 +29,21 @@ def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
     """With a mesh box on a plane, a mesh sphere and a sphere, the proxy is outside of all of them. The median
     difference from the forces of the equivalent shapes is below 30 mN."""
     box, ball = bar(0.03, 0.03, 0.02), meshes.moved(meshes.geodesic(cases(10, 24), 0.03), (0.075, 0.0, 0.01))
-    floor = thing("floor", "plane", position_m=[0.0, 0.0, -0.02], material=SMOOTH)
-    other = thing("other", "sphere", radius_m=0.02, position_m=[0.0, 0.06, 0.0], material=SMOOTH)
+    floor = make_object("floor", "plane", position_m=[0.0, 0.0, -0.02], material=SMOOTH)
+    sphere = make_object("other", "sphere", radius_m=0.02, position_m=[0.0, 0.06, 0.0], material=SMOOTH)
     parts = [
-        thing(name, "mesh", file=saved(tmp_path, *made, name=f"{name}.ply"), material=SMOOTH)
+        make_object(name, "mesh", file=write_part(tmp_path, *made, name=f"{name}.ply"), material=SMOOTH)
         for name, made in (("box", box), ("ball", ball))
     ]
     shapes = [
-        thing("box", "box", size_m=[0.06, 0.06, 0.04], material=SMOOTH),
-        thing("ball", "sphere", radius_m=0.03, position_m=[0.075, 0.0, 0.01], material=SMOOTH),
+        make_object("box", "box", size_m=[0.06, 0.06, 0.04], material=SMOOTH),
+        make_object("ball", "sphere", radius_m=0.03, position_m=[0.075, 0.0, 0.01], material=SMOOTH),
     ]
     first, last = cases(750, 0), cases(1250, 6000)  # over the edge of the box, onto the sphere
     points = wander(3, 6000, 0.06)
     points[:, 2] = 0.02 + 0.3 * points[:, 2]
     points = np.concatenate([np.linspace((0.0, 0.0, 0.2), points[first], 2 * (last - first) // 5), points[first:last]])
-    mesh, solid = (go(engine(*those, floor, other, rolling=None), points) for those in (parts, shapes))
+    mesh, solid = (visit(engine(*those, floor, sphere, rolling=None), points) for those in (parts, shapes))
     proxies = mesh["proxy.position"]
     for made in (box, ball):
         assert brute_distances(balls_of(*made), proxies).min() >= OUTSIDE
@@ -57,14 +57,16 @@ def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
 
 def test_a_moving_bumpy_mesh_is_touched_in_its_frame(tmp_path, cases):
     bumpy = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.03)
-    file, rate, ticks = saved(tmp_path, *bumpy), 0.8, cases(500, 2000)
-    turns = thing("part", "mesh", file=file, motion={"kind": "turntable", "rate_rad_per_s": rate})
+    file, rate, ticks = write_part(tmp_path, *bumpy), 0.8, cases(500, 2000)
+    turns = make_object("part", "mesh", file=file, motion={"kind": "turntable", "rate_rad_per_s": rate})
     angle = rate * 1e-3 * np.arange(1, ticks + 1)  # the world is advanced before the fingers
     still = np.tile((0.06, 0.01, 0.005), (ticks, 1))
     still[:, 0] += 0.03 * np.maximum(1.0 - np.arange(ticks) / 200.0, 0.0)
-    records = go(engine(turns), still)
+    records = visit(engine(turns), still)
     cos, sin, proxy = np.cos(angle), np.sin(angle), records["proxy.position"]
-    seen = np.stack([cos * proxy[:, 0] + sin * proxy[:, 1], cos * proxy[:, 1] - sin * proxy[:, 0], proxy[:, 2]], axis=1)
+    local = np.stack(
+        [cos * proxy[:, 0] + sin * proxy[:, 1], cos * proxy[:, 1] - sin * proxy[:, 0], proxy[:, 2]], axis=1
+    )
     assert (records["contact.mode"] > 0).mean() > 0.7
-    assert brute_distances(balls_of(*bumpy), seen).min() >= OUTSIDE
+    assert brute_distances(balls_of(*bumpy), local).min() >= OUTSIDE
     assert np.isfinite(np.asarray(records)).all()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import meshes
 from helpers.hostile_meshes import bar
-from helpers.touching import SLIPPERY, R, engine, go, saved, spun, thing, wander
+from helpers.touching import SLIPPERY, R, engine, make_object, spun, visit, wander, write_part
 from references.brute_force import balls_of, brute_distances
 
 from softfinger.config.schema.contact import RollingMethod
@@ -30,11 +30,11 @@ def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
     points = wander(1, ticks, 0.034)
     points[:, 2] = 0.0295 + 0.1 * points[:, 2]
     turned = spun((0.6, 0.0, 0.8), 0.8 * np.sin(np.arange(ticks) * 2e-3))
-    far = thing("far", "plane", position_m=[0.0, 0.0, -5.0])
-    of_triangles = thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.025, 0.02)))
-    shape = thing("part", "box", size_m=[0.06, 0.05, 0.04])
+    far = make_object("far", "plane", position_m=[0.0, 0.0, -5.0])
+    of_triangles = make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.025, 0.02)))
+    shape = make_object("part", "box", size_m=[0.06, 0.05, 0.04])
     some = slice(cases(1500, ticks))
-    mesh, solid = (go(engine(each, far), points[some], turned[some]) for each in (of_triangles, shape))
+    mesh, solid = (visit(engine(body, far), points[some], turned[some]) for body in (of_triangles, shape))
     assert len(np.unique(solid["contact.mode"])) == 3
     for name, tolerance in (("force", 5e-3), ("torque", 5e-3 * R), ("contact.point", 1e-4)):
         np.testing.assert_allclose(mesh[name], solid[name], rtol=0.0, atol=tolerance)
@@ -60,8 +60,10 @@ def groove(width=0.1):
 def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
     points, turned = np.tile([0.05, 0.05, 0.009], (60, 1)), spun((1.0, 0.0, 0.0), np.linspace(0.0, 0.3, 60))
     rolling = {"rolling": {"method": method}}
-    mesh = engine(thing("a", "mesh", file=saved(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
-    on_mesh, on_plane = (go(each, points, turned) for each in (mesh, engine(thing("a", "plane"), **rolling)))
+    mesh = engine(make_object("a", "mesh", file=write_part(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
+    on_mesh, on_plane = (
+        visit(running, points, turned) for running in (mesh, engine(make_object("a", "plane"), **rolling))
+    )
     assert on_plane[-1, AT.contact_rolled] > 0.05
     np.testing.assert_allclose(on_mesh["force"], on_plane["force"], atol=1e-9)
     np.testing.assert_allclose(on_mesh["contact.rolled"], on_plane["contact.rolled"], atol=1e-9)
@@ -74,30 +76,30 @@ def test_a_crease_pushes_with_both_sides(tmp_path):
     This includes the edges between triangles. In a turn about the groove both sides resist like a V-block: r mu (f1 +
     f2), with f1 + f2 = 2 F / (1 + mu^2).
     """
-    running = engine(thing("groove", "mesh", file=saved(tmp_path, *groove())))
+    running = engine(make_object("groove", "mesh", file=write_part(tmp_path, *groove())))
     top = R * np.sqrt(2.0)
     press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 50)
     drag = np.linspace((0.0, -0.05, top - 1e-3), (0.0, 0.05, top - 1e-3), 300)
-    records = go(running, np.concatenate([press, drag]))
-    each = 1.0 / np.sqrt(2.0)
+    records = visit(running, np.concatenate([press, drag]))
+    component = 1.0 / np.sqrt(2.0)
     assert records[49, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
     late = np.asarray(records)[150:]
-    assert late[:, AT.force + 1] == pytest.approx(-0.5 * 2.0 * each, abs=1e-6)
+    assert late[:, AT.force + 1] == pytest.approx(-0.5 * 2.0 * component, abs=1e-6)
     assert late[:, AT.force + 2] == pytest.approx(1.0, abs=1e-6)
-    held = go(running, np.tile(drag[-1], (200, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 200)))
-    assert abs(held[-1, AT.torque + 1]) == pytest.approx(R * 0.5 * 2.0 * each / 1.25, rel=1e-6)
+    turning = visit(running, np.tile(drag[-1], (200, 1)), spun((0.0, 1.0, 0.0), np.linspace(0.0, 1.0, 200)))
+    assert abs(turning[-1, AT.torque + 1]) == pytest.approx(R * 0.5 * 2.0 * component / 1.25, rel=1e-6)
 
 
 def errors_of_ball(tmp_path, frequency, shading="none"):
     """Errors of a faceted sphere: maxima of force, N, contact point, m, force direction, and its turn per tick."""
     part = meshes.geodesic(frequency, 0.05)
     t = np.linspace(0.0, 1.0, 800)
-    way = np.stack([np.cos(t) * np.cos(0.3 * t), np.sin(t) * np.cos(0.3 * t), np.sin(0.3 * t)], axis=1)
-    points = way * (0.0601 - 1.1e-3 * np.minimum(8.0 * t, 1.0))[:, None]
+    directions = np.stack([np.cos(t) * np.cos(0.3 * t), np.sin(t) * np.cos(0.3 * t), np.sin(0.3 * t)], axis=1)
+    points = directions * (0.0601 - 1.1e-3 * np.minimum(8.0 * t, 1.0))[:, None]
     turned = spun((0.0, 0.6, 0.8), 0.5 * t)
-    file = saved(tmp_path, *part, name=f"{frequency}.ply")
-    faceted = thing("ball", "mesh", file=file, shading=shading, material=SLIPPERY)
-    mesh = go(engine(faceted), points, turned)[150:]
+    file = write_part(tmp_path, *part, name=f"{frequency}.ply")
+    faceted = make_object("ball", "mesh", file=file, shading=shading, material=SLIPPERY)
+    mesh = visit(engine(faceted), points, turned)[150:]
     height = np.linalg.norm(points, axis=1)[150:, None]
     normals = points[150:] / height
     forces, expected = mesh["force"], 1000.0 * (0.05 + R - height) * normals
@@ -105,8 +107,8 @@ def errors_of_ball(tmp_path, frequency, shading="none"):
     true = expected / np.linalg.norm(expected, axis=1)[:, None]
     points_off = mesh["contact.point"] - 0.05 * normals
     return [
-        np.linalg.norm(each, axis=1).max()
-        for each in (forces - expected, points_off, along - true, np.diff(along, axis=0))
+        np.linalg.norm(errors, axis=1).max()
+        for errors in (forces - expected, points_off, along - true, np.diff(along, axis=0))
     ]
 
 
@@ -126,9 +128,9 @@ def test_a_tight_socket_exhausts_the_budget_and_stays_stable(tmp_path):
     """In a hollow sphere just wider than the fingertip, all triangles are equally near: the proxy stays outside. It
     follows when the hand moves."""
     vertices, triangles = meshes.geodesic(60, 0.0101)
-    running = engine(thing("socket", "mesh", file=saved(tmp_path, vertices, triangles), inside=True))
+    running = engine(make_object("socket", "mesh", file=write_part(tmp_path, vertices, triangles), inside=True))
     out = np.linspace((0.0, 0.0, 0.0), (0.0, 3e-3, 0.0), 300)
-    records = go(running, np.concatenate([np.zeros((50, 3)), out]))
+    records = visit(running, np.concatenate([np.zeros((50, 3)), out]))
     assert np.isfinite(np.asarray(records)).all()
     proxies = records["proxy.position"][::9]
     assert brute_distances(balls_of(vertices, triangles), proxies).min() >= R * (1.0 - 1e-9)
@@ -139,37 +141,41 @@ def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
     """A sphere with a hole smaller than the fingertip gives the same bits with and without `inside`. Away from the hole
     the forces are those of the hollow sphere."""
     ball = meshes.geodesic(16, 0.03)
-    kept = ball.vertices[ball.triangles].mean(axis=1)[:, 2] < 0.0295
-    file = saved(tmp_path, ball.vertices, ball.triangles[kept])
-    way = wander(4, 1500, 0.024)
-    way[:, 2] = -np.abs(way[:, 2])
-    way = way * np.minimum(np.arange(1500) / 200.0, 1.0)[:, None]
-    sheet, hollow = (go(engine(thing("cavity", "mesh", file=file, inside=inside)), way) for inside in (False, True))
-    whole = go(engine(thing("ball", "mesh", file=saved(tmp_path, *ball, name="ball.ply"), inside=True)), way)
+    lower = ball.vertices[ball.triangles].mean(axis=1)[:, 2] < 0.0295
+    file = write_part(tmp_path, ball.vertices, ball.triangles[lower])
+    path = wander(4, 1500, 0.024)
+    path[:, 2] = -np.abs(path[:, 2])
+    path = path * np.minimum(np.arange(1500) / 200.0, 1.0)[:, None]
+    sheet, hollow = (
+        visit(engine(make_object("cavity", "mesh", file=file, inside=inside)), path) for inside in (False, True)
+    )
+    whole = visit(
+        engine(make_object("ball", "mesh", file=write_part(tmp_path, *ball, name="ball.ply"), inside=True)), path
+    )
     assert (np.asarray(sheet) == np.asarray(hollow)).all()
     assert (whole["contact.mode"] > 0).mean() > 0.1
     np.testing.assert_allclose(hollow["force"], whole["force"], rtol=0.0, atol=1e-6)
 
 
 def test_a_first_pose_inside_is_pushed_out(tmp_path):
-    running = engine(thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.03, 0.03))))
-    records = go(running, np.tile((0.0, 0.0, 0.028), (5, 1)))
+    running = engine(make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.03, 0.03))))
+    records = visit(running, np.tile((0.0, 0.0, 0.028), (5, 1)))
     assert records[-1, AT.force : AT.force + 3] == pytest.approx([0.0, 0.0, 12.0], abs=1e-9)
 
 
 @pytest.mark.plain
 def test_a_finger_at_rest_may_touch_to_rounding(tmp_path):
     """The gap is smaller than the radius by rounding, and the path of the tick has no length."""
-    mesh = thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.03, 0.02)), position_m=[0.0, 0.0, -0.02])
-    records = go(engine(mesh), np.tile([0.002, 0.0045, R], (4, 1)))
+    mesh = make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.03, 0.02)), position_m=[0.0, 0.0, -0.02])
+    records = visit(engine(mesh), np.tile([0.002, 0.0045, R], (4, 1)))
     assert not records["force"].any() and np.isfinite(records).all()
 
 
 def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
-    running = engine(thing("sheet", "mesh", file=saved(tmp_path, *meshes.sheet(0.2, 0.2, 20, 20))))
+    running = engine(make_object("sheet", "mesh", file=write_part(tmp_path, *meshes.sheet(0.2, 0.2, 20, 20))))
     for side in (1.0, -1.0):
         running.reset()
-        records = go(
+        records = visit(
             running, [(0.003, 0.004, side * 0.05), (0.003, 0.004, -side * 0.02)] + [(0.003, 0.004, -side * 0.02)] * 9
         )
         assert np.sign(records[-1, AT.force + 2]) == side
@@ -180,10 +186,10 @@ def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
 @pytest.mark.scaled
 def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
     motion = {"kind": "sinusoid", "translation_m": [0.004, 0.0, 0.003], "frequency_hz": 1.0}
-    far = thing("far", "plane", position_m=[0.0, 0.0, -5.0])
-    of_triangles = thing("part", "mesh", file=saved(tmp_path, *bar(0.03, 0.03, 0.02)), motion=motion)
-    shape = thing("part", "box", size_m=[0.06, 0.06, 0.04], motion=motion)
+    far = make_object("far", "plane", position_m=[0.0, 0.0, -5.0])
+    of_triangles = make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.03, 0.02)), motion=motion)
+    shape = make_object("part", "box", size_m=[0.06, 0.06, 0.04], motion=motion)
     points = np.tile((0.0, 0.0, 0.0295), (cases(500, 1500), 1))
-    mesh, solid = (go(engine(each, far), points) for each in (of_triangles, shape))
+    mesh, solid = (visit(engine(body, far), points) for body in (of_triangles, shape))
     assert np.abs(solid["force"]).max() > 1.0
     np.testing.assert_allclose(mesh["force"], solid["force"], rtol=0.0, atol=1e-9)

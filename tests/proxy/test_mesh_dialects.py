@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.glb_files import Glb
+from helpers.refusals import refusal
 
 from softfinger.config import schema
-from softfinger.config.errors import ConfigError
 from softfinger.proxy.meshes.formats import glb
 from softfinger.proxy.meshes.prepared import about
 from softfinger.proxy.meshes.reading import OTHER_FILES, arrays_of
@@ -27,7 +27,7 @@ from softfinger.proxy.meshes.report import MeshReport
 pytestmark = pytest.mark.plain
 CORNERS = np.array([(x, y, z) for z in (-0.01, 0.01) for y in (-0.02, 0.02) for x in (-0.02, 0.02)])
 QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-FACES = [each for a, b, c, d in QUADS for each in ((a, b, c), (a, c, d))]
+FACES = [face for a, b, c, d in QUADS for face in ((a, b, c), (a, c, d))]
 VOLUME = 0.04 * 0.04 * 0.02
 FLOAT32 = 1e-6
 """Relative rounding: three float32 coordinates of 6e-8 each, and 0.01 is not exact in float32."""
@@ -39,17 +39,15 @@ def report(path: Path) -> MeshReport:
 
 def check_box(path: Path, data: bytes, triangles: int = 12) -> None:
     path.write_bytes(data)
-    found = report(path)
-    assert (found.triangles, found.watertight, found.open_edges) == (triangles, True, 0)
-    assert found.size_m == pytest.approx((0.04, 0.04, 0.02), rel=1e-4)  # quantized positions have 14 bits
-    assert found.volume_m3 == pytest.approx(VOLUME, rel=2e-4)
+    result = report(path)
+    assert (result.triangles, result.watertight, result.open_edges) == (triangles, True, 0)
+    assert result.size_m == pytest.approx((0.04, 0.04, 0.02), rel=1e-4)  # quantized positions have 14 bits
+    assert result.volume_m3 == pytest.approx(VOLUME, rel=2e-4)
 
 
-def refusal(path: Path, data: bytes) -> str:
+def file_refusal(path: Path, data: bytes) -> str:
     path.write_bytes(data)
-    with pytest.raises(ConfigError) as caught:
-        report(path)
-    return str(caught.value)
+    return refusal(report, path)
 
 
 def vertices(shift: float = 0.0) -> list[str]:
@@ -83,13 +81,13 @@ def read_by_line(lines: list[str]) -> list[list[tuple[float, ...]]]:
     text = "\n".join(lines).replace("\\\n", " ")
     words = [line.partition("#")[0].split() for line in text.splitlines()]
     every = [tuple(map(float, line[1:4])) for line in words if line[:1] == ["v"]]
-    found, before = list[list[tuple[float, ...]]](), 0
+    polygons, before = list[list[tuple[float, ...]]](), 0
     for line in words:
         before += line[:1] == ["v"]
         if line[:1] == ["f"]:
             numbers = [int(word.partition("/")[0]) for word in line[1:]]
-            found.append([every[number - 1 if number > 0 else before + number] for number in numbers])
-    return found
+            polygons.append([every[number - 1 if number > 0 else before + number] for number in numbers])
+    return polygons
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
@@ -101,9 +99,9 @@ def test_obj_files_are_read_in_full(tmp_path: Path, name: str, end: str) -> None
     fans = [(face[0], *pair) for face in expected for pair in itertools.pairwise(face[1:])]
     np.testing.assert_array_equal(read.vertices[read.triangles], fans)
     (tmp_path / "a.obj").write_bytes(data)
-    found = report(tmp_path / "a.obj")
-    assert (found.triangles, found.watertight, found.bodies) == (triangles, True, triangles // 12)
-    assert found.volume_m3 == pytest.approx(VOLUME * triangles / 12)
+    result = report(tmp_path / "a.obj")
+    assert (result.triangles, result.watertight, result.bodies) == (triangles, True, triangles // 12)
+    assert result.volume_m3 == pytest.approx(VOLUME * triangles / 12)
 
 
 def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
@@ -116,9 +114,9 @@ def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
         sides = [(k, (k + 1) % n, (k + 1) % n + n, k + n) for k in range(n)]
         lines += faces(of=[tuple(range(n))[::-1], tuple(range(n, 2 * n)), *sides])
         (tmp_path / f"{n}.obj").write_text("\n".join(lines))
-        found = report(tmp_path / f"{n}.obj")
-        assert (found.triangles, found.watertight, found.turned_triangles) == (2 * (n - 2) + 2 * n, True, 0)
-        assert found.volume_m3 == pytest.approx(area * 1e-6)
+        result = report(tmp_path / f"{n}.obj")
+        assert (result.triangles, result.watertight, result.turned_triangles) == (2 * (n - 2) + 2 * n, True, 0)
+        assert result.volume_m3 == pytest.approx(area * 1e-6)
         read = arrays_of("a.obj", (tmp_path / f"{n}.obj").read_bytes())
         lids = (read.vertices[read.triangles][:, :, 2] == 0.01).all(axis=1)
         a, b, d = (read.vertices[read.triangles[lids, k]] for k in range(3))
@@ -127,13 +125,13 @@ def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
 
 def test_unsupported_obj_files_are_refused(tmp_path: Path) -> None:
     path, box = tmp_path / "a.obj", "\n".join([*vertices(), *faces()])
-    assert "has free-form surfaces (surf)" in refusal(path, f"{box}\nsurf 0 1 0 1 1 2 3 4\n".encode())
-    assert "in another file (call)" in refusal(path, f"{box}\ncall more.obj\n".encode())
-    assert "names the vertex 0" in refusal(path, f"{box}\nf 0 1 2\n".encode())
-    assert "names the vertex -9 where there are 8 before it" in refusal(path, f"{box}\nf -9 -1 -2\n".encode())
-    assert "decimal commas" in refusal(path, box.replace(".", ",").encode())
-    assert "'1.5' is not a number" in refusal(path, f"{box}\nf 1.5 2 3\n".encode())
-    assert "UTF-16" in refusal(path, box.encode("utf-16"))
+    assert "has free-form surfaces (surf)" in file_refusal(path, f"{box}\nsurf 0 1 0 1 1 2 3 4\n".encode())
+    assert "in another file (call)" in file_refusal(path, f"{box}\ncall more.obj\n".encode())
+    assert "names the vertex 0" in file_refusal(path, f"{box}\nf 0 1 2\n".encode())
+    assert "names the vertex -9 where there are 8 before it" in file_refusal(path, f"{box}\nf -9 -1 -2\n".encode())
+    assert "decimal commas" in file_refusal(path, box.replace(".", ",").encode())
+    assert "'1.5' is not a number" in file_refusal(path, f"{box}\nf 1.5 2 3\n".encode())
+    assert "UTF-16" in file_refusal(path, box.encode("utf-16"))
 
 
 def stl(head: bytes = b"made by hand", tail: bytes = b"", attribute: int = 0, count: int = 12) -> bytes:
@@ -178,12 +176,12 @@ def test_stl_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 
 def test_incomplete_stl_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.stl"
-    assert "it is truncated" in refusal(path, stl()[:-70])
-    assert "has 15 bytes, fewer than the head of an STL file" in refusal(path, b"<!doctype html>")
-    assert "states 10 triangles, but 85 bytes follow" in refusal(path, stl(count=10))
-    assert "decimal commas" in refusal(path, TEXT.replace(".", ",").encode())
-    assert "promises 12 faces, and has 11" in refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
-    assert "no endsolid" in refusal(path, TEXT.replace("endsolid", "end").encode())
+    assert "it is truncated" in file_refusal(path, stl()[:-70])
+    assert "has 15 bytes, fewer than the head of an STL file" in file_refusal(path, b"<!doctype html>")
+    assert "states 10 triangles, but 85 bytes follow" in file_refusal(path, stl(count=10))
+    assert "decimal commas" in file_refusal(path, TEXT.replace(".", ",").encode())
+    assert "promises 12 faces, and has 11" in file_refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
+    assert "no endsolid" in file_refusal(path, TEXT.replace("endsolid", "end").encode())
 
 
 XYZ = ["float x", "float y", "float z"]
@@ -192,11 +190,11 @@ INDICES = "list uchar int vertex_indices"
 
 def ply(kind: str, face: list[str], rows: bytes, count: int = 12, more: str = "", name: str = "face") -> bytes:
     order = ">" if "big" in kind else "<"
-    points = b"".join(struct.pack(order + "fff", *each) for each in CORNERS.tolist())
+    points = b"".join(struct.pack(order + "fff", *corner) for corner in CORNERS.tolist())
     if kind == "ascii":
-        points = "".join("{} {} {}\n".format(*each) for each in CORNERS.tolist()).encode()
-    head = ["ply", f"format {kind} 1.0", "comment by hand", "element vertex 8", *(f"property {each}" for each in XYZ)]
-    head += [f"element {name} {count}", *(f"property {each}" for each in face)]
+        points = "".join("{} {} {}\n".format(*corner) for corner in CORNERS.tolist()).encode()
+    head = ["ply", f"format {kind} 1.0", "comment by hand", "element vertex 8", *(f"property {axis}" for axis in XYZ)]
+    head += [f"element {name} {count}", *(f"property {key}" for key in face)]
     return "\n".join([*head, f"{more}end_header\n"]).encode() + points + rows
 
 
@@ -223,12 +221,12 @@ PLYS = {
                         "element edge 1\nproperty int vertex1\nproperty int vertex2\n"),
     "quads": ply(LITTLE, [INDICES], b"".join(struct.pack("<B4i", 4, *quad) for quad in QUADS), 6),
     "quads and triangles": ply(LITTLE, [INDICES],
-                               b"".join(struct.pack(f"<B{len(each)}i", len(each), *each) for each in MIXED), 7),
+                               b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in MIXED), 7),
     "quads and triangles, big endian, with flags": ply(
         BIG, [INDICES, "uchar flags"],
-        b"".join(struct.pack(f">B{len(each)}iB", len(each), *each, 1) for each in MIXED), 7),
+        b"".join(struct.pack(f">B{len(face)}iB", len(face), *face, 1) for face in MIXED), 7),
     "quads and triangles as text": ply(
-        "ascii", [INDICES], "".join(" ".join(map(str, (len(each), *each))) + "\n" for each in MIXED).encode(), 7),
+        "ascii", [INDICES], "".join(" ".join(map(str, (len(face), *face))) + "\n" for face in MIXED).encode(), 7),
     "strips": ply("ascii", ["list int int vertex_indices"], " ".join(map(str, (29, *STRIPS))).encode(), 1,
                   name="tristrips"),
     "strips in binary": ply(LITTLE, ["list int int vertex_indices"], struct.pack("<30i", 29, *STRIPS), 1,
@@ -244,22 +242,22 @@ def test_ply_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 
 def test_incomplete_ply_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
-    assert "promises 12 entries of face, and has 11" in refusal(path, PLYS["little endian"][:-1])
-    assert "has other rows than its header declares" in refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
-    assert "has other rows than its header declares: 4 numbers" in refusal(
+    assert "promises 12 entries of face, and has 11" in file_refusal(path, PLYS["little endian"][:-1])
+    assert "has other rows than its header declares" in file_refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
+    assert "has other rows than its header declares: 4 numbers" in file_refusal(
         path, ply("ascii", [INDICES], LINES.encode(), 11)
     )
     # The first quad as a triangle: the lists no longer fit.
     wrong = ply(LITTLE, [INDICES], b"".join(struct.pack("<B4i", 3, *quad) for quad in QUADS), 6)
-    assert "has other rows than its header declares" in refusal(path, wrong)
-    assert "its vertices have no x" in refusal(path, PLYS["text"].replace(b"float x", b"float u"))
-    assert "faces without vertex_indices; they have corners" in refusal(
+    assert "has other rows than its header declares" in file_refusal(path, wrong)
+    assert "its vertices have no x" in file_refusal(path, PLYS["text"].replace(b"float x", b"float u"))
+    assert "faces without vertex_indices; they have corners" in file_refusal(
         path, PLYS["text"].replace(b"vertex_indices", b"corners")
     )
-    assert "a list has -1 entries" in refusal(path, PLYS["strips"].replace(b"29 0 2", b"-1 0 2"))
-    assert "has the corner -2" in refusal(path, PLYS["strips"].replace(b"29 0 2", b"29 -2 2"))
+    assert "a list has -1 entries" in file_refusal(path, PLYS["strips"].replace(b"29 0 2", b"-1 0 2"))
+    assert "has the corner -2" in file_refusal(path, PLYS["strips"].replace(b"29 0 2", b"29 -2 2"))
     for start, reason in OTHER_FILES.items():
-        assert reason in refusal(path, start + PLYS["little endian"])
+        assert reason in file_refusal(path, start + PLYS["little endian"])
 
 
 SOME = np.array(FACES, np.uint16).ravel()
@@ -354,19 +352,21 @@ def test_unsupported_glb_features_are_refused_by_name(tmp_path: Path) -> None:
     made = Glb()
     parts = [{"attributes": {"POSITION": made.add(CORNERS.astype(np.float32))}, "indices": made.add(SOME)}]
     copies = {"EXT_mesh_gpu_instancing": {"attributes": {}}}
-    assert "bent by a skeleton" in refusal(path, made.data(parts, {"skin": 0}))
-    assert "EXT_mesh_gpu_instancing" in refusal(path, made.data(parts, {"extensions": copies}))
-    assert "morph targets" in refusal(path, made.data(parts, {"weights": [0.0, 0.5]}))
-    assert "needs an extension that is not read here (VND_bend)" in refusal(
+    assert "bent by a skeleton" in file_refusal(path, made.data(parts, {"skin": 0}))
+    assert "EXT_mesh_gpu_instancing" in file_refusal(path, made.data(parts, {"extensions": copies}))
+    assert "morph targets" in file_refusal(path, made.data(parts, {"weights": [0.0, 0.5]}))
+    assert "needs an extension that is not read here (VND_bend)" in file_refusal(
         path, made.data(parts, extensionsRequired=["KHR_materials_unlit", "VND_bend"])
     )
     loop = [{"mesh": 0, "children": [1]}, {"children": [0]}]
-    assert "is its own ancestor" in refusal(path, made.data(parts, nodes=loop))
+    assert "is its own ancestor" in file_refusal(path, made.data(parts, nodes=loop))
     check_box(path, made.data(parts, extensionsRequired=["KHR_mesh_quantization", "KHR_materials_unlit"]))
     address = "data:application/octet-stream;base64," + base64.b64encode(made.blob).decode()
     check_box(path, made.data(parts, buffers=[{"byteLength": len(made.blob), "uri": address}]))
     made.accessors.append({"componentType": 5126, "count": 8, "type": "VEC3"})
-    assert "has no data for accessor 2" in refusal(path, made.data([{"attributes": {"POSITION": 2}, "indices": 1}]))
+    assert "has no data for accessor 2" in file_refusal(
+        path, made.data([{"attributes": {"POSITION": 2}, "indices": 1}])
+    )
 
 
 def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from helpers import meshes
 from helpers.examples import examples
 from helpers.glb_files import Glb
 from helpers.meshes import Mesh
+from helpers.refusals import refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -32,33 +33,31 @@ FLOAT32 = 1.2e-7
 """Relative rounding of STL and of trimesh's binary formats."""
 
 
-def thing(path: Path | str, **keys: Any) -> schema.Mesh:
+def mesh_entry(path: Path | str, **keys: Any) -> schema.Mesh:
     return schema.Mesh(name="part", file=str(path), material=schema.Material(stiffness_n_per_m=1000.0), **keys)
 
 
-def refusal(path: Path, **keys: Any) -> str:
+def mesh_refusal(path: Path, **keys: Any) -> str:
     """Return the error for an unusable file, without its prefix: one line that names object and file."""
-    with pytest.raises(ConfigError) as caught:
-        about(thing(path, **keys))
-    text = str(caught.value)
+    text = refusal(about, mesh_entry(path, **keys))
     assert "\n" not in text and text.startswith(f"object 'part': file: {path}: ") and len(text) < 600
     return text.removeprefix(f"object 'part': file: {path}: ")
 
 
 def corners(mesh: Arrays | Mesh) -> np.ndarray:
     """Coordinates of all corners (m, 3, 3) in a canonical order of triangles and corners."""
-    found = mesh.vertices[mesh.triangles]
-    keys = np.round(found, 6)
-    least = np.array([min(range(3), key=lambda k: tuple(each[k])) for each in keys])
-    turned = np.array([np.roll(each, -start, axis=0) for each, start in zip(found, least, strict=True)])
+    points = mesh.vertices[mesh.triangles]
+    keys = np.round(points, 6)
+    least = np.array([min(range(3), key=lambda k: tuple(triple[k])) for triple in keys])
+    turned = np.array([np.roll(triangle, -start, axis=0) for triangle, start in zip(points, least, strict=True)])
     order = np.lexsort(np.round(turned, 6).reshape(len(turned), -1).T[::-1])
     return turned[order]
 
 
 def ply_text(mesh: Mesh) -> bytes:
     """Return an ASCII PLY file, not written by trimesh."""
-    rows = [" ".join(map(repr, map(float, each))) for each in mesh.vertices]
-    faces = [" ".join(map(str, (3, *each))) for each in mesh.triangles]
+    rows = [" ".join(map(repr, map(float, vertex))) for vertex in mesh.vertices]
+    faces = [" ".join(map(str, (3, *triangle))) for triangle in mesh.triangles]
     head = [
         "ply", "format ascii 1.0", "comment by hand",
         f"element vertex {len(rows)}", *(f"property double {axis}" for axis in "xyz"),
@@ -80,21 +79,21 @@ def glb_binary(mesh: Mesh, changes: Callable[[dict[str, Any]], None] = lambda he
     return made.data([{"attributes": places, "indices": indices}], changes=changes)
 
 
-def written(mesh: Mesh, kind: str) -> bytes:
+def encode_mesh(mesh: Mesh, kind: str) -> bytes:
     made = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
     if kind == "ply text":
         return trimesh.exchange.ply.export_ply(made, encoding="ascii")
-    found = made.export(file_type={"stl text": "stl_ascii"}.get(kind, kind))
-    return found if isinstance(found, bytes) else found.encode()
+    data = made.export(file_type={"stl text": "stl_ascii"}.get(kind, kind))
+    return data if isinstance(data, bytes) else data.encode()
 
 
 FILES: dict[str, tuple[str, bytes]] = {
-    "ply": (".ply", written(BALL, "ply")),
-    "ply text": (".ply", written(BALL, "ply text")),
-    "stl": (".stl", written(BALL, "stl")),
-    "stl text": (".stl", written(BALL, "stl text")),
-    "obj": (".obj", written(BALL, "obj")),
-    "glb": (".glb", written(BALL, "glb")),
+    "ply": (".ply", encode_mesh(BALL, "ply")),
+    "ply text": (".ply", encode_mesh(BALL, "ply text")),
+    "stl": (".stl", encode_mesh(BALL, "stl")),
+    "stl text": (".stl", encode_mesh(BALL, "stl text")),
+    "obj": (".obj", encode_mesh(BALL, "obj")),
+    "glb": (".glb", encode_mesh(BALL, "glb")),
     "ply by hand": (".ply", ply_text(BALL)),
     "stl by hand": (".stl", stl_binary(BALL)),
     "glb by hand": (".glb", glb_binary(BALL)),
@@ -106,7 +105,7 @@ def test_every_format_is_read_back_unchanged(tmp_path: Path, name: str) -> None:
     ending, data = FILES[name]
     path = tmp_path / f"ball{ending}"
     path.write_bytes(data)
-    report, picture = about(thing(path))
+    report, picture = about(mesh_entry(path))
     assert (report.triangles, report.vertices, report.bodies, report.watertight) == (180, 92, 1, True)
     assert report.turned_triangles == report.duplicate_triangles == report.degenerate_triangles == 0
     # Text by trimesh has eight digits; the other files are float32 or exact.
@@ -127,7 +126,7 @@ def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
         head["scenes"] = [{"nodes": [0, 1]}]
 
     (tmp_path / "two.glb").write_bytes(glb_binary(BALL, two))
-    report, picture = about(thing(tmp_path / "two.glb"))
+    report, picture = about(mesh_entry(tmp_path / "two.glb"))
     assert report.bodies == 2 and report.watertight and report.turned_triangles == 0
     assert report.volume_m3 == pytest.approx(1.125 * meshes.volume(BALL), rel=3 * FLOAT32)
     np.testing.assert_allclose(picture.vertices[:, 0].max(), 5.0 + BALL.vertices[:, 0].max(), rtol=FLOAT32)
@@ -135,14 +134,14 @@ def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
 
 def test_scale_converts_to_metres(tmp_path: Path) -> None:
     (tmp_path / "ball.stl").write_bytes(stl_binary(meshes.geodesic(3, 20.0)))
-    report = about(thing(tmp_path / "ball.stl", scale=0.001)).report
+    report = about(mesh_entry(tmp_path / "ball.stl", scale=0.001)).report
     assert report.volume_m3 == pytest.approx(meshes.volume(BALL) * 0.02**3, rel=3 * FLOAT32)
-    assert "m in size, must be 1e-06 to 1000" in refusal(tmp_path / "ball.stl", scale=100.0)
+    assert "m in size, must be 1e-06 to 1000" in mesh_refusal(tmp_path / "ball.stl", scale=100.0)
     (tmp_path / "far.ply").write_bytes(ply_text(Mesh(1e300 * BALL.vertices, BALL.triangles)))
-    assert "is inf m in size" in refusal(tmp_path / "far.ply", scale=1e9)
+    assert "is inf m in size" in mesh_refusal(tmp_path / "far.ply", scale=1e9)
 
 
-def spoilt(value: float) -> Mesh:
+def with_bad_vertices(value: float) -> Mesh:
     return Mesh(np.where(BALL.vertices > 0.9, value, BALL.vertices), BALL.triangles)
 
 
@@ -160,8 +159,8 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
     )
     assert re.search(r"mended +vertices merged that coincide within 1e-09 of its size: 448\n", output)
     assert main(["check", "--json", str(scene)]) == 0
-    (found,) = json.loads(capsys.readouterr().out)
-    assert found["meshes"]["part"]["triangles"] == 180 and found["meshes"]["part"]["open_edges"] == 0
+    (summary,) = json.loads(capsys.readouterr().out)
+    assert summary["meshes"]["part"]["triangles"] == 180 and summary["meshes"]["part"]["open_edges"] == 0
     scene.write_text(scene.read_text().replace('"ball.stl"\n', '"ball.stl"\ninside = true\n'))
     assert main(["check", str(scene)]) == 0 and "does nothing" not in capsys.readouterr().out
     (tmp_path / "ball.stl").write_bytes(stl_binary(Mesh(BALL.vertices, BALL.triangles[1:])))
@@ -187,8 +186,8 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
         ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles + 60)), "there are vertices 0 to 91"),
         ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles - 1)), "there are vertices 0 to 91"),
         ("a.obj", b"v 0\nv 1\nv 2\nf 1 2 3\n", "must have three coordinates"),
-        ("a.ply", ply_text(spoilt(np.nan)), "must be finite"),
-        ("a.ply", ply_text(spoilt(np.inf)), "must be finite"),
+        ("a.ply", ply_text(with_bad_vertices(np.nan)), "must be finite"),
+        ("a.ply", ply_text(with_bad_vertices(np.inf)), "must be finite"),
         ("a.ply", ply_text(Mesh(0.0 * BALL.vertices, BALL.triangles)), "is 0 m in size, must be 1e-06 to 1000"),
         ("a.ply", ply_text(Mesh(4e-7 * BALL.vertices, BALL.triangles)), "`scale` is how many metres a unit"),
         ("a.ply", ply_text(Mesh(600.0 * BALL.vertices, BALL.triangles)), "must be 1e-06 to 1000"),
@@ -204,14 +203,14 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
 )  # fmt: skip
 def test_unusable_files_raise_a_one_line_error(tmp_path: Path, name: str, data: bytes, text: str) -> None:
     (tmp_path / name).write_bytes(data)
-    assert text in refusal(tmp_path / name)
+    assert text in mesh_refusal(tmp_path / name)
 
 
 def test_missing_files_raise_a_one_line_error(tmp_path: Path) -> None:
-    assert "No such file" in refusal(tmp_path / "none.ply")
+    assert "No such file" in mesh_refusal(tmp_path / "none.ply")
     (tmp_path / "folder.stl").mkdir()
-    assert "Is a directory" in refusal(tmp_path / "folder.stl")
-    assert "must be one of .ply, .stl, .obj, .glb" in refusal(tmp_path / "part.step")
+    assert "Is a directory" in mesh_refusal(tmp_path / "folder.stl")
+    assert "must be one of .ply, .stl, .obj, .glb" in mesh_refusal(tmp_path / "part.step")
 
 
 LIARS: list[tuple[str, bytes, str]] = [
@@ -234,19 +233,19 @@ LIARS: list[tuple[str, bytes, str]] = [
 @pytest.mark.parametrize(("name", "data", "text"), LIARS, ids=range(len(LIARS)))
 def test_false_counts_are_refused(tmp_path: Path, name: str, data: bytes, text: str) -> None:
     (tmp_path / name).write_bytes(data)
-    assert text in refusal(tmp_path / name)
+    assert text in mesh_refusal(tmp_path / name)
 
 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
     path = tmp_path / "ball.ply"
     path.write_bytes(ply_text(BALL))
-    first = about(thing(path))
-    assert about(thing(path)) is first
+    first = about(mesh_entry(path))
+    assert about(mesh_entry(path)) is first
     path.write_bytes(ply_text(meshes.geodesic(4)))
-    assert latest_picture(thing(path)) is first  # the rendered mesh does not change with the file
-    assert about(thing(path)).report.triangles == 320
+    assert latest_picture(mesh_entry(path)) is first  # the rendered mesh does not change with the file
+    assert about(mesh_entry(path)).report.triangles == 320
     path.unlink()
-    assert latest_picture(thing(path)).report.triangles == 320
+    assert latest_picture(mesh_entry(path)).report.triangles == 320
 
 
 NUMBERS = itertools.count()
@@ -258,7 +257,7 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
     path.write_bytes(data)
     message = ""
     try:
-        report, (vertices, triangles) = about(thing(path))
+        report, (vertices, triangles) = about(mesh_entry(path))
     except ConfigError as error:
         message = str(error)
     if message:
@@ -269,7 +268,7 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
     assert triangles.min() >= 0 and triangles.max() == len(vertices) - 1
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     assert (np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0.0).all()
-    assert len({tuple(sorted(each)) for each in triangles.tolist()}) == len(triangles)
+    assert len({tuple(sorted(triangle)) for triangle in triangles.tolist()}) == len(triangles)
     assert len(np.unique(vertices, axis=0)) == len(vertices)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import hostile_meshes, meshes
 from helpers.surface_hand import hand
-from helpers.touching import SLIPPERY, R, engine, go, saved, thing, wander
+from helpers.touching import SLIPPERY, R, engine, make_object, visit, wander, write_part
 from mesh_truth import ask
 from references.brute_force import balls_of, brute_distances
 
@@ -27,9 +27,9 @@ LANES = 8
 
 
 def smooth_and_rough(tmp_path, made, **keys):
-    file = saved(tmp_path, *made)
-    smooth = engine(thing("part", "mesh", file=file, material=SLIPPERY, **keys))
-    return smooth, engine(thing("part", "mesh", file=file, **keys))
+    file = write_part(tmp_path, *made)
+    smooth = engine(make_object("part", "mesh", file=file, material=SLIPPERY, **keys))
+    return smooth, engine(make_object("part", "mesh", file=file, **keys))
 
 
 def is_outside(made, records):
@@ -38,9 +38,9 @@ def is_outside(made, records):
 
 def largest_query(running, points):
     shape = running.scene.objects.body.shape
-    found = np.zeros((len(points), 3))
-    ask(shape, flatten(shape), np.ascontiguousarray(points), BUDGET, found)
-    return found[:, 2].max()
+    results = np.zeros((len(points), 3))
+    ask(shape, flatten(shape), np.ascontiguousarray(points), BUDGET, results)
+    return results[:, 2].max()
 
 
 @pytest.mark.sampled(5)
@@ -72,11 +72,11 @@ def test_a_mended_mesh_equals_the_intact_one(tmp_path):
     ball, poses = meshes.geodesic(12, 0.05), hand(meshes.geodesic(12, 0.05), TICKS, R, np.random.default_rng(5))
     whole, _ = smooth_and_rough(tmp_path, ball)
     mended, _ = smooth_and_rough(tmp_path, hostile_meshes.messy_ball(12, 0.05))
-    expected, found = whole.run(poses), mended.run(poses)
+    expected, records = whole.run(poses), mended.run(poses)
     assert (expected["contact.mode"] > 0).mean() > 0.3
     # The order of two triangles decides which is touched at their edge, and thus the path around the edge.
-    np.testing.assert_allclose(found["force"], expected["force"], rtol=0.0, atol=0.02)
-    np.testing.assert_allclose(np.median(np.abs(found["force"] - expected["force"])), 0.0, atol=1e-9)
+    np.testing.assert_allclose(records["force"], expected["force"], rtol=0.0, atol=0.02)
+    np.testing.assert_allclose(np.median(np.abs(records["force"] - expected["force"])), 0.0, atol=1e-9)
 
 
 @pytest.mark.scaled
@@ -89,9 +89,9 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
     """
     made = hostile_meshes.socket(R * (1.0 + room))
     smooth, rough = smooth_and_rough(tmp_path, made, inside=True)
-    way = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])
-    ways = (way - way[20]) * np.minimum(np.arange(len(way)) / 200.0, 1.0)[:, None]
-    even, rubbed = go(smooth, ways), go(rough, ways)
+    path = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])
+    ways = (path - path[20]) * np.minimum(np.arange(len(path)) / 200.0, 1.0)[:, None]
+    even, rubbed = visit(smooth, ways), visit(rough, ways)
     for records in (even, rubbed):
         assert np.isfinite(np.asarray(records)).all()
         behind = np.linalg.norm(records["proxy.position"] - ways, axis=1)
@@ -101,8 +101,8 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
             assert records["contact.budget"].all() and not records["contact.mode"].any()
             continue
         assert is_outside(made, records[:: cases(6, 1)])
-        held = records["contact.mode"] > 0
-        assert held[np.linalg.norm(ways, axis=1) > 1.001 * room * R].all()
+        touching = records["contact.mode"] > 0
+        assert touching[np.linalg.norm(ways, axis=1) > 1.001 * room * R].all()
 
 
 @pytest.mark.parametrize("room", [0.1, 0.3])
@@ -112,7 +112,7 @@ def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
     for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 10)]):
         reach = R * (room + 0.2)
-        records = go(smooth, np.repeat(reach * side[None], 300, axis=0))
+        records = visit(smooth, np.repeat(reach * side[None], 300, axis=0))
         # It rests on a facet, whose tangent deviates by the angle of a facet, or in an edge between two.
         assert records["proxy.position"][-1] @ side > 0.99 * room * R
         assert not records["contact.budget"][-1]
@@ -123,14 +123,14 @@ def test_an_invalid_vertex_is_refused(tmp_path, wrong):
     made = meshes.geodesic(4, 0.05)
     vertices = made.vertices.copy()
     vertices[7, 1] = wrong
-    file = saved(tmp_path, vertices, made.triangles)
+    file = write_part(tmp_path, vertices, made.triangles)
     with pytest.raises(ConfigError, match="object 'part': file: ") as refused:
-        engine(thing("part", "mesh", file=file))
+        engine(make_object("part", "mesh", file=file))
     assert file in str(refused.value) and "\n" not in str(refused.value)
 
 
 def test_an_ellipsoid_is_refused_by_name(tmp_path):
-    part = thing("part", "mesh", file=saved(tmp_path, *meshes.geodesic(4, 0.05)))
+    part = make_object("part", "mesh", file=write_part(tmp_path, *meshes.geodesic(4, 0.05)))
     with pytest.raises(ConfigError, match="ellipsoid") as refused:
         engine(part, fingertip={"radii_m": [0.01, 0.008, 0.006]})
     assert "\n" not in str(refused.value) and "mesh" in str(refused.value)
@@ -144,7 +144,7 @@ def test_a_delayed_proxy_does_not_let_the_force_jump(tmp_path, name):
     smooth, _ = smooth_and_rough(tmp_path, made)
     start = np.abs(made.vertices).max() + 2.0 * R
     ways = np.concatenate([np.linspace([0.0, 0.0, start], [0.0, 0.0, 0.0], 150), wander(9, TICKS, 6.0 * R)])
-    records = go(smooth, ways)
+    records = visit(smooth, ways)
     deep = np.linalg.norm(records["proxy.position"] - ways, axis=1)
     assert deep.max() > 2.0 * R
     went = np.linalg.norm(np.diff(ways, axis=0), axis=1)

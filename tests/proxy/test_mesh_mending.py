@@ -109,9 +109,9 @@ def test_duplicate_and_degenerate_triangles_are_dropped() -> None:
     middle = 0.5 * (BALL.vertices[a] + BALL.vertices[b])
     vertices = np.concatenate([BALL.vertices, [middle, [9.0, 9.0, 9.0]]])
     more = [[b, c, a], [c, b, a], [a, a, b], [a, b, 162]]
-    (kept, triangles), report = mended(Mesh(vertices, np.concatenate([BALL.triangles, more]).astype(np.int32)))
+    (remaining, triangles), report = mended(Mesh(vertices, np.concatenate([BALL.triangles, more]).astype(np.int32)))
     assert (report.duplicate_triangles, report.degenerate_triangles, report.unused_vertices) == (2, 2, 1)
-    assert triangles.tobytes() == BALL.triangles.tobytes() and len(kept) == 162 and report.watertight
+    assert triangles.tobytes() == BALL.triangles.tobytes() and len(remaining) == 162 and report.watertight
 
 
 @pytest.mark.parametrize("thinness", [1e-3, 1e-6])
@@ -162,9 +162,9 @@ def test_inward_winding_is_preserved_only_for_hollows() -> None:
 def test_first_alike_finds_equal_rows() -> None:
     rng = np.random.default_rng(7)
     rows = rng.integers(0, 3, (2000, 3)).astype(np.uint64) << np.uint64(62)
-    seen: dict[bytes, int] = {}
-    expected = [seen.setdefault(row.tobytes(), number) for number, row in enumerate(rows)]
-    assert first_alike(rows).tolist() == expected and len(seen) == 27
+    first_rows: dict[bytes, int] = {}
+    expected = [first_rows.setdefault(row.tobytes(), number) for number, row in enumerate(rows)]
+    assert first_alike(rows).tolist() == expected and len(first_rows) == 27
 
 
 def test_thinned_meshes_preserve_the_shape() -> None:

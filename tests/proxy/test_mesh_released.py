@@ -16,7 +16,7 @@ import pytest
 from helpers import hostile_meshes, meshes
 from helpers.examples import Cases
 from helpers.thin_meshes import KINDS
-from helpers.touching import SLIPPERY, engine, posed, saved, thing
+from helpers.touching import SLIPPERY, engine, make_object, posed, write_part
 from numpy.typing import NDArray
 from references.brute_force import balls_of, brute_distances
 from scipy.optimize import nnls
@@ -70,14 +70,14 @@ def unexplained(corners: Array, radius: float, proxy: Array, probe: Array) -> fl
 def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: int) -> list[Array]:
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + 3.0 * radius
-    found = []
+    paths = []
     for _ in range(count):
         start = rng.normal(size=3)
         start = middle + reach * start / np.linalg.norm(start)
         step = rng.uniform(low, high) - start
         step /= np.linalg.norm(step)
-        found.append(start + STEP * np.arange(int(2.2 * reach / STEP))[:, None] * step)
-    return found
+        paths.append(start + STEP * np.arange(int(2.2 * reach / STEP))[:, None] * step)
+    return paths
 
 
 @pytest.mark.sampled(4)
@@ -86,7 +86,7 @@ def strokes(mesh: meshes.Mesh, radius: float, rng: np.random.Generator, count: i
 def test_a_proxy_is_blocked_by_triangles_it_touches(kind: str, radius: float, tmp_path: Path, cases: Cases) -> None:
     mesh = KINDS[kind]
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
-    part: dict[str, Any] = thing("part", "mesh", file=str(file), material=SLIPPERY)
+    part: dict[str, Any] = make_object("part", "mesh", file=str(file), material=SLIPPERY)
     running = engine(part, fingertip={"radius_m": radius})
     corners = np.ascontiguousarray(mesh.vertices[mesh.triangles])
     for step in strokes(mesh, radius, np.random.default_rng(5), cases(12, 100)):
@@ -120,16 +120,16 @@ def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool,
     is blocked only by triangles it touches."""
     mesh, count = KINDS[kind], cases(3, 25)
     file, coarse = meshes.write_ply(tmp_path / "part.ply", mesh), cases(2, 1)
-    part = thing("part", "mesh", file=str(file), material=SLIPPERY, **({"motion": SWAY} if moves else {}))
+    part = make_object("part", "mesh", file=str(file), material=SLIPPERY, **({"motion": SWAY} if moves else {}))
     running = engine(part, fingertip=None, coupling=None, finger=FINGERS)
-    corners, held = np.ascontiguousarray(mesh.vertices[mesh.triangles]), 0
+    corners, blocked = np.ascontiguousarray(mesh.vertices[mesh.triangles]), 0
     ways = [strokes(mesh, f["radius_m"], np.random.default_rng(seed), count) for seed, f in enumerate(FINGERS)]
     for thumb, index in zip(*ways, strict=True):
         ticks = min(len(thumb), len(index)) // coarse
         seconds = 1e-3 * np.arange(1, ticks + 1)[:, None]  # objects are at their position at the end of the tick
         sway = moves * np.sin(2.0 * np.pi * SWAY["frequency_hz"] * seconds) * SWAY["translation_m"]
-        one = thumb[::coarse][:ticks]
-        relative = {"thumb": one, "index": index[::coarse][:ticks] if moves else one[::-1]}
+        forward = thumb[::coarse][:ticks]
+        relative = {"thumb": forward, "index": index[::coarse][:ticks] if moves else forward[::-1]}
         running.reset()
         records_of = running.run({name: posed(step + sway) for name, step in relative.items()})
         for name, finger in zip(relative, FINGERS, strict=True):
@@ -140,9 +140,9 @@ def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool,
                 if records[tick, AT.contact_mode] == FREE:
                     assert not records[tick, AT.force : AT.force + 3].any()
                 elif moved[tick - 1] < STILL and np.linalg.norm(proxy[tick] - probe[tick]) > 1e-6:
-                    held += 1
+                    blocked += 1
                     assert unexplained(corners, radius, proxy[tick], probe[tick]) < UNEXPLAINED, (kind, name, tick)
-    assert held or kind in SLIDES
+    assert blocked or kind in SLIDES
 
 
 @pytest.fixture(scope="module")
@@ -154,8 +154,8 @@ def crumpled() -> meshes.Mesh:
 def test_a_stuck_proxy_restarts_at_the_probe(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
     """Where no search finishes within a tick, a proxy rests, and restarts once the probe is in free space; a force at
     the end of a stroke is explained by touched triangles."""
-    file, radius = saved(tmp_path, *crumpled), 0.002
-    running = engine(thing("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
+    file, radius = write_part(tmp_path, *crumpled), 0.002
+    running = engine(make_object("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
     corners = np.ascontiguousarray(crumpled.vertices[crumpled.triangles])
     restarted = 0
     for step in strokes(crumpled, radius, np.random.default_rng(1), cases(12, 100)):
@@ -172,8 +172,8 @@ def test_a_stuck_proxy_restarts_at_the_probe(crumpled: meshes.Mesh, tmp_path: Pa
 def test_a_first_touch_is_resolved_or_flagged(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
     """A fingertip that starts in contact is outside after a tick, or `contact.budget` is nonzero and it is free;
     without contact (to GRAZE) there is no force."""
-    file, radius = saved(tmp_path, *crumpled), 0.002
-    running = engine(thing("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
+    file, radius = write_part(tmp_path, *crumpled), 0.002
+    running = engine(make_object("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
     rng, balls = np.random.default_rng(2), balls_of(*crumpled)
     low, high = crumpled.vertices.min(axis=0), crumpled.vertices.max(axis=0)
     points = rng.uniform(low, high, (cases(300, 3000), 3))
@@ -196,9 +196,9 @@ def test_a_first_touch_is_resolved_or_flagged(crumpled: meshes.Mesh, tmp_path: P
 def test_a_magnet_with_an_unknown_gap_is_flagged(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
     """In free space the magnet's force follows from the distance to all triangles, or `contact.budget` is nonzero.
     Compiled only: plain Python builds the tree of so many triangles in 15 s."""
-    file, radius, force, reach = saved(tmp_path, *crumpled), 1e-5, 2.0, 0.05
+    file, radius, force, reach = write_part(tmp_path, *crumpled), 1e-5, 2.0, 0.05
     magnet = {"kind": "magnet", "force_n": force, "range_m": reach, "exponent": 1.0}
-    part = thing("part", "mesh", file=file, material=SLIPPERY, effect=[magnet])
+    part = make_object("part", "mesh", file=file, material=SLIPPERY, effect=[magnet])
     running = engine(part, fingertip={"radius_m": radius})
     low, high = crumpled.vertices.min(axis=0), crumpled.vertices.max(axis=0)
     points = np.random.default_rng(3).uniform(low, high, (cases(8, 1000), 3))
@@ -221,12 +221,15 @@ def test_a_thin_wall_that_sweeps_over_the_hand_touches_it(speed: float, tmp_path
     """A box thinner than its travel per tick sweeps over a resting hand that presses into a mesh: it moves the proxy as
     it does on the equivalent plane."""
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.moved(meshes.sheet(0.2, 0.2, 8, 8), (-0.1, -0.1, 0.0)))
-    wall = thing(
+    wall = make_object(
         "wall", "box", size_m=[2e-4, 0.1, 0.1], position_m=[0.01, 0.0, 0.0], material=SLIPPERY,
         motion={"kind": "sinusoid", "translation_m": [-0.03, 0.0, 0.0], "frequency_hz": speed / (0.03 * 2.0 * np.pi)},
     )  # fmt: skip
     still = np.tile([0.0, 0.0, 0.003], (int(0.03 / speed * 1000), 1))
-    floors = thing("plate", "mesh", file=str(file), material=SLIPPERY), thing("plate", "plane", material=SLIPPERY)
+    floors = (
+        make_object("plate", "mesh", file=str(file), material=SLIPPERY),
+        make_object("plate", "plane", material=SLIPPERY),
+    )
     on_mesh, on_plane = (
         np.asarray(engine(floor, wall, fingertip={"radius_m": 0.004}).run(posed(still)))[:, AT.proxy_position :][:, :3]
         for floor in floors
@@ -238,7 +241,7 @@ def test_a_thin_wall_that_sweeps_over_the_hand_touches_it(speed: float, tmp_path
 @pytest.mark.parametrize("radius", [0.01, 0.003])
 def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: Cases) -> None:
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.sheet(0.2, 0.2, 78, 78))
-    running = engine(thing("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
+    running = engine(make_object("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
     rng, t = np.random.default_rng(1), 1e-3 * np.arange(600)
     for _ in range(cases(10, 200)):
         depth, begin, speed = rng.uniform(0.3, 4.0) * radius, rng.uniform(0.07, 0.13, 2), rng.uniform(-0.08, 0.08, 2)
@@ -249,8 +252,8 @@ def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: C
         expected = 1000.0 * np.maximum(radius - height, 0.0)[:, None] * [0.0, 0.0, 1.0]
         np.testing.assert_allclose(records[:, AT.force : AT.force + 3], expected, rtol=0.0, atol=1000.0 * 1e-9)
         proxies = records[:, AT.proxy_position : AT.proxy_position + 3]
-        there = np.column_stack([step[:, :2], np.maximum(height, radius)])
-        np.testing.assert_allclose(proxies, there, rtol=0.0, atol=1e-9)  # required of a plate; rounding is 1e-15
+        nearest = np.column_stack([step[:, :2], np.maximum(height, radius)])
+        np.testing.assert_allclose(proxies, nearest, rtol=0.0, atol=1e-9)  # required of a plate; rounding is 1e-15
 
 
 def test_a_plate_is_a_plane_next_to_a_vertex(tmp_path: Path, cases: Cases) -> None:
@@ -259,7 +262,7 @@ def test_a_plate_is_a_plane_next_to_a_vertex(tmp_path: Path, cases: Cases) -> No
     that the fingertip has passed lifts it off the others by less than a gap can show."""
     radius, pitch, rng = 0.01, 0.2 / 78, np.random.default_rng(5)
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.sheet(0.2, 0.2, 78, 78))
-    running = engine(thing("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
+    running = engine(make_object("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
     for _ in range(cases(300, 30_000)):
         vertex, z = pitch * rng.integers(30, 48, 2), radius * rng.uniform(-3.0, 0.9)
         angles = rng.uniform(0.0, 2.0 * np.pi, 2)
@@ -281,7 +284,7 @@ def test_contacts_sum_to_the_force_unless_the_proxy_is_flagged(kind: str, tmp_pa
     its force. In all other ticks the force is the sum of `contacts`."""
     mesh, radius = KINDS[kind], 0.001
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
-    running = engine(thing("part", "mesh", file=str(file)), fingertip={"radius_m": radius})
+    running = engine(make_object("part", "mesh", file=str(file)), fingertip={"radius_m": radius})
     late = 0
     for step in strokes(mesh, radius, np.random.default_rng(7), cases(8, 50)):
         running.reset()

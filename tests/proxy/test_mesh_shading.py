@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers import meshes
-from helpers.touching import SLIPPERY, Array, R, engine, go, saved, thing
+from helpers.touching import SLIPPERY, Array, R, engine, make_object, visit, write_part
 
 from softfinger.proxy.engine import Engine
 
@@ -17,9 +17,9 @@ PRESSED = 200
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Engine]:
     """Engines with 5120 triangles, one for each shading, without friction: only the normal turns."""
-    file = saved(tmp_path_factory.mktemp("ball"), *meshes.geodesic(16, BALL))
+    file = write_part(tmp_path_factory.mktemp("ball"), *meshes.geodesic(16, BALL))
     kinds = ("normals", "none")
-    return {k: engine(thing("ball", "mesh", file=file, shading=k, material=SLIPPERY)) for k in kinds}
+    return {k: engine(make_object("ball", "mesh", file=file, shading=k, material=SLIPPERY)) for k in kinds}
 
 
 def turned(running: Engine, speed: float) -> Array:
@@ -33,7 +33,7 @@ def turned(running: Engine, speed: float) -> Array:
     ahead /= np.linalg.norm(ahead)
     ways = np.cos(angles)[:, None] * begin + np.sin(angles)[:, None] * ahead
     running.reset()
-    forces = go(running, ways * heights[:, None])["force"][PRESSED:]
+    forces = visit(running, ways * heights[:, None])["force"][PRESSED:]
     return np.linalg.norm(np.diff(forces / np.linalg.norm(forces, axis=1)[:, None], axis=0), axis=1)
 
 
@@ -58,8 +58,8 @@ def test_an_unshaded_mesh_turns_the_force_at_its_edges(balls: dict[str, Engine],
     """The normal turns only round edges, (R + r - d) / (r - d) = 6.6 times as fast as on the sphere. There the probe is
     at r - d from the edge. It is also more than four times as fast as on the shaded mesh."""
     steps, shaded = turned(balls["none"], speed), turned(balls["normals"], speed)
-    way = speed * DT * (BALL + R - DEPTH) / (BALL + R)
+    travel = speed * DT * (BALL + R - DEPTH) / (BALL + R)
     # The maximum is for a path straight over an edge; a chord differs from its arc by the square of the angle.
-    assert 0.95 < steps.max() * (R - DEPTH) / way < 1.001
+    assert 0.95 < steps.max() * (R - DEPTH) / travel < 1.001
     assert steps.max() > 4.0 * shaded.max()
     assert (steps < 1e-9).mean() > 0.5  # no turn on a facet

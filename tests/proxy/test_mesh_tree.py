@@ -10,7 +10,7 @@ import pytest
 from helpers import meshes
 from helpers.examples import examples
 from helpers.surface_hand import hand
-from helpers.touching import R, engine, saved, thing
+from helpers.touching import R, engine, make_object, write_part
 from hypothesis import given
 from hypothesis import strategies as st
 from references.triangles import distances
@@ -50,7 +50,7 @@ def closest_on_triangle(mesh, number, x):
 
 
 def mesh_of(tree: Tree, side: float = 1.0, shade: float = 0.0) -> Mesh:
-    arrays = (ReadOnly(each) for each in tree[:6])
+    arrays = (ReadOnly(array) for array in tree[:6])
     x, y, z = tree.center.tolist()
     count = float(len(tree.corners))
     return Mesh(Rows([Triangles(*arrays, count, (x, y, z), tree.size, side if tree.closed else 0.0, shade)]))
@@ -88,10 +88,10 @@ def test_distance_equals_the_brute_force_minimum(name):
     points = np.concatenate([middle + size * rng.normal(size=(60, 3)), on + 0.02 * size * rng.normal(size=(60, 3)), on])
     for x in points:
         expected = distances(np.asarray(vertices), np.asarray(triangles), x).min()
-        found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
-        assert abs(np.sqrt(found.square) - expected) <= EQUAL * size
-        assert found.bound == found.square
-        gap, point, normal = closest_on_triangle(mesh, float(found.number), tuple(x.tolist()))
+        spot = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
+        assert abs(np.sqrt(spot.square) - expected) <= EQUAL * size
+        assert spot.bound == spot.square
+        gap, point, normal = closest_on_triangle(mesh, float(spot.number), tuple(x.tolist()))
         assert abs(abs(gap) - expected) <= EQUAL * size
         assert abs(np.linalg.norm(normal) - 1.0) < 1e-12
         assert np.linalg.norm(np.array(point) + gap * np.array(normal) - x) <= EQUAL * size
@@ -105,10 +105,10 @@ def test_random_triangles_at_all_sizes(seed, count, exponent, away):
     tree = build_tree(vertices, triangles)
     mesh = mesh_of(tree)
     x = away * size * rng.normal(size=3)
-    found = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
+    spot = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
     # Far away, float32 boxes resolve the distance only to 1e-6 of the mesh size.
     slack = EQUAL * (tree.size + np.linalg.norm(x)) + 1e-6 * tree.size * (away > 100.0)
-    assert abs(np.sqrt(found.square) - distances(vertices, triangles, x).min()) <= slack
+    assert abs(np.sqrt(spot.square) - distances(vertices, triangles, x).min()) <= slack
 
 
 def test_sign_of_the_gap_at_faces_edges_and_corners():
@@ -131,7 +131,7 @@ def test_sign_of_the_gap_at_faces_edges_and_corners():
             number = float(nearest(outward, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).number)
             gap, point, normal = closest_on_triangle(outward, number, x)
             assert (gap > 0.0) == (np.linalg.norm(x) > reach)
-            assert closest_on_triangle(inward, number, x) == (-gap, point, tuple(-each for each in normal))
+            assert closest_on_triangle(inward, number, x) == (-gap, point, tuple(-component for component in normal))
 
 
 def test_an_open_mesh_is_a_sheet_with_two_sides():
@@ -150,13 +150,13 @@ def test_a_limit_and_known_triangles_change_no_answer():
     for _ in range(200):
         x = rng.normal(size=3)
         x = tuple((0.06 * x / np.linalg.norm(x)).tolist())
-        found = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0)
-        distance = np.sqrt(found.square)
+        spot = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0)
+        distance = np.sqrt(spot.square)
         assert nearest(mesh, x, distance * (1.0 - 1e-9), NO_TRIANGLE, WHOLE, 0.0).number == -1
-        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE, 0.0).square == pytest.approx(found.square)
-        for known in (float(found.number), float(rng.integers(0, len(tree.corners)))):
-            other = nearest(mesh, x, 1e300, (known, -1.0, -1.0), WHOLE, 0.0)
-            assert other.square == pytest.approx(found.square, rel=1e-9)
+        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE, 0.0).square == pytest.approx(spot.square)
+        for known in (float(spot.number), float(rng.integers(0, len(tree.corners)))):
+            limited = nearest(mesh, x, 1e300, (known, -1.0, -1.0), WHOLE, 0.0)
+            assert limited.square == pytest.approx(spot.square, rel=1e-9)
     corner = tree.vertices[0] * 1.2
     around = np.flatnonzero((tree.corners == 0).any(axis=1))
     for known in around:  # five or six are equally near
@@ -170,9 +170,9 @@ def test_an_exhausted_budget_still_gives_a_lower_bound():
     mesh = mesh_of(build_tree(vertices, triangles))
     x = (1e-7, 2e-7, -1e-7)
     true = distances(vertices, triangles, np.array(x)).min()
-    found = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
-    assert found.spent <= BUDGET + 8 and found.bound < found.square
-    assert 0.0 < np.sqrt(found.bound) <= true <= np.sqrt(found.square) + 1e-15
+    spot = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
+    assert spot.spent <= BUDGET + 8 and spot.bound < spot.square
+    assert 0.0 < np.sqrt(spot.bound) <= true <= np.sqrt(spot.square) + 1e-15
     assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).spent > 1.5 * BUDGET
 
 
@@ -194,18 +194,18 @@ def test_a_query_stops_early_at_a_triangle_within_reach():
 
 def test_all_queries_of_a_tick_share_one_budget():
     mesh = mesh_of(build_tree(*meshes.geodesic(40, 0.05)))
-    hard, easy, left, total = (1e-3, 0.0, 0.0), (0.06, 0.0, 0.0), BUDGET, 0
+    hard, easy, budget, total = (1e-3, 0.0, 0.0), (0.06, 0.0, 0.0), BUDGET, 0
     for _ in range(100):
-        before = left
-        _, _, left = nearest_facet(mesh, hard, 1e300, NO_TRIANGLE, left, 0.0)
-        if left == SPENT:
+        before = budget
+        _, _, budget = nearest_facet(mesh, hard, 1e300, NO_TRIANGLE, budget, 0.0)
+        if budget == SPENT:
             break
         spent = nearest(mesh, hard, 1e300, NO_TRIANGLE, before, 0.0).spent
-        assert left == max(before - spent, 0)
+        assert budget == max(before - spent, 0)
         total += spent
-    assert left == SPENT and 0 < total < BUDGET + MANY + 3 * SLOPE
+    assert budget == SPENT and 0 < total < BUDGET + MANY + 3 * SLOPE
     assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, BUDGET, 0.0)[2] > 0
-    assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, left, 0.0)[2] == SPENT
+    assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, budget, 0.0)[2] == SPENT
 
 
 def test_tree_contains_each_triangle_once():
@@ -214,38 +214,38 @@ def test_tree_contains_each_triangle_once():
     least, most = vertices.min(axis=0), vertices.max(axis=0)
     np.testing.assert_allclose(tree.center, 0.5 * (least + most), rtol=0.0, atol=1e-17)  # rounding of a few cm
     assert tree.size == pytest.approx(np.linalg.norm(most - least), rel=1e-15)
-    seen = np.zeros(len(triangles), int)
+    counts = np.zeros(len(triangles), int)
     lanes = tree.nodes.reshape(-1, FIELDS, LANES).astype(float)
 
     def below(node):
         first = tree.first[node]
-        held = []
+        numbers = []
         for lane in range(8):
             fields = lanes[node, :, lane]
             if fields[9] < 0.0:
                 continue
             inside = [~first + lane] if first < 0 else below(first + lane)
-            held += inside
+            numbers += inside
             x = tree.vertices[tree.corners[inside]].reshape(-1, 3) - tree.center - fields[:3]
-            up, one = fields[3:6], fields[6:9]
-            assert abs(up @ one) < 1e-6
-            for axis, half in zip((one, np.cross(up, one), up), fields[9:], strict=True):
+            up, side = fields[3:6], fields[6:9]
+            assert abs(up @ side) < 1e-6
+            for axis, half in zip((side, np.cross(up, side), up), fields[9:], strict=True):
                 assert (np.abs(x @ axis) <= half).all()
             if first < 0:
-                seen[inside] += 1
-        return held
+                counts[inside] += 1
+        return numbers
 
     assert len(below(0)) == len(triangles)
-    assert (seen == 1).all()
+    assert (counts == 1).all()
     original = np.sort(vertices[triangles].sum(axis=1), axis=0)
     assert np.allclose(np.sort(tree.vertices[tree.corners].sum(axis=1), axis=0), original, rtol=0.0, atol=1e-15)
 
 
 def in_a_scene(folder: Path) -> dict[str, np.ndarray]:
     bumpy = meshes.bumpy_sphere(8, 0.05, height=0.06)
-    running = engine(thing("part", "mesh", file=saved(folder, *bumpy)))
+    running = engine(make_object("part", "mesh", file=write_part(folder, *bumpy)))
     records = running.run(hand(bumpy, 400, R, np.random.default_rng(5)))
-    arrays = {name: each for name, each in build_tree(*bumpy)._asdict().items() if isinstance(each, np.ndarray)}
+    arrays = {name: array for name, array in build_tree(*bumpy)._asdict().items() if isinstance(array, np.ndarray)}
     return arrays | {"records": np.asarray(records), "mode": np.asarray(records["contact.mode"])}
 
 
@@ -267,5 +267,5 @@ def test_plain_python_gives_the_same_bits(tmp_path):
     assert (compiled["mode"] > 0).mean() > 0.2 and len(np.unique(compiled["mode"])) == 3
     with np.load(tmp_path / "found.npz") as plain:
         assert set(plain) == set(compiled)
-        for name, each in compiled.items():
-            assert plain[name].dtype == each.dtype and plain[name].tobytes() == each.tobytes(), name
+        for name, array in compiled.items():
+            assert plain[name].dtype == array.dtype and plain[name].tobytes() == array.tobytes(), name

@@ -25,7 +25,7 @@ FAR = [0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0]
 WEDGE = np.array([(-2, -2, -2), (2, -2, -2), (-2, 2, -2), (2, 2, -2), (-2, -2, 0), (2, -2, 0), (-2, 2, 2), (2, 2, 2)])
 """Corners, cm: a prism that is higher at y = 2 cm than at y = -2 cm."""
 QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-FACES = [each for a, b, c, d in QUADS for each in ((a, b, c), (a, c, d))]
+FACES = [face for a, b, c, d in QUADS for face in ((a, b, c), (a, c, d))]
 FLOAT32 = 1e-8
 """m: MuJoCo stores and rotates vertices of some centimetres in 32 bits."""
 
@@ -36,7 +36,7 @@ def stl(path: Path, points: Any = 0.01 * WEDGE, faces: Any = FACES) -> None:
     path.write_bytes(b"".ljust(80) + struct.pack("<I", len(faces)) + body)
 
 
-def written(path: Path, body: str, option: str = "", **world: Any) -> Path:
+def write_model(path: Path, body: str, option: str = "", **world: Any) -> Path:
     """Write a model of these elements and a scene with it to the same folder; return the scene's path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"<mujoco>{option}{body}</mujoco>")
@@ -50,7 +50,7 @@ def written(path: Path, body: str, option: str = "", **world: Any) -> Path:
 
 
 def test_xml_that_mujoco_reads_is_read(tmp_path: Path) -> None:
-    scene = written(tmp_path / "m.xml", '<!-- the robot\'s -- own -->\n<worldbody><geom size="1"/></worldbody>')
+    scene = write_model(tmp_path / "m.xml", '<!-- the robot\'s -- own -->\n<worldbody><geom size="1"/></worldbody>')
     assert len(load_scene(scene).object) == 1
     urdf = tmp_path / "m.urdf"
     urdf.write_text(
@@ -58,12 +58,12 @@ def test_xml_that_mujoco_reads_is_read(tmp_path: Path) -> None:
         "</link><gazebo:plugin/></robot>"
     )
     scene.write_text(scene.read_text().replace("m.xml", "m.urdf"))
-    assert [thing.name for thing in load_scene(scene).object] == ["a"]
+    assert [entry.name for entry in load_scene(scene).object] == ["a"]
 
 
 def test_included_files_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
     """Includes are searched in the model's folder, then in the including file's, also upwards; Latin-1 is read."""
-    scene = written(tmp_path / "m.xml", '<include file="sub/part.xml"/>')
+    scene = write_model(tmp_path / "m.xml", '<include file="sub/part.xml"/>')
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "part.xml").write_text(
         '<mujoco><include file="own.xml"/><include file="../upper.xml"/></mujoco>'
@@ -71,15 +71,15 @@ def test_included_files_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
     for name in ("sub/own.xml", "upper.xml"):
         text = f'<mujoco><!-- \xe9 --><worldbody><geom name="{name}" size="1"/></worldbody></mujoco>'
         (tmp_path / name).write_bytes(text.encode("latin-1"))
-    assert [thing.name for thing in load_scene(scene).object] == ["sub/own.xml", "upper.xml"]
+    assert [entry.name for entry in load_scene(scene).object] == ["sub/own.xml", "upper.xml"]
 
 
-def placed(thing: schema.Object) -> np.ndarray:
-    assert isinstance(thing, schema.Mesh)
-    w, x, y, z = thing.orientation_wxyz
+def placed(mesh: schema.Object) -> np.ndarray:
+    assert isinstance(mesh, schema.Mesh)
+    w, x, y, z = mesh.orientation_wxyz
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]))
-    return about(thing).picture.vertices @ turn.reshape(3, 3).T + thing.position_m
+    return about(mesh).picture.vertices @ turn.reshape(3, 3).T + mesh.position_m
 
 
 def by_row(points: np.ndarray) -> np.ndarray:
@@ -95,12 +95,12 @@ def test_files_of_a_sibling_folder_need_a_root(tmp_path: Path) -> None:
     path = tmp_path / "models/part.xml"
     for option, file in (("", "../stls/wedge.stl"), ('<compiler meshdir="../stls"/>', "wedge.stl")):
         with pytest.raises(ConfigError, match=r"stls/wedge\.stl.* outside of its folder: .*\[world\] root = \"\.\.\""):
-            load_scene(written(path, MESH.format(file), option))
-        (part,) = load_scene(written(path, MESH.format(file), option, root="..")).object
+            load_scene(write_model(path, MESH.format(file), option))
+        (part,) = load_scene(write_model(path, MESH.format(file), option, root="..")).object
         np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE), atol=FLOAT32)
     stl(tmp_path.parent / "above.stl")
     with pytest.raises(ConfigError, match=r"above\.stl.* outside of its folder: .*root = \"\.\.\""):
-        load_scene(written(path, MESH.format("../../above.stl"), root=".."))
+        load_scene(write_model(path, MESH.format("../../above.stl"), root=".."))
 
 
 ATTACHED = (
@@ -118,11 +118,11 @@ def test_folders_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
         f'<mujocoinclude><compiler meshdir="meshes"/>{MESH.format("wedge.stl")}</mujocoinclude>'
     )
     scenes = [
-        written(
+        write_model(
             tmp_path / "strip.xml", MESH.format("../far/wedge.stl"), '<compiler meshdir="meshes" strippath="true"/>'
         ),
-        written(tmp_path / "outer.xml", '<include file="inner/more.xml"/>'),
-        written(tmp_path / "last.xml", '<include file="inner/more.xml"/>', '<compiler meshdir="none"/>'),
+        write_model(tmp_path / "outer.xml", '<include file="inner/more.xml"/>'),
+        write_model(tmp_path / "last.xml", '<include file="inner/more.xml"/>', '<compiler meshdir="none"/>'),
     ]
     for scene in scenes:
         (part,) = load_scene(scene).object
@@ -133,7 +133,7 @@ def test_folders_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
     )
     (tmp_path / "a").mkdir()
     with pytest.raises(ConfigError, match=r"<flexcomp file='\.\./wedge\.obj'> is outside"):
-        load_scene(written(tmp_path / "a/flex.xml", flex, '<compiler meshdir="sub"/>'))
+        load_scene(write_model(tmp_path / "a/flex.xml", flex, '<compiler meshdir="sub"/>'))
 
 
 def test_a_mesh_next_to_an_included_file_loads_from_any_working_directory(
@@ -141,8 +141,8 @@ def test_a_mesh_next_to_an_included_file_loads_from_any_working_directory(
 ) -> None:
     """MuJoCo prepends the path of the included file's folder, which starts with that of the model."""
     stl(tmp_path / "models/inner/wedge.stl")
-    written(tmp_path / "models/inner/part.xml", MESH.format("wedge.stl"))
-    scene = written(tmp_path / "models/outer.xml", '<include file="inner/part.xml"/>')
+    write_model(tmp_path / "models/inner/part.xml", MESH.format("wedge.stl"))
+    scene = write_model(tmp_path / "models/outer.xml", '<include file="inner/part.xml"/>')
     for folder in (tmp_path, tmp_path / "models", tmp_path / "models/inner"):
         monkeypatch.chdir(folder)
         (part,) = load_scene(Path(os.path.relpath(scene))).object
@@ -154,7 +154,7 @@ def test_groups_of_an_obj_file_are_refused(tmp_path: Path) -> None:
     lines = [f"v {x} {y} {z}" for x, y, z in (0.01 * WEDGE).tolist()]
     faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
     path = tmp_path / "part.obj"
-    scene = written(tmp_path / "part.xml", MESH.format("part.obj"))
+    scene = write_model(tmp_path / "part.xml", MESH.format("part.obj"))
     path.write_text("\n".join(["o part", *lines, "g a", *faces[:6], "g b", *faces[6:]]))
     with pytest.raises(ConfigError, match=r"geom 'part': .*part\.obj has faces in several groups"):
         load_scene(scene)
@@ -165,13 +165,13 @@ def test_groups_of_an_obj_file_are_refused(tmp_path: Path) -> None:
 
 def test_an_attached_model_reads_only_its_folder(tmp_path: Path) -> None:
     stl(tmp_path / "wedge.stl")
-    scene = written(tmp_path / "scene/scene.xml", ATTACHED)
+    scene = write_model(tmp_path / "scene/scene.xml", ATTACHED)
     for option, file in (("", "../../wedge.stl"), ('<compiler meshdir=".."/>', "../wedge.stl")):
-        written(tmp_path / "scene/part/part.xml", PART.format(file), option)
+        write_model(tmp_path / "scene/part/part.xml", PART.format(file), option)
         with pytest.raises(ConfigError, match=r"wedge\.stl is outside of its folder"):
             load_scene(scene)
     stl(tmp_path / "scene/part/meshes/sub/wedge.stl")
-    written(tmp_path / "scene/part/part.xml", PART.format("sub/wedge.stl"), '<compiler meshdir="meshes"/>')
+    write_model(tmp_path / "scene/part/part.xml", PART.format("sub/wedge.stl"), '<compiler meshdir="meshes"/>')
     floor, part = load_scene(scene).object
     assert (floor.name, part.name) == ("floor", "left_part")
     np.testing.assert_allclose(by_row(placed(part)), by_row(0.01 * WEDGE + [0, 0, 0.1]), atol=FLOAT32)
@@ -184,23 +184,23 @@ def test_textures_are_not_read(tmp_path: Path) -> None:
         '<texture name="c" type="cube" file="c.png" gridsize="3 4" gridlayout=".U..LFRB.D.."/></asset>'
         '<worldbody><geom name="can" type="cylinder" size="0.03 0.05" material="a"/></worldbody>'
     )
-    (can,) = load_scene(written(tmp_path / "a/can.xml", looks)).object
+    (can,) = load_scene(write_model(tmp_path / "a/can.xml", looks)).object
     assert isinstance(can, schema.Cylinder)
     stl(tmp_path / "x.stl")
     both = f'<asset><texture name="a" type="2d" file="x.stl"/></asset>{MESH.format("../x.stl")}'
     with pytest.raises(ConfigError, match=r"x\.stl is outside of its folder"):
-        load_scene(written(tmp_path / "a/both.xml", both))
+        load_scene(write_model(tmp_path / "a/both.xml", both))
 
 
 def test_meshes_have_the_position_of_mujoco(tmp_path: Path) -> None:
     stl(tmp_path / "wedge.stl")
-    inline = " ".join(f"{each:g}" for each in (0.01 * WEDGE).ravel())
+    inline = " ".join(f"{coordinate:g}" for coordinate in (0.01 * WEDGE).ravel())
     turn = "refpos='0.01 0 0' refquat='0.7071067811865476 0 0 0.7071067811865476'"
     meshes = {"right": "", "left": "scale='1 -1 1'", "wide": "scale='2 1 1'", "turned": turn}
     assets = "".join(f'<mesh name="{name}" file="wedge.stl" {keys}/>' for name, keys in meshes.items())
     assets += f'<mesh name="inline" vertex="{inline}"/>'
     geoms = "".join(f'<geom name="{name}" type="mesh" mesh="{name}" pos="0 0 1"/>' for name in (*meshes, "inline"))
-    scene = load_scene(written(tmp_path / "all.xml", f"<asset>{assets}</asset><worldbody>{geoms}</worldbody>"))
+    scene = load_scene(write_model(tmp_path / "all.xml", f"<asset>{assets}</asset><worldbody>{geoms}</worldbody>"))
     corners = 0.01 * WEDGE
     x, y, z = (corners - [0.01, 0, 0]).T
     expected = {
@@ -210,16 +210,16 @@ def test_meshes_have_the_position_of_mujoco(tmp_path: Path) -> None:
         "turned": np.stack([y, -x, z], axis=1),  # the reference is rotated by 90 degrees
         "inline": corners,
     }
-    for thing in scene.object:
-        np.testing.assert_allclose(by_row(placed(thing)), by_row(expected[thing.name] + [0, 0, 1]), atol=2 * FLOAT32)
-        assert isinstance(thing, schema.Mesh)
-        report = about(thing).report
-        assert report.watertight and report.turned_triangles == 0, thing.name
+    for entry in scene.object:
+        np.testing.assert_allclose(by_row(placed(entry)), by_row(expected[entry.name] + [0, 0, 1]), atol=2 * FLOAT32)
+        assert isinstance(entry, schema.Mesh)
+        report = about(entry).report
+        assert report.watertight and report.turned_triangles == 0, entry.name
 
 
 def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
     stl(tmp_path / "wedge.stl")
-    path = written(tmp_path / "part.xml", MESH.format("wedge.stl"))
+    path = write_model(tmp_path / "part.xml", MESH.format("wedge.stl"))
     np.testing.assert_allclose(by_row(placed(load_scene(path).object[0])), by_row(0.01 * WEDGE), atol=FLOAT32)
     stl(tmp_path / "wedge.stl", 0.02 * WEDGE)
     (part,) = load_scene(path).object
@@ -231,7 +231,7 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
     outline = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]) * 0.01
     corners = np.array([(x, y, z) for z in (0.0, 0.01) for x, y in outline])
     lid = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
-    sides = [each for k in range(6) for each in ((k, (k + 1) % 6, k + 6), ((k + 1) % 6, (k + 1) % 6 + 6, k + 6))]
+    sides = [face for k in range(6) for face in ((k, (k + 1) % 6, k + 6), ((k + 1) % 6, (k + 1) % 6 + 6, k + 6))]
     faces = [face[::-1] for face in lid] + [tuple(k + 6 for k in face) for face in lid] + sides
     stl(tmp_path / "wedge.stl")
     stl(tmp_path / "l.stl", corners, faces)
@@ -239,9 +239,9 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
         '<asset><mesh name="wedge" file="wedge.stl"/><mesh name="l" file="l.stl"/></asset><worldbody>'
         f'{BOX_GEOM}<body><freejoint/><geom name="l" type="mesh" mesh="l"/></body></worldbody>'
     )
-    world = load_scene(written(tmp_path / "two.xml", body)).world
+    world = load_scene(write_model(tmp_path / "two.xml", body)).world
     assert world is not None
-    notes = {each.name: each.note for each in convert_geoms(world)}
+    notes = {geom.name: geom.note for geom in convert_geoms(world)}
     assert notes["part"] == ""
     assert notes["l"] == (
         "is touched as it is; other geoms collide with its convex hull, which has 1.17 times its volume"
@@ -255,7 +255,7 @@ def test_geoms_of_pairs_collide(tmp_path: Path) -> None:
         '<geom name="seen" size="0.1"/><body><freejoint/><geom name="ball" size="0.02"/></body></worldbody>'
         '<contact><pair geom1="floor" geom2="ball"/></contact>'
     )
-    assert [thing.name for thing in load_scene(written(tmp_path / "pairs.xml", body)).object] == ["floor", "ball"]
+    assert [entry.name for entry in load_scene(write_model(tmp_path / "pairs.xml", body)).object] == ["floor", "ball"]
 
 
 ARM = """
@@ -268,7 +268,7 @@ ARM = """
 
 def test_bodies_start_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     option = '<option timestep="0.005"/>'
-    path = written(tmp_path / "arm.xml", ARM, option, keyframe="home")
+    path = write_model(tmp_path / "arm.xml", ARM, option, keyframe="home")
     engine = Engine(str(path))
     for _ in range(2):
         engine.reset()
@@ -280,22 +280,22 @@ def test_bodies_start_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["check", str(path)]) == 0
     output = capsys.readouterr().out
     assert "a tick's, 0.001 s at 1000 Hz; the model's own is 0.005 s" in output and "home" in output
-    written(tmp_path / "arm.xml", ARM, option, keyframe="hme")
+    write_model(tmp_path / "arm.xml", ARM, option, keyframe="hme")
     assert main(["check", str(path)]) == 2
     assert "world.keyframe = 'hme'" in (output := capsys.readouterr().err) and "it has: home, down" in output
-    written(tmp_path / "arm.xml", ARM, option, timestep="file")
+    write_model(tmp_path / "arm.xml", ARM, option, timestep="file")
     assert main(["check", str(path)]) == 2
     assert "its timestep of 0.005 s, world.substeps = 1 times, is not a tick of 0.001 s" in capsys.readouterr().err
     (tmp_path / "slow.toml").write_text('[device]\ndriver = "simulated"\n[servo]\nrate_hz = 200.0\n')
     assert main(["check", str(path), str(tmp_path / "slow.toml")]) == 0
     assert "0.005 s, the model's own: a tick at servo.rate_hz = 200" in capsys.readouterr().out
-    written(tmp_path / "arm.xml", ARM, '<option timestep="0.0005"/>')
+    write_model(tmp_path / "arm.xml", ARM, '<option timestep="0.0005"/>')
     assert main(["check", str(path)]) == 0 and "substeps = 2 would keep to it" in capsys.readouterr().out
 
 
 def test_check_refuses_bodies_that_cannot_start(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`check` fails as `run` does, here because the initial contacts exceed the memory."""
     boxes = '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4
-    path = written(tmp_path / "full.xml", f"<worldbody>{boxes}</worldbody>", '<size memory="30K"/>')
+    path = write_model(tmp_path / "full.xml", f"<worldbody>{boxes}</worldbody>", '<size memory="30K"/>')
     assert main(["check", str(path)]) == 2
     assert "cannot be simulated from its initial state" in capsys.readouterr().err

@@ -37,29 +37,29 @@ ROUNDING_N = 1e-10
 """Positions of up to 0.1 m round to 1e-17 m, and a rotation and its inverse to a little more, times K."""
 
 
-def scene(*things: dict[str, Any], **tables: Any) -> Scene:
+def scene(*tables_of_objects: dict[str, Any], **tables: Any) -> Scene:
     """Scene of frictionless objects by default, moved by the test (`driven`) unless they define a motion."""
     base = {"material": SLICK, "motion": {"kind": "driven"}}
-    objects = [{"name": f"thing {i}", **base, **thing} for i, thing in enumerate(things)]
-    for thing in objects:
-        if thing["motion"] is None:
-            del thing["motion"]
+    objects = [{"name": f"thing {i}", **base, **entry} for i, entry in enumerate(tables_of_objects)]
+    for entry in objects:
+        if entry["motion"] is None:
+            del entry["motion"]
     head = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}}
     return build(Scene, {**head, "object": objects, **tables}, "moving objects")
 
 
 class Driver:
-    def __init__(self, given: Scene) -> None:
-        self.scene, self.engine = given, Engine(given)
+    def __init__(self, config: Scene) -> None:
+        self.scene, self.engine = config, Engine(config)
 
     def step(self, finger: ArrayLike, *places: tuple[ArrayLike, ArrayLike] | None, dt: float = DT) -> Any:
         """Run one tick with the finger at (7,) or (3,) and each object at its position (3,) and orientation (4,)."""
-        things = list(self.scene.object)
+        objects = list(self.scene.object)
         for i, place in enumerate(places):
             if place is not None:
                 at, turn = (tuple(np.asarray(part, float).tolist()) for part in place)
-                things[i] = msgspec.structs.replace(things[i], position_m=at, orientation_wxyz=turn)
-        self.engine.tune(msgspec.structs.replace(self.scene, object=tuple(things)))
+                objects[i] = msgspec.structs.replace(objects[i], position_m=at, orientation_wxyz=turn)
+        self.engine.tune(msgspec.structs.replace(self.scene, object=tuple(objects)))
         pose = np.asarray(finger, float)
         return self.engine.step(pose[:3], pose[3:] if len(pose) == 7 else UPRIGHT, dt)
 
@@ -140,10 +140,10 @@ def test_an_object_that_jumps_over_the_finger_pushes_it_forward(name: str, dt: f
     finger = (x, 0.0, top + R + 0.001)
     assert driver.step(finger, ((0.0, 0.0, 0.0), UPRIGHT)).cause == "none"
     met = driver.step(finger, ((0.0, 0.0, 0.03), UPRIGHT), dt=dt)
-    held = driver.step(finger, ((0.0, 0.0, 0.03), UPRIGHT), dt=dt)
-    for step in (met, held):
+    jumped = driver.step(finger, ((0.0, 0.0, 0.03), UPRIGHT), dt=dt)
+    for step in (met, jumped):
         np.testing.assert_allclose(step.force, [0.0, 0.0, K * 0.029], atol=ROUNDING_N)
-    assert (met.cause, held.cause) == ("touch", "none")
+    assert (met.cause, jumped.cause) == ("touch", "none")
 
 
 @pytest.mark.parametrize("name", ALONE)
@@ -171,7 +171,7 @@ def test_an_object_that_returns_touches_again() -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("thickness", [0.1, 0.001])
-@pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda way: f"{1000 * way:g} mm")
+@pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda distance: f"{1000 * distance:g} mm")
 def test_a_second_object_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:
     floor = {"shape": "plane", "motion": None}
     wall = {"shape": "box", "size_m": [thickness, 0.2, 0.2]}
@@ -204,9 +204,9 @@ ROLLING = {"rolling": {"method": "euler_zxz"}, "coupling": {"damping_ns_per_m": 
 
 @functools.cache
 def pair(name: str) -> tuple[Engine, Driver]:
-    given = {"ball": [BALL], "block": [BLOCK], "hollow": [BALL | {"radius_m": 0.05, "inside": True}]}[name]
-    still = Engine(scene(*[thing | {"motion": None} for thing in given], **ROLLING))
-    return still, Driver(scene(*given, **ROLLING))
+    entries = {"ball": [BALL], "block": [BLOCK], "hollow": [BALL | {"radius_m": 0.05, "inside": True}]}[name]
+    still = Engine(scene(*[entry | {"motion": None} for entry in entries], **ROLLING))
+    return still, Driver(scene(*entries, **ROLLING))
 
 
 def conjugate(q: Array) -> Array:
@@ -220,20 +220,21 @@ def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
     """For equal relative poses, a moved object and a moved finger give the same contact in the object's frame.
 
     Mode, cause, force and torque agree to rounding, with friction, rolling and damping. Steps are up to 10 mm per tick,
-    and the coupling's damping multiplies their rounding by 2 N s/m / DT.
+    and the coupling's damping multiplies their rounding by 2 N s/m / DT. Forces above 1 N, up to 70 N, have a relative
+    tolerance.
     """
     still, driver = pair(name)
 
     @examples(25, 300)
     @given(numbers(6, 6), st.integers(2, 6))
-    def check(found: Array, count: int) -> None:
-        poses = visits((0.0, 0.0, 0.055 if name != "hollow" else 0.0), found[:count])
+    def check(draws: Array, count: int) -> None:
+        poses = visits((0.0, 0.0, 0.055 if name != "hollow" else 0.0), draws[:count])
         still.reset()
         driver.engine.reset()
         hand, turn = np.array([0.01, -0.02, 0.03]), np.array([0.5, 0.1, -0.7, 0.5])
         turn /= np.linalg.norm(turn)
-        one = still.run(poses, DT)
-        for row, pose in zip(one, poses, strict=True):
+        records = still.run(poses, DT)
+        for row, pose in zip(records, poses, strict=True):
             led = multiply(turn, conjugate(pose[3:]))
             led /= np.linalg.norm(led)
             world = matrix(led)
@@ -244,7 +245,7 @@ def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
                 assert abs(room) < 1e-7 or abs(row[AT.contact_penetration]) < 1e-9, (step.cause, row)
                 return
             for at, got in ((AT.force, step.force), (AT.torque, step.torque)):
-                assert np.abs(world.T @ got - row[at : at + 3]).max() < 1e-8
+                assert np.abs(world.T @ got - row[at : at + 3]).max() < 1e-8 * max(1.0, normal_force)
 
     check()
 

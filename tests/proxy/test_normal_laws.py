@@ -68,9 +68,9 @@ def engine(name: str) -> Engine:
 
 
 def poses(depths: NDArray[np.float64]) -> NDArray[np.float64]:
-    found = np.zeros((len(depths), 7))
-    found[:, 2], found[:, 3] = R - depths, 1.0
-    return found
+    rows = np.zeros((len(depths), 7))
+    rows[:, 2], rows[:, 3] = R - depths, 1.0
+    return rows
 
 
 def pressed(running: Engine, depths: NDArray[np.float64], dt: float = 0.001) -> NDArray[np.float64]:
@@ -82,9 +82,9 @@ def pressed(running: Engine, depths: NDArray[np.float64], dt: float = 0.001) -> 
 def test_a_slow_press_has_the_closed_form(name: str) -> None:
     """At rest, f_N = K d (delta / d)^p at any depth; the intermediate ticks, which move, are skipped."""
     depths = np.repeat(np.concatenate([[-1e-3], np.geomspace(1e-6, 2e-2, 60), np.linspace(2e-2, 1e-5, 60)]), 2)
-    found = pressed(engine(name), depths)[1::2]
+    forces = pressed(engine(name), depths)[1::2]
     # R - depth is rounded to half an ulp of R, 9e-19 m, which the power multiplies by at most 3.
-    assert found == pytest.approx(spring(LAWS[name], depths[1::2]), rel=1e-11, abs=1e-15)
+    assert forces == pytest.approx(spring(LAWS[name], depths[1::2]), rel=1e-11, abs=1e-15)
 
 
 @pytest.mark.sampled(3)
@@ -93,12 +93,12 @@ def test_a_slow_press_has_the_closed_form(name: str) -> None:
 def test_a_press_at_a_speed_has_the_closed_form(name: str, speed: float) -> None:
     step = 9e-6
     dt = step / speed
-    way = np.arange(-5, int(0.004 / step)) * step
-    depths = np.concatenate([way, way[-2::-1]])
+    travel = np.arange(-5, int(0.004 / step)) * step
+    depths = np.concatenate([travel, travel[-2::-1]])
     inwards = np.concatenate([[0.0], np.diff(depths) / dt])
-    found = pressed(engine(name), depths, dt)
+    forces = pressed(engine(name), depths, dt)
     # The speed is the difference of two positions of about R: at most ulp(R) / dt = 2e-13 m/s.
-    assert found == pytest.approx(force(LAWS[name], depths, inwards), rel=1e-9, abs=1e-11)
+    assert forces == pytest.approx(force(LAWS[name], depths, inwards), rel=1e-9, abs=1e-11)
 
 
 def test_hertz_is_the_force_between_a_sphere_and_a_half_space() -> None:
@@ -107,8 +107,8 @@ def test_hertz_is_the_force_between_a_sphere_and_a_half_space() -> None:
     law = {"normal": {"exponent": 1.5, "depth_m": D}, "stiffness_n_per_m": 4.0 / 3.0 * modulus * (R * D) ** 0.5}
     running = Engine(build(Scene, paper_mapping(**smooth(law)), "hertz"))
     depths = np.repeat(np.linspace(1e-4, 5e-3, 20), 2)
-    found = pressed(running, depths)[1::2]
-    assert found == pytest.approx(4.0 / 3.0 * modulus * R**0.5 * depths[1::2] ** 1.5, rel=1e-12)
+    forces = pressed(running, depths)[1::2]
+    assert forces == pytest.approx(4.0 / 3.0 * modulus * R**0.5 * depths[1::2] ** 1.5, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", list(LAWS))
@@ -137,8 +137,8 @@ def leaving_speed(law: dict[str, Any], speed: float) -> float:
         return float(y[0])
 
     left.terminal, left.direction = True, -1.0  # type: ignore[attr-defined]
-    found = solve_ivp(rates, (0.0, 10.0), [0.0, speed], "DOP853", events=left, rtol=1e-12, atol=1e-14)
-    return -float(found.y_events[0][0][1])
+    solution = solve_ivp(rates, (0.0, 10.0), [0.0, speed], "DOP853", events=left, rtol=1e-12, atol=1e-14)
+    return -float(solution.y_events[0][0][1])
 
 
 def rendered_speed(running: Engine, speed: float, dt: float) -> float:
@@ -207,12 +207,12 @@ def test_it_never_pulls_and_never_jumps(name: str) -> None:
     def check(records: Array) -> None:
         depths = R - records["probe.position"][:, 2]
         inwards = np.concatenate([[0.0], np.diff(depths) / 0.001])
-        found = records["contact.normal_force"]
-        assert found.min() >= 0.0
+        forces = records["contact.normal_force"]
+        assert forces.min() >= 0.0
         crossed = LAWS[name].get("normal", {}).get("damping_s_per_m")
         most = 2.0 if crossed is None else 1.0 + crossed * np.maximum(inwards, 0.0)
         # Rounding of R - z, as above.
-        assert (found <= spring(LAWS[name], depths) * most * (1.0 + 1e-9) + 1e-12).all()
+        assert (forces <= spring(LAWS[name], depths) * most * (1.0 + 1e-9) + 1e-12).all()
 
     check_random_handling(engine(name), 8, 300, check)
 
@@ -257,9 +257,9 @@ def test_no_law_in_its_range_gives_energy_in_a_closed_cycle() -> None:
 
 def test_friction_follows_the_force_of_the_law(plane_scene: SceneFactory) -> None:
     running = Engine(plane_scene(material={"normal": {"exponent": 1.5}}))
-    way = poses(np.full(300, 0.002))
-    way[:, 0] = np.linspace(0.0, 0.015, 300)
-    records = running.run(way)
+    path = poses(np.full(300, 0.002))
+    path[:, 0] = np.linspace(0.0, 0.015, 300)
+    records = running.run(path)
     load = K * D * 2.0**1.5
     tangential = records["contact.tangential_force"]
     assert tangential.max() == pytest.approx(0.6 * load, rel=1e-12)
@@ -272,14 +272,14 @@ def test_each_wall_of_a_corner_has_a_separate_law() -> None:
     springy = {"stiffness_n_per_m": 400.0, "normal": {"exponent": 2.0, "depth_m": 0.002}}
     mapping["object"] = [floor, {**floor, "name": "wall", "orientation_wxyz": [1, 0, 1, 0], "material": springy}]
     running = Engine(build(Scene, mapping, "corner"))
-    way = np.zeros((40, 7))
-    way[:, 0], way[:, 2], way[:, 3] = R - np.linspace(-1e-3, 3e-3, 40), R - np.linspace(-1e-3, 2e-3, 40), 1.0
-    found = running.run(way)["force"]
-    depths = R - way[:, [0, 2]]
+    path = np.zeros((40, 7))
+    path[:, 0], path[:, 2], path[:, 3] = R - np.linspace(-1e-3, 3e-3, 40), R - np.linspace(-1e-3, 2e-3, 40), 1.0
+    forces = running.run(path)["force"]
+    depths = R - path[:, [0, 2]]
     # The equilibrium position between two planes is accurate to 1e-13 of the radius.
     wall = 400.0 * 0.002 * (np.maximum(depths[:, 0], 0.0) / 0.002) ** 2
-    assert found[:, 0] == pytest.approx(wall, abs=1e-12)
-    assert found[:, 2] == pytest.approx(spring(LAWS["Hertz"], depths[:, 1]), abs=1e-11)
+    assert forces[:, 0] == pytest.approx(wall, abs=1e-12)
+    assert forces[:, 2] == pytest.approx(spring(LAWS["Hertz"], depths[:, 1]), abs=1e-11)
 
 
 @pytest.mark.sampled(1)
@@ -300,12 +300,12 @@ def test_stability_depends_on_the_slope_at_the_force(share: float, grows: bool) 
     running.reset()
     running.step([0, 0, R + 0.001], [1, 0, 0, 0])
     # Exact solution of mass and damper under a constant force.
-    kept = np.exp(-damping / mass * period)
+    fading = np.exp(-damping / mass * period)
     rest = R - scene.object[0].material.depth_under(weight)
     z, v, swing = rest, 1e-4, []
     for _ in range(4000):
         push = (running.step([0, 0, z], [1, 0, 0, 0]).force[2] - weight) / damping
-        z, v = z + push * period + (v - push) * mass / damping * (1.0 - kept), push + (v - push) * kept
+        z, v = z + push * period + (v - push) * mass / damping * (1.0 - fading), push + (v - push) * fading
         swing.append(abs(z - rest))
     running.tune(build(Scene, paper_mapping(**smooth(LAWS["Hertz"])), "normal"))
     # (b - K T / 2) / 2 m is 1/s in both cases: a factor of e^3 between the first and the last second.
@@ -348,9 +348,9 @@ def test_objects_of_a_scene_share_one_law() -> None:
     table = mapping["object"][0]
     bent = {**table["material"], "normal": {"exponent": 1.5, "damping_s_per_m": 0.5}}
     mapping["object"] = [table, {**table, "name": "bent", "material": bent}]
-    plain, other = normal_laws(build(Scene, mapping, "test scene"))
+    plain, damped = normal_laws(build(Scene, mapping, "test scene"))
     assert plain == model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 0.0), 0.0)
-    assert other == model.HuntCrossley(model.PowerNormal(1000.0 * 0.001**-0.5, 1.5, 0.0), 0.5)
+    assert damped == model.HuntCrossley(model.PowerNormal(1000.0 * 0.001**-0.5, 1.5, 0.0), 0.5)
 
 
 def test_a_linear_law_of_the_general_type_is_bit_identical() -> None:

@@ -87,7 +87,7 @@ def test_a_literal_argument_compiles_no_further_kernel() -> None:
     kernel: Any = add
     caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, n: kernel(x, n) + kernel(x, 2) + kernel(x, n=3))
     assert caller(1.0, 1) == 9.0
-    assert [each.args for each in kernel.dispatcher.nopython_signatures] == [(types.float64, types.int64)]
+    assert [signature.args for signature in kernel.dispatcher.nopython_signatures] == [(types.float64, types.int64)]
 
 
 def test_inlined_kernels_have_no_machine_code(tmp_path: Any) -> None:
@@ -148,14 +148,14 @@ def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
             return kernel(pair), kernel(pair, factor, (1.0, 2.0), (3.0, 4.0))
 
         caller: Any = numba.njit(**decorators.OPTIONS)(call)
-        given = ((1.5, True), 7)
-        assert caller(given, 3.0) == (move(given), move(given, 3.0, (1.0, 2.0), (3.0, 4.0)))
+        arguments = ((1.5, True), 7)
+        assert caller(arguments, 3.0) == (move(arguments), move(arguments, 3.0, (1.0, 2.0), (3.0, 4.0)))
         with pytest.raises(ValueError, match="negative"):
-            caller(given, -1.0)
+            caller(arguments, -1.0)
         for made in kernel.dispatcher.overloads.values():
             function = made.library.get_function(made.fndesc.llvm_func_name)
-            kinds = [str(each.type) for each in function.arguments]
-            assert sum(each.startswith("{ {") for each in kinds) == 1  # the pair, as one argument
+            kinds = [str(argument.type) for argument in function.arguments]
+            assert sum(kind.startswith("{ {") for kind in kinds) == 1  # the pair, as one argument
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
@@ -211,7 +211,7 @@ def test_only_kernels_that_can_fail_are_checked() -> None:
     assert caller(1.5) == 3.0
     with pytest.raises(ValueError, match="negative"):
         caller(-1.0)
-    fails = [next(iter(each.dispatcher.overloads.values())).fndesc.fails for each in (inner, plain, outer)]
+    fails = [next(iter(kernel.dispatcher.overloads.values())).fndesc.fails for kernel in (inner, plain, outer)]
     assert fails == [True, False, True]
 
 
@@ -258,9 +258,9 @@ def test_a_function_of_scalars_is_resolved_once() -> None:
     cached = passes.ScalarSignatures(context)
     add = context.resolve_value_type(operator.add)
     for kind in (types.float64, types.int64, types.boolean):
-        given = (add, (kind, kind), {})
-        assert cached.resolve_function_type(*given) == context.resolve_function_type(*given)
-        assert cached.resolve_function_type(*given) is cached.resolve_function_type(*given)
+        call = (add, (kind, kind), {})
+        assert cached.resolve_function_type(*call) == context.resolve_function_type(*call)
+        assert cached.resolve_function_type(*call) is cached.resolve_function_type(*call)
     pair = types.UniTuple(types.float64, 2)
     assert cached.resolve_function_type(add, (pair, pair), {}).return_type == types.UniTuple(types.float64, 4)
 
@@ -303,8 +303,8 @@ def test_values_before_their_uses_are_typed_in_one_round(
     kernel: Any = decorators.jit(function)
     caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, n: kernel(x, n))
     plain: Any = numba.njit(**decorators.OPTIONS)(function)
-    for given in ((1.5, 3), (2.5, 0), (0.0, 0)):
-        assert caller(*given) == plain(*given) == function(*given)
+    for arguments in ((1.5, 3), (2.5, 0), (0.0, 0)):
+        assert caller(*arguments) == plain(*arguments) == function(*arguments)
     (typed,), (reference,) = kernel.dispatcher.nopython_signatures, plain.nopython_signatures
     assert typed == reference
     assert ran.count(function.__name__) == rounds + 1  # and once for numba's own compilation
@@ -370,8 +370,8 @@ def test_garbage_collection_skips_the_objects_of_a_compilation() -> None:
     kernel: Any = double
     scanned: list[int] = []
 
-    def count(phase: str, found: dict[str, int]) -> None:
-        if phase == "start" and found["generation"] == 0:
+    def count(phase: str, info: dict[str, int]) -> None:
+        if phase == "start" and info["generation"] == 0:
             scanned.append(len(gc.get_objects(generation=0)))
 
     threshold = gc.get_threshold()
@@ -381,19 +381,19 @@ def test_garbage_collection_skips_the_objects_of_a_compilation() -> None:
     gc.callbacks.append(count)
     try:
         assert kernel(2.0) == 4.0
-        kept = [[each] for each in range(7000)]
+        objects = [[number] for number in range(7000)]
     finally:
         gc.callbacks.remove(count)
         gc.set_threshold(*threshold)
         gc.freeze()
-    assert len(kept) > len(scanned) > 0
+    assert len(objects) > len(scanned) > 0
     assert max(scanned) < 3500
 
 
 def test_a_kernel_without_wrapper_is_recompiled_for_python() -> None:
     """`CPUDispatcher`: numba itself calls address 0 and crashes; a kernel of this project returns its result."""
-    done = subprocess.run([sys.executable, "-c", BY_ITSELF], capture_output=True, check=False)
-    assert done.returncode < 0
+    process = subprocess.run([sys.executable, "-c", BY_ITSELF], capture_output=True, check=False)
+    assert process.returncode < 0
     kernel: Any = decorators.jit(lambda x: 2.0 * x)
     assert kernel(2.0) == 4.0
     assert "dispatcher" not in vars(kernel)  # created only for the kernel that calls it, so that imports create none
@@ -406,16 +406,16 @@ def test_a_compiled_kernel_is_saved_and_loaded(tmp_path: Any) -> None:
         return np.sin(x) + 1.0
 
     folder = Folder(tmp_path / "kernels")
-    found = []
+    results = []
     for _ in range(2):
         compiled: Any = numba.njit(**decorators.OPTIONS)(kernel)
         compiled._cache = KernelCache(kernel, folder)
-        found.append(compiled(0.5))
-        found.append(sum(compiled.stats.cache_hits.values()))
-    assert found == [found[0], 0, found[0], 1]
-    (kept,) = folder.path.iterdir()  # type: ignore[union-attr]
-    again = load(folder, kept.name, cpu_target.target_context)
-    assert again.signature == types.float64(types.float64)
+        results.append(compiled(0.5))
+        results.append(sum(compiled.stats.cache_hits.values()))
+    assert results == [results[0], 0, results[0], 1]
+    (file,) = folder.path.iterdir()  # type: ignore[union-attr]
+    loaded = load(folder, file.name, cpu_target.target_context)
+    assert loaded.signature == types.float64(types.float64)
     assert load(folder, "none.kernel", cpu_target.target_context) is None
 
 

@@ -59,11 +59,11 @@ def finger_on_a_plate(folder: Path, floor: float) -> Engine:
     )
 
 
-def go(engine: Engine, way: Array) -> tuple[Array, Array, Array]:
+def go(engine: Engine, path: Array) -> tuple[Array, Array, Array]:
     """Force on the finger (n, 3), mode (n,) and velocity of the plate along x (n,) for centres (n, 3). Check that the
     force on the plate is the opposite, to 1e-12 N."""
-    force, mode, speed = np.zeros((len(way), 3)), np.zeros(len(way)), np.zeros(len(way))
-    for tick, center in enumerate(way):
+    force, mode, speed = np.zeros((len(path), 3)), np.zeros(len(path)), np.zeros(len(path))
+    for tick, center in enumerate(path):
         records = engine.run(np.array([[*center, 1.0, 0.0, 0.0, 0.0]]))
         force[tick], mode[tick], speed[tick] = records["force"][0], records["contact.mode"][0], engine.data.qvel[0]
         np.testing.assert_allclose(engine.data.xfrc_applied[1, :3], -force[tick], rtol=0.0, atol=1e-12)
@@ -72,9 +72,9 @@ def go(engine: Engine, way: Array) -> tuple[Array, Array, Array]:
 
 def down(depth: float, ticks: int = 120) -> Array:
     u = np.clip(np.arange(ticks) / (0.5 * ticks), 0.0, 1.0)
-    way = np.zeros((ticks, 3))
-    way[:, 2] = 2.0 * THIN + R - depth * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    return way
+    path = np.zeros((ticks, 3))
+    path[:, 2] = 2.0 * THIN + R - depth * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    return path
 
 
 def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path) -> None:
@@ -84,9 +84,9 @@ def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path)
     force, _, _ = go(engine, press)
     normal = force[-1, 2]
     t = DT * np.arange(1, 280)
-    way = np.repeat(press[-1:], len(t), axis=0)
-    way[:, 0] = jerk * t**3 / 6.0
-    force, mode, speed = go(engine, way)
+    path = np.repeat(press[-1:], len(t), axis=0)
+    path[:, 0] = jerk * t**3 / 6.0
+    force, mode, speed = go(engine, path)
     first = int(np.flatnonzero(mode == SLIDING)[0])
     assert np.max(-force[:first, 0] / force[:first, 2]) == pytest.approx(STATIC, rel=0.01)  # a tick adds 0.5 %
     # The plate swings for some ticks.
@@ -103,10 +103,10 @@ def test_a_pushed_plate_resists_by_floor_friction_and_inertia(tmp_path: Path) ->
     floor, more, slow, faster = 0.2, 2.0, 400, 150
     engine, limit = finger_on_a_plate(tmp_path, floor), floor * MASS * G
     t = DT * np.arange(slow + faster)
-    way = np.zeros((len(t), 3))
-    way[:, 0] = -HALF - R + 0.01 * t + 0.5 * more * np.maximum(t - DT * slow, 0.0) ** 2
-    way[:, 2] = THIN
-    force, _, speed = go(engine, way)
+    path = np.zeros((len(t), 3))
+    path[:, 0] = -HALF - R + 0.01 * t + 0.5 * more * np.maximum(t - DT * slow, 0.0) ** 2
+    path[:, 2] = THIN
+    force, _, speed = go(engine, path)
     push = -force[:, 0]
     first = int(np.flatnonzero(push > 0.9 * limit)[0])
     assert np.abs(speed[:first]).max() < 0.2 * 0.01  # it creeps

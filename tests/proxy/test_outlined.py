@@ -80,10 +80,10 @@ def test_outlined_kernels_are_compiled_once_for_all_callers(
     end the program, so if a kernel's file is missing, its callers are recompiled with it."""
     cache = tmp_path / "cache"
     assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"
-    kept = units(cache)
-    assert len(kept) == 2
+    files = units(cache)
+    assert len(files) == 2
     assert run(scripts / "second.py", cache, monkeypatch) == f"{RESULT} 0 4"
-    assert units(cache) == kept
+    assert units(cache) == files
     for path in cache.rglob(f"{UNIT}found*.kernel"):
         path.unlink()
     assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"
@@ -144,7 +144,7 @@ def test_an_annotation_without_a_type_is_inferred() -> None:
 
 
 def test_where_selects_the_outlined_types() -> None:
-    @outlined.outlined_where(lambda *given: given[0] == numba.types.float64)
+    @outlined.outlined_where(lambda *arguments: arguments[0] == numba.types.float64)
     def halved(x: float) -> float:
         return x / 2
 

@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes import closest, curvature, is_hollow, transport
 from softfinger.proxy.record import FREE
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 
 Array = NDArray[np.float64]
@@ -61,22 +61,22 @@ def beads() -> Iterator[ModuleType]:
     yield from outside("softfinger_beads")
 
 
-def scene(thing: dict[str, Any], **tables: Any) -> schema.Scene:
+def scene(entry: dict[str, Any], **tables: Any) -> schema.Scene:
     material = {
         "stiffness_n_per_m": STIFFNESS,
         "friction": {"static": 0.6, "kinetic": 0.5},
         "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
     }
     base = {"fingertip": {"radius_m": RADIUS}, "rolling": {"method": "euler_zxz"}}
-    thing = {"name": "thing", **thing, "material": material}
-    return build(schema.Scene, merged(base, tables) | {"object": [thing]}, "f.toml")
+    entry = {"name": "thing", **entry, "material": material}
+    return build(schema.Scene, merged(base, tables) | {"object": [entry]}, "f.toml")
 
 
 @pytest.mark.plain
 def test_a_shape_of_another_package_extends_the_scene_format(cone: ModuleType) -> None:
-    found = scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})
-    assert isinstance(found.object[0], cone.ConeTable)
-    assert build(schema.Scene, describe(found), "again") == found
+    config = scene({"shape": "cone", "half_angle_rad": HALF_ANGLE})
+    assert isinstance(config.object[0], cone.ConeTable)
+    assert build(schema.Scene, describe(config), "again") == config
     with pytest.raises(ConfigError, match=r"object\[0\]\.half_angle_rad = 2\.0.*1\.5.*a needle and a plane"):
         scene({"shape": "cone", "half_angle_rad": 2.0})
     with pytest.raises(ConfigError, match=r"shape = 'kone'.*did you mean 'cone'"):
@@ -131,7 +131,7 @@ def test_curvature_of_cone_is_the_rotation_of_its_normal(cone: ModuleType) -> No
         center = np.add(point, np.multiply(RADIUS, normal))
         k1, k2, d1 = curvature(shape, RADIUS, point, normal)
         for k, d in ((k1, np.array(d1)), (k2, np.cross(normal, d1))):
-            ahead, behind = (closest(shape, tuple(center + way * d))[2] for way in (step, -step))
+            ahead, behind = (closest(shape, tuple(center + signed * d))[2] for signed in (step, -step))
             # Central differences have an error of the square of the step, and rounding divided by it.
             np.testing.assert_allclose(np.subtract(ahead, behind) / (2.0 * step), k * d, atol=1e-6 * max(k1, 1.0))
 
@@ -237,8 +237,7 @@ def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
     script = folder / "touch.py"  # code from a command line is not cached
     script.write_text(program.format(name=name))
     command = [sys.executable, "-B", str(script), str(folder), str(folder / "scene.toml")]
-    process = run_program(command, env=environment)
-    assert process.returncode == 0, process.stderr
+    process = run_program(command, env=environment, check=True)
     return process.stdout.strip()
 
 
@@ -284,13 +283,13 @@ def test_balls_of_an_array_equal_spheres(beads: ModuleType, balls_file: Path) ->
 def test_results_do_not_depend_on_the_address_of_the_array(beads: ModuleType, balls_file: Path) -> None:
     """Two engines whose arrays have different addresses give the same bits with one compiled kernel; only the address
     differs in their parameters."""
-    one, other = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))
-    first, second = one.scene.objects.body.shape.balls, other.scene.objects.body.shape.balls
+    first_engine, second_engine = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))
+    first, second = first_engine.scene.objects.body.shape.balls, second_engine.scene.objects.body.shape.balls
     assert first.address != second.address
-    assert numba.typeof(one.scene) == numba.typeof(other.scene)
-    assert (flatten(one.scene) != flatten(other.scene)).sum() == 1
+    assert numba.typeof(first_engine.scene) == numba.typeof(second_engine.scene)
+    assert (flatten(first_engine.scene) != flatten(second_engine.scene)).sum() == 1
     poses = rolling_over(BALLS[1])
-    assert one.run(poses).tobytes() == other.run(poses).tobytes()
+    assert first_engine.run(poses).tobytes() == second_engine.run(poses).tobytes()
 
 
 def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Path) -> None:
@@ -313,17 +312,17 @@ def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Pat
 def test_a_servo_keeps_an_array_while_its_loop_may_read_it(beads: ModuleType, balls_file: Path) -> None:
     """A replaced array is released after two complete ticks, because the first may still have read it."""
     rig, config = load_rig("replay"), scene(beads_of(balls_file))
-    servo = Servo([FaultyDevice(Options())], make_tuning(config, rig.guard), 1000.0)
+    servo = ServoThread([FaultyDevice(Options())], make_tuning(config, rig.guard), 1000.0)
     array = [servo.tuning.scene.objects.body.shape.balls.array]
-    kept = []
+    references = []
     for ticks in (0, 1, 2, 3, 5):  # done by the loop, before each change
         servo.shared.progress[0] = ticks
         servo.tune(make_tuning(config, rig.guard))
         array.append(servo._recent_tunings[-1].scene.objects.body.shape.balls.array)
-        kept.append(weakref.ref(array.pop(0)))
+        references.append(weakref.ref(array.pop(0)))
         gc.collect()
         # The first of the replaced ones is an argument of the loop.
-        alive = [each() is not None for each in kept]
+        alive = [reference() is not None for reference in references]
         expected = {
             0: [True],
             1: [True, True],
@@ -336,10 +335,10 @@ def test_a_servo_keeps_an_array_while_its_loop_may_read_it(beads: ModuleType, ba
 
 
 def test_an_array_is_read_only(beads: ModuleType) -> None:
-    given = np.arange(6.0).reshape(2, 3)
-    held = ReadOnly(given)
-    given[0, 0] = 7.0
-    assert held[0] == 0.0 and len(held) == 6 and not held.array.flags.writeable
+    array = np.arange(6.0).reshape(2, 3)
+    read_only = ReadOnly(array)
+    array[0, 0] = 7.0
+    assert read_only[0] == 0.0 and len(read_only) == 6 and not read_only.array.flags.writeable
     for name in ("float64", "float32", "int64", "int32"):
         values = ReadOnly(np.arange(5).astype(name))
 
@@ -354,7 +353,7 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
         values[0] = 1.0
 
     with pytest.raises(numba.TypingError):
-        write(held)
+        write(read_only)
     with pytest.raises(TypeError, match="complex128"):
         ReadOnly(np.zeros(3, complex))
 

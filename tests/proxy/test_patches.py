@@ -62,8 +62,8 @@ def groove(order=(0, 1), stuff=(None, None), angle=None):
     return [wall(f"wall {i}", normals[i], stuff[i]) for i in order]
 
 
-def engine(*things, **tables):
-    return touching.engine(*things, **{"rolling": {"method": "rotation_vector"}} | tables)
+def engine(*objects, **tables):
+    return touching.engine(*objects, **{"rolling": {"method": "rotation_vector"}} | tables)
 
 
 def poses(points, vectors=None):
@@ -198,7 +198,7 @@ def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
     """Without friction, crossing and returning at depth d does no work; pressing on one box and lifting on the other
     does (K1 - K2) d^2 / 2."""
     slick, stiffness, deep = {"static": 0.0, "kinetic": 0.0}, (1000.0, 300.0), 0.001
-    boxes = [each | {"material": material(slick, stiffness_n_per_m=k)} for each, k in zip(SEAM, stiffness, strict=True)]
+    boxes = [box | {"material": material(slick, stiffness_n_per_m=k)} for box, k in zip(SEAM, stiffness, strict=True)]
     running = engine(*boxes)
 
     def work(*corners):
@@ -268,8 +268,8 @@ def test_object_indices_follow_the_scene_file():
     """Object indices match the scene file if a plane is listed between nine spheres; kernels process eight or more in a
     row."""
     ball = {"shape": "sphere", "radius_m": 0.005, "material": material()}
-    things = [ball | {"name": f"ball {i}", "position_m": [0.03 * i, 0.0, 0.05]} for i in range(9)]
-    running = engine(*things[:4], wall("floor", (0, 0, 1)), *things[4:])
+    objects = [ball | {"name": f"ball {i}", "position_m": [0.03 * i, 0.0, 0.05]} for i in range(9)]
+    running = engine(*objects[:4], wall("floor", (0, 0, 1)), *objects[4:])
     for number, x in zip([*range(4), *range(5, 10)], 0.03 * np.arange(9), strict=True):
         record = running.run(poses(pressing([x, 0.0, 0.064])))[-1]
         assert record[AT.contact_object] == record[AT.contacts0_object] == number
@@ -315,8 +315,8 @@ def test_weight_shifted_between_walls_hands_the_moment_on():
     # A wall's share changes by the sideways motion of the probe over the depth, 1 mm; the moment is at most k_z phi and
     # r mu_s f.
     moved = np.abs(np.diff(aside))
-    held = 2.0 * (0.05 * 0.4 + R * 0.6 * SQRT2)
-    assert (np.linalg.norm(np.diff(torque, axis=0), axis=1) <= held * moved / 0.001 + 1e-12).all()
+    slope = 2.0 * (0.05 * 0.4 + R * 0.6 * SQRT2)
+    assert (np.linalg.norm(np.diff(torque, axis=0), axis=1) <= slope * moved / 0.001 + 1e-12).all()
 
 
 @pytest.mark.parametrize(
@@ -405,8 +405,8 @@ def test_a_wall_that_slides_past_adds_its_friction(order, along):
     slides = wall("wall", (1, 0, 0)) | {"motion": motion}
     # The motion is given in the wall's frame: z is the normal, x is -z of the world, y is y.
     slides["motion"]["translation_m"] = [0.0, 0.1 * along[1], 0.0] if along[1] else [-0.1, 0.0, 0.0]
-    things = [wall("floor", (0, 0, 1)), slides]
-    running = engine(*[things[i] for i in order])
+    objects = [wall("floor", (0, 0, 1)), slides]
+    running = engine(*[objects[i] for i in order])
     at = np.array([R - 0.0005, 0.0, R - 0.001])
     records = running.run(poses(np.tile(at, (500, 1))))
     expected = np.array([0.5, 0.25 * along[1], 1.0])
@@ -421,8 +421,8 @@ def test_a_wall_that_slides_past_adds_its_friction(order, along):
 def test_a_wall_that_moves_in_has_its_damping(order):
     stuff = material(None, damping_ns_per_m=20.0)
     turning = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.05], "frequency_hz": 1.0 / (2.0 * np.pi) / 5.0}
-    things = [wall("floor", (0, 0, 1), material(None)), wall("wall", (1, 0, 0), stuff) | {"motion": turning}]
-    running = engine(*[things[i] for i in order], rolling=None)
+    objects = [wall("floor", (0, 0, 1), material(None)), wall("wall", (1, 0, 0), stuff) | {"motion": turning}]
+    running = engine(*[objects[i] for i in order], rolling=None)
     at = np.array([R + 0.001, 0.0, R - 0.001])
     records = running.run(poses(np.tile(at, (601, 1))))
     time = records["timestamp"] + 0.001
@@ -455,8 +455,8 @@ def test_a_shallow_valley_is_nearly_a_plane():
 def test_forces_of_a_pinch_add(order):
     """Floor 1 mm deep, ceiling 3 mm deep: 1 N up, 3 N down, and friction on each."""
     gap = 2.0 * R - 0.004
-    things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-gap)]
-    running = engine(*[things[i] for i in order])
+    objects = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-gap)]
+    running = engine(*[objects[i] for i in order])
     at = np.array([0.0, 0.0, R - 0.001])
     records = running.run(poses(np.vstack([np.tile(at, (10, 1)), line(at, np.add(at, [0.01, 0.0, 0.0]), 500)])))
     np.testing.assert_allclose(records["force"][5], [0.0, 0.0, -2.0], atol=1e-12)
@@ -465,8 +465,8 @@ def test_forces_of_a_pinch_add(order):
 
 def test_a_ceiling_that_moves_down_adds_its_spring_gradually():
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.02], "frequency_hz": 0.5}
-    things = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
-    records = engine(*things).run(poses(np.tile([0.0, 0.0, R - 0.001], (500, 1))))
+    objects = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
+    records = engine(*objects).run(poses(np.tile([0.0, 0.0, R - 0.001], (500, 1))))
     height = 0.03 - 0.02 * np.sin(np.pi * (records["timestamp"] + 0.001))
     deep = np.maximum(R - (height - (R - 0.001)), 0.0)
     assert deep.max() > 0.005
@@ -500,8 +500,8 @@ def test_three_jaws_centre_the_finger():
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() < 1000.0 * fastest
     for i in range(3):
         on = records[closed][:, [AT.contacts0_object, AT.contacts1_object, AT.contacts2_object]] == i
-        held = [records[f"contacts{k}.force"][closed] for k in range(3)]
-        pressing = sum(on[:, k] * (held[k] @ JAWS[i]) for k in range(3))
+        forces = [records[f"contacts{k}.force"][closed] for k in range(3)]
+        pressing = sum(on[:, k] * (forces[k] @ JAWS[i]) for k in range(3))
         deep = t[closed] + (aside if i == 0 else 0.0)
         np.testing.assert_allclose(pressing, 1000.0 * deep, atol=1e-11)
 

@@ -51,7 +51,7 @@ PLACES = {kind: np.array(place) for kind, (_, place) in PLANES.items()} | {
 }
 
 
-def things(kind, stuff, turned=None):
+def objects_of(kind, stuff, turned=None):
     if kind == "seam":
         return [tile("left", -0.05, stuff=stuff), tile("right", 0.05, stuff=stuff)]
     turn = np.eye(3) if turned is None else matrix(turned)
@@ -70,19 +70,19 @@ def unit(kind):
 
 
 @functools.cache
-def running(kind, even=False, back=False, unequal=False):
-    objects = things(kind, EVEN if even else STUFF)
+def make_engine(kind, even=False, back=False, unequal=False):
+    objects = objects_of(kind, EVEN if even else STUFF)
     if unequal:
         objects[-1] = objects[-1] | {"material": YIELDING}
     return engine(*(objects[::-1] if back else objects))
 
 
-def handling(kind, found, count):
+def handling(kind, draws, count):
     """Poses of a path through several goals within some mm of a place and back. First and last pose are free, except in
     a pinch, which leaves no room."""
     # Offset from the point at which both walls are touched exactly, where rounding decides.
-    goals = PLACES[kind] + [0.00011, -0.00007, -0.00031] + 0.002 * found[:count, :3]
-    return cycle(PLACES[kind] + BEGIN.get(kind, (0.002, 0.002, 0.006)), goals, 0.3 * found[:count, 3:])
+    goals = PLACES[kind] + [0.00011, -0.00007, -0.00031] + 0.002 * draws[:count, :3]
+    return cycle(PLACES[kind] + BEGIN.get(kind, (0.002, 0.002, 0.006)), goals, 0.3 * draws[:count, 3:])
 
 
 MOTIONS = (numbers(4, 6), st.integers(1, 4))
@@ -92,31 +92,31 @@ CASE = (st.sampled_from(KINDS), *MOTIONS)
 @pytest.mark.scaled
 @examples(15)
 @given(*CASE)
-def test_closed_cycle_gives_no_energy(kind, found, count):
-    engine_of = running(kind)
+def test_closed_cycle_gives_no_energy(kind, draws, count):
+    engine_of = make_engine(kind)
     engine_of.reset()
-    work = work_of_the_hand(engine_of.run(handling(kind, found, count)))
+    work = work_of_the_hand(engine_of.run(handling(kind, draws, count)))
     # Rounding of sums of up to forty terms of up to 1e-2 J.
     assert (work[-1] if kind == "pinch" else work.min()) > -1e-14
 
 
 @functools.cache
-def softly(kind):
-    return engine(*things(kind, STUFF), **SOFT)
+def soft_engine(kind):
+    return engine(*objects_of(kind, STUFF), **SOFT)
 
 
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(["groove", "sharp groove", "valley", "seam"]), numbers(4, 6), st.integers(1, 4))
-def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
+def test_spin_of_contact_patches_gives_no_energy(kind, draws, count):
     """The work of spin is never less than the energy f R phi^2 / 2 stored in all patches, under changing loads. The
     tolerance is the change of the load within a tick, because the record contains the load at its end."""
-    engine_of, way = softly(kind), handling(kind, found, count)
+    engine_of, path = soft_engine(kind), handling(kind, draws, count)
     engine_of.reset()
-    records = engine_of.run(way)
-    turned = np.vstack([np.zeros(3), axis_angles(way[:, 3:])])
-    work = np.zeros(len(way))
-    stored, missed = np.zeros(len(way)), np.zeros(len(way))
+    records = engine_of.run(path)
+    turned = np.vstack([np.zeros(3), axis_angles(path[:, 3:])])
+    work = np.zeros(len(path))
+    stored, missed = np.zeros(len(path)), np.zeros(len(path))
     for i in range(3):
         normal, spin = records[f"contacts{i}.normal"], records[f"contacts{i}.spin"]
         stiffness = R * np.sum(records[f"contacts{i}.force"] * normal, axis=1)
@@ -130,22 +130,22 @@ def test_spin_of_contact_patches_gives_no_energy(kind, found, count):
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(RIGHT_ANGLED), *MOTIONS)
-def test_unequal_walls_give_no_energy(kind, found, count):
-    engine_of = running(kind, unequal=True)
+def test_unequal_walls_give_no_energy(kind, draws, count):
+    engine_of = make_engine(kind, unequal=True)
     engine_of.reset()
-    work = work_of_the_hand(engine_of.run(handling(kind, found, count)))
+    work = work_of_the_hand(engine_of.run(handling(kind, draws, count)))
     assert (work[-1] if kind == "pinch" else work.min()) > -1e-14
 
 
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(list(BALLS)), *MOTIONS)
-def test_curved_bodies_give_no_energy(kind, found, count):
+def test_curved_bodies_give_no_energy(kind, draws, count):
     """As on planes, with a tolerance for the turn of the normals. Per tick the proxy and the roll move two patches by l
     each, and the normals turn by l / D: see test_closed_cycle_on_a_ball_with_friction_gives_no_energy."""
-    engine_of = running(kind)
+    engine_of = make_engine(kind)
     engine_of.reset()
-    records = engine_of.run(handling(kind, found, count))
+    records = engine_of.run(handling(kind, draws, count))
     at, turn = records["proxy.position"], axis_angles(records["probe.orientation"])
     probe = records["probe.position"]
     length = np.linalg.norm(np.diff(at, axis=0), axis=1) + np.linalg.norm(np.diff(probe, axis=0), axis=1)
@@ -162,7 +162,7 @@ SWAY = np.array([0.0002, -0.0003, 0.0004])
 
 @functools.cache
 def swaying(kind):
-    objects = things(kind, STUFF)
+    objects = objects_of(kind, STUFF)
     motion = {"kind": "sinusoid", "translation_m": SWAY.tolist(), "frequency_hz": 62.5}
     objects[-1] = objects[-1] | {"motion": motion}
     return engine(*objects)
@@ -171,10 +171,10 @@ def swaying(kind):
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(["groove", "corner", "slot"]), *MOTIONS)
-def test_moving_object_gives_no_more_energy_than_its_work(kind, found, count):
+def test_moving_object_gives_no_more_energy_than_its_work(kind, draws, count):
     engine_of = swaying(kind)
     engine_of.reset()
-    records = engine_of.run(handling(kind, found, count))
+    records = engine_of.run(handling(kind, draws, count))
     normal, last = unit(kind)[-1][0], len(unit(kind)) - 1
     phase = 2.0 * np.pi * 62.5 * (records["timestamp"] + 0.001)
     went = np.outer(np.diff(np.sin(phase)), matrix(facing(normal)) @ SWAY)
@@ -189,10 +189,10 @@ def test_moving_object_gives_no_more_energy_than_its_work(kind, found, count):
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(SYMMETRIC), *MOTIONS)
-def test_order_of_touches_changes_nothing(kind, found, count):
-    poses = handling(kind, found, count)
-    a = visit(running(kind), poses)
-    b = visit(running(kind), poses * [-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
+def test_order_of_touches_changes_nothing(kind, draws, count):
+    poses = handling(kind, draws, count)
+    a = visit(make_engine(kind), poses)
+    b = visit(make_engine(kind), poses * [-1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
     np.testing.assert_allclose(b["force"], a["force"] * [-1.0, 1.0, 1.0], rtol=0, atol=1e-11)
     np.testing.assert_allclose(b["torque"], a["torque"] * [1.0, -1.0, -1.0], rtol=0, atol=1e-13)
 
@@ -200,9 +200,9 @@ def test_order_of_touches_changes_nothing(kind, found, count):
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
-def test_order_of_bodies_changes_nothing(kind, found, count):
-    poses = handling(kind, found, count)
-    a, b = visit(running(kind), poses), visit(running(kind, back=True), poses)
+def test_order_of_bodies_changes_nothing(kind, draws, count):
+    poses = handling(kind, draws, count)
+    a, b = visit(make_engine(kind), poses), visit(make_engine(kind, back=True), poses)
     # Rounding of lengths of 10 mm times 1000 N/m, summed over forty ticks.
     np.testing.assert_allclose(a["force"], b["force"], rtol=0, atol=1e-11)
     np.testing.assert_allclose(a["torque"], b["torque"], rtol=0, atol=1e-13)
@@ -211,36 +211,38 @@ def test_order_of_bodies_changes_nothing(kind, found, count):
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
-def test_force_is_continuous(kind, found, count):
+def test_force_is_continuous(kind, draws, count):
     """From tick to tick the force changes by no more than stiffness times motion, also if the contact changes object.
 
     A step s changes the depth in a wall by at most s / sin(half the angle between two walls). Normal forces change by K
     times that. Friction changes with its springs, with mu times the normal forces and with the shares transferred, each
     no more than the normal force.
     """
-    poses = handling(kind, found, count)
-    records = visit(running(kind, even=True), poses)
-    way = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(axis_angles(poses[:, 3:]), axis=1)
+    poses = handling(kind, draws, count)
+    records = visit(make_engine(kind, even=True), poses)
+    travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(
+        axis_angles(poses[:, 3:]), axis=1
+    )
     jumps = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
     # 70 degrees between sphere and floor, 84 between two spheres, less the turn of the normals in 3 mm of depth.
     steepest = 1.0 / np.sqrt(0.19) if kind == "sharp groove" else 2.0 if kind in BALLS else np.sqrt(2.0)
-    assert (jumps <= 4.0 * steepest * 1000.0 * way + 1e-12).all()
+    assert (jumps <= 4.0 * steepest * 1000.0 * travel + 1e-12).all()
 
 
 @functools.cache
-def elsewhere(kind):
+def rotated_engine(kind):
     q = np.array([0.5, 0.5, -0.1, 0.7]) / np.linalg.norm([0.5, 0.5, -0.1, 0.7])
-    return engine(*things(kind, STUFF, q)), q
+    return engine(*objects_of(kind, STUFF, q)), q
 
 
 @pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from([*PLANES, *BALLS]), *MOTIONS)
-def test_results_do_not_depend_on_the_world_frame(kind, found, count):
-    poses = handling(kind, found, count)
-    other, q = elsewhere(kind)
+def test_results_do_not_depend_on_the_world_frame(kind, draws, count):
+    poses = handling(kind, draws, count)
+    turned_engine, q = rotated_engine(kind)
     turn = matrix(q)
-    a = visit(running(kind), poses)
-    b = visit(other, np.hstack([poses[:, :3] @ turn.T, multiply(q, poses[:, 3:])]))
+    a = visit(make_engine(kind), poses)
+    b = visit(turned_engine, np.hstack([poses[:, :3] @ turn.T, multiply(q, poses[:, 3:])]))
     np.testing.assert_allclose(a["force"] @ turn.T, b["force"], rtol=0, atol=1e-11)
     np.testing.assert_allclose(a["torque"] @ turn.T, b["torque"], rtol=0, atol=1e-13)

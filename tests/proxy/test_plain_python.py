@@ -33,7 +33,7 @@ CENTERS = {
 TICKS = 1200
 
 
-def way(center: Any) -> Any:
+def hand_path(center: Any) -> Any:
     """Poses (n, 7) that press, drag, roll, spin and lift repeatedly, with growing amplitude."""
     t = np.linspace(0.0, 12.0, TICKS)
     aside = 0.0005 * t
@@ -46,10 +46,10 @@ def way(center: Any) -> Any:
 def records_of(name: str) -> Any:
     engine = Engine(name)
     if len(engine.fingers) == 1:
-        return engine.run(way(CENTERS[name]))[:, None].copy()
-    poses = {"index": way(CENTERS[name]), "thumb": way((-0.03, 0.0, 0.0))}
-    found = engine.run(poses)
-    return np.stack([found[finger] for finger in engine.fingers], axis=1)
+        return engine.run(hand_path(CENTERS[name]))[:, None].copy()
+    poses = {"index": hand_path(CENTERS[name]), "thumb": hand_path((-0.03, 0.0, 0.0))}
+    records = engine.run(poses)
+    return np.stack([records[finger] for finger in engine.fingers], axis=1)
 
 
 def write_records(folder: Path, names: Sequence[str]) -> None:
@@ -65,8 +65,7 @@ def plain(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     selected = [item.callspec.params for item in request.session.items if "plain" in getattr(item, "fixturenames", ())]
     names = [params["name"] for params in selected]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = run_program([sys.executable, __file__, str(folder), *names], env=environment)
-    assert done.returncode == 0, done.stderr
+    run_program([sys.executable, __file__, str(folder), *names], env=environment, check=True)
     return folder
 
 

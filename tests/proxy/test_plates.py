@@ -23,7 +23,9 @@ def test_plates_are_touched_in_order_with_their_stiffness_and_friction() -> None
     scene, poses = load_scene("plates"), load_poses("plates")
     records = Engine("plates").run(np.hstack([poses.position, poses.orientation]))
     touched = records["contact.object"]
-    first = [int(each) for each in touched[touched >= 0][np.flatnonzero(np.diff(touched[touched >= 0], prepend=-1))]]
+    first = [
+        int(number) for number in touched[touched >= 0][np.flatnonzero(np.diff(touched[touched >= 0], prepend=-1))]
+    ]
     assert first == list(range(len(scene.object))) and len(first) == 7
     for number, plate in enumerate(scene.object):
         values = materials()[plate.name].values

@@ -110,16 +110,16 @@ sys.exit(main(["schema", "telemetry"]))
 
 
 def test_new_field_is_everywhere(tree):
-    done = run_in(tree, "-c", EVERYWHERE)
-    assert done.returncode == 0, done.stderr
-    assert '"fault.level"' in done.stdout
-    assert "a field that a test has added" in done.stdout
+    process = run_in(tree, "-c", EVERYWHERE)
+    assert process.returncode == 0, process.stderr
+    assert '"fault.level"' in process.stdout
+    assert "a field that a test has added" in process.stdout
 
 
 @pytest.mark.exhaustive
 def test_a_new_field_makes_the_reference_page_fail(tree):
     page = "tests/tools/test_reference.py::test_a_page_equals_the_generated_one[record.md]"
-    done = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert "run `make reference`" in done.stdout
-    assert "1 failed" in done.stdout
+    process = run_in(tree, "-m", "pytest", "-q", "-p", "no:cacheprovider", page)
+    assert process.returncode == 1, process.stdout + process.stderr
+    assert "run `make reference`" in process.stdout
+    assert "1 failed" in process.stdout

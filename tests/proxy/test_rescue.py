@@ -53,9 +53,8 @@ def stepped(model, data, count):
 
 
 def output_of(code: str, *words: str, **environment: str) -> str:
-    given = os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment
-    process = run_program([sys.executable, "-c", HEAD + code, *words], env=given)
-    assert process.returncode == 0, process.stderr
+    variables = os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment
+    process = run_program([sys.executable, "-c", HEAD + code, *words], env=variables, check=True)
     return process.stdout.strip()
 
 
@@ -106,11 +105,11 @@ def test_the_caller_continues_after_an_error(tmp_path: Path) -> None:
 
     One process compiles the handler, another with a different thread key loads it.
     """
-    kept, total = str(tmp_path / "kernels"), 0.5 * sum(range(100))
-    first = output_of(ERRORS, "0", SOFTFINGER_CACHE_DIR=kept)
+    cache, total = str(tmp_path / "kernels"), 0.5 * sum(range(100))
+    first = output_of(ERRORS, "0", SOFTFINGER_CACHE_DIR=cache)
     assert first == "3 1.5 invalid integrator True"
-    assert list(Path(kept).rglob("jump_on_error*.kernel"))
-    lines = output_of(ERRORS + RETURN + THREADS + NO_WAY_BACK, "5", SOFTFINGER_CACHE_DIR=kept).splitlines()
+    assert list(Path(cache).rglob("jump_on_error*.kernel"))
+    lines = output_of(ERRORS + RETURN + THREADS + NO_WAY_BACK, "5", SOFTFINGER_CACHE_DIR=cache).splitlines()
     assert lines[:2] == [first, f"100 {total} invalid integrator"]
     assert lines[2].split() == ["0", str(total), "0.2"]
     assert "invalid integrator" in lines[3]

@@ -114,7 +114,7 @@ def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
     w = rotation(rng, 1.5, 1.5)
     end, _, _ = integrated(shape, RADIUS, center, normal, w)
     ends = [np.array(rolled_by(method, shape, center, normal, w, n).center) for n in ticks]
-    return [float(np.linalg.norm(found - end)) for found in ends]
+    return [float(np.linalg.norm(point - end)) for point in ends]
 
 
 @pytest.mark.parametrize(
@@ -133,11 +133,11 @@ def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
     ],
 )
 def test_order_of_convergence(method: str, name: str, order: float) -> None:
-    found = errors(METHODS[method], SMOOTH[name], [16, 32, 64], seed=21)
-    for coarse, fine in pairwise(found):
+    distances = errors(METHODS[method], SMOOTH[name], [16, 32, 64], seed=21)
+    for coarse, fine in pairwise(distances):
         # At these ticks the next order contributes two per cent.
         assert np.log2(coarse / fine) == pytest.approx(order, abs=0.05)
-    assert found[-1] > 1e-14  # far above rounding, so that the ratios mean something
+    assert distances[-1] > 1e-14  # far above rounding, so that the ratios mean something
 
 
 @pytest.mark.parametrize("name", ["plane", "sphere", "hollow sphere"])

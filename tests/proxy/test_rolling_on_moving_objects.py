@@ -28,12 +28,12 @@ FAR = {"shape": "plane", "position_m": [0.0, 0.0, -1.0], "motion": None, "materi
 PLACES = ([BALL], [FAR, BALL])
 
 
-def company(things: list[dict[str, Any]]) -> Scene:
-    return scene(*things, **TABLES)
+def company(objects: list[dict[str, Any]]) -> Scene:
+    return scene(*objects, **TABLES)
 
 
 def along(where: list[dict[str, Any]], which: dict[str, Any], place: tuple[Array, Array]) -> list[Any]:
-    return [place if each is which else None for each in where]
+    return [place if entry is which else None for entry in where]
 
 
 @pytest.mark.scaled
@@ -51,20 +51,20 @@ def test_rolling_on_a_moving_sphere_winds_nothing(cases: Any) -> None:
         n0 /= np.linalg.norm(n0)
         object_rate, finger_rate = random.uniform(-1.5, 1.5, 3), random.uniform(-1.5, 1.5, 3)
         turn = (RADIUS * object_rate + R * finger_rate) / (RADIUS + R)
-        for things in PLACES:
-            driver = Driver(company(things))
+        for objects in PLACES:
+            driver = Driver(company(objects))
             worst = 0.0
             for tick in range(-5, TICKS):
                 t = max(tick, 0) * DT
                 n, center = rodrigues(turn * t) @ n0, speed * t
                 depth = DEPTH * min((tick + 6) / 5.0, 1.0)  # pressed straight down before anything moves
                 pose = np.hstack([center + (RADIUS + R - depth) * n, quaternion(finger_rate * t)])
-                step = driver.step(pose, *along(things, BALL, (center, quaternion(object_rate * t))))
+                step = driver.step(pose, *along(objects, BALL, (center, quaternion(object_rate * t))))
                 worst = max(worst, step.tangential_force)
                 assert step.normal_force == pytest.approx(K * depth, abs=1e-9)
             a = DT * max(np.linalg.norm(object_rate - turn), np.linalg.norm(finger_rate - object_rate))
-            bound = K * TICKS * ((R + RADIUS) * a**3 if len(things) == 1 else 2.0 * DEPTH * a**2)
-            assert worst < bound, (len(things), worst, bound)
+            bound = K * TICKS * ((R + RADIUS) * a**3 if len(objects) == 1 else 2.0 * DEPTH * a**2)
+            assert worst < bound, (len(objects), worst, bound)
 
 
 @pytest.mark.scaled
@@ -77,17 +77,17 @@ def test_moving_with_a_corner_as_one_body_winds_nothing(cases: Any) -> None:
     random = np.random.default_rng(4)
     wall = {"shape": "plane", "material": GRIP}
     over = np.sqrt((R + RADIUS) ** 2 - 2.0 * R**2)  # the sphere is below the finger that touches both walls
-    things = [(wall, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]), (wall, [0.0, 0.0, 0.0], quaternion([0.0, np.pi / 2, 0.0]))]
-    things.append((BALL, [0.0, -over, 0.0], [1.0, 0.0, 0.0, 0.0]))
+    placed = [(wall, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]), (wall, [0.0, 0.0, 0.0], quaternion([0.0, np.pi / 2, 0.0]))]
+    placed.append((BALL, [0.0, -over, 0.0], [1.0, 0.0, 0.0, 0.0]))
     for _ in range(cases(2, 40)):
         rate, speed = random.uniform(-3.0, 3.0, 3), random.uniform(-0.1, 0.1, 3)
-        driver = Driver(company([thing for thing, _, _ in things]))
+        driver = Driver(company([entry for entry, _, _ in placed]))
         for tick in range(-5, TICKS):
             t = max(tick, 0) * DT
             turned, at = rodrigues(rate * t), speed * t
             depth = DEPTH * min((tick + 6) / 5.0, 1.0) * np.array([1.0, 2.0, 3.0])
             finger = np.array([R, 0.0, R]) - depth
-            places = [(at + turned @ x, multiply(quaternion(rate * t), q)) for _, x, q in things]
+            places = [(at + turned @ x, multiply(quaternion(rate * t), q)) for _, x, q in placed]
             step = driver.step(np.hstack([at + turned @ finger, quaternion(rate * t)]), *places)
             if tick < 0:
                 continue

@@ -60,8 +60,8 @@ def paper_step() -> Array:
     return np.array([table["delta_psi"], table["delta_theta"], table["delta_phi"]])
 
 
-@pytest.mark.parametrize("held", [False, True])
-def test_paper_experiment_along_a_line(plane_scene: SceneFactory, held: bool) -> None:
+@pytest.mark.parametrize("is_fixed", [False, True])
+def test_paper_experiment_along_a_line(plane_scene: SceneFactory, is_fixed: bool) -> None:
     """With constant world rates, the decomposition deviates by 2.1 and 3.1 um from a line to (20, -30) mm. The engine
     computes the path of eqs. 5-7 on matrices, whether the probe follows or is at a fixed position."""
     table, w = published(), paper_step()
@@ -78,7 +78,7 @@ def test_paper_experiment_along_a_line(plane_scene: SceneFactory, held: bool) ->
     assert largest[0] < table["largest_difference_x"]
     assert largest[1] < table["largest_difference_y"]
 
-    follow = np.zeros_like(exact) if held else exact
+    follow = np.zeros_like(exact) if is_fixed else exact
     path = engine_path(plane_scene(material=HIGH_FRICTION), follow, constant_turn(w, n), dt)
     # 1e-13 m: rounding of 100 steps and of the arctangents; the requirement is 1e-5 mm.
     assert path == pytest.approx(by_hand, abs=1e-13)

@@ -22,8 +22,7 @@ print(touch.force.tolist())
 
 def rendered(package: Path) -> str:
     environment = os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_DISABLE_JIT": "1"}
-    process = run_program([sys.executable, "-c", RENDERED], env=environment)
-    assert process.returncode == 0, process.stderr
+    process = run_program([sys.executable, "-c", RENDERED], env=environment, check=True)
     return process.stdout
 
 

@@ -58,15 +58,15 @@ OBJECTS: dict[str, list[dict[str, Any]]] = {
 @functools.cache
 def engine(objects: str, *names: str) -> Engine:
     """Engine of the objects, with stateful effects; a single finger is a [fingertip]."""
-    things = [
-        {"name": f"thing {i}", "material": RUBBER, "effect": REMEMBERS, **thing}
-        for i, thing in enumerate(OBJECTS[objects])
+    entries = [
+        {"name": f"thing {i}", "material": RUBBER, "effect": REMEMBERS, **entry}
+        for i, entry in enumerate(OBJECTS[objects])
     ]
     tables: dict[str, Any] = {"finger": [{"name": name, **FINGERS[name]} for name in names]}
     if len(names) == 1:
         tip = FINGERS[names[0]]
         tables = {"fingertip": {"radius_m": tip["radius_m"]}, "coupling": tip["coupling"], "probe": tip["probe"]}
-    return Engine({"rolling": {"method": "euler_zxz"}, "object": things, **tables})
+    return Engine({"rolling": {"method": "euler_zxz"}, "object": entries, **tables})
 
 
 def stroke(radius: float, x: float, phase: float) -> Array:
@@ -90,17 +90,17 @@ def test_two_fingers_on_one_object_are_two_runs_of_one(objects: str) -> None:
     for names in (("thumb", "index"), ("index", "thumb")):
         both = engine(objects, *names)
         both.reset()
-        found = both.run(STROKES)
-        assert tuple(found) == names == both.fingers
+        records_of = both.run(STROKES)
+        assert tuple(records_of) == names == both.fingers
         for name in names:
             alone = engine(objects, name)
             alone.reset()
             records = alone.run(STROKES[name])
-            np.testing.assert_array_equal(found[name], records)
+            np.testing.assert_array_equal(records_of[name], records)
             modes = set(records["contact.mode"])
             assert FREE in modes and len(modes) == 3  # the stroke must reach all three modes
-    again = both.run({name: rows[:1] for name, rows in STROKES.items()})
-    assert again["thumb"]["tick"][0] == TICKS  # a second run continues
+    continued = both.run({name: rows[:1] for name, rows in STROKES.items()})
+    assert continued["thumb"]["tick"][0] == TICKS  # a second run continues
 
 
 def test_world_time_advances_once_per_tick() -> None:

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from helpers import touching
-from helpers.touching import R, facing, go, wall
+from helpers.touching import R, facing, spun, visit, wall
 
 from softfinger.proxy.record import AT
 
@@ -16,18 +16,19 @@ SLICK = {"stiffness_n_per_m": 1000.0}
 engine = partial(touching.engine, rolling=None)
 
 
-def thing(name, shape, position=(0.0, 0.0, 0.0), **keys):
+def make_object(name, shape, position=(0.0, 0.0, 0.0), **keys):
     return {"name": name, "shape": shape, "position_m": list(position), "material": SLICK, **keys}
 
 
-def way(start, end, ticks):
+def straight_path(start, end, ticks):
     return np.linspace(start, end, ticks)
 
 
 def test_corner_of_three_planes():
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
-    records = go(
-        corner, np.vstack([way((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5])
+    records = visit(
+        corner,
+        np.vstack([straight_path((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5]),
     )
     # A quaternion turns the planes' normals from +z: rounding of some 1e-16 times metres.
     np.testing.assert_allclose(records["proxy.position"][-1], [R, R, R], atol=1e-15)
@@ -42,7 +43,7 @@ def test_groove_is_the_nearest_point_to_the_probe(angle):
     n1, n2 = np.array([np.cos(half), 0.0, np.sin(half)]), np.array([-np.cos(half), 0.0, np.sin(half)])
     groove = engine(wall("one", n1), wall("two", n2))
     height = R / np.sin(half)  # centre of the sphere that touches both
-    records = go(groove, way((0.0005, 0.0, height + 0.005), (0.0005, 0.003, height - 0.002), 400))
+    records = visit(groove, straight_path((0.0005, 0.0, height + 0.005), (0.0005, 0.003, height - 0.002), 400))
     final = np.array([0.0005, 0.003, height - 0.002])
     inside = [R - n @ final for n in (n1, n2)]
     assert min(inside) > 0.0
@@ -54,9 +55,9 @@ def test_drag_along_a_groove_has_no_ripple():
     n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
     groove = engine(wall("one", n1), wall("two", n2))
     height = R / 0.6
-    down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.001), 100)
-    along = way((0.0, 0.0, height - 0.001), (0.0, 0.02, height - 0.001), 400)
-    pushed = go(groove, np.vstack([down, along]))["force"][110:]
+    down = straight_path((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.001), 100)
+    along = straight_path((0.0, 0.0, height - 0.001), (0.0, 0.02, height - 0.001), 400)
+    pushed = visit(groove, np.vstack([down, along]))["force"][110:]
     # 50 um of travel per tick would appear as 0.05 N if the walls were solved alternately.
     assert np.abs(np.diff(pushed, axis=0)).max() < 1e-9
 
@@ -64,23 +65,23 @@ def test_drag_along_a_groove_has_no_ripple():
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
     """The reported contact switches to another wall only if that wall bears clearly more load. A difference of 1 nm in
     depth causes no switch, twice the load does, and equal depths do not switch back."""
-    floor, left = 0, 1
+    floor, left_wall = 0, 1
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
-    begin = way((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
+    begin = straight_path((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
     alike = [(R - 0.001 + sign * 1e-9, 0.0, R - 0.001) for sign in (-1.0, 1.0)] * 10
     more = [(R - 0.002, 0.0, R - 0.001)]
-    records = go(corner, np.vstack([begin, alike, more, alike]))
+    records = visit(corner, np.vstack([begin, alike, more, alike]))
     first = records["contact.object"].tolist()
-    assert first[len(begin) - 1 :] == [floor] * 21 + [left] * 21
+    assert first[len(begin) - 1 :] == [floor] * 21 + [left_wall] * 21
     np.testing.assert_allclose(records["force"][-1], [1.0, 0.0, 1.0], atol=2e-6)  # 1000 N/m times 1 nm
 
 
 def test_sphere_rests_between_three_spheres():
     corners = [np.array([0.012 * np.cos(a), 0.012 * np.sin(a), 0.0]) for a in np.radians([0.0, 120.0, 240.0])]
-    balls = [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.01) for i, p in enumerate(corners)]
+    balls = [make_object(f"ball {i}", "sphere", p.tolist(), radius_m=0.01) for i, p in enumerate(corners)]
     height = np.sqrt(0.02**2 - 0.012**2)
     target = (0.0003, 0.0002, height - 0.001)
-    records = go(engine(*balls), np.vstack([way((0.0, 0.0, 0.03), target, 300), [target] * 20]))
+    records = visit(engine(*balls), np.vstack([straight_path((0.0, 0.0, 0.03), target, 300), [target] * 20]))
     at = records["proxy.position"][-1]
     np.testing.assert_allclose([np.linalg.norm(at - p) for p in corners], 0.02, atol=1e-12)
     np.testing.assert_allclose(at, [0.0, 0.0, height], atol=1e-12)
@@ -99,9 +100,9 @@ def test_sphere_rests_between_three_spheres():
 )
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 def test_thin_object_is_not_jumped_over(shape, keys, tilt):
-    passing = engine(thing("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
+    passing = engine(make_object("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
     start, end = np.array([tilt * 0.05, 0.0, 0.05]), np.array([-tilt * 0.05, 0.0, -0.05])
-    records = go(passing, [start, start, end, end, end])
+    records = visit(passing, [start, start, end, end, end])
     assert (records[2:, AT.contact_mode] != 0).all()
     assert records["proxy.position"][2][2] > 0.0
     assert (records["force"][2:, 2] > 1.0).all()
@@ -109,11 +110,11 @@ def test_thin_object_is_not_jumped_over(shape, keys, tilt):
 
 def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
     plates = [
-        thing("plate", "box", size_m=[0.2, 0.2, 0.001]),
-        thing("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
+        make_object("plate", "box", size_m=[0.2, 0.2, 0.001]),
+        make_object("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
     ]
     running = engine(*plates)
-    records = go(
+    records = visit(
         running, [(0.0, 0.0, 0.03), (0.0, 0.0, 0.03), (0.0, 0.0, 0.008), (0.09, 0.0, 0.008), (0.09, 0.0, 0.008)]
     )
     np.testing.assert_allclose(records["proxy.position"][-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
@@ -121,8 +122,10 @@ def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
 
 def test_inside_of_a_box_is_a_corner_too():
     """In the corner of a hollow box, three walls push with K times their depths."""
-    room = engine(thing("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
-    records = go(room, np.vstack([way((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3]))
+    room = engine(make_object("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
+    records = visit(
+        room, np.vstack([straight_path((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3])
+    )
     np.testing.assert_allclose(records["proxy.position"][-1], [0.04, 0.04, -0.04], atol=1e-12)
     np.testing.assert_allclose(records["force"][-1], [-2.0, -3.0, 4.0], atol=1e-9)
     assert records[-1, AT.contact_object] == 0
@@ -134,9 +137,9 @@ def test_friction_in_a_groove_carries_the_load_of_both_walls():
     grip = SLICK | {"friction": {"static": 0.6, "kinetic": 0.5}}
     groove = engine(wall("one", n1, grip), wall("two", n2, grip))
     height = R / 0.6
-    down = way((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.0006), 200)
-    along = way((0.0, 0.0, height - 0.0006), (0.0, 0.02, height - 0.0006), 500)
-    records = go(groove, np.vstack([down, along]))
+    down = straight_path((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.0006), 200)
+    along = straight_path((0.0, 0.0, height - 0.0006), (0.0, 0.02, height - 0.0006), 500)
+    records = visit(groove, np.vstack([down, along]))
     # 0.6 mm down is 0.5 mm along each normal: 0.5 N each, 1 N in sum.
     tangential = -records["force"][:, 1]
     np.testing.assert_allclose(tangential.max(), 0.6, rtol=1e-3)
@@ -150,8 +153,8 @@ def test_turning_table_spins_the_contact():
         "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
     }
     motion = {"kind": "turntable", "axis": [0.0, 0.0, 1.0], "rate_rad_per_s": 0.5}
-    table = thing("table", "plane", material=material, motion=motion)
-    records = go(engine(table), [(0.0, 0.0, 0.009)] * 101)
+    table = make_object("table", "plane", material=material, motion=motion)
+    records = visit(engine(table), [(0.0, 0.0, 0.009)] * 101)
     # In the 100 ticks after the touch the table turns by 0.05 rad, so the finger turns by -0.05 rad relative to it.
     np.testing.assert_allclose(records[-1, AT.contact_spin], -0.05, rtol=1e-9)
     np.testing.assert_allclose(records[-1, AT.torque + 2], 0.0025, rtol=1e-9)
@@ -162,12 +165,10 @@ def test_relative_rotation_of_a_rolling_ball_drives_rolling():
     grip = {"stiffness_n_per_m": 1000.0, "friction": {"static": 50.0, "kinetic": 50.0}}
     tables = {"rolling": {"method": "rotation_vector"}, "coupling": {"stiffness_n_per_m": 1e-3}}
     turning = {"kind": "turntable", "axis": [1.0, 0.0, 0.0], "rate_rad_per_s": -0.2}
-    ball = thing("ball", "sphere", radius_m=0.03, material=grip)
-    moving = go(engine(ball | {"motion": turning}, **tables), [(0.0, 0.0, 0.039)] * 201)
+    ball = make_object("ball", "sphere", radius_m=0.03, material=grip)
+    moving = visit(engine(ball | {"motion": turning}, **tables), [(0.0, 0.0, 0.039)] * 201)
     angle = 0.2 * 0.001 * np.arange(201)
-    poses = np.zeros((201, 7))
-    poses[:, 2], poses[:, 3], poses[:, 4] = 0.039, np.cos(angle / 2), np.sin(angle / 2)
-    still = engine(ball, **tables).run(poses)
+    still = visit(engine(ball, **tables), [(0.0, 0.0, 0.039)] * 201, spun((1.0, 0.0, 0.0), angle))
     rolled = AT.contact_rolled
     np.testing.assert_allclose(moving[-1, rolled], still[-1, rolled], rtol=1e-9)
 
@@ -178,11 +179,11 @@ def test_proxy_never_oscillates_at_rest(cases):
     clutter = [
         wall("floor", (0, 0, 1)),
         wall("left", (1, 0, 0)),
-        thing("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012),
+        make_object("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012),
     ]
     for _ in range(cases(4, 20)):
         target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
-        records = go(engine(*clutter), np.vstack([way((0.05, 0.0, 0.05), target, 100), [target] * 60]))
+        records = visit(engine(*clutter), np.vstack([straight_path((0.05, 0.0, 0.05), target, 100), [target] * 60]))
         moved = np.linalg.norm(np.diff(records["proxy.position"][-50:], axis=0), axis=1)
         # Each step is at most as long as the one before, to rounding; near a medial axis convergence takes longer.
         assert (moved[1:] <= moved[:-1] + 1e-15).all(), target
@@ -195,14 +196,14 @@ def test_proxy_is_outside_every_object_on_random_walks(cases):
     rng = np.random.default_rng(6)
     balls = [np.array([0.03, 0.0, 0.01]), np.array([-0.02, 0.02, 0.0])]
     scene = [wall("floor", (0, 0, 1)), wall("slope", (1, 0.2, 1)), wall("side", (0, 1, 0.1), offset=-0.02)]
-    scene += [thing(f"ball {i}", "sphere", p.tolist(), radius_m=0.015) for i, p in enumerate(balls)]
+    scene += [make_object(f"ball {i}", "sphere", p.tolist(), radius_m=0.015) for i, p in enumerate(balls)]
     running = engine(*scene)
     count = cases(1000, 5000)
     steps = rng.normal(0.0, 0.003, (count, 3)) * rng.choice([0.1, 1.0, 10.0], (count, 1))
     points = np.array(
         list(itertools.accumulate(steps, lambda p, s: np.clip(p + s, -0.06, 0.08), initial=np.full(3, 0.05)))
     )
-    at = go(running, points)["proxy.position"]
+    at = visit(running, points)["proxy.position"]
     planes = [((0, 0, 1), 0.0), ((1, 0.2, 1), 0.0), ((0, 1, 0.1), -0.02)]
     gaps = [at @ (np.array(n) / np.linalg.norm(n)) - d for n, d in planes]
     gaps += [np.linalg.norm(at - p, axis=1) - 0.015 for p in balls]

@@ -88,9 +88,9 @@ def test_a_slow_slide_is_not_a_stop(plane_scene: SceneFactory) -> None:
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("resolution", "way"), [(0.0, 0.05e-3), (1e-5, 0.05e-3), (1e-4, 0.3e-3)])
+@pytest.mark.parametrize(("resolution", "distance"), [(0.0, 0.05e-3), (1e-5, 0.05e-3), (1e-4, 0.3e-3)])
 def test_reverse_sticks_after_a_tenth_or_three_encoder_steps(
-    plane_scene: SceneFactory, resolution: float, way: float
+    plane_scene: SceneFactory, resolution: float, distance: float
 ) -> None:
     """A reversal sticks when the deflection of 0.5 mm has decreased by 10 %, or by three encoder steps if that is
     more."""
@@ -99,7 +99,7 @@ def test_reverse_sticks_after_a_tenth_or_three_encoder_steps(
     step_m = 23e-6
     hand.go(40, move=[-40 * step_m, 0, 0])
     trace = drive(Engine(plane_scene(probe={"position_resolution_m": resolution})), hand)
-    assert trace.events[2] == (turn + int(np.ceil(way / step_m)), "reverse")
+    assert trace.events[2] == (turn + int(np.ceil(distance / step_m)), "reverse")
     assert (trace.mode[trace.events[2][0] :] == ROLLING).all()
 
 
@@ -261,8 +261,8 @@ def test_paper_row_sliding_is_switched_to_rolling(plane_scene: SceneFactory) -> 
 @pytest.mark.parametrize("depth", [1e-4, 1e-3, 5e-3])
 def test_a_quantised_slide_does_not_chatter(plane_scene: SceneFactory, depth: float) -> None:
     hand, rng = pressed(depth), np.random.default_rng(7)
-    way = np.concatenate([np.linspace(0, 0.03, 600), np.full(200, 0.03)])
-    for i, x in enumerate(way):
+    path = np.concatenate([np.linspace(0, 0.03, 600), np.full(200, 0.03)])
+    for i, x in enumerate(path):
         noise = 1e-5 * rng.integers(-1, 2) if i < 600 else 0.0
         hand.go_to(1, [1e-5 * round(x / 1e-5) + noise, 0, R - depth])
     trace = drive(Engine(plane_scene(probe={"position_resolution_m": 1e-5})), hand)
@@ -325,9 +325,9 @@ LETTER = {"rolling": {"state_machine": "paper"}}
 
 
 def test_letter_agrees_in_the_papers_cases(plane_scene: SceneFactory) -> None:
-    held = drive(Engine(plane_scene(**LETTER)), pressed().go(500, turn=[0.05, 0, 0]))
-    assert held.causes == ["touch"]
-    assert held.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
+    turned = drive(Engine(plane_scene(**LETTER)), pressed().go(500, turn=[0.05, 0, 0]))
+    assert turned.causes == ["touch"]
+    assert turned.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
     for motion, cause in (({"turn": [0.5, 0, 0]}, "theta_max"), ({"move": [0.01, 0, 0]}, "drag")):
         letter = drive(Engine(plane_scene(**LETTER)), pressed().go(501, **motion))
         default = drive(Engine(plane_scene()), pressed().go(501, **motion))
@@ -409,7 +409,7 @@ def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory, cases: Cases)
         "stop": (SLIDING, ROLLING),
         "reverse": (SLIDING, ROLLING),
     }
-    seen: set[str] = set()
+    causes: set[str] = set()
     for _ in range(cases(2, 12)):
         hand = pressed(0.001)
         for _ in range(30):
@@ -430,6 +430,6 @@ def test_random_motion_keeps_the_bounds(plane_scene: SceneFactory, cases: Cases)
                 assert (before != FREE, step.mode) == (True, FREE)
             else:
                 assert (before, step.mode) == lawful[step.cause]
-            seen.add(step.cause)
+            causes.add(step.cause)
     # Every cause must have occurred, otherwise the loop above would check less.
-    assert seen == set(CAUSE_NAMES) - {"restart"}  # which is for meshes
+    assert causes == set(CAUSE_NAMES) - {"restart"}  # which is for meshes

@@ -156,13 +156,13 @@ def test_nearest_point_recovers_the_surface_point(kind: type, size: float, seed:
     shape = random_shape(kind, rng, size)
     for point, normal, _, room in contacts(shape, rng):
         r = min(size_of(shape), 0.9 * room) * rng.uniform(0.01, 1.0)
-        gap, found, n = compiled_closest(shape, triple(point + r * normal))
+        gap, nearest, n = compiled_closest(shape, triple(point + r * normal))
         extent = max(size_of(shape), float(np.linalg.norm(point)))
         # In a hollow that is almost filled, distances differ by a tenth only, and rounding errors are tenfold. An
         # ellipsoid 100 times as long as thick has curvatures with a ratio of 10^4.
         rounding = 64 * EPS * (1e4 if kind is model.Ellipsoid else 1.0)
         assert gap == pytest.approx(r, abs=16 * EPS * extent)
-        assert np.linalg.norm(found - point) <= rounding * extent
+        assert np.linalg.norm(nearest - point) <= rounding * extent
         assert np.linalg.norm(n - normal) <= rounding * max(1.0, extent / r)
 
 
@@ -209,8 +209,8 @@ def test_inside_negates_gap_and_normal(shape: Any) -> None:
     for _ in range(50):
         x = triple(near_or_far(shape, rng))
         gap, point, normal = compiled_closest(shape, x)
-        other = compiled_closest(shape._replace(side=-shape.side), x)
-        assert other == (-gap, point, (-normal[0], -normal[1], -normal[2]))
+        negated = compiled_closest(shape._replace(side=-shape.side), x)
+        assert negated == (-gap, point, (-normal[0], -normal[1], -normal[2]))
 
 
 SYMMETRIC: list[tuple[Any, Triple, float, Triple, Triple]] = [
@@ -273,9 +273,9 @@ def test_curvature_of_the_offset_surface(kind: type, size: float, seed: int) -> 
     for point, normal, (k1, k2), room in contacts(shape, rng):
         r = min(size_of(shape), 0.9 * room) * rng.uniform(0.01, 1.0)
         expected = [1.0 / r if math.isinf(k) else k / (1.0 + r * k) for k in (k1, k2)]
-        found = compiled_curvature(shape, r, triple(point), triple(normal))[:2]
+        curvatures = compiled_curvature(shape, r, triple(point), triple(normal))[:2]
         # The reference's fundamental forms lose as many digits as the squared ratio of the ellipsoid's axes has.
-        assert sorted(found) == pytest.approx(sorted(expected), rel=1e-8 if kind is model.Ellipsoid else 1e-12)
+        assert sorted(curvatures) == pytest.approx(sorted(expected), rel=1e-8 if kind is model.Ellipsoid else 1e-12)
 
 
 @every_shape
@@ -406,9 +406,9 @@ def test_compiled_kernels_match_plain_python(shape: Any) -> None:
     rng = np.random.default_rng(13)
     for _ in range(60):
         x, v = triple(near_or_far(shape, rng)), triple(unit(rng))
-        found = closest(shape, x)
-        assert found == compiled_closest(shape, x)
-        _, point, normal = found
+        result = closest(shape, x)
+        assert result == compiled_closest(shape, x)
+        _, point, normal = result
         assert curvature(shape, 0.1, point, normal) == compiled_curvature(shape, 0.1, point, normal)
         assert transport(shape, v, (0.0, 0.6, 0.8), normal) == compiled_transport(shape, v, (0.0, 0.6, 0.8), normal)
 

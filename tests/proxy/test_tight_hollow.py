@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import Cases
-from helpers.touching import engine, go, wall
+from helpers.touching import engine, visit, wall
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
@@ -102,7 +102,7 @@ def test_a_finger_that_crosses_a_slot_makes_a_new_touch(clearance: float, aslant
     offset = -R - clearance
     slot = engine(wall("left", (1, 0, 0), GRIP, offset), wall("right", (-1, 0, 0), GRIP, offset), **TABLES)
     x = np.concatenate([[0.0], np.linspace(-0.0005, 0.0005, 4)])
-    records = go(slot, np.column_stack([x, aslant * x, np.zeros(5)]))
+    records = visit(slot, np.column_stack([x, aslant * x, np.zeros(5)]))
     force = records["force"]
     assert force[3, 0] == pytest.approx(-K * (x[3] - clearance), rel=1e-9)
     assert np.abs(force[3, 1:]).max() < 1e-12
@@ -116,12 +116,12 @@ def test_a_far_object_does_not_change_a_hollow() -> None:
     bowl = {"name": "bowl", "shape": "sphere", "radius_m": R + clearance, "inside": True}
     floor = {"name": "far", "shape": "plane", "position_m": [0.0, 0.0, -9.0]}
     material = {"stiffness_n_per_m": K}
-    given = {"fingertip": {"radius_m": R}, "object": [{**bowl, "material": material}, {**floor, "material": material}]}
+    config = {"fingertip": {"radius_m": R}, "object": [{**bowl, "material": material}, {**floor, "material": material}]}
     turned = np.concatenate([np.zeros(200), np.linspace(0.0, 6.0, 600), np.full(50, 6.0)])
     out = np.concatenate([np.linspace(0.0, clearance + depth, 200), np.full(650, clearance + depth)])
-    way = np.zeros((len(turned), 7))
-    way[:, 0], way[:, 1], way[:, 3] = out * np.cos(turned), out * np.sin(turned), 1.0
-    forces = np.asarray(Engine(given).run(way)["force"])[200:]
+    path = np.zeros((len(turned), 7))
+    path[:, 0], path[:, 1], path[:, 3] = out * np.cos(turned), out * np.sin(turned), 1.0
+    forces = np.asarray(Engine(config).run(path)["force"])[200:]
     towards = -np.stack([np.cos(turned), np.sin(turned), np.zeros(len(turned))], axis=1)[200:]
     np.testing.assert_allclose(forces, K * depth * towards, atol=1e-6)
 
@@ -180,16 +180,16 @@ def test_proxy_in_a_hollow_is_the_nearest_point_to_the_probe(name: str, clearanc
     objects, nearest = NEARLY_FILLED[name]
     hollow, *others = objects(clearance)
     material = {"material": {"stiffness_n_per_m": K}}
-    tables = [{"name": "hollow", "inside": True, **hollow, **material}, *({**each, **material} for each in others)]
+    tables = [{"name": "hollow", "inside": True, **hollow, **material}, *({**table, **material} for table in others)]
     running, rng = Engine({"fingertip": {"radius_m": R}, "object": tables}), np.random.default_rng(5)
     for _ in range(cases(20, 1000)):
-        there, probe = rng.normal(size=(2, 3)) * clearance * 10.0 ** rng.uniform(-0.3, 1.0)
+        start, probe = rng.normal(size=(2, 3)) * clearance * 10.0 ** rng.uniform(-0.3, 1.0)
         running.reset()
-        for place in ([0.0, 0.0, 0.1 * clearance], there, *[probe] * 6):
-            found = running.step(place, [1.0, 0.0, 0.0, 0.0])
+        for place in ([0.0, 0.0, 0.1 * clearance], start, *[probe] * 6):
+            step = running.step(place, [1.0, 0.0, 0.0, 0.0])
         wanted = K * (nearest(probe, clearance) - probe)
         # The search ends if a round moves the proxy by less than 1e-13 of the radius, or after ten rounds.
-        np.testing.assert_allclose(found.force, wanted, rtol=0.0, atol=1e-6 * (1.0 + np.linalg.norm(wanted)))
+        np.testing.assert_allclose(step.force, wanted, rtol=0.0, atol=1e-6 * (1.0 + np.linalg.norm(wanted)))
 
 
 ALONE: dict[str, Any] = {
@@ -214,8 +214,8 @@ def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, 
         probe = towards / np.linalg.norm(towards[:2]) * clearance * rng.uniform(1.1, 30.0)
         running.reset()
         running.step(0.3 * clearance * rng.uniform(-1.0, 1.0, 3), [1.0, 0.0, 0.0, 0.0])
-        found = running.step(probe, [1.0, 0.0, 0.0, 0.0])
+        step = running.step(probe, [1.0, 0.0, 0.0, 0.0])
         wanted = nearest(probe, clearance)
-        assert found.cause == "touch"
-        assert found.proxy_position == pytest.approx(wanted, rel=0.0, abs=1e-12)
-        assert found.force == pytest.approx(K * (wanted - probe), rel=0.0, abs=1e-9)
+        assert step.cause == "touch"
+        assert step.proxy_position == pytest.approx(wanted, rel=0.0, abs=1e-12)
+        assert step.force == pytest.approx(K * (wanted - probe), rel=0.0, abs=1e-9)

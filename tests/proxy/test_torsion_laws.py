@@ -81,7 +81,7 @@ def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, 
     hand = pressed().go(499, turn=[0, 0, sign * 0.5])
     stop = hand.at
     hand.go(200)
-    again = hand.at
+    slip_tick = hand.at
     hand.go(300, turn=[0, 0, sign * 0.3])
     trace = drive(Engine(plane_scene(material={"torsion": PROXY})), hand)
     moment = -sign * trace.torque[:, 2]
@@ -90,8 +90,8 @@ def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, 
     assert peak == 1 + int(np.ceil(0.08 / 0.5 * 499))
     assert moment[peak] == pytest.approx(0.004, rel=1e-12)
     assert moment[1:peak] == pytest.approx(0.05 * 0.5 / 499 * np.arange(peak - 1), abs=EXACT)
-    assert moment[peak + 1 : again + 1] == pytest.approx(0.003, rel=1e-12)
-    assert moment[again:].max() == pytest.approx(0.004, rel=1e-12)
+    assert moment[peak + 1 : slip_tick + 1] == pytest.approx(0.003, rel=1e-12)
+    assert moment[slip_tick:].max() == pytest.approx(0.004, rel=1e-12)
     assert moment[-1] == pytest.approx(0.003, rel=1e-12)
     # The proxy follows the probe except for the wound angle.
     assert abs(trace.steps[-1].spin) == pytest.approx(0.06, rel=1e-12)
@@ -167,7 +167,7 @@ def test_faulty_torsion_is_refused(torsion: dict[str, Any], message: str) -> Non
         build(Scene, paper_mapping(material={"torsion": torsion}), "test scene")
 
 
-def test_only_what_a_scene_says_is_compiled(plane_scene: SceneFactory) -> None:
+def test_only_the_features_of_a_scene_are_compiled(plane_scene: SceneFactory) -> None:
     linear, power = model.Torsion(0.05, 0.004), model.PowerTorsion(0.05, 0.004, 0.2)
     for torsion, law in [
         (None, None),

@@ -18,37 +18,37 @@ from softfinger.proxy.kernels.jit.tuples import (
 )
 
 
-class Thing(NamedTuple):
+class Item(NamedTuple):
     size: float
     place: Any
     number: int
 
 
 @entry
-def moved(thing: Thing, place: Any) -> Any:
-    return replace(thing, "place", place, "size", 2.0 * thing.size)
+def move_item(item: Item, place: Any) -> Any:
+    return replace(item, "place", place, "size", 2.0 * item.size)
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize("place", [(1.0, 2.0, 3.0), 4.0, (5.0, Thing(6.0, None, 7))])
+@pytest.mark.parametrize("place", [(1.0, 2.0, 3.0), 4.0, (5.0, Item(6.0, None, 7))])
 def test_fields_are_replaced_by_values_of_any_type(place: Any) -> None:
-    found = moved(Thing(0.5, None, 3), place)
-    assert type(found) is Thing
-    assert found == Thing(1.0, place, 3)
+    result = move_item(Item(0.5, None, 3), place)
+    assert type(result) is Item
+    assert result == Item(1.0, place, 3)
 
 
 def test_an_unknown_field_name_does_not_compile() -> None:
     @entry
-    def misspelt(thing: Thing) -> Any:
-        return replace(thing, "plaec", 1.0)
+    def misspelt(item: Item) -> Any:
+        return replace(item, "plaec", 1.0)
 
-    with pytest.raises(TypingError, match="Thing has no fields of these names"):
-        misspelt(Thing(0.5, None, 3))
+    with pytest.raises(TypingError, match="Item has no fields of these names"):
+        misspelt(Item(0.5, None, 3))
 
 
 @jit
-def half_and_third(number: float, other: float, factor: float) -> tuple[float, float]:
-    return factor * number / 2.0, factor * other / 3.0
+def half_and_third(number: float, second: float, factor: float) -> tuple[float, float]:
+    return factor * number / 2.0, factor * second / 3.0
 
 
 @jit
@@ -58,12 +58,12 @@ def behind(number: float, others: tuple[float, float]) -> tuple[float, float]:
 
 
 @entry
-def of_all(numbers: Any, others: Any, things: Any) -> Any:
+def of_all(numbers: Any, others: Any, items: Any) -> Any:
     halves, thirds = unzip(map_each(half_and_third, (numbers, others), 6.0))
     none, nothing = unzip(map_each(half_and_third, ((), ()), 6.0))
     return (
         (halves, thirds, none, nothing, fold_each(behind, numbers, (0.0, 0.0))),
-        (same_for(numbers, 7.0), first_of(numbers, 1.0, 2.0), pad(numbers, 0.5, 4), field_of_each(things, "size")),
+        (same_for(numbers, 7.0), first_of(numbers, 1.0, 2.0), pad(numbers, 0.5, 4), field_of_each(items, "size")),
     )
 
 
@@ -71,8 +71,8 @@ def of_all(numbers: Any, others: Any, things: Any) -> Any:
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_functions_apply_to_tuples_of_any_length(count: int) -> None:
     numbers, others = (1.0, 2.0, 4.0)[:count], (3.0, 6.0, 9.0)[:count]
-    things = (Thing(0.5, None, 3), Thing(1.5, None, 3), Thing(2.5, None, 3))[:count]
-    mapped, made = of_all(numbers, others, things)
+    items = (Item(0.5, None, 3), Item(1.5, None, 3), Item(2.5, None, 3))[:count]
+    mapped, made = of_all(numbers, others, items)
     assert mapped[:4] == (tuple(3.0 * x for x in numbers), tuple(2.0 * x for x in others), (), ())
     assert mapped[4] == {1: (1.0, 0.0), 2: (1.0, 2.0), 3: (1.0, 10.0)}[count]
     assert made[:2] == ((7.0,) * count, (1.0, 2.0, 2.0)[:count])

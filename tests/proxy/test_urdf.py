@@ -42,7 +42,7 @@ URDF = """
 """
 
 
-def written(folder: Path, file: str = "package://toys/lid.stl", location: str = "lid.stl") -> str:
+def write_model(folder: Path, file: str = "package://toys/lid.stl", location: str = "lid.stl") -> str:
     """Write the URDF and the lid, a plate of 80 x 60 x 10 mm in mm; return the URDF's path."""
     place = folder / location
     place.parent.mkdir(exist_ok=True)
@@ -57,17 +57,17 @@ def test_geoms_have_the_names_of_links_and_meshes_are_found(location: str, tmp_p
     """`package://toys/lid.stl` is lid.stl next to the URDF or toys/lid.stl below it; visual geometry is ignored."""
     rule = schema.GeomMaterial(name="lid", material=schema.Material(stiffness_n_per_m=2.0))
     world = schema.World(
-        model=written(tmp_path, location=location), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
+        model=write_model(tmp_path, location=location), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
     )
-    found = {each.name: each.object for each in convert_geoms(world)}
-    assert list(found) == ["bottom", "lid", "lid 2"]
-    assert all(thing is not None for thing in found.values())
-    bottom, lid, ball = (thing for thing in found.values() if thing is not None)
+    objects = {geom.name: geom.object for geom in convert_geoms(world)}
+    assert list(objects) == ["bottom", "lid", "lid 2"]
+    assert all(entry is not None for entry in objects.values())
+    bottom, lid, ball = (entry for entry in objects.values() if entry is not None)
     assert isinstance(lid, schema.Mesh) and lid.mesh == "lid"
     # Along the principal axes of inertia, and in 32 bits.
     assert sorted(about(lid).report.size_m) == pytest.approx([0.01, 0.06, 0.08], rel=1e-6)
     assert isinstance(bottom, schema.Box) and isinstance(ball, schema.Sphere)
-    assert [thing.material.stiffness_n_per_m for thing in (bottom, lid, ball)] == [1.0, 2.0, 1.0]
+    assert [entry.material.stiffness_n_per_m for entry in (bottom, lid, ball)] == [1.0, 2.0, 1.0]
     assert bottom.motion is None and lid.motion == schema.Body(body="lid")
 
 
@@ -77,7 +77,7 @@ def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path)
     before the XML. A root that would contain the package is suggested."""
     folder = tmp_path / "toys" / "robots" / "urdf"
     folder.mkdir(parents=True)
-    model = Path(written(folder, f"{prefix}/meshes/lid.stl", "../../meshes/lid.stl"))
+    model = Path(write_model(folder, f"{prefix}/meshes/lid.stl", "../../meshes/lid.stl"))
     model.write_text(f"\n<?xml version='1.0'?>{model.read_text()}\n")
     material = schema.Material(stiffness_n_per_m=1.0)
     for root in (tmp_path, tmp_path / "toys"):
@@ -93,7 +93,7 @@ def test_a_lid_turns_about_its_hinge(substeps: int, tmp_path: Path) -> None:
     step, so that of a tick is used."""
     scene = {
         "fingertip": {"radius_m": R},
-        "world": {"model": written(tmp_path), "geom": [{"name": "lid", "material": WOOD}], "substeps": substeps},
+        "world": {"model": write_model(tmp_path), "geom": [{"name": "lid", "material": WOOD}], "substeps": substeps},
     }
     engine = Engine(scene)
     engine.model.opt.gravity[:] = 0.0
@@ -113,14 +113,14 @@ def test_a_lid_turns_about_its_hinge(substeps: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("file", ["package://toys/../../secret.stl", "package://../secret.stl", "../secret.stl"])
 def test_no_file_outside_of_its_folder_is_read(file: str, tmp_path: Path) -> None:
-    world = schema.World(model=written(tmp_path, file), material=schema.Material(stiffness_n_per_m=1.0))
+    world = schema.World(model=write_model(tmp_path, file), material=schema.Material(stiffness_n_per_m=1.0))
     with pytest.raises(ConfigError, match="outside of its folder"):
         list(convert_geoms(world))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     world = schema.World(
-        model=written(tmp_path, "package://toys/none.stl"), material=schema.Material(stiffness_n_per_m=1.0)
+        model=write_model(tmp_path, "package://toys/none.stl"), material=schema.Material(stiffness_n_per_m=1.0)
     )
     with pytest.raises(ConfigError, match=r"toys/none\.stl"):
         list(convert_geoms(world))

@@ -74,7 +74,7 @@ def _triangle(x: Any, t: Any) -> float:
 
 
 @entry
-def _distances(balls: Balls, points: Any, found: Any) -> None:
+def _distances(balls: Balls, points: Any, out: Any) -> None:
     corners, middles, radii = balls
     for i in range(len(points)):
         x = points[i]
@@ -88,16 +88,16 @@ def _distances(balls: Balls, points: Any, found: Any) -> None:
             reach = best + radii[k]
             if d0 * d0 + d1 * d1 + d2 * d2 <= reach * reach * (1.0 + SLACK):
                 best = min(best, _triangle(x, corners[k]))
-        found[i] = best
+        out[i] = best
 
 
 def brute_distances(balls: Balls, points: ArrayLike) -> Array:
     """Distances (n,) m of `points` (n, 3) m from the nearest triangle."""
     places = np.ascontiguousarray(points, np.float64)
-    found = np.empty(len(places))
+    out = np.empty(len(places))
     if PLAIN:
         vertices = balls.corners.reshape(-1, 3)
         triangles = np.arange(len(vertices)).reshape(-1, 3)
         return np.array([distances(vertices, triangles, x).min() for x in places])
-    _distances(balls, places, found)
-    return found
+    _distances(balls, places, out)
+    return out

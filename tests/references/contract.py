@@ -28,7 +28,7 @@ def names() -> dict[str, list[str]]:
         "exports": sorted(softfinger.__all__),
         "command line": sorted(set(_options(make_parser().complete(), "softfinger"))),
         "keys": sorted({path for name, schema in schemas.items() for path in _paths(schema, schema, name, ())}),
-        "telemetry": sorted(" ".join(f"{each[key]}" for key in _FIELD) for each in telemetry["record"]),
+        "telemetry": sorted(" ".join(f"{field[key]}" for key in _FIELD) for field in telemetry["record"]),
         "messages": sorted({*methods, *commands["errors"], *commands["request"], *commands["answer"]}),
     }  # fmt: skip
 

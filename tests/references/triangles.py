@@ -5,10 +5,10 @@ import numpy as np
 
 def segment_distances(x, a, b):
     """Distances (m,) of `x` (3,) from segments a, b (m, 3)."""
-    way = b - a
-    square = np.einsum("ij,ij->i", way, way)
-    share = np.einsum("ij,ij->i", x - a, way) / np.where(square > 0.0, square, 1.0)
-    return np.linalg.norm(x - a - np.clip(share, 0.0, 1.0)[:, None] * way, axis=1)
+    along = b - a
+    square = np.einsum("ij,ij->i", along, along)
+    share = np.einsum("ij,ij->i", x - a, along) / np.where(square > 0.0, square, 1.0)
+    return np.linalg.norm(x - a - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
 
 
 def distances(vertices, triangles, x):

@@ -54,12 +54,12 @@ class Wave(NamedTuple):
         """Values in [0, 1] at u, v (m) after the filter, and their derivatives by u and v, 1/m."""
         samples = self.samples()
         low, span = samples.min(), np.ptp(samples)
-        left = REST ** ((cutoff * self.frequency()) ** 2)
+        amplitude = REST ** ((cutoff * self.frequency()) ** 2)
         first_u, first_v = (middle[0] for middle in self.middles())
         a, da = _spline(self.turns[0] / self.width, self.width / self.columns, first_u, u)
         b, db = _spline(self.turns[1] / self.depth, self.depth / self.rows, first_v, v)
-        z = (left * (a * b).real - low) / span
-        return z, left * (da * b).real / span, left * (a * db).real / span
+        z = (amplitude * (a * b).real - low) / span
+        return z, amplitude * (da * b).real / span, amplitude * (a * db).real / span
 
 
 def _spline(f: float, p: float, first: float, u: ArrayLike) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -67,7 +67,7 @@ def _spline(f: float, p: float, first: float, u: ArrayLike) -> tuple[NDArray[np.
     shares = np.sinc(f * p + k) ** 4
     turn = 2j * np.pi * (f + k / p)
     start = np.exp(2j * np.pi * f * first)
-    values = [np.exp(turn * (one - first)) * shares for one in np.atleast_1d(u)]
-    value = np.array([one.sum() for one in values]) * start
-    slope = np.array([(turn * one).sum() for one in values]) * start
+    values = [np.exp(turn * (point - first)) * shares for point in np.atleast_1d(u)]
+    value = np.array([terms.sum() for terms in values]) * start
+    slope = np.array([(turn * terms).sum() for terms in values]) * start
     return value, slope

@@ -33,7 +33,7 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 from softfinger.server import cli
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.servo_thread import FINISHED, Servo
+from softfinger.server.loop.servo_thread import FINISHED, ServoThread
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import FIGURES, close_many, run_closed_loop
@@ -60,7 +60,7 @@ def test_servo_and_closed_loop_are_bit_identical() -> None:
     options = Options(preset="omega.6", delay_ticks=2, sway_m=(0.0, 0.0, 1e-4), sway_hz=7.0)
     with open_device(options, 1000.0) as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-        servo = Servo([device], tuning, 1000.0, ticks)
+        servo = ServoThread([device], tuning, 1000.0, ticks)
         servo.compile()
         servo.start()
         assert servo.join(60.0).ending == FINISHED

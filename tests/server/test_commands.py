@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 import zmq
 from helpers import raw_peers
-from helpers.called import Done, called
+from helpers.called import VerbResult, called
 from helpers.daemons import QUIET, subscribed
 from helpers.faulty_device import registered
 from helpers.hapticore_client import Client
@@ -597,7 +597,7 @@ def slow_compiler(monkeypatch, tmp_path):
         return popen(words if link.MODULE in words else [*words[:1], program], **rest)
 
     monkeypatch.setattr(compilation.subprocess, "Popen", started)
-    monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(compilation.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
     return lambda: [int(path.name) for path in tmp_path.glob("[0-9]*")]
 
 
@@ -669,7 +669,7 @@ def test_endless_scene_requests_do_not_block_other_clients(rig, slow_compiler):
 
 def test_a_failed_compilation_is_reported(rig, monkeypatch):
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
-    monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(compilation.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
     with running(rig()) as (_, control, recorder):
         monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
         with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):
@@ -855,7 +855,7 @@ def test_stop_ends_a_daemon_process(tmp_path):
                 lines.append(daemon.stderr.readline())
                 assert lines[-1]
 
-            def ctl(*arguments: str) -> Done:
+            def ctl(*arguments: str) -> VerbResult:
                 return called("ctl", *arguments, "--endpoint", f"ipc://{tmp_path}/c", "--timeout", "240")
 
             state = ctl("get_state", "--json")

@@ -407,7 +407,7 @@ LEFT_BEHIND = """
 import os, threading
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
 scene = load_scene("paper-plane")
 def once():

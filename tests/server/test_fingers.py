@@ -44,7 +44,7 @@ def run_servo(*devices: Any, ticks: int | None = None, **limits: float) -> tuple
     """Run a servo with two devices and changed guard limits; return its end and records (n, fingers, RECORD_SIZE)."""
     tuning = make_tuning(two_fingers(), GUARD)
     tuning = tuning._replace(guards=tuple(guard._replace(**limits) for guard in tuning.guards))
-    servo = s.Servo(devices, tuning, 1000.0, ticks)
+    servo = s.ServoThread(devices, tuning, 1000.0, ticks)
     servo.compile()
     servo.start()
     ended = servo.join(60.0)
@@ -262,10 +262,10 @@ from helpers.faulty_device import FaultyDevice, Options
 from helpers.two_fingers import two_fingers
 from softfinger.config.load import load_rig
 from softfinger.server.loop.servo import servo_loop
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 devices = [FaultyDevice(Options()), FaultyDevice(Options())]
-Servo(devices, make_tuning(two_fingers(), load_rig("replay").guard), 1000.0).compile()
+ServoThread(devices, make_tuning(two_fingers(), load_rig("replay").guard), 1000.0).compile()
 print(*servo_loop.inspect_llvm().values())
 """
 

@@ -39,7 +39,9 @@ def make_soft_scene() -> Scene:
 @pytest.fixture
 def applied_tunings(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
     tunings: list[Tuning] = []
-    monkeypatch.setattr("softfinger.server.loop.servo_thread.Servo.tune", lambda servo, tuning: tunings.append(tuning))
+    monkeypatch.setattr(
+        "softfinger.server.loop.servo_thread.ServoThread.tune", lambda servo, tuning: tunings.append(tuning)
+    )
     return tunings
 
 

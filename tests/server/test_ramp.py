@@ -15,7 +15,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.scene import build_scene
 from softfinger.server.driver_contract import run_for
 from softfinger.server.loop.inputs import ramp
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 
 TICKS = 100
@@ -134,7 +134,7 @@ def test_a_ramp_without_ticks_is_immediate():
 def test_a_stiffness_change_in_contact_is_no_step_of_the_force():
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
     tunings = {k: make_tuning(make_scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
-    servo = Servo([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)
+    servo = ServoThread([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)
     servo.compile()
     servo.start()
     run_for(servo, 200)

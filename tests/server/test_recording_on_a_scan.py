@@ -5,7 +5,7 @@ import pytest
 from helpers import meshes
 from helpers.processes import COMMAND
 from helpers.programs import run_program
-from helpers.touching import FRICTION, Array, R, saved
+from helpers.touching import FRICTION, Array, R, write_part
 
 from softfinger.drivers.poses import load_poses
 from softfinger.proxy.record import SLIDING
@@ -44,7 +44,7 @@ def scan_records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     east /= np.linalg.norm(east)
     vertices = vertices @ np.stack([east, np.cross(up, east), up]).T
     under = (np.hypot(vertices[:, 0], vertices[:, 1]) < 4e-3) & (vertices[:, 2] > 0.0)
-    saved(folder, vertices - (0.0, 0.0, vertices[under, 2].max()), triangles, "scan.ply")
+    write_part(folder, vertices - (0.0, 0.0, vertices[under, 2].max()), triangles, "scan.ply")
     hand = load_poses("press-roll-spin-drag")
     places = hand.position * (WIDER, WIDER, 1.0) - (0.0, 0.0, DEEPER)
     table = np.column_stack([hand.t, places, hand.orientation])

@@ -37,17 +37,17 @@ def make_servo(
     prepare: Callable[[], Callable[[], None]] | None = None,
     rate: float = 1000.0,
     doubting: bool = False,
-) -> tuple[FaultyDevice, s.Servo]:
+) -> tuple[FaultyDevice, s.ServoThread]:
     device = FaultyDevice(options)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
     if doubting:  # of a device with its own clock, so that no stall of the machine affects the time of a pose
         tuning = tuning._replace(guards=(tuning.guards[0]._replace(speed_max=10.0, turn_max=100.0, frozen=0.2005),))
-    servo = s.Servo([device], tuning, rate, ticks, prepare)
+    servo = s.ServoThread([device], tuning, rate, ticks, prepare)
     servo.compile()
     return device, servo
 
 
-def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
+def finish(servo: s.ServoThread) -> tuple[s.LoopEnd, np.ndarray]:
     """Start, wait for the end, and return the end and the remaining records."""
     servo.start()
     ended = servo.join(30.0)
@@ -58,7 +58,7 @@ def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
     return ended, records
 
 
-def stop(servo: s.Servo) -> None:
+def stop(servo: s.ServoThread) -> None:
     servo.stop()
     assert servo.join(30.0) == s.LoopEnd(s.STOPPED, 0)
     servo.close()

@@ -24,7 +24,7 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, make_tool, tip_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import TORQUE_CLAMPED, Guard
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning, begin, tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate, simulate_devices
@@ -149,7 +149,7 @@ def test_the_contact_is_that_of_the_tip() -> None:
 def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
     device = FaultyDevice(Options(fault=fault, at=300, count=20, own_clock=True))
     arm = (0.05, 0.0, 0.0)  # the device does not turn its handle
-    servo = Servo([device], tune_scene("paper-plane", schema.Tool(offset_m=arm)), 1000.0, 600)
+    servo = ServoThread([device], tune_scene("paper-plane", schema.Tool(offset_m=arm)), 1000.0, 600)
     servo.compile()
     servo.start()
     assert servo.join(60.0) is not None

@@ -119,7 +119,7 @@ sys.path.insert(0, sys.argv[1])
 from helpers.faulty_device import FaultyDevice, Options
 from helpers.key_world import ROLLING, RUBBER
 from softfinger.config.load import load_rig, load_scene
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 shim = ctypes.CDLL(None)
 shim.allocations.restype = ctypes.c_long
@@ -130,7 +130,7 @@ def count(ticks):
     def prepare():
         seen.append(shim.allocations())
         return lambda: seen.append(shim.allocations())
-    servo = Servo([device], make_tuning(scene, load_rig("replay").guard, [device.info]), 1000.0, ticks, prepare)
+    servo = ServoThread([device], make_tuning(scene, load_rig("replay").guard, [device.info]), 1000.0, ticks, prepare)
     servo.compile()
     servo.start()
     assert servo.join(60.0).ending == 1

@@ -52,8 +52,8 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     with contextlib.redirect_stdout(printed):
         assert main([*words, "--method", *methods, "--plot", str(plot)]) == 0
     assert plot.read_bytes().startswith(b"\x89PNG")
-    found: dict[str, Any] = json.loads(printed.getvalue())
-    return found
+    content: dict[str, Any] = json.loads(printed.getvalue())
+    return content
 
 
 def rows(result: dict[str, Any], **values: Any) -> list[dict[str, Any]]:
@@ -113,9 +113,9 @@ def test_reference_paths_of_the_paper() -> None:
     (x, y, z), k = paper.TURN_RAD, np.arange(paper.STEPS + 1)
     straight = R * complex(y, -x)
     for motion, path in (("world", straight * k), ("contact_frame", straight * (np.exp(1j * z * k) - 1) / (1j * z))):
-        found = paper.exact_path(motion)
+        positions = paper.exact_path(motion)
         # Integrated to 1e-13 of some centimetres.
-        assert found == pytest.approx(np.column_stack([path.real, path.imag, 0 * k]), abs=1e-14)
+        assert positions == pytest.approx(np.column_stack([path.real, path.imag, 0 * k]), abs=1e-14)
 
 
 def test_speed_ratio_equals_that_of_the_times(result: dict[str, Any]) -> None:
@@ -129,7 +129,7 @@ def test_speed_ratio_equals_that_of_the_times(result: dict[str, Any]) -> None:
     assert classical["without_step_bound"]["evaluations_per_step"] < 61
 
 
-def test_classical_way_on_a_torus() -> None:
+def test_classical_method_on_a_torus() -> None:
     at = montana.Coordinates(0.0, 0.0, 0.3, 0.4, 0.2)
     here = montana.chart(TORUS, at.u_o, at.v_o)
     center, w = np.array(here.point) + R * np.array(here.z), np.array([3.0, 2.0, 5.0])
@@ -168,7 +168,7 @@ def test_errors_on_the_plane_are_the_closed_forms(result: dict[str, Any]) -> Non
 
 
 def test_orders(result: dict[str, Any]) -> None:
-    found = {(row["surface"], row["motion"], row["method"]): row["order"] for row in result["orders"]}
+    orders = {(row["surface"], row["motion"], row["method"]): row["order"] for row in result["orders"]}
     # The next order's share at the steps from 1/32 to 1/8 s, of up to a quarter of a radian.
     for key, order in {
         ("plane", "constant", "euler_zxz"): 2.0,
@@ -180,9 +180,9 @@ def test_orders(result: dict[str, Any]) -> None:
         ("torus", "changing", "midpoint"): 2.0,
         ("torus", "changing", "montana_rk4"): 2.0,
     }.items():
-        assert found[key] == pytest.approx(order, abs=0.1)
+        assert orders[key] == pytest.approx(order, abs=0.1)
     for method in ("rotation_vector", "midpoint", "montana_rk4"):
-        assert found["plane", "constant", method] is None
+        assert orders["plane", "constant", method] is None
 
 
 def test_nothing_drifts(result: dict[str, Any]) -> None:
@@ -220,16 +220,16 @@ def test_turns_lead_from_pose_to_pose() -> None:
 def test_impossible_cases_are_left_out() -> None:
     """No fingertip larger than the hollow it is in, no step of half a turn, no closed form where there is none."""
     sweep, drift = verb.plan(options())
-    found = cases.cases(sweep)
-    assert all(case.turn_rate / case.rate_hz < np.pi for case in found)
-    assert {case.surface for case in found if case.curvature_ratio == 10.0} == {
+    selected = cases.cases(sweep)
+    assert all(case.turn_rate / case.rate_hz < np.pi for case in selected)
+    assert {case.surface for case in selected if case.curvature_ratio == 10.0} == {
         "sphere", "cylinder", "capped-cylinder", "capsule", "box", "ellipsoid",
     }  # fmt: skip
-    pairs = {(case.surface, case.method) for case in found}
+    pairs = {(case.surface, case.method) for case in selected}
     assert pairs == {(case.surface, case.method) for case in drift}
     assert ("box", "rotation_vector") in pairs
     assert ("torus", "rotation_vector") not in pairs
-    assert len(set(found)) == len(found)
+    assert len(set(selected)) == len(selected)
 
 
 @pytest.mark.parametrize("surface", [name for name in cases.SURFACES if name != "plane"])
@@ -281,10 +281,10 @@ def test_fronts_and_orders_look_at_the_ladder_only() -> None:
 
 def test_recommendations() -> None:
     made = [point("fast", 10, 1e-6), point("fine", 40, 1e-9), point("worse", 50, 1e-8)]
-    found = front.recommendations(made, (1e-5, 1e-7, 1e-12))
-    assert [row["method"] for row in found] == ["fast", "fine", None]
-    assert found[0]["sentence"] == "s, constant rate: for an error below 10 um at 1000 Hz use fast: 10 ns"
-    assert found[2]["sentence"].endswith("there is no method: fine comes to 1 nm")
+    advice = front.recommendations(made, (1e-5, 1e-7, 1e-12))
+    assert [row["method"] for row in advice] == ["fast", "fine", None]
+    assert advice[0]["sentence"] == "s, constant rate: for an error below 10 um at 1000 Hz use fast: 10 ns"
+    assert advice[2]["sentence"].endswith("there is no method: fine comes to 1 nm")
 
 
 @pytest.mark.parametrize(

@@ -26,9 +26,9 @@ def soaked(memory: np.ndarray, lost: int = 0) -> Soaked:
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])
 def test_growth_is_found_in_noise(slope: float) -> None:
-    found, at_least = growth(HOURS, noisy(slope))
-    assert found == pytest.approx(slope, abs=0.1)
-    assert at_least <= found
+    estimate, at_least = growth(HOURS, noisy(slope))
+    assert estimate == pytest.approx(slope, abs=0.1)
+    assert at_least <= estimate
 
 
 def test_more_than_a_megabyte_an_hour_is_a_fault() -> None:
@@ -57,5 +57,5 @@ def test_a_short_run_has_every_process(tmp_path: Path, capsys: pytest.CaptureFix
         *(f"subscriber {k}" for k in range(1, 5)),
     } <= names
     assert content["ticks"] + content["missed"] > 11_000
-    assert all(each["threads"]["last"] >= 1.0 for each in content["processes"].values())
+    assert all(process["threads"]["last"] >= 1.0 for process in content["processes"].values())
     assert drawing.stat().st_size > 0

@@ -21,7 +21,8 @@ import test_falcon_emulated
 import test_spacemouse_emulated
 from helpers.drd_stub import stub_library  # noqa: F401  a fixture
 from helpers.programs import run_program
-from test_hid_emulated import WHY_NOT, beside
+from helpers.rig_files import write_rig
+from test_hid_emulated import WHY_NOT, run_beside_device
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
@@ -73,8 +74,8 @@ def here(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
 
 
 def environment(home: Path) -> dict[str, str]:
-    kept = os.environ | {"SOFTFINGER_CACHE_DIR": str(CACHE_DIR.parent)}
-    return kept | {"HOME": str(home), "USER": USER, "LOGNAME": USER}
+    variables = os.environ | {"SOFTFINGER_CACHE_DIR": str(CACHE_DIR.parent)}
+    return variables | {"HOME": str(home), "USER": USER, "LOGNAME": USER}
 
 
 def checked(file: Path, home: Path) -> dict[str, Any]:
@@ -89,13 +90,6 @@ def checked(file: Path, home: Path) -> dict[str, Any]:
         question.id for question in questions() if content["driver"] in question.drivers
     }
     return content
-
-
-def rig_file(home: Path, name: str, *more: str) -> str:
-    text = (ROOT / "config" / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
-    path = home / f"my-{name}.toml"
-    path.write_text(text.replace("[device]\n", "\n".join(["[device]", *more, ""])), encoding="utf-8")
-    return str(path)
 
 
 def test_a_recording_is_reported(here: Here, home: Path) -> None:
@@ -134,7 +128,7 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
 
 
 def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
-    rig = rig_file(home, "omega-3", f'library_file = "{stub_library}"')
+    rig = write_rig(home, "omega-3", library_file=str(stub_library))
     result = run(home, "--rig", rig, "--seconds", "0.3")
     assert result.returncode == 0, result.stderr
     content = checked(home / "softfinger-forcedimension-report.json", home)
@@ -154,12 +148,12 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
 def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     file = home / "report.json"
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.01]} | ({"lost_after": 300} if lost else {})
-    rig = Path(rig_file(home, "woodenhaptics-2019"))
+    rig = write_rig(home, "woodenhaptics-2019")
     # the emulated device is a normal process and must not be delayed by the exchange's thread
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
-    done, saw = beside(case, *COMMAND, *words)
-    assert done.returncode == (4 if lost else 0), done.stderr
+    process, saw = run_beside_device(case, *COMMAND, *words)
+    assert process.returncode == (4 if lost else 0), process.stderr
     content = checked(file, home)
     (arm,) = content["identity"]
     assert (arm["vendor_id"], arm["product_id"], arm["node"], arm["serial"]) == (
@@ -188,10 +182,10 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
     if driver == "falcon":
         rig, beside_it = Path(test_falcon_emulated.rig_with(home, counts_per_nm=4000)), test_falcon_emulated.beside
     else:
-        rig, beside_it = Path(rig_file(home, driver)), test_spacemouse_emulated.beside
+        rig, beside_it = write_rig(home, driver), test_spacemouse_emulated.beside
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
-    done, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
-    assert done.returncode == 0, done.stderr
+    process, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
+    assert process.returncode == 0, process.stderr
     content = checked(file, home)
     (device,) = content["identity"]
     assert f"{device['vendor_id']}:{device['product_id']}" == {"falcon": "0403:cb48", "spacemouse": "046d:c626"}[driver]
@@ -202,8 +196,8 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
 
 def test_a_puck_is_not_pushed() -> None:
     rig = load_rig("spacemouse")
-    left, right = socket.socketpair()
-    puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), left.detach(), RATE_HZ)
+    near, right = socket.socketpair()
+    puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), near.detach(), RATE_HZ)
     with right, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
         report.pushing(rig, puck, 1.0)
 
@@ -254,7 +248,7 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
     assert not force[-1].any()
 
 
-def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
+def test_the_user_is_prompted_on_a_terminal(home: Path) -> None:
     rig = home / "still.toml"
     rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\nsway_m = [0.02, 0.0, 0.0]\n')
     main, side = pty.openpty()
@@ -264,17 +258,17 @@ def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
     )  # fmt: skip
     os.close(side)
     assert process.stderr is not None
-    asked = []
+    prompts = []
     for line in process.stderr:
         if line.endswith("; Enter to begin\n"):
-            asked.append(line)
+            prompts.append(line)
             os.write(main, b"\n")
     output, _ = process.communicate(timeout=60)
     os.close(main)
     assert process.returncode == 0, output
     content = checked(home / "softfinger-simulated-report.json", home)
     assert content["guided"]
-    assert len(asked) == 6  # rest, three directions, a rotation, buttons
+    assert len(prompts) == 6  # rest, three directions, a rotation, buttons
     assert [move["expected"] for move in content["moves"]] == ["+x", "+y", "+z", "+z"]
     assert all(move["agrees"] == (move["seen"] == move["expected"]) for move in content["moves"])
     assert content["moves"][3]["kind"] == "rotation" and content["moves"][3]["seen"] == "no motion"
@@ -303,7 +297,7 @@ def test_the_user_is_asked_on_a_terminal(home: Path) -> None:
         ("devices --probe --rig no-such-rig", ["no-such-rig"]),
     ],
 )
-def test_bad_words_give_one_clear_error(
+def test_invalid_arguments_give_one_clear_error(
     words: str, pieces: list[str], home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(home)
@@ -312,3 +306,9 @@ def test_bad_words_give_one_clear_error(
     assert output == ""
     assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
     assert list(home.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--device-report", "--probe"])
+def test_a_report_that_cannot_be_written_names_its_option(option: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=f"{option} .*cannot be written"):
+        report.write(tmp_path / "missing" / "report.json", {}, option)

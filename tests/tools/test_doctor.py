@@ -56,10 +56,10 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
             f'[telemetry]\nendpoint = "tcp://127.0.0.1:{port}"\n[servo]\ncpu = {min(os.sched_getaffinity(0))}\n'
         )
         plot = rig.with_suffix(".png")
-        done = run("--rig", str(rig), "--seconds", "0.3", "--json", "--plot", str(plot))
-    found: dict[str, Any] = json.loads(done.stdout)
+        process = run("--rig", str(rig), "--seconds", "0.3", "--json", "--plot", str(plot))
+    content: dict[str, Any] = json.loads(process.stdout)
     assert plot.read_bytes().startswith(b"\x89PNG")
-    return found | {"code": done.returncode, "stderr": done.stderr, "port": port}
+    return content | {"code": process.returncode, "stderr": process.stderr, "port": port}
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def open_folder() -> Iterator[Path]:
 
 
 def named(result: dict[str, Any], name: str) -> dict[str, str]:
-    (check,) = (one for one in result["checks"] if one["name"] == name)
+    (check,) = (check for check in result["checks"] if check["name"] == name)
     return check
 
 
@@ -95,7 +95,7 @@ def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, A
     assert check["state"] == "bad"
     assert str(result["port"]) in check["seen"] and "end the program that uses it" in check["remedy"]
     assert result["code"] == Unfit.exit_code
-    bad = [one["name"] for one in result["checks"] if one["state"] == "bad"]
+    bad = [check["name"] for check in result["checks"] if check["state"] == "bad"]
     assert all(name in result["stderr"] for name in bad)
     assert result["states"]["bad"] == len(bad)
     assert "Traceback" not in result["stderr"]
@@ -110,7 +110,7 @@ def test_figures_come_from_a_run_at_the_rigs_rate(result: dict[str, Any]) -> Non
     assert f"p99 {servo['late']['p99'] * 1e6:.0f} us" in named(result, "wake-up lateness")["seen"]
 
 
-def test_settings_are_really_made_and_given_back() -> None:
+def test_settings_are_applied_and_restored() -> None:
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
     rig = load_rig("replay", {"servo.cpu": min(os.sched_getaffinity(0))})
     checks = {check.name.removeprefix("real time, "): check for check in loop.settings(rig)}
@@ -122,7 +122,7 @@ def test_settings_are_really_made_and_given_back() -> None:
 @pytest.mark.parametrize(("mode", "state"), [("auto", "could be better"), ("require", "bad")])
 def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: str) -> None:
     rig = load_rig("replay", {"servo.cpu": 1023, "servo.realtime": mode})
-    (check,) = (one for one in loop.settings(rig) if one.name == "real time, affinity")
+    (check,) = (check for check in loop.settings(rig) if check.name == "real time, affinity")
     assert check.state == state
     assert "processor 1023" in check.seen
     assert "servo.cpu" in check.remedy
@@ -148,14 +148,14 @@ def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: 
     assert "install gcc" in checks[1].seen
     if missed > 0:
         assert "isolcpus" in checks[0].remedy and "servo.cpu" in checks[1].remedy
-    beside = loop.judge_loop(result | {"c": {"late": {"p99": 40e-6}}})
-    assert "the same loop in C 40 us" in beside[1].seen
+    with_c = loop.judge_loop(result | {"c": {"late": {"p99": 40e-6}}})
+    assert "the same loop in C 40 us" in with_c[1].seen
 
 
 def test_the_share_of_the_steps_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     def measured(*words: Any) -> Any:
-        with progress("measuring", 2) as done:
-            done(1)
+        with progress("measuring", 2) as show:
+            show(1)
         return check
 
     check, shares = Check("a", "good", "", ""), collect_shares(monkeypatch)
@@ -192,9 +192,9 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
     ):  # fmt: skip
         assert check.state == "could be better", check
         assert remedy in check.remedy
-    seen = machine.virtual(worse).seen
-    assert "virtual machine (QEMU), 10.00% of its time taken by its host" in seen
-    assert "container" in seen
+    details = machine.virtual(worse).seen
+    assert "virtual machine (QEMU), 10.00% of its time taken by its host" in details
+    assert "container" in details
     assert "two threads to a core, isolated: 3" in machine.processors(worse).seen
 
 
@@ -212,8 +212,8 @@ def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
     (own,) = attached.devices(load_rig("spacemouse"), [puck])
-    (other,) = attached.devices(load_rig("replay"), [puck])
-    assert (own.state, other.state) == ("bad", "could be better")
+    (attached_puck,) = attached.devices(load_rig("replay"), [puck])
+    assert (own.state, attached_puck.state) == ("bad", "could be better")
     assert "--device" in own.remedy
     (absent,) = attached.devices(load_rig("spacemouse"), [])
     assert (absent.name, absent.state) == ("device of the rig", "bad")
@@ -225,10 +225,10 @@ def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("problem", "seen", "remedy"),
+    ("problem", "reason", "remedy"),
     [("rights", "may not write to", "install --system"), ("held", "is used by process", "kill ")],
 )
-def test_a_node_that_cannot_be_used_is_bad(problem: str, seen: str, remedy: str, open_folder: Path) -> None:
+def test_a_node_that_cannot_be_used_is_bad(problem: str, reason: str, remedy: str, open_folder: Path) -> None:
     node, user = open_folder / "hidraw5", os.geteuid()
     node.write_bytes(b"")
     puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(node))
@@ -245,7 +245,7 @@ def test_a_node_that_cannot_be_used_is_bad(problem: str, seen: str, remedy: str,
         finally:
             os.seteuid(user)
     assert check.state == "bad"
-    assert seen in check.seen and remedy in check.remedy
+    assert reason in check.seen and remedy in check.remedy
 
 
 def test_a_cache_that_others_may_write_is_bad(open_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,9 +19,8 @@ SCRIPT = Path(__file__).parents[1] / "exchange_cost.py"
 def test_every_driver_is_measured(tmp_path: Path) -> None:
     figure = tmp_path / "cost.png"
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json", "--plot", str(figure))
-    done = run_program(command)
-    assert done.returncode == 0, done.stderr
-    content = json.loads(done.stdout)
+    process = run_program(command, check=True)
+    content = json.loads(process.stdout)
     assert content["ticks"] == 300
     assert list(content["seconds"]) == [
         "forcedimension",
@@ -33,8 +32,8 @@ def test_every_driver_is_measured(tmp_path: Path) -> None:
         "openhaptics",
         "spacemouse",
     ]
-    for name, one in content["seconds"].items():
+    for name, costs in content["seconds"].items():
         # a stall of the machine may exceed the drivers' time limits
-        assert one["whole"] > (0.5 if name in ("haply", "openhaptics") else 0.9), name  # other threads answer these
-        assert one["driver"] == pytest.approx(one["bare"] + one["own"], rel=1e-9)
-        assert one["bare"] > 0.0 and one["least"] <= one["most"]
+        assert costs["whole"] > (0.5 if name in ("haply", "openhaptics") else 0.9), name  # other threads answer these
+        assert costs["driver"] == pytest.approx(costs["bare"] + costs["own"], rel=1e-9)
+        assert costs["bare"] > 0.0 and costs["least"] <= costs["most"]

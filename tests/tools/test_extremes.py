@@ -30,7 +30,7 @@ def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
 
 
 @pytest.mark.scaled
-def test_garbage_never_leaves_the_rules(cases):
+def test_garbage_breaks_no_rule(cases):
     for row in hostile.try_hostile(cases(400, 60_000)):
         assert row["broken"] == 0
         # A quarter of the samples have at least one corrupted number, with 1 - (7/8)^7 = 61 %; half of these numbers
@@ -64,7 +64,7 @@ PERIOD = 0.001
         (AT.torque, 0.051),
     ],
 )
-def test_judge_sees_every_broken_rule(at, value):
+def test_judge_detects_every_broken_rule(at, value):
     records = sound_records()
     assert extremes.count_violations(records, PERIOD) == 0
     records[-1, at] = value
@@ -82,7 +82,7 @@ def test_judge_detects_wrongly_accepted_and_refused_poses():
 
 @pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.cases()])
 def test_the_guard_limits_arbitrary_wrenches(wrenches_of):
-    (wrong,) = [wrong for given, _, _, _, wrong in wrenches.try_wrenches() if given == wrenches_of]
+    (wrong,) = [wrong for wrenches_tried, _, _, _, wrong in wrenches.try_wrenches() if wrenches_tried == wrenches_of]
     assert wrong == ""
 
 

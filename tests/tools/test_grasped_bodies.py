@@ -17,23 +17,23 @@ CELL = CellResult("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4
 
 def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
     cell = Cell("hold", 0.1, 1000.0)
-    there = bodies.approach_path(cell)
-    way = np.concatenate([there, there[::-1]])
-    played = bodies.play(bodies.begin(cell, tmp_path), way)
-    carried = played.force[len(there) - 1].sum(axis=0)
+    approach = bodies.approach_path(cell)
+    path = np.concatenate([approach, approach[::-1]])
+    played = bodies.play(bodies.begin(cell, tmp_path), path)
+    carried = played.force[len(approach) - 1].sum(axis=0)
     assert carried[2] == pytest.approx(-cell.mass * bodies.G, rel=0.05)  # it swings a little after the lift
     assert played.unbalanced <= 1e-12
     assert bodies.slips(played.mode[bodies.LEG : -bodies.LEG]) == 0
-    assert np.sum(played.force[:-1] * np.diff(way, axis=0)) < 0.0
+    assert np.sum(played.force[:-1] * np.diff(path, axis=0)) < 0.0
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("case", ["drag", "hold"])
 def test_a_body_comes_to_rest(case: str) -> None:
-    found = bodies.measure(Cell(case, 0.1, 1000.0))
-    assert (found.verdict, found.slips) == ("rests", 0)
-    assert found.left is not None and found.left < bodies.AT_REST
-    assert bodies_table.wrong([found]) == []
+    result = bodies.measure(Cell(case, 0.1, 1000.0))
+    assert (result.verdict, result.slips) == ("rests", 0)
+    assert result.left is not None and result.left < bodies.AT_REST
+    assert bodies_table.wrong([result]) == []
 
 
 @pytest.mark.exhaustive
@@ -70,21 +70,21 @@ def test_a_body_too_light_for_the_tick_is_reported(monkeypatch: pytest.MonkeyPat
     ],
 )
 def test_the_motion_after_a_knock_is_classified(changes: dict[str, float], touching: bool, verdict: str) -> None:
-    found = bodies.judge(CELL._replace(**changes), touching)  # type: ignore[arg-type]
-    assert found.verdict == verdict
-    assert bool(found.reason) == (verdict != "rests")
+    result = bodies.judge(CELL._replace(**changes), touching)  # type: ignore[arg-type]
+    assert result.verdict == verdict
+    assert bool(result.reason) == (verdict != "rests")
 
 
 def test_the_table_names_bodies_that_do_not_come_to_rest() -> None:
     rests, stiff = CELL._replace(verdict="rests"), {"stiffness_n_per_m": 3000.0}
-    gone = CELL._replace(mass_kg=1.0, verdict="lost", reason="too deep", ripple_n=2e-3, given_j=-2.0, left=None)
-    found = [rests, rests._replace(**stiff), gone, rests._replace(mass_kg=1.0, unbalanced_n=3e-12, **stiff)]
-    assert bodies_table.case_table(found).splitlines()[2] == (
+    lost = CELL._replace(mass_kg=1.0, verdict="lost", reason="too deep", ripple_n=2e-3, given_j=-2.0, left=None)
+    results = [rests, rests._replace(**stiff), lost, rests._replace(mass_kg=1.0, unbalanced_n=3e-12, **stiff)]
+    assert bodies_table.case_table(results).splitlines()[2] == (
         "| hold | 2 mN | 0 | -0.1 mJ | 3e-12 N | lost in 1 of 4: too deep |"
     )
-    assert bodies_table.wrong(found) == [found[3]]
+    assert bodies_table.wrong(results) == [results[3]]
     assert bodies_table.wrong([rests._replace(given_j=1e-9)]) != []
-    assert [line.split()[:3] for line in bodies_table.lines(found)[2:]][2] == ["hold", "1", "kg"]
+    assert [line.split()[:3] for line in bodies_table.lines(results)[2:]][2] == ["hold", "1", "kg"]
 
 
 def test_a_panel_is_drawn_for_each_case(tmp_path: Path) -> None:

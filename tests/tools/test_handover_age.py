@@ -19,22 +19,21 @@ SCRIPT = Path(__file__).parents[1] / "handover_age.py"
 @pytest.mark.exhaustive
 def test_every_driver_is_measured() -> None:
     command = (sys.executable, str(SCRIPT), "--ticks", "300", "--json")
-    done = run_program(command)
-    assert done.returncode == 0, done.stderr
-    content = json.loads(done.stdout)
+    process = run_program(command, check=True)
+    content = json.loads(process.stdout)
     assert content["ticks"] == 300
     measured = ["haply", *(["openhaptics"] if COMPILER else []), "serial, answer", "serial, stream"]
     assert list(content["seconds"]) == measured
-    for name, one in content["seconds"].items():
-        for what, share in (("pose", "new"), ("force", "arrived")):
-            assert 0.0 < one[what]["p50"] <= one[what]["p99"] <= one[what]["most"] < 1.0, name
-            assert 0.0 < one[share] <= 1.0, name
+    for name, ages in content["seconds"].items():
+        for quantity, share in (("pose", "new"), ("force", "arrived")):
+            assert 0.0 < ages[quantity]["p50"] <= ages[quantity]["p99"] <= ages[quantity]["most"] < 1.0, name
+            assert 0.0 < ages[share] <= 1.0, name
 
 
 def test_a_force_is_found_by_its_size() -> None:
     tool = importlib.import_module("handover_age")
     written = np.array([1.0, 1.001, 1.002, 1.003])
     first, third = tool.LOWEST_N, tool.LOWEST_N + 2 * tool.STEP_N
-    taken = np.array([[1.0004, first], [1.0009, first], [1.0027, third], [1.5, 0.0]])
-    found = tool.force_ages(taken, written)
-    np.testing.assert_allclose(found, [0.0004, np.nan, 0.0007, np.nan], atol=1e-12)  # rounding
+    arrivals = np.array([[1.0004, first], [1.0009, first], [1.0027, third], [1.5, 0.0]])
+    ages = tool.force_ages(arrivals, written)
+    np.testing.assert_allclose(ages, [0.0004, np.nan, 0.0007, np.nan], atol=1e-12)  # rounding

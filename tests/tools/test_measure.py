@@ -22,15 +22,15 @@ pytestmark = pytest.mark.plain
 def test_a_stall_spoils_the_percentiles_of_one_block_only() -> None:
     block = np.arange(1.0, 101.0)
     # the remainder is not a block
-    found = quantiles(np.concatenate([block, block, 100.0 * block, block, block, [7.0]]), 100)
-    assert found["max"] == 10_000.0 and found["p99"] > 100.0
+    result = quantiles(np.concatenate([block, block, 100.0 * block, block, block, [7.0]]), 100)
+    assert result["max"] == 10_000.0 and result["p99"] > 100.0
     # Percentiles of 1 to 100 by linear interpolation: 1 + 99 q.
-    assert found["blocks"] == pytest.approx({"p50": 50.5, "p99": 99.01, "p999": 99.901, "max": 100.0}, rel=1e-12)
+    assert result["blocks"] == pytest.approx({"p50": 50.5, "p99": 99.01, "p999": 99.901, "max": 100.0}, rel=1e-12)
 
 
 def test_fewer_values_than_a_block_are_one() -> None:
-    found = quantiles(np.array([3.0, 1.0, 2.0]), 100)
-    assert found.pop("blocks") == found == {"p50": 2.0, "p99": 2.98, "p999": 2.998, "max": 3.0}
+    result = quantiles(np.array([3.0, 1.0, 2.0]), 100)
+    assert result.pop("blocks") == result == {"p50": 2.0, "p99": 2.98, "p999": 2.998, "max": 3.0}
 
 
 def test_deadlines_missed_before_a_measurement_do_not_count() -> None:
@@ -52,7 +52,7 @@ def test_a_scene_of_more_geoms_has_the_same_code(tmp_path: Path) -> None:
 
 def test_bodies_of_a_bench_lie_on_their_floor(tmp_path: Path) -> None:
     described = scene_of_geoms(8, 1000.0, tmp_path)
-    objects = [(thing.name, thing.shape) for thing in load_scene(described).object]
+    objects = [(entry.name, entry.shape) for entry in load_scene(described).object]
     assert [name for name, _ in objects] == [f"{kind}-{n}" for n, kind in enumerate(2 * list(KINDS))]
     model = mujoco.MjModel.from_xml_path(described["world"]["model"])
     data = mujoco.MjData(model)

@@ -12,7 +12,7 @@ import pytest
 from helpers import meshes
 from helpers.programs import run_program
 from helpers.surface_hand import hand
-from helpers.touching import R, saved, scene_with, thing
+from helpers.touching import R, make_object, scene_with, write_part
 from references.brute_force import balls_of, brute_distances
 from references.triangles import distances
 
@@ -27,31 +27,32 @@ SCRIPT = Path(__file__).parents[1] / "mesh_truth.py"
 def test_a_ball_is_true(tmp_path: Path) -> None:
     """Distances to 1e-9 of its size, a proxy that is never inside, and times of ticks; exit code 0."""
     words = ["ball", "--points", "300", "--ticks", "1000", "--json"]
-    done = run_program((sys.executable, str(SCRIPT), *words))
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)["ball"]
-    assert found["distances"]["points"] == 300 and found["distances"]["error"] < 1e-9
-    assert found["hand"]["touching"] > 100 and found["hand"]["inside"] == found["hand"]["through"] == 0
-    assert 0.0 < found["tick_us"]["p50"] <= found["tick_us"]["longest"]
+    process = run_program((sys.executable, str(SCRIPT), *words), check=True)
+    result = json.loads(process.stdout)["ball"]
+    assert result["distances"]["points"] == 300 and result["distances"]["error"] < 1e-9
+    assert result["hand"]["touching"] > 100 and result["hand"]["inside"] == result["hand"]["through"] == 0
+    assert 0.0 < result["tick_us"]["p50"] <= result["tick_us"]["longest"]
 
 
 def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:
     ball = meshes.geodesic(8, 0.05)
-    scene = scene_with(thing("part", "mesh", file=saved(tmp_path, *ball)))
+    scene = scene_with(make_object("part", "mesh", file=write_part(tmp_path, *ball)))
     true, larger = balls_of(*ball), balls_of(1.01 * ball.vertices, ball.triangles)
     rng = np.random.default_rng(0)
-    held = mesh_truth.check_ticks(scene, true, hand(ball, 500, R, rng), R)
+    ticks = mesh_truth.check_ticks(scene, true, hand(ball, 500, R, rng), R)
     away = mesh_truth.check_distances(scene, true, 200, rng)
-    assert held["touching"] > 50 and not mesh_truth.is_wrong({"hand": held, "distances": away})
-    found = mesh_truth.check_ticks(scene, larger, hand(ball, 500, R, rng), R)
-    assert found["inside"] > 0 and found["deepest"] > 0.01
-    assert mesh_truth.is_wrong({"hand": found})
+    assert ticks["touching"] > 50 and not mesh_truth.is_wrong({"hand": ticks, "distances": away})
+    result = mesh_truth.check_ticks(scene, larger, hand(ball, 500, R, rng), R)
+    assert result["inside"] > 0 and result["deepest"] > 0.01
+    assert mesh_truth.is_wrong({"hand": result})
     assert mesh_truth.check_distances(scene, larger, 200, rng)["error"] > 1e-3
 
 
 def test_a_position_that_is_not_a_number_is_near_nothing(tmp_path: Path) -> None:
     """Compiled: a comparison with NaN is false, so the search would accept all boxes, also the empty ones."""
-    mesh = build_scene(scene_with(thing("part", "mesh", file=saved(tmp_path, *meshes.geodesic(8, 0.05))))).objects.body
+    mesh = build_scene(
+        scene_with(make_object("part", "mesh", file=write_part(tmp_path, *meshes.geodesic(8, 0.05))))
+    ).objects.body
     values = [(x, y, z) for x in (0.0, np.nan, np.inf) for y in (0.1, np.nan) for z in (0.0, -np.inf, np.nan)]
     points = np.array([value for value in values if not np.isfinite(value).all()])
     results = np.zeros((len(points), 3))
@@ -61,9 +62,9 @@ def test_a_position_that_is_not_a_number_is_near_nothing(tmp_path: Path) -> None
 
 def test_a_path_through_a_sheet_is_detected() -> None:
     balls = balls_of(*meshes.sheet(0.1, 0.1, 3, 3))
-    over, under, beside = np.array([0.05, 0.05, 0.03]), np.array([0.05, 0.04, -0.04]), np.array([0.2, 0.05, 0.03])
+    over, under, away = np.array([0.05, 0.05, 0.03]), np.array([0.05, 0.04, -0.04]), np.array([0.2, 0.05, 0.03])
     assert mesh_truth.goes_through(balls, over, under, R)
-    assert not mesh_truth.goes_through(balls, over, beside, R)
+    assert not mesh_truth.goes_through(balls, over, away, R)
 
 
 def test_pruned_search_equals_brute_force() -> None:

@@ -74,8 +74,8 @@ def test_gauss_frame_against_differences(name: str) -> None:
             # Differences of second order: h^2 times third derivatives of order 1, relative to 1 m and 1 / m.
             assert d[0] == pytest.approx(here.metric[i] * frame[:, i], abs=1e-10)
             columns.append((frame[:, :2].T @ d[3] / here.metric[i], frame[:, 1] @ d[1] / here.metric[i]))
-        found = np.column_stack([k for k, _ in columns])
-        assert found == pytest.approx(np.diag(here.curvature), abs=1e-7)
+        form = np.column_stack([k for k, _ in columns])
+        assert form == pytest.approx(np.diag(here.curvature), abs=1e-7)
         assert [t for _, t in columns] == pytest.approx(here.torsion, abs=1e-7)
 
 

@@ -59,14 +59,14 @@ def rig(home: Path, driver: str, *lines: str) -> str:
 
 def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
     output = probing("--rig", rig(home, "replay", 'recording = "tap"', "loop = true", 'forces = "forces.npz"'))
-    found = checked(home / "softfinger-replay-report.json", home)
-    assert found["complete"] and not found["guided"]
-    assert found["exchange"]["ticks"] == 1000 and found["rest"]["ticks"] == 200
+    report = checked(home / "softfinger-replay-report.json", home)
+    assert report["complete"] and not report["guided"]
+    assert report["exchange"]["ticks"] == 1000 and report["rest"]["ticks"] == 200
     # five parts that follow each other, as one: no gap is in their time
-    assert found["exchange"]["seconds"] == pytest.approx(1.0, rel=0.2)
-    assert found["buttons"] == {"masks": [0]} and found["moves"] == found["pushes"] == []
+    assert report["exchange"]["seconds"] == pytest.approx(1.0, rel=0.2)
+    assert report["buttons"] == {"masks": [0]} and report["moves"] == report["pushes"] == []
     assert not np.load(home / "forces.npz")["force"].any()
-    low, high = found["range"]["position_min_m"][2] * 1e3, found["range"]["position_max_m"][2] * 1e3
+    low, high = report["range"]["position_min_m"][2] * 1e3, report["range"]["position_max_m"][2] * 1e3
     assert f"z  up: {low:.1f} to {high:.1f} mm" in output and "x  right: " in output
     assert "new samples a second, the rig asks for 1000" in output
     assert "attach it to an issue" in output
@@ -75,11 +75,11 @@ def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
 def test_answers_about_pushes_are_in_the_report(probing: Probing, home: Path) -> None:
     still = rig(home, "simulated", "position_m = [0.0, 0.0, 0.03]")
     output = probing("mine.json", "--rig", still, "--push", typed="\n\nright\naway from me\n up \n")
-    found = checked(home / "mine.json", home)
-    assert found["guided"] and [move["seen"] for move in found["moves"]] == ["no motion"] * 3
-    assert [push["felt"] for push in found["pushes"]] == ["right", "away from me", "up"]
-    assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
-    assert all(push["largest_n"] == pytest.approx(probe.PUSH_N, rel=1e-3) for push in found["pushes"])
+    report = checked(home / "mine.json", home)
+    assert report["guided"] and [move["seen"] for move in report["moves"]] == ["no motion"] * 3
+    assert [push["felt"] for push in report["pushes"]] == ["right", "away from me", "up"]
+    assert [push["seen"] for push in report["pushes"]] == ["+x", "+y", "+z"]
+    assert all(push["largest_n"] == pytest.approx(probe.PUSH_N, rel=1e-3) for push in report["pushes"])
     assert "push along +y: +y; felt: away from me" in output
     assert "right --> no motion   WRONG: it has to be +x" in output
 
@@ -89,14 +89,14 @@ def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
     named = rig(home, "openhaptics", f'library_file = "{hd.path}"', "force_age_max_s = 0.1")
     hd["buttons"] = 2
     probing("--rig", named)
-    found = checked(home / "softfinger-openhaptics-report.json", home)
-    assert found["device"]["name"] == "Touch, serial ...01"
-    assert hd.path.name in found["maker_library"]  # of this process, which other tests share
-    assert found["buttons"] == {"masks": [2]} and hd["peak"] == 0.0
+    report = checked(home / "softfinger-openhaptics-report.json", home)
+    assert report["device"]["name"] == "Touch, serial ...01"
+    assert hd.path.name in report["maker_library"]  # of this process, which other tests share
+    assert report["buttons"] == {"masks": [2]} and hd["peak"] == 0.0
     probing("--rig", named, "--push")
-    found = checked(home / "softfinger-openhaptics-report.json", home)
-    assert [push["seen"] for push in found["pushes"]] == ["+x", "+y", "+z"]
-    assert [push["felt"] for push in found["pushes"]] == ["", "", ""]
+    report = checked(home / "softfinger-openhaptics-report.json", home)
+    assert [push["seen"] for push in report["pushes"]] == ["+x", "+y", "+z"]
+    assert [push["felt"] for push in report["pushes"]] == ["", "", ""]
     force = hd.journal()["force"]
     # the library's axes: x right, y up, z towards the user
     assert force.max(axis=0) == pytest.approx([0.2] * 3, rel=0.02)

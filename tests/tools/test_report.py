@@ -56,20 +56,20 @@ def test_the_archive_has_every_part_and_no_private_data(
         for member in archive:
             assert member.uname == "" and member.uid == 0 and member.mtime == 0
         archive.extractall(tmp_path / "out", filter="data")
-    found = tmp_path / "out" / PREFIX
-    assert {path.name for path in found.rglob("*.*")} == {
+    folder = tmp_path / "out" / PREFIX
+    assert {path.name for path in folder.rglob("*.*")} == {
         "report.json", "rig.json", "scene.json", "log.txt", "new.mcap",
     }  # fmt: skip
-    content = json.loads((found / "report.json").read_text())
+    content = json.loads((folder / "report.json").read_text())
     assert content["softfinger"] and content["doctor"]["checks"]
-    assert json.loads((found / "rig.json").read_text())["guard"]["force_max_n"] == rig.guard.force_max_n
-    assert "hand.toml" in (found / "log.txt").read_text()
-    parts = list(read_contents(found / "blackbox" / "new.mcap"))
+    assert json.loads((folder / "rig.json").read_text())["guard"]["force_max_n"] == rig.guard.force_max_n
+    assert "hand.toml" in (folder / "log.txt").read_text()
+    parts = list(read_contents(folder / "blackbox" / "new.mcap"))
     copied = [part.records() for part in parts if isinstance(part, TickBlock)]
     assert sum(map(len, copied)) == 500 and copied[0][0].tolist() == ticks[0].tolist()
     told_texts = json.dumps([part.event for part in parts if isinstance(part, Event)])
     told_texts += json.dumps([part.value for part in parts if isinstance(part, Note)])
-    told_texts += "".join(path.read_text() for path in found.rglob("*.*") if path.suffix != ".mcap")
+    told_texts += "".join(path.read_text() for path in folder.rglob("*.*") if path.suffix != ".mcap")
     for word in filter(None, private):
         assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", told_texts), word
 

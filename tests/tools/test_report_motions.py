@@ -28,7 +28,7 @@ def poses(position: np.ndarray, orientation: np.ndarray | None = None) -> np.nda
 
 
 @pytest.mark.parametrize(
-    ("way", "seen"),
+    ("direction", "motion"),
     [
         ((0.03, 0.005, 0.0), "+x"),
         ((0.0, -0.04, 0.01), "-y"),
@@ -37,14 +37,14 @@ def poses(position: np.ndarray, orientation: np.ndarray | None = None) -> np.nda
         ((0.02, 0.02, 0.0), "not along one axis"),
     ],
 )
-def test_a_motion_has_an_axis_and_a_sense(way: tuple[float, float, float], seen: str) -> None:
+def test_a_motion_has_an_axis_and_a_sense(direction: tuple[float, float, float], motion: str) -> None:
     share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
-    path = share * np.array(way) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
+    path = share * np.array(direction) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
     result = motions.move("ask", "translation", "+x", poses(path))
     assert result is not None
-    assert result["seen"] == seen
-    assert result["agrees"] == (seen == "+x")
-    np.testing.assert_allclose(result["vector"], way, atol=1e-12)  # rounding of a median
+    assert result["seen"] == motion
+    assert result["agrees"] == (motion == "+x")
+    np.testing.assert_allclose(result["vector"], direction, atol=1e-12)  # rounding of a median
 
 
 def test_a_turn_is_the_rotation_between_first_and_last() -> None:
@@ -52,7 +52,7 @@ def test_a_turn_is_the_rotation_between_first_and_last() -> None:
     start = Rotation.from_rotvec([0.3, -0.2, 0.5])
     turn = np.array([0.05, -0.02, 0.6])
     ways = [Rotation.from_rotvec(share * turn) * start for share in np.linspace(0.0, 1.0, 50)]
-    orientation = np.array([np.roll(one.as_quat(), 1) for one in ways])  # scipy has w last
+    orientation = np.array([np.roll(rotation.as_quat(), 1) for rotation in ways])  # scipy has w last
     orientation[25:] *= -1.0
     result = motions.move("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
     assert result is not None
@@ -88,14 +88,14 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
     def slope(at: float, state: np.ndarray) -> list[float]:
         return [state[1], (sign * force(at) - damping * state[1] - stiffness * state[0]) / mass]
 
-    way = solve_ivp(slope, (0.0, seconds), [0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-12).y[0]
-    rows = poses(np.stack([np.zeros_like(way), way, np.zeros_like(way)], axis=1))
+    travel = solve_ivp(slope, (0.0, seconds), [0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-12).y[0]
+    rows = poses(np.stack([np.zeros_like(travel), travel, np.zeros_like(travel)], axis=1))
     rows[:, FORCE + 2] = force(t)
     return rows
 
 
 @pytest.mark.parametrize(
-    ("held", "plus", "minus"),
+    ("holding", "plus", "minus"),
     [
         ((0.2, 5.0, 500.0), "+y", "free handle, or the wrong sign"),  # a hand that springs back
         ((0.2, 40.0, 100.0), "+y", "-y"),  # a soft hand
@@ -103,12 +103,12 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
         ((2.0, 0.1, 1e-6), "free handle, or the wrong sign", "+y"),  # a free mass, which must be held for an answer
     ],
 )  # fmt: skip
-def test_a_push_tells_axis_and_sign(held: tuple[float, float, float], plus: str, minus: str) -> None:
-    for sign, said in ((1.0, plus), (-1.0, minus)):
-        result = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *held))
+def test_a_push_shows_axis_and_sign(holding: tuple[float, float, float], plus: str, minus: str) -> None:
+    for sign, motion in ((1.0, plus), (-1.0, minus)):
+        result = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *holding))
         assert result is not None
         assert result["axis"] == "+z" and result["moved_axis"] == "y"
-        assert said in result["seen"], result
+        assert motion in result["seen"], result
         assert result["share"] > 0.8  # a free mass also drifts off, which is not a part of the fit
 
 

@@ -67,17 +67,17 @@ def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: priva
     assert somebody.clean(dirty) == {"driver": USER, "a": ["<user>", {"b": "on <host>"}], USER: 1.5, "none": None}
 
 
-def test_options_keep_no_folder() -> None:
-    given = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
+def test_options_contain_no_folder() -> None:
+    options = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
     want = {"firmware": "x.bin", "serial": "...56", "path": "/dev/hidraw0", "hand": {"recording": "b.csv"}}
-    assert privacy.options(given) == want
+    assert privacy.options(options) == want
 
 
 def test_a_working_folder_with_a_space_is_removed(somebody: privacy.Privacy) -> None:
     assert somebody.text(f"{Path.cwd()}/part/x.toml: fault; {Path.cwd()} is full") == "x.toml: fault; . is full"
 
 
-def test_scenes_and_rigs_keep_no_folder(somebody: privacy.Privacy) -> None:
+def test_scenes_and_rigs_contain_no_folder(somebody: privacy.Privacy) -> None:
     dirty = {"object": [{"file": "My Project/a.obj"}], "world": {"model": "Project-X/m"}, "directory": "Project-X"}
     want = {"object": [{"file": "a.obj"}], "world": {"model": "m"}, "directory": "..."}
     assert somebody.clean(dirty) == want
@@ -99,7 +99,7 @@ def test_the_questions_are_well_formed() -> None:
 
 
 def test_measurements_answer_their_questions() -> None:
-    empty, _ = report.begun(load_rig("falcon"), guided=False)
+    empty, _ = report.start_report(load_rig("falcon"), guided=False)
     assert not any(row["measured"] for row in answer_questions(empty))
     full = empty | {
         "moves": [{"asked": "move it up", "kind": "translation", "seen": "+z"}],

@@ -51,12 +51,12 @@ CASES = random_cases(50, seed=4)
 
 def jury(mass: float, damping: float, period: float) -> float:
     fading = np.exp(-damping * period / mass)
-    way = -np.expm1(-damping * period / mass) * mass / damping  # x after a tick per unit of speed
+    travel = -np.expm1(-damping * period / mass) * mass / damping  # x after a tick per unit of speed
     speed = -np.expm1(-damping * period / mass) / damping  # v after a tick per unit of force
-    push = (period - way) / damping  # x after a tick per unit of force
+    push = (period - travel) / damping  # x after a tick per unit of force
     # a1 = -(1 + fading - K push), a0 = fading (1 - K push) + K speed way
-    turning = (1.0 - fading) / (speed * way - fading * push)
-    flipping = 2.0 * (1.0 + fading) / (push * (1.0 + fading) - speed * way)
+    turning = (1.0 - fading) / (speed * travel - fading * push)
+    flipping = 2.0 * (1.0 + fading) / (push * (1.0 + fading) - speed * travel)
     return float(min(turning, flipping) if flipping > 0.0 else turning)
 
 
@@ -65,9 +65,9 @@ def jury(mass: float, damping: float, period: float) -> float:
 @pytest.mark.parametrize(("mass", "damping"), [(0.1, 0.5), (1.0, 10.0), (0.05, 40.0), (0.05, 900.0)])
 def test_linear_limit_is_that_of_jury(mass: float, damping: float, rate: float) -> None:
     """Without delay and wall damping the eigenvalues give the closed form."""
-    found = linear_limit(LinearLoop(mass, damping, 0.0, 1.0 / rate, 0))
+    limit = linear_limit(LinearLoop(mass, damping, 0.0, 1.0 / rate, 0))
     # The radius is taken to be 1 up to 1e-12; it grows with K by about half of b T / m, 1e-5 of it here at least.
-    assert found == pytest.approx(jury(mass, damping, 1.0 / rate), rel=1e-6)
+    assert limit == pytest.approx(jury(mass, damping, 1.0 / rate), rel=1e-6)
 
 
 def crossings(loop: LinearLoop) -> list[float]:
@@ -91,8 +91,8 @@ def crossings(loop: LinearLoop) -> list[float]:
     values = np.array([stiffness(angle) for angle in grid])
     turns = np.flatnonzero(np.diff(np.sign(values[:-1].imag)))
     angles = [brentq(lambda angle: stiffness(angle).imag, grid[i], grid[i + 1], xtol=1e-15) for i in turns]
-    found = [stiffness(angle).real for angle in [*angles, np.pi]]  # at z = -1 everything is real
-    return sorted(k for k in found if k > 0.0)
+    stiffnesses = [stiffness(angle).real for angle in [*angles, np.pi]]  # at z = -1 everything is real
+    return sorted(k for k in stiffnesses if k > 0.0)
 
 
 @pytest.mark.sampled(2)
@@ -185,9 +185,9 @@ def test_hand_and_filter_are_in_both() -> None:
 @pytest.mark.parametrize("variant", [name for name in VARIANTS if "encoder" not in name])
 def test_no_passive_wall_is_unstable(variant: str) -> None:
     for case in CASES[::5]:  # walls without damping are passive up to some stiffness
-        held = msgspec.structs.replace(case, **VARIANTS[variant])
-        damped = msgspec.structs.replace(held, wall_damping_ns_per_m=0.5 * held.damping_ns_per_m)
-        for inside in (held, damped):
+        variant_case = msgspec.structs.replace(case, **VARIANTS[variant])
+        damped = msgspec.structs.replace(variant_case, wall_damping_ns_per_m=0.5 * variant_case.damping_ns_per_m)
+        for inside in (variant_case, damped):
             bound = passive_limit(inside.linear())
             for share in (0.1, 0.5, 0.9, 0.999):
                 assert bound == 0.0 or not grows_at(inside, share * bound), (inside, share)
@@ -230,9 +230,9 @@ def test_limits_are_the_same_on_every_scheduler(tmp_path: Path) -> None:
 
 def test_random_runs_do_not_diverge_on_passive_walls() -> None:
     blocks = [RunBlock(number, 300, 1000, 0) for number in range(4)]
-    found = run_blocks(blocks)
-    assert found == run_blocks(blocks[:2]) + run_blocks(blocks[2:])
-    sums = {key: sum(part[key] for part in found) for key in found[0]}
+    parts = run_blocks(blocks)
+    assert parts == run_blocks(blocks[:2]) + run_blocks(blocks[2:])
+    sums = {key: sum(part[key] for part in parts) for key in parts[0]}
     assert sums["runs"] == 1200 and sums["passive_left"] == 0
     # A wall is drawn from a tenth to ten times the passive stiffness: a good part of either kind.
     assert 100 < sums["left"] < 600 and 200 < sums["passive"] < 800
@@ -257,12 +257,12 @@ def test_verb_gives_one_case(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.exhaustive
 def test_maps_are_reproducible(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    first, again, kept = tmp_path / "1.svg", tmp_path / "2.svg", str(tmp_path / "map.mcap")
-    words = ["--map", "all", "--points", "3", "--results", kept]
+    first, repeated, results = tmp_path / "1.svg", tmp_path / "2.svg", str(tmp_path / "map.mcap")
+    words = ["--map", "all", "--points", "3", "--results", results]
     rows = stability(capsys, *words, "--plot", str(first))["cases"]
     assert [row["map"] for row in rows] == ["zwidth"] * 3 + ["rate"] * 3 + ["delay"] * 9
-    assert stability(capsys, *words, "--plot", str(again))["cases"] == rows
-    assert first.read_bytes() == again.read_bytes()
+    assert stability(capsys, *words, "--plot", str(repeated))["cases"] == rows
+    assert first.read_bytes() == repeated.read_bytes()
     assert main(["stability", "--plot", str(tmp_path / "case.png")]) == 0
     assert (tmp_path / "case.png").read_bytes().startswith(b"\x89PNG")
 
@@ -272,8 +272,8 @@ def test_verb_times_random_runs(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     runs = stability(capsys, *words)["runs"]
     assert runs["runs"] == 1500 and runs["ticks"] <= 1500 * 50 and runs["passive_left"] == 0
     assert runs["million_runs_s"] == pytest.approx(1e9 / runs["ticks_per_s"])
-    kept = stability(capsys, *words)["runs"]
-    assert (kept["ticks"], kept["left"], kept["ticks_per_s"]) == (runs["ticks"], runs["left"], None)
+    resumed = stability(capsys, *words)["runs"]
+    assert (resumed["ticks"], resumed["left"], resumed["ticks_per_s"]) == (runs["ticks"], runs["left"], None)
 
 
 @pytest.mark.plain

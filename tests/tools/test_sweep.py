@@ -111,11 +111,11 @@ def test_a_dask_scheduler_resumes_with_the_same_bits(
     results = tmp_path / "cases.mcap"
     run_cases(roots, CASES[::2], label="test", results=results)
     computed.clear()
-    found = run_cases(roots, CASES, label="test", results=results, scheduler=scheduler, block=2)
+    values = run_cases(roots, CASES, label="test", results=results, scheduler=scheduler, block=2)
     assert not computed, "computed here, not by the workers"
-    assert bits(found) == bits(roots(CASES))
+    assert bits(values) == bits(roots(CASES))
     computed.clear()
-    assert bits(run_cases(roots, CASES, label="test", results=results)) == bits(found)
+    assert bits(run_cases(roots, CASES, label="test", results=results)) == bits(values)
     assert not computed
 
     monkeypatch.setattr(sweep, "CONNECT_S", 1.0)
@@ -130,11 +130,11 @@ def test_finished_blocks_outlive_an_error(tmp_path: Path) -> None:
     results = tmp_path / "cases.mcap"
     with pytest.raises(ArithmeticError, match="case 11"):
         run_cases(failing, CASES, label="test", results=results, block=3)
-    kept = len(results.read_bytes())
+    size = len(results.read_bytes())
     computed.clear()
     assert bits(run_cases(roots, CASES, label="test", results=results, block=3)) == bits(roots(CASES))
     first = computed[: -len(CASES)]
-    assert {9, 10, 11} <= set(first) < set(range(len(CASES))) and len(results.read_bytes()) > kept
+    assert {9, 10, 11} <= set(first) < set(range(len(CASES))) and len(results.read_bytes()) > size
 
 
 @pytest.mark.parametrize("damage", ["cut in a row", "cut at the end", "a bit flipped"])
@@ -148,11 +148,11 @@ def test_a_damaged_end_is_dropped_with_a_warning(damage: str, tmp_path: Path, ca
     results.write_bytes(data[: {"cut in a row": middle, "cut at the end": len(data) - 9}.get(damage, len(data))])
     computed.clear()
     with caplog.at_level(logging.WARNING):
-        found = run_cases(roots, CASES, label="test", results=results)
-    again = len(computed)
-    assert bits(found) == bits(roots(CASES))
+        values = run_cases(roots, CASES, label="test", results=results)
+    count = len(computed)
+    assert bits(values) == bits(roots(CASES))
     assert "cut short or damaged" in caplog.text
-    assert again == 0 if damage == "cut at the end" else 0 < again < len(CASES)
+    assert count == 0 if damage == "cut at the end" else 0 < count < len(CASES)
     caplog.clear()
     computed.clear()
     run_cases(roots, CASES, label="test", results=results)

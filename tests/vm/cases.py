@@ -52,7 +52,7 @@ class Cases:
 
     def listed(self, user: int | None = None, rig: str | None = None) -> list[dict[str, Any]]:
         """Return the devices of this kind that `devices` lists."""
-        return [one for one in attached(user, rig) if (one["vendor_id"], one["product_id"]) == self.ids]
+        return [device for device in attached(user, rig) if (device["vendor_id"], device["product_id"]) == self.ids]
 
     def exchanged(self, device: Gadget, count: int) -> Wanted:
         """Return a condition: more than `count` further packets."""
@@ -75,11 +75,11 @@ class Cases:
             yield device
 
     def test_closed_loop(self, tmp_path: Path, rig: str) -> None:
-        kept = tmp_path / "records.npy"
+        records_file = tmp_path / "records.npy"
         with gadget(self.kind, **STROKE) as device:
-            keep(rig, "paper-plane", TICKS, kept)
+            keep(rig, "paper-plane", TICKS, records_file)
             saw = device.seen()
-        self.agrees(np.load(kept), saw)
+        self.agrees(np.load(records_file), saw)
 
     def agrees(self, records: Any, saw: dict[str, Any]) -> None:
         """Check that all modes and the engine's forces are recorded and reached the device, and the last is zero."""
@@ -96,16 +96,16 @@ class Cases:
             assert not any(pressed.seen()[self.force])
 
     def test_unplugged_under_force(self, pressed: Gadget, rig: str) -> None:
-        told = f"{self.name} ({':'.join(self.ids)}) at /dev/"
-        with other_daemon() as other, pushing(rig, pressed, self.in_contact(pressed)) as running:
+        description = f"{self.name} ({':'.join(self.ids)}) at /dev/"
+        with other_daemon() as watcher, pushing(rig, pressed, self.in_contact(pressed)) as running:
             pressed.ask("make lost")
             assert running.end() == 4, running.err
             assert re.search(r"is gone .status -1 on (read|write).*plug it in again", running.err), running.err
-            other.says(f"detached: {told}")
+            watcher.says(f"detached: {description}")
             assert self.listed() == []
             pressed.ask("mend")
-            other.says(f"attached: {told}")
-            assert other.stop() == 0, other.err
+            watcher.says(f"attached: {description}")
+            assert watcher.stop() == 0, watcher.err
         self.works(pressed, rig)
 
     def test_a_second_program_reports_a_busy_device(self, pressed: Gadget, rig: str) -> None:
@@ -113,17 +113,17 @@ class Cases:
             with daemon(rig) as second:
                 assert second.end() == 4, second.err
             assert re.search(self.held.format(pid=running.pid), second.err), second.err
-            (found,) = self.listed()
-            assert found["state"] == "busy"
-            assert f"process {running.pid} " in found["reason"]
+            (device,) = self.listed()
+            assert device["state"] == "busy"
+            assert f"process {running.pid} " in device["reason"]
             assert running.stop() == 0, running.err
 
     def test_another_user_gets_instructions(self, pressed: Gadget, rig: str) -> None:
         with daemon(rig, user=NOBODY) as refused:
             assert refused.end() == 4, refused.err
         assert re.search(self.forbidden, refused.err), refused.err
-        (found,) = self.listed(user=NOBODY)
-        assert found["state"] == "permission"
+        (device,) = self.listed(user=NOBODY)
+        assert device["state"] == "permission"
         assert pressed.seen()[self.packets] == 0
 
     def test_silent_under_force(self, pressed: Gadget, rig: str) -> None:

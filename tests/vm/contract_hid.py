@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import ClassVar
 
 import pytest
-from helpers.asked_bench import AskedBench
 from helpers.hid_devices import rig_options
+from helpers.remote_bench import RemoteBench
 
 from softfinger.drivers.hid.device import HidDevice, open_device
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import RATE_HZ
 
 
-class Bench(AskedBench):
+class Bench(RemoteBench):
     """Bench on the gadget's arm through its node."""
 
     # An encoder count and 1 mA of a motor are 8 mN at the end, and the arm moves before it is queried.

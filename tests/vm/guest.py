@@ -25,15 +25,15 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
-from helpers.asked_bench import SOCKET
 from helpers.closed_loop import records_of_daemon
+from helpers.remote_bench import SOCKET
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import OK
 from softfinger.drivers.registry import open_device
 from softfinger.server import cli
 from softfinger.server.driver_contract import Servo as Caller
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.services import hotplug
 from softfinger.server.verbs import devices as _devices  # noqa: F401  (imported here, once)
@@ -82,9 +82,9 @@ class Gadget:
             end.connect(self.path)
             end.sendall(line.encode() + b"\n")
             with end.makefile() as stream:
-                said = stream.readline()
-        assert said or line == "quit", f"the gadget ended at {line}"
-        answer = json.loads(said or "null")
+                reply = stream.readline()
+        assert reply or line == "quit", f"the gadget ended at {line}"
+        answer = json.loads(reply or "null")
         assert not isinstance(answer, str), answer
         return answer
 
@@ -281,8 +281,8 @@ def attached(user: int | None = None, rig: str | None = None) -> list[dict[str, 
     """Return the devices of `softfinger devices --json`."""
     listing = softfinger("devices", "--json", *(() if rig is None else ("--rig", rig)), user=user)
     assert listing.end() == 0, listing.err
-    found: list[dict[str, Any]] = json.loads(listing.out)["devices"]
-    return found
+    devices: list[dict[str, Any]] = json.loads(listing.out)["devices"]
+    return devices
 
 
 def exchanges(rig: str, count: int) -> tuple[list[float], list[float]]:
@@ -298,14 +298,14 @@ def exchanges(rig: str, count: int) -> tuple[list[float], list[float]]:
                 servo.write(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)
                 spent = time.perf_counter() - begun
                 while True:
-                    asked = time.perf_counter()
+                    started = time.perf_counter()
                     status, _sample = servo.read()
                     now = time.perf_counter()
                     if status == OK:
                         break
                     time.sleep(0.0001)
                 cycles.append(1e3 * (now - begun))
-                ticks.append(1e3 * (spent + now - asked))
+                ticks.append(1e3 * (spent + now - started))
         print(json.dumps([cycles, ticks]))
         return 0
 
@@ -315,11 +315,11 @@ def exchanges(rig: str, count: int) -> tuple[list[float], list[float]]:
     return cycles, ticks
 
 
-def measured(what: str, ms: list[float]) -> None:
+def measured(quantity: str, ms: list[float]) -> None:
     """Store measured times (ms) for the runner, which prints them at the end."""
     p50, p99 = np.percentile(ms, (50, 99))
     with FIGURES.open("a") as file:
-        file.write(f"{what}: p50 {p50:.2f} ms, p99 {p99:.2f} ms, {len(ms)} times\n")
+        file.write(f"{quantity}: p50 {p50:.2f} ms, p99 {p99:.2f} ms, {len(ms)} times\n")
 
 
 def contract(module: Path, device: Gadget) -> tuple[str, int]:
@@ -342,7 +342,7 @@ def loaded() -> None:
     rig = load_rig("replay")
     with open_device(rig.device, rig.servo.rate_hz) as device:
         for scene in SCENES:
-            servo = Servo([device], make_tuning(load_scene(scene), rig.guard, [device.info]), rig.servo.rate_hz)
+            servo = ServoThread([device], make_tuning(load_scene(scene), rig.guard, [device.info]), rig.servo.rate_hz)
             servo.compile()
             servo.close()
 

@@ -49,8 +49,8 @@ def find(cache: Path, package: str | None = None) -> Kernel:
 
 
 def newest() -> str:
-    said = _output("apt-cache", "depends", META_PACKAGE)
-    match = re.search(r"Depends: (linux-image-\d\S+)", said)
+    output = _output("apt-cache", "depends", META_PACKAGE)
+    match = re.search(r"Depends: (linux-image-\d\S+)", output)
     if match is None:
         raise VmError(f"apt knows no kernel ({META_PACKAGE}): run `apt-get update`, or name one with --kernel")
     return match[1]
@@ -63,18 +63,18 @@ def unpack(package: str, folder: Path) -> None:
         work = Path(name)
         _output("apt-get", "download", "-qq", package, cwd=work)
         (archive,) = work.glob("*.deb")
-        whole, kept = work / "whole", work / "kept"
+        whole, reduced = work / "whole", work / "kept"
         _output("dpkg-deb", "-x", str(archive), str(whole))
-        kept.mkdir()
+        reduced.mkdir()
         (image,) = (whole / "boot").glob("vmlinuz-*")
-        shutil.copy(image, kept / "vmlinuz")
+        shutil.copy(image, reduced / "vmlinuz")
         (tree,) = whole.glob("**/lib/modules/*")
-        order = [_keep(path, kept) for path in in_order(tree, WANTED, package)]
-        (kept / "order").write_text("\n".join(order))
-        (kept / "wanted").write_text("\n".join(WANTED))
+        order = [_keep(path, reduced) for path in in_order(tree, WANTED, package)]
+        (reduced / "order").write_text("\n".join(order))
+        (reduced / "wanted").write_text("\n".join(WANTED))
         if folder.exists():
             shutil.rmtree(folder)
-        kept.rename(folder)
+        reduced.rename(folder)
 
 
 def in_order(tree: Path, wanted: tuple[str, ...], package: str) -> list[Path]:
@@ -89,8 +89,8 @@ def in_order(tree: Path, wanted: tuple[str, ...], package: str) -> list[Path]:
             return
         if name not in files:
             raise VmError(f"{package} has no module {module}: name another package with --kernel, not one for clouds")
-        for other in _depends(files[name]):
-            add(other)
+        for dependency in _depends(files[name]):
+            add(dependency)
         ordered[name] = files[name]
 
     for module in wanted:

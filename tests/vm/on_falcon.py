@@ -33,10 +33,10 @@ class TestCases(Cases):
         path.write_bytes(bytes(FIRMWARE_BYTES))
         with gadget("falcon", serial="SN7"):
             (without,) = self.listed()
-            (found,) = self.listed(rig=rig_with(tmp_path, firmware=str(path)))
-        assert (found["driver"], found["state"], without["state"]) == ("falcon", "usable", "firmware")
-        assert (found["serial"], found["name"], found["rigs"]) == ("SN7", self.name, ["falcon"])
-        assert re.fullmatch(self.node, found["node"])
+            (device,) = self.listed(rig=rig_with(tmp_path, firmware=str(path)))
+        assert (device["driver"], device["state"], without["state"]) == ("falcon", "usable", "firmware")
+        assert (device["serial"], device["name"], device["rigs"]) == ("SN7", self.name, ["falcon"])
+        assert re.fullmatch(self.node, device["node"])
         assert self.listed() == []
 
     def agrees(self, records: Any, saw: dict[str, Any]) -> None:
@@ -85,6 +85,6 @@ def test_firmware_is_sent_on_request(tmp_path: Path) -> None:
 
 def test_the_driver_contract() -> None:
     with gadget("falcon", place=[0.0, 0.0, 0.02]) as falcon:
-        said, code = contract(CONTRACT, falcon)
-    assert code == 0, said
-    assert re.search(r"^\d+ passed in", said, re.MULTILINE), said
+        output, code = contract(CONTRACT, falcon)
+    assert code == 0, output
+    assert re.search(r"^\d+ passed in", output, re.MULTILINE), output

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.rig_files import write_rig
 from test_hid_emulated import STROKE
 
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from vm import contract_hid
 from vm.cases import PRESS, TICKS, Cases
 from vm.guest import Gadget, contract, exchanges, gadget, keep, measured
@@ -33,19 +32,19 @@ class TestCases(Cases):
 
     def test_the_attached_device_is_listed(self) -> None:
         with gadget("woodenhaptics"):
-            (found,) = self.listed()
-        assert (found["driver"], found["state"], found["bus"]) == ("hid", "usable", self.bus)
-        assert (found["serial"], found["name"]) == ("SN42", self.name)
-        assert "woodenhaptics-2019" in found["rigs"]
-        assert re.fullmatch(self.node, found["node"])
+            (device,) = self.listed()
+        assert (device["driver"], device["state"], device["bus"]) == ("hid", "usable", self.bus)
+        assert (device["serial"], device["name"]) == ("SN42", self.name)
+        assert "woodenhaptics-2019" in device["rigs"]
+        assert re.fullmatch(self.node, device["node"])
         assert self.listed() == []
 
     def test_closed_loop_without_a_bus(self, tmp_path: Path, rig: str) -> None:
-        kept = tmp_path / "records.npy"
+        records_file = tmp_path / "records.npy"
         with gadget("woodenhaptics", bus="uhid", **STROKE) as arm:
-            keep(rig, "paper-plane", TICKS, kept)
+            keep(rig, "paper-plane", TICKS, records_file)
             saw = arm.seen()
-        self.agrees(np.load(kept), saw)
+        self.agrees(np.load(records_file), saw)
 
     def test_an_arm_that_takes_no_report(self, pressed: Gadget, rig: str) -> None:
         begun = time.monotonic()
@@ -58,10 +57,7 @@ class TestCases(Cases):
 @pytest.fixture
 def rig(tmp_path: Path) -> str:
     """The shipped rig, with time-outs for an emulated processor."""
-    text = find("woodenhaptics-2019", Rig).read_text()
-    path = tmp_path / "rig.toml"
-    path.write_text(text.replace('driver = "hid"\n', 'driver = "hid"\nkick_s = 0.1\ntimeout_s = 1.0\n'))
-    return str(path)
+    return str(write_rig(tmp_path, "woodenhaptics-2019", kick_s=0.1, timeout_s=1.0))
 
 
 def test_the_driver_contract() -> None:
@@ -70,9 +66,9 @@ def test_the_driver_contract() -> None:
     They run on the bus, where an unread report delays the next: uhid drops reports beyond its queue without an error.
     """
     with gadget("woodenhaptics", place=[0.0, 0.0, 0.02]) as arm:
-        said, code = contract(Path(contract_hid.__file__), arm)
-    assert code == 0, said
-    assert re.search(r"^\d+ passed in", said, re.MULTILINE), said
+        output, code = contract(Path(contract_hid.__file__), arm)
+    assert code == 0, output
+    assert re.search(r"^\d+ passed in", output, re.MULTILINE), output
 
 
 @pytest.mark.parametrize("bus", ["usb", "uhid"])

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.rig_files import write_rig
 
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from vm.cases import Cases
 from vm.guest import Gadget, exchanges, gadget, measured
 from vm.guest import loaded as loaded
@@ -32,11 +31,11 @@ class TestCases(Cases):
         """`devices` lists it by its port under its driver; the rig has to name it, because any Teensy has its ids.
         Unplugged, it is no longer listed."""
         with gadget("serialboard"):
-            (found,) = self.listed()
-        assert (found["driver"], found["state"], found["bus"]) == ("serial", "product", self.bus)
-        assert (found["serial"], found["name"]) == ("SN42", self.name)
-        assert found["rigs"] == ["woodenhaptics-v3"]
-        assert re.fullmatch(self.node, found["node"])
+            (device,) = self.listed()
+        assert (device["driver"], device["state"], device["bus"]) == ("serial", "product", self.bus)
+        assert (device["serial"], device["name"]) == ("SN42", self.name)
+        assert device["rigs"] == ["woodenhaptics-v3"]
+        assert re.fullmatch(self.node, device["node"])
         assert self.listed() == []
 
     def agrees(self, records: Any, saw: dict[str, Any]) -> None:
@@ -59,9 +58,4 @@ class TestCases(Cases):
 @pytest.fixture
 def rig(tmp_path: Path) -> str:
     """The shipped rig with the serial number of the board, and time-outs for an emulated processor."""
-    text = find("woodenhaptics-v3", Rig).read_text()
-    path = tmp_path / "rig.toml"
-    path.write_text(
-        text.replace('driver = "serial"\n', 'driver = "serial"\nserial = "SN42"\nquiet_s = 0.15\ntimeout_s = 1.0\n')
-    )
-    return str(path)
+    return str(write_rig(tmp_path, "woodenhaptics-v3", serial="SN42", quiet_s=0.15, timeout_s=1.0))

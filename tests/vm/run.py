@@ -57,8 +57,10 @@ def main() -> int:
     try:
         if args.plain:
             return boot(args.kernel, args.limit, args.plain, args.systemd)
-        asked = [(tests(words, systemd), systemd) for systemd in (False, True)]
-        codes = [boot(args.kernel, args.limit, shlex.join(command), systemd) for command, systemd in asked if command]
+        commands = [(tests(words, systemd), systemd) for systemd in (False, True)]
+        codes = [
+            boot(args.kernel, args.limit, shlex.join(command), systemd) for command, systemd in commands if command
+        ]
         return max(code for code in codes if code != NOT_ASKED_FOR or set(codes) == {NOT_ASKED_FOR})
     except kernel.VmError as error:
         print(f"vm: {error}", file=sys.stderr)
@@ -87,40 +89,40 @@ def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> in
         )
     cache = cache_folder()
     with step("1/4 kernel"):
-        found = kernel.find(cache, package)
+        linux = kernel.find(cache, package)
     environment = guest_environment()
     with step("2/4 kernels of softfinger, for the guest's processor"):
         warm(cache / "kernels", environment)
     with tempfile.TemporaryDirectory(prefix="softfinger-vm-") as name:
         folder = Path(name)
-        with step(f"3/4 first file system of {found.package}"):
-            (folder / "initramfs").write_bytes(initramfs.build(found))
+        with step(f"3/4 first file system of {linux.package}"):
+            (folder / "initramfs").write_bytes(initramfs.build(linux))
         shared = folder / "shared"
         shutil.copytree(cache / "kernels", shared / "kernels")
         if systemd:
             install_wheel(shared / "wheel")
         exports = "".join(f"export {key}={shlex.quote(value)}\n" for key, value in environment.items())
         (shared / "command").write_text(f"{exports}cd {shlex.quote(str(ROOT))}\n{command}\n")
-        said(f"4/4 {QEMU}, at most {limit_s:g} s")
-        ended = stream(qemu(found, folder, systemd), limit_s)
+        log(f"4/4 {QEMU}, at most {limit_s:g} s")
+        ended = stream(qemu(linux, folder, systemd), limit_s)
         if not ended:
-            said(f"ended after {limit_s:g} s: --limit gives more")
+            log(f"ended after {limit_s:g} s: --limit gives more")
             return TIMED_OUT
         try:
             code = int((shared / "code").read_text())
         except (OSError, ValueError):
-            said("the guest ended without a word")
+            log("the guest ended without a word")
             return NO_WORD
         if (figures := shared / "figures").exists():
-            print(f"measured on an emulated processor, {found.package}:\n{figures.read_text()}", end="")
+            print(f"measured on an emulated processor, {linux.package}:\n{figures.read_text()}", end="")
         return code
 
 
 def guest_environment() -> dict[str, str]:
     """Return the variables of the guest. Kernels compiled for a generic processor run here and in the guest."""
     keys = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "VIRTUAL_ENV")
-    kept = {key: os.environ[key] for key in keys if key in os.environ}
-    return kept | {
+    inherited = {key: os.environ[key] for key in keys if key in os.environ}
+    return inherited | {
         "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
         "HOME": "/run/tmp",
         "TMPDIR": "/run/tmp",
@@ -151,7 +153,7 @@ def install_wheel(folder: Path) -> None:
         raise kernel.VmError(f"the wheel cannot be built and installed (exit {process.returncode})")
 
 
-def qemu(found: kernel.Kernel, folder: Path, systemd: bool) -> list[str]:
+def qemu(linux: kernel.Kernel, folder: Path, systemd: bool) -> list[str]:
     """Return the command of the emulator: one serial line, two folders, no network."""
     arguments = "console=ttyS0 quiet panic=-1 mitigations=off tsc=reliable"
     if systemd:
@@ -161,7 +163,7 @@ def qemu(found: kernel.Kernel, folder: Path, systemd: bool) -> list[str]:
     return [
         *(QEMU, "-machine", "q35", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", str(MEMORY_MB)),
         *("-display", "none", "-serial", "stdio", "-monitor", "none", "-net", "none", "-no-reboot"),
-        *("-kernel", str(found.image), "-initrd", str(folder / "initramfs"), "-append", arguments),
+        *("-kernel", str(linux.image), "-initrd", str(folder / "initramfs"), "-append", arguments),
         *("-virtfs", root, "-virtfs", shared),
     ]  # fmt: skip
 
@@ -183,7 +185,7 @@ def stream(command: list[str], limit_s: float) -> bool:
                 return
             if now - last > SILENCE_S:
                 last = now
-                said(f"{now - begun:.0f} s ...")
+                log(f"{now - begun:.0f} s ...")
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
@@ -200,17 +202,17 @@ def stream(command: list[str], limit_s: float) -> bool:
     return not late
 
 
-def said(text: str) -> None:
+def log(text: str) -> None:
     print(f"vm: {text}", file=sys.stderr, flush=True)
 
 
 @contextmanager
-def step(what: str) -> Iterator[None]:
+def step(description: str) -> Iterator[None]:
     """Print a step, and its duration at the end."""
-    said(what)
+    log(description)
     begun = time.monotonic()
     yield
-    said(f"    {time.monotonic() - begun:.1f} s")
+    log(f"    {time.monotonic() - begun:.1f} s")
 
 
 if __name__ == "__main__":

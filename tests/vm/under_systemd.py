@@ -38,7 +38,7 @@ POLICY, RT_PRIORITY = 38, 37
 """Fields of /proc/PID/stat after the name, counted from 0 (proc(5) has them as 41 and 40)."""
 
 
-def ran(*words: str | Path, code: int = 0) -> str:
+def run(*words: str | Path, code: int = 0) -> str:
     """Run a command that has to exit with `code`, and return its output."""
     process = subprocess.run([*map(str, words)], capture_output=True, text=True, timeout=400)
     assert process.returncode == code, f"{words}: {process.returncode}\n{process.stdout}{process.stderr}\n{journal()}"
@@ -50,21 +50,21 @@ def journal() -> str:
     return process.stdout
 
 
-def shown(name: str) -> str:
-    return ran("systemctl", "show", "--value", "--property", name, "softfinger").strip()
+def show(name: str) -> str:
+    return run("systemctl", "show", "--value", "--property", name, "softfinger").strip()
 
 
-def comes(true: Callable[[], bool], seconds: float = 300.0) -> bool:
+def wait_for(true: Callable[[], bool], seconds: float = 300.0) -> bool:
     until = time.monotonic() + seconds
-    while not (found := true()) and time.monotonic() < until:
+    while not (value := true()) and time.monotonic() < until:
         time.sleep(0.2)
-    return found
+    return value
 
 
 def files() -> set[str]:
     """Return all files that were written or removed, without folders that existed before."""
-    found = {at.relative_to(WRITTEN) for at in WRITTEN.rglob("*") if not OTHERS.search(f"/{at.relative_to(WRITTEN)}")}
-    return {f"/{at}" for at in found if not ((WRITTEN / at).is_dir() and (BELOW / at).is_dir())}
+    paths = {at.relative_to(WRITTEN) for at in WRITTEN.rglob("*") if not OTHERS.search(f"/{at.relative_to(WRITTEN)}")}
+    return {f"/{at}" for at in paths if not ((WRITTEN / at).is_dir() and (BELOW / at).is_dir())}
 
 
 def status(pid: str) -> dict[str, str]:
@@ -76,10 +76,10 @@ def program() -> str:
     """Install the program in /opt, as in docs/operate/install.md, with this machine's libraries and a rig of 100 Hz."""
     for folder in Path(os.path.realpath(sys.executable)).parents:
         folder.chmod(folder.stat().st_mode | 0o055)  # the interpreter may be in a home folder
-    ran(sys.executable, "-m", "venv", "--without-pip", "--symlinks", PROGRAM)
+    run(sys.executable, "-m", "venv", "--without-pip", "--symlinks", PROGRAM)
     for name, source in (("wheel", WHEEL), ("libraries", sysconfig.get_path("purelib"))):
         (PROGRAM / name).mkdir()
-        ran("mount", "--bind", source, PROGRAM / name)
+        run("mount", "--bind", source, PROGRAM / name)
     (packages,) = (PROGRAM / "lib").glob("*/site-packages")
     (packages / "vm.pth").write_text(f"{PROGRAM}/wheel\n{PROGRAM}/libraries\n")
     script = PROGRAM / "bin/softfinger"
@@ -91,7 +91,7 @@ def program() -> str:
 
 
 @cache
-def before() -> set[str]:
+def files_before() -> set[str]:
     program()
     return files()
 
@@ -99,22 +99,22 @@ def before() -> set[str]:
 @cache
 def installed() -> str:
     """Install the service, and return the output. Its kernels are for a generic processor, compiled on the host."""
-    before()
-    said = ran(program(), "install", "--system", "--rig", RIG)
+    files_before()
+    output = run(program(), "install", "--system", "--rig", RIG)
     OF_THE_SERVICE.parent.mkdir(parents=True)
     own = f"Environment=NUMBA_CPU_NAME={os.environ['NUMBA_CPU_NAME']}\nWatchdogSec={WATCHDOG_S}s"
     OF_THE_SERVICE.write_text(f"[Service]\n{own}\n")
     shutil.copytree("/run/kernels", "/var/cache/softfinger")
-    ran("systemctl", "daemon-reload")
-    return said
+    run("systemctl", "daemon-reload")
+    return output
 
 
 @pytest.fixture
 def service() -> str:
     """Main process of the service, started if necessary; `systemctl start` waits for READY."""
     installed()
-    ran("systemctl", "start", "softfinger")
-    return shown("MainPID")
+    run("systemctl", "start", "softfinger")
+    return show("MainPID")
 
 
 @pytest.fixture
@@ -126,20 +126,20 @@ def arm(tmp_path: Path) -> Iterator[None]:
 
 
 def test_installing_creates_the_account_and_reloads_systemd() -> None:
-    said = installed()
-    assert [line for line in said.splitlines() if line.startswith(("ran", "not run"))] == [
+    output = installed()
+    assert [line for line in output.splitlines() if line.startswith(("ran", "not run"))] == [
         "ran systemd-sysusers /etc/sysusers.d/softfinger.conf",
         "ran systemctl daemon-reload",
         "ran udevadm control --reload",
-        f"ran udevadm trigger {' '.join(f'--subsystem-match={each}' for each in ('usb', 'hidraw', 'tty', 'misc'))}",
+        f"ran udevadm trigger {' '.join(f'--subsystem-match={name}' for name in ('usb', 'hidraw', 'tty', 'misc'))}",
     ]
-    assert "cannot start" not in said
+    assert "cannot start" not in output
     assert pwd.getpwnam("softfinger").pw_dir == "/var/lib/softfinger"
 
 
 def test_it_runs_with_minimal_rights(service: str) -> None:
-    assert (shown("ActiveState"), shown("SubState"), shown("Type")) == ("active", "running", "notify")
-    assert re.fullmatch(r"\d+ ticks, \d+ missed", shown("StatusText"))
+    assert (show("ActiveState"), show("SubState"), show("Type")) == ("active", "running", "notify")
+    assert re.fullmatch(r"\d+ ticks, \d+ missed", show("StatusText"))
     account, now = pwd.getpwnam("softfinger"), status(service)
     assert set(now["Uid"].split()) == {str(account.pw_uid)} and set(now["Gid"].split()) == {str(account.pw_gid)}
     assert (int(now["CapEff"], 16), now["NoNewPrivs"], now["Seccomp"]) == (0, "1", "2")
@@ -147,50 +147,50 @@ def test_it_runs_with_minimal_rights(service: str) -> None:
     assert {int(stat[RT_PRIORITY]) for stat in stats if int(stat[POLICY]) == SCHED_FIFO} == {80, 81}
     made = TELEMETRY.stat()
     assert (made.st_uid, made.st_gid, made.st_mode & 0o777) == (account.pw_uid, account.pw_gid, 0o660)
-    said = journal()
-    assert not re.search(r"Failed to|refused|compiled in", said), said
-    print(said)
+    log = journal()
+    assert not re.search(r"Failed to|refused|compiled in", log), log
+    print(log)
 
 
 def test_devices_are_for_the_group_and_within_the_service(service: str, arm: None) -> None:
     for pattern in ("hidraw*", "bus/usb/*/*"):
-        assert comes(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
+        assert wait_for(lambda p=pattern: "softfinger" in {at.group() for at in Path("/dev").glob(p)}), pattern
     (hidraw,) = (str(at) for at in Path("/dev").glob("hidraw*") if at.group() == "softfinger")
     (usb,) = (str(at) for at in Path("/dev").glob("bus/usb/*/*") if at.group() == "softfinger")
-    group = f"/sys/fs/cgroup{shown('ControlGroup')}/cgroup.procs"
+    group = f"/sys/fs/cgroup{show('ControlGroup')}/cgroup.procs"
     opened, account = f'echo $$ >{group}; exec "$@" dd count=0 if=/dev/null of=', ("setpriv", "--reuid=softfinger")
     for node in (hidraw, usb, "/dev/cpu_dma_latency"):
         assert Path(node).stat().st_mode & 0o777 == 0o660
-        ran("sh", "-c", opened + node, "sh", *account, "--regid=softfinger", "--clear-groups")
-    ran("sh", "-c", opened + "/dev/uhid", "sh", "env", code=1)  # root may open it outside the service
+        run("sh", "-c", opened + node, "sh", *account, "--regid=softfinger", "--clear-groups")
+    run("sh", "-c", opened + "/dev/uhid", "sh", "env", code=1)  # root may open it outside the service
 
 
 def test_ticks_feed_the_watchdog(service: str) -> None:
-    first = int(shown("WatchdogTimestampMonotonic"))
-    assert comes(lambda: int(shown("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
-    assert (shown("MainPID"), shown("ActiveState")) == (service, "active")
+    first = int(show("WatchdogTimestampMonotonic"))
+    assert wait_for(lambda: int(show("WatchdogTimestampMonotonic")) > first + 2e6 * WATCHDOG_S)
+    assert (show("MainPID"), show("ActiveState")) == (service, "active")
 
 
 def test_it_stops_with_zero_force(service: str) -> None:
-    ran("systemctl", "stop", "softfinger")
-    assert (shown("ActiveState"), shown("Result"), shown("ExecMainStatus")) == ("inactive", "success", "0")
+    run("systemctl", "stop", "softfinger")
+    assert (show("ActiveState"), show("Result"), show("ExecMainStatus")) == ("inactive", "success", "0")
     assert re.search(r"stopped after \d+ ticks; force is zero", journal())
 
 
 def test_the_watchdog_ends_a_stopped_process(service: str) -> None:
     """systemd kills a stopped process by its watchdog, and does not restart it: a hand may be on the device."""
     os.kill(int(service), signal.SIGSTOP)
-    assert comes(lambda: shown("ActiveState") == "failed"), journal()
-    assert (shown("Result"), shown("NRestarts")) == ("watchdog", "0")
+    assert wait_for(lambda: show("ActiveState") == "failed"), journal()
+    assert (show("Result"), show("NRestarts")) == ("watchdog", "0")
     assert f"Watchdog timeout (limit {WATCHDOG_S}s)!" in journal()
 
 
 def test_removing_leaves_nothing(service: str) -> None:
     shutil.rmtree(OF_THE_SERVICE.parent)
-    said = ran(program(), "install", "--system", "--remove")
+    output = run(program(), "install", "--system", "--remove")
     assert not Path(f"/proc/{service}").exists()
-    assert files() - before() == set(), said
+    assert files() - files_before() == set(), output
     assert not TELEMETRY.parent.exists()
     for account in ACCOUNTS:
         assert "softfinger" not in Path("/etc", account).read_text()
-    assert shown("LoadState") == "not-found"
+    assert show("LoadState") == "not-found"

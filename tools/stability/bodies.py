@@ -115,7 +115,7 @@ class CellResult(NamedTuple):
     reason: str = ""
 
 
-class Played(NamedTuple):
+class PlayResult(NamedTuple):
     """Ticks of a run.
 
     force       (n, 2, 3)  N    on each finger
@@ -232,10 +232,10 @@ def poses_of(path: Array) -> dict[str, Array]:
     return {name: poses[:, at] for at, name in enumerate(FINGERS)}
 
 
-def play(engine: Engine, path: Array) -> Played:
+def play(engine: Engine, path: Array) -> PlayResult:
     """Move the fingertips along centres (n, 2, 3)."""
     poses = poses_of(path)
-    played = Played(np.zeros(path.shape), np.zeros(path.shape[:2]), np.zeros(len(path)), 0.0)
+    played = PlayResult(np.zeros(path.shape), np.zeros(path.shape[:2]), np.zeros(len(path)), 0.0)
     unbalanced = 0.0
     for tick in range(len(path)):
         records = engine.run({name: finger_poses[tick : tick + 1] for name, finger_poses in poses.items()})

@@ -37,8 +37,8 @@ def lines(results: Sequence[CellResult]) -> list[str]:
             ("-",) * len(heads)
             if row.left is None or row.ripple_n is None or row.given_j is None
             else (
-                f"{100.0 * row.left:.3g} %", f"{1e3 * row.ripple_n:.3g}", f"{row.slips}", f"{1e3 * row.given_j:.3g}",
-                f"{row.unbalanced_n:.2g}",
+                f"{100.0 * row.left:.3g} %", f"{1e3 * row.ripple_n:.3g}", f"{row.slips}",
+                f"{1e3 * row.given_j:.3g}", f"{row.unbalanced_n:.2g}",
             )
         )  # fmt: skip
         why = f": {row.reason}" if row.reason else ""

@@ -69,7 +69,7 @@ class Chip:
         self.falcon = from_case(case)
         self.lock = threading.Condition()
         self.made = ""
-        self.held: int | None = None
+        self.rival: int | None = None
         MOUNT.mkdir(exist_ok=True)
         while os.path.ismount(MOUNT):  # from an earlier process
             subprocess.run(["umount", MOUNT], check=True)
@@ -170,8 +170,8 @@ class Chip:
             with self.lock:
                 self.falcon.unplugged()
         elif case == "busy":
-            self.held = os.open(node, os.O_RDWR)
-            fcntl.ioctl(self.held, CLAIM_INTERFACE, struct.pack("<I", 0))
+            self.rival = os.open(node, os.O_RDWR)
+            fcntl.ioctl(self.rival, CLAIM_INTERFACE, struct.pack("<I", 0))
         elif case == "permission":
             os.chmod(node, 0)
         with self.lock:
@@ -186,9 +186,9 @@ class Chip:
         with self.lock:
             self.made = ""
             self.lock.notify_all()
-        if self.held is not None:
-            os.close(self.held)
-            self.held = None
+        if self.rival is not None:
+            os.close(self.rival)
+            self.rival = None
         if self.gadget.plugged:
             os.chmod(self.gadget.node or "", 0o600)
         else:

@@ -64,9 +64,9 @@ class HidDevice(ABC):
                     return f"/dev/{path.name}"
         return None
 
-    def _await(self, there: bool) -> None:
+    def _await(self, exists: bool) -> None:
         until = time.monotonic() + PLUG_S
-        while (self.node is not None and os.path.exists(self.node)) != there:
+        while (self.node is not None and os.path.exists(self.node)) != exists:
             if time.monotonic() > until:
                 raise TimeoutError(f"the device's node is {self.node}")
             time.sleep(0.01)

@@ -111,8 +111,8 @@ class Port:
                         os.write(end, answer)
 
     def _settle(self) -> None:
-        asked = time.monotonic()
-        while time.monotonic() < min(asked + SETTLE_S, max(asked, self.heard_at) + SETTLED_S):
+        started = time.monotonic()
+        while time.monotonic() < min(started + SETTLE_S, max(started, self.heard_at) + SETTLED_S):
             time.sleep(0.005)
 
     def answer(self, line: str) -> object:

@@ -21,8 +21,8 @@ def serve(path: str, answer: Callable[[str], object]) -> None:
                 if line.strip() == "quit":
                     return
                 try:
-                    said = answer(line.strip())
+                    reply = answer(line.strip())
                 except Exception as error:
-                    said = f"{line.strip()}: {error!r}"
-                stream.write(json.dumps(said) + "\n")
+                    reply = f"{line.strip()}: {error!r}"
+                stream.write(json.dumps(reply) + "\n")
                 stream.flush()

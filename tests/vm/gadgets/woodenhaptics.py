@@ -47,7 +47,7 @@ class Board:
         self.lock = threading.Lock()
         self.mute = False
         self.taken_at = time.monotonic()
-        self.held: int | None = None
+        self.rival: int | None = None
         self.device: HidDevice
         if case.get("bus", "usb") == "usb":
             self.device = UsbHid(*IDS, "Emulated arm", DESCRIPTOR, REPORT_BYTES, self.take)
@@ -63,8 +63,8 @@ class Board:
             self.device.send(answer)
 
     def _settle(self) -> None:
-        asked = time.monotonic()
-        while time.monotonic() < min(asked + SETTLE_S, max(asked, self.taken_at) + SETTLED_S):
+        started = time.monotonic()
+        while time.monotonic() < min(started + SETTLE_S, max(started, self.taken_at) + SETTLED_S):
             time.sleep(0.005)
 
     def answer(self, line: str) -> object:
@@ -99,8 +99,8 @@ class Board:
             with self.lock:
                 self.woody.milliamperes = (0, 0, 0)  # its amplifiers have no power
         elif case == "busy":
-            self.held = os.open(node, os.O_RDWR)
-            fcntl.flock(self.held, fcntl.LOCK_EX)
+            self.rival = os.open(node, os.O_RDWR)
+            fcntl.flock(self.rival, fcntl.LOCK_EX)
         elif case == "permission":
             os.chmod(node, 0)
         elif case == "timeout":
@@ -112,9 +112,9 @@ class Board:
 
     def _mend(self) -> None:
         self.mute = self.device.blocked = False
-        if self.held is not None:
-            os.close(self.held)
-            self.held = None
+        if self.rival is not None:
+            os.close(self.rival)
+            self.rival = None
         if self.device.node is None:
             self.device.plug()
         else:

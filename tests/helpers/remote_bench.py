@@ -12,7 +12,7 @@ from softfinger.server.driver_contract import Bench
 SOCKET: Final = "SOFTFINGER_TESTBED"
 
 
-class AskedBench(Bench):
+class RemoteBench(Bench):
     """An emulated device in another process. Requests are lines; answers are lines of JSON."""
 
     patience_s: ClassVar[float] = 10.0

@@ -1,0 +1,30 @@
+"""Rigs of tests, from shipped rigs."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from softfinger.config.load import load_rig
+from softfinger.config.schema import Rig
+from softfinger.config.sources import find
+
+
+def load_rig_in_process(name: str, device: Mapping[str, Any], overrides: Mapping[str, Any] | None = None) -> Rig:
+    """Return a rig with changed keys of [device], without real time, whose force is full after 10 ms."""
+    base = {"servo.realtime": "off", "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*"}
+    return load_rig(name, base | {f"device.{key}": value for key, value in device.items()} | dict(overrides or {}))
+
+
+def write_rig(folder: Path, name: str, **keys: object) -> Path:
+    """Write a shipped rig with changed keys of [device] to a new file in `folder`."""
+    text = find(name, Rig).read_text()
+    for key in keys:
+        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
+    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in keys.items())
+    path = folder / f"my-{name}-{len(list(folder.iterdir()))}.toml"
+    path.write_text(text.replace("[device]\n", f"[device]\n{lines}"))
+    return path
