@@ -25,7 +25,7 @@ import pytest
 import zmq
 from helpers import raw_peers
 from helpers.called import VerbResult, called
-from helpers.daemons import QUIET, subscribed
+from helpers.daemons import QUIET, RecordSink, subscribed
 from helpers.faulty_device import registered
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
@@ -48,7 +48,6 @@ from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.commands import CommandService
-from softfinger.server.services.records import Sink
 from softfinger.server.socket_process.clients import BURST
 from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.states import SILENT
@@ -69,26 +68,18 @@ STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 PUSH = "effect.0.force_n"
 
 
-class RecordSink:
-    def __init__(self) -> None:
-        self.rows: list[np.ndarray] = []
-        self.sink = Sink("kept", lambda records, drops: self.rows.append(records.copy()))
-
-    def since(self, tick: int) -> np.ndarray:
-        rows = np.concatenate(self.rows)
-        return rows[rows[:, AT.tick] >= tick]
-
-    def whole(self) -> bool:
+class PressingSink(RecordSink):
+    def is_whole(self) -> bool:
         """Return True if the guard passes the scene's force unchanged."""
-        return self.force_n > 0.0 and self.rows[-1][-1, AT.servo_guard] == 0.0
+        return self.force_n > 0.0 and self.batches[-1][-1, AT.servo_guard] == 0.0
 
     @property
     def megabytes(self) -> float:
-        return sum(rows.nbytes for rows in self.rows) / 1e6
+        return sum(batch.nbytes for batch in self.batches) / 1e6
 
     @property
     def force_n(self) -> float:
-        return float(self.rows[-1][-1, AT.force + 2]) if self.rows else 0.0
+        return float(self.force[2])
 
 
 @pytest.fixture
@@ -103,13 +94,13 @@ def rig(monkeypatch):
 
 
 @contextlib.contextmanager
-def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, RecordSink]]:
+def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, PressingSink]]:
     """Run a daemon that presses with full force; yield it, a client, and the sink of records."""
-    recorder = RecordSink()
+    recorder = PressingSink()
     with Daemon(rig, scene or pressed_scene(), sinks=[recorder.sink], scene_name="pressed") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
-            assert eventually(recorder.whole)
+            assert eventually(recorder.is_whole)
             yield daemon, control, recorder
             daemon.stop()
             assert daemon.wait(60.0)
@@ -159,10 +150,10 @@ def test_every_method_answers(rig):
         moved = control.drive("lid.top", (0.0, 0.0, 0.0005))
         message = next_event("command")
         assert message["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and message["name"] == "drive"
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > moved.tick)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > moved.tick)
         # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
         normal = pytest.approx(500.0 * (DEPTH_M + 0.0005), rel=ROUNDING)
-        assert eventually(lambda: recorder.rows[-1][-1, AT.contact_normal_force] == normal)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.contact_normal_force] == normal)
         with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
             control.mesh("lid.top")
         with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
@@ -186,7 +177,7 @@ def test_a_parameter_changes_along_its_ramp(rig):
         changed = control.set_params({STIFFNESS: 500.0})
         assert (changed.changed[STIFFNESS].after, changed.ramp_s) == (500.0, 0.1)
         assert control.describe()["scene"]["object"][0]["material"]["stiffness_n_per_m"] == 500.0
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > changed.tick + 110)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > changed.tick + 110)
         normal = recorder.since(first - 1)[:, AT.contact_normal_force]
         assert control.get_state().force[2] == pytest.approx(500.0 * DEPTH_M + 1.0, rel=ROUNDING)
     assert normal[0] == pytest.approx(1000.0 * DEPTH_M, rel=ROUNDING)
@@ -296,7 +287,7 @@ def test_several_fingers_are_commanded_together(rig):
 
         def has_forces(*wanted: float) -> bool:
             return eventually(
-                lambda: recorder.rows[-1][-1].reshape(2, -1)[:, AT.force + 2] == pytest.approx(wanted, rel=ROUNDING)
+                lambda: recorder.batches[-1][-1].reshape(2, -1)[:, AT.force + 2] == pytest.approx(wanted, rel=ROUNDING)
             )
 
         assert has_forces(2.0, 1.5)
@@ -366,7 +357,7 @@ def test_refused_commands_name_the_error_and_change_nothing(rig):
             assert words in str(refused.value), refused.value
         after = control.describe()
         assert all(before[key] == after[key] for key in ("scene", "scene_name", "rig", "armed"))
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > first + 20)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > first + 20)
         assert unchanged(recorder.since(first))
 
 
@@ -411,11 +402,11 @@ def test_disarm_fades_out_and_arm_fades_in(rig):
     with running(rig()) as (daemon, control, recorder):
         first = daemon.servo.ticks
         assert control.disarm().armed is False
-        assert eventually(lambda: recorder.rows[-1][-1, AT.servo_guard] == 64)  # the guard's bit `disarmed`
+        assert eventually(lambda: recorder.batches[-1][-1, AT.servo_guard] == 64)  # the guard's bit `disarmed`
         silent = daemon.servo.ticks
         control.set_params({STIFFNESS: 2000.0})
         tick = control.set_scene("frictionless-plane").tick
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > tick + 100)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > tick + 100)
         assert not recorder.since(silent)[:, AT.force : AT.force + 3].any()
         armed = daemon.servo.ticks
         assert control.arm().armed is True
@@ -476,7 +467,7 @@ def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
             pass
         assert message["what"] == {"armed": False}
         tick = daemon.servo.ticks
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > tick + 100)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > tick + 100)
         assert not recorder.since(tick)[:, AT.force : AT.force + 3].any()
         assert control.arm().armed is True
 

@@ -17,7 +17,7 @@ import msgpack
 import numpy as np
 import pytest
 from emulators.serialboard import Board, Cable
-from helpers.daemons import subscribed
+from helpers.daemons import RecordSink, subscribed
 from helpers.faulty_device import Driver, acts, registered
 from helpers.processes import COMMAND
 from helpers.programs import Program
@@ -114,8 +114,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
         {"driver": "replay", "recording": "tap", "loop": False},
         {"driver": "replay", "recording": "press-roll-spin-drag", "loop": False},
     )
-    rows: list[np.ndarray] = []
-    sink = Sink("kept", lambda records, drops: rows.append(records.copy()))
+    stored = RecordSink()
     recorded: list[Any] = []
     files = {name: tmp_path / f"{name}.csv" for name in NAMES}
 
@@ -124,7 +123,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
             recorded.append(record(wire, files, timeout_s=WAIT_S))
 
     with (
-        Daemon(rig, two_fingers(), sinks=[sink]) as running,
+        Daemon(rig, two_fingers(), sinks=[stored.sink]) as running,
         subscribed(running.publisher.endpoint, "") as socket,
     ):
         recorder = threading.Thread(target=take, args=(running.publisher.endpoint,))
@@ -139,7 +138,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
             topic, body = socket.recv_multipart()
             messages.append((topic.decode(), msgpack.unpackb(body)))
         recorder.join(WAIT_S)
-    records = np.concatenate(rows).reshape(-1, 2, RECORD_SIZE)
+    records = stored.all.reshape(-1, 2, RECORD_SIZE)
     ticks = [(topic, message) for topic, message in messages if topic.startswith("finger/")]
     assert [topic for topic, _ in ticks] == ["finger/thumb", "finger/index"] * len(records)
     assert {topic for topic, _ in messages} == {"finger/thumb", "finger/index", "state", "event", "health", "schema"}

@@ -17,12 +17,11 @@ import pytest
 from emulators.serialboard import Board, Cable
 from helpers.processes import COMMAND, list_children, read_command_line
 from helpers.programs import Program, run_program
+from helpers.rig_files import write_rig
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import until
 
 from softfinger.config.errors import RecordingError
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.proxy.record import AT
 from softfinger.server.recording.reader import TickBlock, read_contents
 
@@ -102,9 +101,7 @@ def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> Non
     board = Board(lambda _: (*PLACE[:2], 0.006))
     recorded = 0
     with Cable(board) as cable:
-        rig = tmp_path / "rig.toml"
-        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
-        rig.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
+        rig = write_rig(tmp_path, RIG, path=cable.path, quiet_s=0.1, timeout_s=2.0)
         run_to_end(tmp_path, rig)  # with compiled kernels a run reaches its ticks before most kills
         for number, kind in zip(range(kills), itertools.cycle(VICTIMS)):
             recording, log_path = tmp_path / f"{number}.mcap", tmp_path / f"{number}.log"

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 import pytest
 from helpers.allocations import HAS_COMPILER, counted
-from helpers.daemons import QUIET
+from helpers.daemons import QUIET, RecordSink
 from helpers.key_world import KEY, ROLLING, key_world
 from helpers.processes import COMMAND
 
@@ -32,7 +32,6 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.recording.compare import FIELDS, compare, replay
 from softfinger.server.recording.run import load_run
-from softfinger.server.services.records import Sink
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
 
@@ -61,10 +60,9 @@ def receive_heights(endpoint: str) -> Iterator[tuple[int, float]]:
 
 
 def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Path) -> None:
-    rows: list[np.ndarray] = []
     ticks = 1100
-    keep = Sink("test", lambda records, drops: rows.append(records.copy()))
-    with Daemon(make_rig(), scene, ticks, sinks=[keep]) as running:
+    recorder = RecordSink()
+    with Daemon(make_rig(), scene, ticks, sinks=[recorder.sink]) as running:
         running.recordings.record(tmp_path / "a.mcap", "key")
         published = []
         running.start()
@@ -79,7 +77,7 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
     assert min(down for _, down in published) == pytest.approx(-share * PRESSED_M, rel=0.3)  # a tap, so it oscillates
     assert published[-1][1] > -1e-4
 
-    records = np.concatenate(rows)
+    records = recorder.all
     poses = resample(load_poses("tap"), 1000.0)[:ticks]
     offline = simulate(make_tuning(scene, make_rig().guard), poses, 1000.0)
     for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
@@ -209,10 +207,9 @@ SLEW = 20.0
 
 
 def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Path) -> None:
-    rows: list[np.ndarray] = []
-    keep = Sink("test", lambda records, drops: rows.append(records.copy()))
+    recorder = RecordSink()
     changes = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
-    with Daemon(make_rig(**changes), scene, sinks=[keep]) as running:
+    with Daemon(make_rig(**changes), scene, sinks=[recorder.sink]) as running:
         running.start()
         with (
             Control(f"ipc://{tmp_path}/c") as control,
@@ -233,13 +230,13 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
                 let_go = running.servo.ticks
                 wait_for(running, let_go + 1500)
                 resets.append(control.reset_world().tick)
-                together = np.concatenate(rows)
+                together = recorder.all
                 quiet = together[(together[:, AT.tick] > let_go + 100) & (together[:, AT.tick] < resets[-1])]
                 assert len(quiet) > 1000
                 assert not quiet[:, [AT.contact_mode, AT.force, AT.force + 1, AT.force + 2]].any()
             wait_for(running, resets[-1] + 1500)
             assert running.servo.is_running
-    together = np.concatenate(rows)
+    together = recorder.all
     force, tick = together[:, AT.force + 2], together[:, AT.tick]
     assert np.abs(np.diff(force)).max() <= SLEW * 1e-3 + 1e-12
     for begin in resets:
