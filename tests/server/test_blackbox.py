@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.daemons import make_daemon
 from helpers.waits import eventually
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from softfinger.config.errors import ConfigError, DeviceLost
-from softfinger.config.load import build, load_rig, load_scene
+from softfinger.config.load import build
 from softfinger.config.schema import Faults
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
@@ -32,10 +33,10 @@ WAIT_S = 60.0
 
 
 def records(first: int, count: int) -> np.ndarray:
-    made = np.zeros((count, RECORD_SIZE))
-    made[:, AT.tick] = np.arange(first, first + count)
-    made[:, AT.timestamp] = time.time()
-    return made
+    rows = np.zeros((count, RECORD_SIZE))
+    rows[:, AT.tick] = np.arange(first, first + count)
+    rows[:, AT.timestamp] = time.time()
+    return rows
 
 
 def read_ticks(path: Path) -> list[int]:
@@ -124,9 +125,8 @@ def test_the_folder_is_bounded(tmp_path: Path) -> None:
 
 @contextmanager
 def running(faults: list[dict[str, Any]] | None = None) -> Iterator[Daemon]:
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     injected = None if faults is None else build(Faults, {"fault": faults}, "faults")
-    with Daemon(rig, load_scene("paper-plane"), faults=injected) as daemon:
+    with make_daemon(faults=injected) as daemon:
         daemon.start()
         yield daemon
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import zmq
 from helpers.called import called
+from helpers.processes import COMMAND
 from helpers.programs import run_program
 
 from softfinger.proxy.record import columns
@@ -18,7 +19,6 @@ from softfinger.server.cli import VERBS, make_parser
 from softfinger.server.recording.results import read_results
 from softfinger.tools.bench.options import KINDS
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 FREE = ["--endpoint", "tcp://127.0.0.1:*"]
 """Option for `run`: a free port."""
 SIMULATE = ["simulate", "--scene", "paper-plane", "--poses", "tap"]
@@ -222,7 +222,7 @@ def test_a_long_run_needs_bounded_memory(ending, tmp_path):
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
-def test_a_shipped_recording_is_found_by_name(ending, tmp_path):
+def test_a_shipped_recording_is_read_by_its_name(ending, tmp_path):
     outcome = called("info", "tap")
     assert outcome.returncode == 0 and "229 poses, 0 to 228, 2.280 s" in outcome.stdout
     assert "x 0 to 0, y 0 to 0, z " in outcome.stdout and "unknown" not in outcome.stdout

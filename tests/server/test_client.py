@@ -22,8 +22,8 @@ pytestmark = pytest.mark.real_time
 
 @pytest.fixture
 def publisher():
-    with Publisher("tcp://127.0.0.1:*") as made:
-        yield made
+    with Publisher("tcp://127.0.0.1:*") as server:
+        yield server
 
 
 def join_subscription(publisher, topics=("contact",), timeout_s=30.0):
@@ -60,8 +60,8 @@ def test_other_topics_and_plain_maps(publisher):
     with join_subscription(publisher, ("contact", "health")) as samples:
         publisher.publish(synthetic(1001))
         publisher.event("fault", "device lost", message="unplugged", detail={"code": -1})
-        got = [next(samples) for _ in range(1003)]
-    health, event = got[-2], got[-1]
+        received = [next(samples) for _ in range(1003)]
+    health, event = received[-2], received[-1]
     assert health.topic == "health"
     assert health.modes.free == health["modes.free"] == 1000
     assert health.as_map()["late"]["p50"] == health.late.p50
@@ -69,7 +69,7 @@ def test_other_topics_and_plain_maps(publisher):
     assert event["message"] == event.message == "unplugged"
     assert event["detail.code"] == -1
     assert event.as_map()["kind"] == "fault"
-    assert msgpack.unpackb(encode(got[0].as_map())) == contact_map(synthetic(1)[0])
+    assert msgpack.unpackb(encode(received[0].as_map())) == contact_map(synthetic(1)[0])
 
 
 def test_unknown_key_is_an_error_of_the_usual_type(publisher):
@@ -103,8 +103,8 @@ def test_lost_counts_published_ticks_only():
     with Publisher("tcp://127.0.0.1:*", every=5) as publisher, join_subscription(publisher) as samples:
         publisher.publish(records[:41])
         publisher.publish(records[56:])
-        got = [next(samples) for _ in range(18)]
-    assert [(s.tick, s.lost) for s in got if s.lost] == [(60, 3)]
+        received = [next(samples) for _ in range(18)]
+    assert [(s.tick, s.lost) for s in received if s.lost] == [(60, 3)]
 
 
 def test_a_restarted_server_counts_no_losses(publisher):
@@ -127,17 +127,17 @@ def test_lost_counts_all_messages_a_stalled_client_missed(tmp_path):
             publisher.publish(records)
             publisher.event("test", "so far")
             next(events)  # all messages so far have been sent
-        got = [next(samples)]
+        received = [next(samples)]
         while (sample := samples.receive(1.0)) is not None:  # until the backlog is read; then new messages arrive
-            got.append(sample)
+            received.append(sample)
         publisher.publish(synthetic(1, first_tick=count))
-        got.append(next(samples))
-        got = [sample for sample in got if sample.topic == "contact"]
-        assert 1 <= publisher.figures.lost <= sum(s.lost for s in got)
-    assert got[0].tick == 0
-    assert got[-1].tick == count
-    assert sum(s.lost for s in got) > 0
-    assert len(got) + sum(s.lost for s in got) == count + 1
+        received.append(next(samples))
+        received = [sample for sample in received if sample.topic == "contact"]
+        assert 1 <= publisher.figures.lost <= sum(s.lost for s in received)
+    assert received[0].tick == 0
+    assert received[-1].tick == count
+    assert sum(s.lost for s in received) > 0
+    assert len(received) + sum(s.lost for s in received) == count + 1
 
 
 def test_missing_telemetry_raises_with_endpoint_and_remedy(publisher):

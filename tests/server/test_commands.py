@@ -25,13 +25,15 @@ import pytest
 import zmq
 from helpers import raw_peers
 from helpers.called import VerbResult, called
+from helpers.daemons import QUIET, RecordSink, subscribed
 from helpers.faulty_device import registered
 from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
+from helpers.processes import COMMAND, read_memory
 from helpers.programs import Program, run_program
 from helpers.terminal import on_terminal
 from helpers.two_fingers import pressed_by_two, two_devices
-from helpers.waits import eventually, repeated
+from helpers.waits import WAIT_S, eventually, repeated
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
 from softfinger.config.load import describe, load_rig, load_scene
@@ -46,7 +48,6 @@ from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.commands import CommandService
-from softfinger.server.services.records import Sink
 from softfinger.server.socket_process.clients import BURST
 from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.states import SILENT
@@ -58,10 +59,7 @@ from softfinger.server.wire.control import AsyncControl, Control
 
 pytestmark = pytest.mark.real_time
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 RAMP_S, SLEW = 0.05, 200.0
-WAIT_S = 120.0
-"""Generous bound: a compilation on a busy machine."""
 ROUNDING = 1e-12
 """Relative; a force results from about ten operations on numbers of similar size."""
 
@@ -70,47 +68,39 @@ STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 PUSH = "effect.0.force_n"
 
 
-class RecordSink:
-    def __init__(self) -> None:
-        self.rows: list[np.ndarray] = []
-        self.sink = Sink("kept", lambda records, drops: self.rows.append(records.copy()))
-
-    def since(self, tick: int) -> np.ndarray:
-        rows = np.concatenate(self.rows)
-        return rows[rows[:, AT.tick] >= tick]
-
-    def whole(self) -> bool:
+class PressingSink(RecordSink):
+    def is_whole(self) -> bool:
         """Return True if the guard passes the scene's force unchanged."""
-        return self.force_n > 0.0 and self.rows[-1][-1, AT.servo_guard] == 0.0
+        return self.force_n > 0.0 and self.batches[-1][-1, AT.servo_guard] == 0.0
 
     @property
     def megabytes(self) -> float:
-        return sum(rows.nbytes for rows in self.rows) / 1e6
+        return sum(batch.nbytes for batch in self.batches) / 1e6
 
     @property
     def force_n(self) -> float:
-        return float(self.rows[-1][-1, AT.force + 2]) if self.rows else 0.0
+        return float(self.force[2])
 
 
 @pytest.fixture
 def rig(monkeypatch):
     """Return a function that makes rigs of a pressing device, whose full force in one tick exceeds the slew limit."""
     registered(monkeypatch)
-    quiet = {
-        "device.driver": "faulty", "telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off",
-        "guard.ramp_s": RAMP_S, "guard.force_slew_n_per_s": SLEW, "guard.force_max_n": 5.0, "commands.ramp_s": 0.0,
+    pressing = {
+        "device.driver": "faulty", "guard.ramp_s": RAMP_S, "guard.force_slew_n_per_s": SLEW, "guard.force_max_n": 5.0,
+        "commands.ramp_s": 0.0,
     }  # fmt: skip
-    return lambda **changes: load_rig("replay", quiet | changes)
+    return lambda **changes: load_rig("replay", QUIET | pressing | changes)
 
 
 @contextlib.contextmanager
-def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, RecordSink]]:
+def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, PressingSink]]:
     """Run a daemon that presses with full force; yield it, a client, and the sink of records."""
-    recorder = RecordSink()
+    recorder = PressingSink()
     with Daemon(rig, scene or pressed_scene(), sinks=[recorder.sink], scene_name="pressed") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
-            assert eventually(recorder.whole)
+            assert eventually(recorder.is_whole)
             yield daemon, control, recorder
             daemon.stop()
             assert daemon.wait(60.0)
@@ -118,10 +108,7 @@ def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, 
 
 @contextlib.contextmanager
 def events(daemon: Daemon) -> Iterator[Any]:
-    with zmq.Context() as context, context.socket(zmq.SUB) as subscriber:
-        subscriber.linger, subscriber.rcvtimeo = 0, 60_000
-        subscriber.subscribe("event")
-        subscriber.connect(daemon.publisher.endpoint)
+    with subscribed(daemon.publisher.endpoint, "event") as subscriber:
         assert eventually(lambda: daemon.publisher.subscribers == 1)
 
         def next_event(kind: str) -> dict[str, Any]:
@@ -163,10 +150,10 @@ def test_every_method_answers(rig):
         moved = control.drive("lid.top", (0.0, 0.0, 0.0005))
         message = next_event("command")
         assert message["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and message["name"] == "drive"
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > moved.tick)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > moved.tick)
         # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
         normal = pytest.approx(500.0 * (DEPTH_M + 0.0005), rel=ROUNDING)
-        assert eventually(lambda: recorder.rows[-1][-1, AT.contact_normal_force] == normal)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.contact_normal_force] == normal)
         with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
             control.mesh("lid.top")
         with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
@@ -190,7 +177,7 @@ def test_a_parameter_changes_along_its_ramp(rig):
         changed = control.set_params({STIFFNESS: 500.0})
         assert (changed.changed[STIFFNESS].after, changed.ramp_s) == (500.0, 0.1)
         assert control.describe()["scene"]["object"][0]["material"]["stiffness_n_per_m"] == 500.0
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > changed.tick + 110)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > changed.tick + 110)
         normal = recorder.since(first - 1)[:, AT.contact_normal_force]
         assert control.get_state().force[2] == pytest.approx(500.0 * DEPTH_M + 1.0, rel=ROUNDING)
     assert normal[0] == pytest.approx(1000.0 * DEPTH_M, rel=ROUNDING)
@@ -300,7 +287,7 @@ def test_several_fingers_are_commanded_together(rig):
 
         def has_forces(*wanted: float) -> bool:
             return eventually(
-                lambda: recorder.rows[-1][-1].reshape(2, -1)[:, AT.force + 2] == pytest.approx(wanted, rel=ROUNDING)
+                lambda: recorder.batches[-1][-1].reshape(2, -1)[:, AT.force + 2] == pytest.approx(wanted, rel=ROUNDING)
             )
 
         assert has_forces(2.0, 1.5)
@@ -370,7 +357,7 @@ def test_refused_commands_name_the_error_and_change_nothing(rig):
             assert words in str(refused.value), refused.value
         after = control.describe()
         assert all(before[key] == after[key] for key in ("scene", "scene_name", "rig", "armed"))
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > first + 20)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > first + 20)
         assert unchanged(recorder.since(first))
 
 
@@ -403,8 +390,8 @@ def test_changes_of_scene_cause_no_step_of_force(rig):
             answer = control.set_scene(scene, {"object.0.material.stiffness_n_per_m": 900.0}, f"number {number}")
             assert answer.active_field == f"number {number}"
             assert eventually(lambda: recorder.force_n > 0.85)
-            begun = recorder.since(answer.tick - 1)
-            assert not begun[0, AT.force : AT.force + 3].any() and begun[1, AT.tick] == answer.tick
+            first_rows = recorder.since(answer.tick - 1)
+            assert not first_rows[0, AT.force : AT.force + 3].any() and first_rows[1, AT.tick] == answer.tick
         rows = recorder.since(first)
     assert (np.diff(rows[:, AT.tick]) == 1.0).all()
     # without the last zero, of a stop in contact
@@ -415,11 +402,11 @@ def test_disarm_fades_out_and_arm_fades_in(rig):
     with running(rig()) as (daemon, control, recorder):
         first = daemon.servo.ticks
         assert control.disarm().armed is False
-        assert eventually(lambda: recorder.rows[-1][-1, AT.servo_guard] == 64)  # the guard's bit `disarmed`
+        assert eventually(lambda: recorder.batches[-1][-1, AT.servo_guard] == 64)  # the guard's bit `disarmed`
         silent = daemon.servo.ticks
         control.set_params({STIFFNESS: 2000.0})
         tick = control.set_scene("frictionless-plane").tick
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > tick + 100)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > tick + 100)
         assert not recorder.since(silent)[:, AT.force : AT.force + 3].any()
         armed = daemon.servo.ticks
         assert control.arm().armed is True
@@ -480,7 +467,7 @@ def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
             pass
         assert message["what"] == {"armed": False}
         tick = daemon.servo.ticks
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > tick + 100)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > tick + 100)
         assert not recorder.since(tick)[:, AT.force : AT.force + 3].any()
         assert control.arm().armed is True
 
@@ -495,12 +482,12 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
             is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
         ),
     )
-    doing = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
+    actions = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
     unknown = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     alive = []
     for body, too_much in ((b"\xc1", False), (None, False), (unknown, False), (good, True), (good, False)):
-        commands = CommandService("ipc:///nowhere", rendering, doing, "none")  # no request received so far
+        commands = CommandService("ipc:///nowhere", rendering, actions, "none")  # no request received so far
         reasons.clear()
         assert commands._receive(b"client", body, too_much) is not None
         commands._check_heartbeat()
@@ -609,7 +596,7 @@ def alive(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
+def test_a_scene_that_is_compiled_delays_nothing(rig, slow_compiler):
     words = [*COMMAND, "ctl", "set_scene", "scene=sphere", "--endpoint"]
     with (
         running(rig()) as (daemon, control, recorder),
@@ -739,13 +726,12 @@ def test_a_flooding_client_gets_busy_and_other_clients_are_answered(rig):
     assert errors == {None, "busy"} and sent > BURST
 
 
-QUIET = {"telemetry.every": 1000}
+FEW_MESSAGES = {"telemetry.every": 1000}
 """Publish few messages: the publisher buffers the latest ones, 40 MB after 40 s."""
 
 
 def resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
+    return read_memory(os.getpid()) / 1e6
 
 
 def deep(levels: int, inner: bytes = b"\x90") -> bytes:
@@ -783,7 +769,7 @@ def request_bytes(random: np.random.Generator) -> list[bytes]:
 @pytest.mark.scaled
 def test_bad_messages_change_nothing(rig, cases):
     clients, per_client = cases(4, 20), cases(500, 5000)
-    with running(rig(**QUIET)) as (daemon, control, recorder), zmq.Context() as context:
+    with running(rig(**FEW_MESSAGES)) as (daemon, control, recorder), zmq.Context() as context:
         before, first = control.describe()["scene"], daemon.servo.ticks
         # The clients' threads are in this process; measure once all of them run.
         at_work = threading.Barrier(clients + 1)
@@ -829,7 +815,7 @@ RAW_S = 0.4
 
 
 def test_raw_peers_do_not_affect_memory_or_ticks(rig):
-    with running(rig(**QUIET, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, recorder):
+    with running(rig(**FEW_MESSAGES, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, recorder):
         wanted = control.describe()["rig"]
         first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), recorder.megabytes
         # In a separate process, because they would use the CPU time of the daemon's threads and of the clients.

@@ -18,7 +18,7 @@ import pytest
 import zmq
 from helpers.faulty_device import FaultyDevice, registered
 from helpers.pressed import pressed_scene
-from helpers.waits import eventually
+from helpers.waits import WAIT_S, eventually
 
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
@@ -30,7 +30,6 @@ from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.native.switch import SharedSwitch
 
-WAIT_S = 120.0
 REPLACED_S = 60.0
 """Time until another process answers: SILENT_MAX_S and its start, on a busy machine."""
 BEFORE = 48

@@ -18,8 +18,9 @@ from tempfile import TemporaryDirectory
 import msgpack
 import numpy as np
 import pytest
-import zmq
+from helpers.daemons import QUIET, make_daemon, subscribed
 from helpers.faulty_device import registered
+from helpers.processes import COMMAND
 from helpers.programs import Program, run_program
 from helpers.waits import eventually
 
@@ -39,7 +40,6 @@ from softfinger.tools.pages.hazards import starvation_time_s
 
 pytestmark = pytest.mark.real_time
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 SYS_TGKILL = {"x86_64": 234, "aarch64": 131}
 
 
@@ -51,16 +51,6 @@ def daemon(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
         command = [*COMMAND, "run", "--endpoint", endpoint, *words]
         with Program(command, stderr=subprocess.PIPE, text=True, kill_at_end=True) as process:
             yield process, endpoint
-
-
-@contextmanager
-def subscribed(endpoint: str, *topics: str) -> Iterator[zmq.Socket[bytes]]:
-    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-        socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, 120_000  # a cold start compiles first
-        for topic in topics:
-            socket.subscribe(topic)
-        socket.connect(endpoint)
-        yield socket
 
 
 def load_forces(path: Path) -> np.ndarray:
@@ -127,9 +117,8 @@ def test_plain_client_gets_every_tick_all_modes_and_every_transition():
 
 
 def test_stopped_is_sent_after_a_late_close():
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with (
-        Daemon(rig, load_scene("paper-plane"), 2000) as running,
+        make_daemon(2000) as running,
         subscribed(running.publisher.endpoint, "event", "contact") as socket,
     ):
         running.start()
@@ -155,10 +144,9 @@ def test_a_failing_sink_is_dropped_and_the_others_get_every_record():
         fragile.append(len(records))
         raise Failure("no space left")
 
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     sinks = [Sink("fragile", breaks), Sink("box", lambda records, drops: ticks.extend(records[:, AT.tick]))]
     with (
-        Daemon(rig, load_scene("paper-plane"), 1500, sinks=sinks) as running,
+        make_daemon(1500, sinks=sinks) as running,
         subscribed(running.publisher.endpoint, "event") as socket,
     ):
         assert eventually(lambda: running.publisher.subscribers == 1)
@@ -181,12 +169,11 @@ def test_a_failing_vital_sink_ends_the_run():
         if records[-1, AT.tick] >= 200:
             raise Failure("gone")
 
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     sinks = [
         Sink("vital", breaks, lambda error: SafetyStop(f"nobody sees it: {error}")),
         Sink("box", lambda records, drops: ticks.extend(records[:, AT.tick])),
     ]
-    with Daemon(rig, load_scene("paper-plane"), sinks=sinks) as running:
+    with make_daemon(sinks=sinks) as running:
         running.start()
         with pytest.raises(SafetyStop, match="nobody sees it: gone"):
             running.wait(60.0)
@@ -203,8 +190,7 @@ def test_close_does_not_wait_for_a_slow_sink(monkeypatch, caplog):
         began.set()
         assert let_go.wait(60.0)
 
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane"), 300, sinks=[Sink("slow", slow)]) as running:
+    with make_daemon(300, sinks=[Sink("slow", slow)]) as running:
         running.start()
         assert began.wait(60.0) and running.wait(60.0)
         running.close()
@@ -220,7 +206,7 @@ def faulty(monkeypatch):
 
 
 def make_faulty_rig(realtime="off", **options):
-    changes = {"device.driver": "faulty", "telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": realtime}
+    changes = QUIET | {"device.driver": "faulty", "servo.realtime": realtime}
     return load_rig("replay", changes | {f"device.{key}": value for key, value in options.items()})
 
 

@@ -5,15 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zmq
+from helpers.daemons import make_daemon, subscribed
 from helpers.telemetry_records import join, put, synthetic
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.elastic.deformed import Deformed
 from softfinger.proxy.record import AT, ROLLING
-from softfinger.server.app import Daemon
 from softfinger.server.services.deformation import Deformation
 from softfinger.server.wire.protocol import DEFORMATION, decode
 
@@ -37,16 +35,13 @@ def make_press(count: int) -> Any:
 
 
 def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path: Path) -> None:
-    keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
+    changes = {"commands.endpoint": "off", "device.recording": "tap"}
     path, messages = tmp_path / "a.mcap", []
     with (
-        Daemon(load_rig("replay", keys | {"device.recording": "tap"}), load_scene("press-a-pad")) as daemon,
-        zmq.Context.instance().socket(zmq.SUB) as socket,
+        make_daemon(scene="press-a-pad", changes=changes) as daemon,
+        subscribed(daemon.publisher.endpoint, DEFORMATION, "event") as socket,
     ):
         daemon.recordings.record(path, "press-a-pad")
-        for topic in (DEFORMATION, "event"):
-            socket.subscribe(topic)
-        socket.connect(daemon.publisher.endpoint)
         join(daemon.publisher, socket)
         # The daemon is not started; these ticks arrive in batches as from a hand.
         for batch in np.array_split(make_press(600), 60):
@@ -64,9 +59,7 @@ def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path:
         rows[:, AT.contacts0_force] = np.linspace(1.0, 2.0, len(rows))
         for row in rows:
             changing.sink.take(row[None], 0)
-        with zmq.Context.instance().socket(zmq.SUB) as late:  # a late subscriber gets the last message
-            late.subscribe(DEFORMATION)
-            late.connect(daemon.publisher.endpoint)
+        with subscribed(daemon.publisher.endpoint, DEFORMATION) as late:  # a late subscriber gets the last message
             assert late.poll(60_000)
             assert decode(*late.recv_multipart()).loads == ()
     ticks = [tick for tick, count in sent if count]

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zmq
+from helpers.daemons import subscribed
 from helpers.faulty_device import registered
 from helpers.pressed import pressed_scene
+from helpers.processes import COMMAND
 from helpers.waits import until
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -62,10 +63,8 @@ def test_scenes_change_while_the_finger_presses(monkeypatch: pytest.MonkeyPatch,
     elastic, rigid = describe(load_scene("press-a-pad")), describe(pressed_scene())
     with (
         Daemon(rig, load_scene("press-a-pad")) as daemon,
-        zmq.Context.instance().socket(zmq.SUB) as socket,
+        subscribed(daemon.publisher.endpoint, DEFORMATION) as socket,
     ):
-        socket.subscribe(DEFORMATION)
-        socket.connect(daemon.publisher.endpoint)
         daemon.recordings.record(path, "press-a-pad")
         daemon.start()
         sent, firsts = receive_until(socket, lambda message: message.loads), []
@@ -97,7 +96,7 @@ def test_scenes_change_while_the_finger_presses(monkeypatch: pytest.MonkeyPatch,
     assert [(entry.tick, [tuple(load.force) for load in entry.loads]) for entry in recorded][: len(sent)] == [
         (entry.tick, [load.force for load in entry.loads]) for entry in sent
     ]
-    replay = [sys.executable, "-m", "softfinger.server.cli", "replay", str(path), "--tolerance", "1e-12"]
+    replay = [*COMMAND, "replay", str(path), "--tolerance", "1e-12"]
     plain = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     completed = subprocess.run(replay, capture_output=True, text=True, check=False, env=plain, timeout=WAIT_S)
     assert completed.returncode == 0 and " 0 differ" in completed.stdout, completed.stdout + completed.stderr

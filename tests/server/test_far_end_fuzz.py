@@ -10,7 +10,6 @@ import contextlib
 import os
 import random
 import signal
-import sys
 import time
 import tomllib
 from collections.abc import Iterator
@@ -22,9 +21,10 @@ import numpy as np
 import pytest
 import zmq
 from emulators.serialboard import FRAME_BYTES, Board, Cable, Vector
+from helpers.processes import COMMAND, list_children
 from helpers.programs import Program
 from helpers.two_fingers import SCENE
-from helpers.waits import until
+from helpers.waits import WAIT_S, until
 
 from softfinger.config.errors import CommandRefused, HapticError
 from softfinger.server.loop.force_switch import MAX_OFF_S
@@ -43,7 +43,6 @@ ROUNDING_N = 0.5e-3 * 3**0.5
 """A frame has integer mN for each component."""
 LATE_FRAMES = 3
 """Ticks that may start without having read a command that stops the force, after its answer."""
-WAIT_S = 120.0
 SPOILT = (b"     nan", b"     inf", b"   1e999", b"  80.000", b" -80.000", b"\0\xff\n\n\n\n\n\n")
 NAMES = ("thumb", "index")
 RIG = f"""
@@ -145,7 +144,7 @@ class Session:
         self.starts += 1
         before = self.writes()
         words = ["-q", "run", "--rig", str(self.folder / "rig.toml"), "--scene", str(self.folder / "scene.toml")]
-        daemon = Program([sys.executable, "-m", "softfinger.server.cli", *words], stdout=self.log, stderr=self.log)
+        daemon = Program([*COMMAND, *words], stdout=self.log, stderr=self.log)
         until(lambda: self.writes() > before + 100 or daemon.poll() is not None)
         assert daemon.poll() is None, (self.folder / "log").read_text()[-3000:]
         return daemon
@@ -286,10 +285,9 @@ class Session:
             counts.append(first)
 
     def kill_publisher(self) -> None:
-        for path in Path(f"/proc/{self.daemon.pid}/task").glob("*/children"):
+        for child in list_children(self.daemon.pid):
             with contextlib.suppress(OSError):
-                for child in path.read_text().split():
-                    os.kill(int(child), signal.SIGKILL)
+                os.kill(child, signal.SIGKILL)
 
 
 OFTEN = ("move", "parameters", "drive", "mark", "disarm", "mute", "spoil", "flood")

@@ -7,7 +7,6 @@ import itertools
 import re
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,14 +16,15 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-import zmq
 from emulators.serialboard import Board, Cable
+from helpers.daemons import RecordSink, subscribed
 from helpers.faulty_device import Driver, acts, registered
+from helpers.processes import COMMAND
 from helpers.programs import Program
 from helpers.serial_devices import PLACE, RIG
 from helpers.telemetry_records import join, put, synthetic
 from helpers.two_fingers import NAMES, SCENE, two_devices, two_fingers
-from helpers.waits import repeated, until
+from helpers.waits import WAIT_S, repeated, until
 from rich.console import Console
 
 from softfinger.config.errors import ConfigError, DeviceNotFound, SafetyStop
@@ -42,8 +42,6 @@ from softfinger.server.wire.publisher import Publisher
 pytestmark = pytest.mark.real_time
 
 FAULTY = {"driver": "faulty"}
-WAIT_S = 120.0
-"""Generous bound: a compilation on a busy machine."""
 END_S = 20.0
 FORCE_N = 0.5
 ZERO = (0.0, 0.0, 0.0)
@@ -116,8 +114,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
         {"driver": "replay", "recording": "tap", "loop": False},
         {"driver": "replay", "recording": "press-roll-spin-drag", "loop": False},
     )
-    rows: list[np.ndarray] = []
-    sink = Sink("kept", lambda records, drops: rows.append(records.copy()))
+    stored = RecordSink()
     recorded: list[Any] = []
     files = {name: tmp_path / f"{name}.csv" for name in NAMES}
 
@@ -126,13 +123,9 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
             recorded.append(record(wire, files, timeout_s=WAIT_S))
 
     with (
-        Daemon(rig, two_fingers(), sinks=[sink]) as running,
-        zmq.Context() as context,
-        context.socket(zmq.SUB) as socket,
+        Daemon(rig, two_fingers(), sinks=[stored.sink]) as running,
+        subscribed(running.publisher.endpoint, "") as socket,
     ):
-        socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, int(WAIT_S * 1000)
-        socket.subscribe("")
-        socket.connect(running.publisher.endpoint)
         recorder = threading.Thread(target=take, args=(running.publisher.endpoint,))
         recorder.start()
         until(lambda: running.publisher.subscribers == 2)
@@ -145,7 +138,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
             topic, body = socket.recv_multipart()
             messages.append((topic.decode(), msgpack.unpackb(body)))
         recorder.join(WAIT_S)
-    records = np.concatenate(rows).reshape(-1, 2, RECORD_SIZE)
+    records = stored.all.reshape(-1, 2, RECORD_SIZE)
     ticks = [(topic, message) for topic, message in messages if topic.startswith("finger/")]
     assert [topic for topic, _ in ticks] == ["finger/thumb", "finger/index"] * len(records)
     assert {topic for topic, _ in messages} == {"finger/thumb", "finger/index", "state", "event", "health", "schema"}
@@ -181,12 +174,8 @@ def test_clients_separate_the_fingers() -> None:
         with (
             subscribe(publisher.endpoint, ("finger/", "event", "health"), timeout_s=WAIT_S) as samples,
             Window(publisher.endpoint, 100, "index") as window,
-            zmq.Context() as context,
-            context.socket(zmq.SUB) as plain,
+            subscribed(publisher.endpoint, "event") as plain,
         ):
-            plain.linger = 0
-            plain.subscribe("event")
-            plain.connect(publisher.endpoint)
             until(lambda: publisher.subscribers == 3)
             join(publisher, plain)
             publisher.publish(make_records(1001))
@@ -242,7 +231,7 @@ def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Ca
             head += device.replace("[device]", f"[devices.{name}]").replace('driver = "serial"\n', named)
         (tmp_path / "rig.toml").write_text(head + rest)
         (tmp_path / "scene.toml").write_text(SCENE)
-        command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off"]
+        command = [*COMMAND, "run", "--realtime", "off"]
         command += ["--rig", str(tmp_path / "rig.toml"), "--scene", str(tmp_path / "scene.toml")]
         command += ["--endpoint", f"ipc://{tmp_path}/t", *words]
         with Program(command, stderr=subprocess.PIPE, text=True, kill_at_end=True) as process:

@@ -18,7 +18,9 @@ import numpy as np
 import pytest
 import zmq
 from helpers.called import called
+from helpers.daemons import subscribed
 from helpers.encoder import contact_map
+from helpers.processes import COMMAND, find_child
 from helpers.programs import Program, run_program
 from helpers.telemetry_records import synthetic
 from helpers.waits import eventually, repeated
@@ -36,7 +38,6 @@ from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 WAIT_S = 60.0
 """Generous bound: a compilation on a busy machine."""
 
@@ -151,9 +152,9 @@ def test_clients_need_a_key_to_read_or_command(key_ring: KeyRing) -> None:
         (key_ring.folder / "readers" / "second.key").unlink()
         before = second.look().let_in
         assert eventually(lambda: second.look().away)
-        heard, reader_heard = second.messages, reader.look().messages
-        assert second.let_in == before and eventually(lambda: reader.look().messages > reader_heard + 500)
-        assert second.look().messages == heard
+        count, reader_count = second.messages, reader.look().messages
+        assert second.let_in == before and eventually(lambda: reader.look().messages > reader_count + 500)
+        assert second.look().messages == count
         daemon.stop()
         assert daemon.wait(60.0)
         daemon.close()
@@ -168,8 +169,8 @@ def test_a_restarted_publisher_requires_keys(key_ring: KeyRing) -> None:
         assert eventually(lambda: own.look().messages > 10 and reader.look().messages > 10)
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
         assert eventually(lambda: daemon.publisher.restarts == 1)
-        heard = reader.look().messages
-        assert eventually(lambda: reader.look().messages > heard + 500)
+        count = reader.look().messages
+        assert eventually(lambda: reader.look().messages > count + 500)
         stranger = Listener(context, daemon.public["telemetry"], key_ring.of("stranger"))
         assert eventually(lambda: stranger.look().away) and not stranger.messages
         assert eventually(lambda: own.look().let_in == 2)
@@ -180,8 +181,7 @@ def test_the_publisher_ends_with_a_daemon_that_is_killed(key_ring: KeyRing) -> N
     with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         try:
             assert next(line for line in daemon.stderr if "telemetry for other machines on" in line)
-            children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
-            pid = next(child for child in children if b"socket_process" in Path(f"/proc/{child}/cmdline").read_bytes())
+            pid = find_child(daemon.pid, b"socket_process\0telemetry")
         finally:
             daemon.kill()
         daemon.stderr.close()
@@ -207,27 +207,25 @@ def ticking(publisher: Publisher) -> contextlib.AbstractContextManager[None]:
 
 def test_forwarded_messages_equal_published_ones() -> None:
     records = np.delete(synthetic(3000), [100, 101, 102, 2000], axis=0)
-    with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context:
-        with forwarding("--from", publisher.endpoint, "--to", "tcp://127.0.0.1:*") as (process, endpoint):
-            subscribers = [context.socket(zmq.SUB) for _ in range(2)]
-            for socket in subscribers:
-                socket.rcvtimeo, socket.rcvhwm, socket.linger = round(WAIT_S * 1000), 0, 0
-                socket.subscribe(b"")
-                socket.connect(endpoint)
-            for socket in subscribers:  # until each is known to receive messages
-                while not socket.poll(10):
-                    publisher.event("mark", "mark", label="are you there")
-            publisher.publish(records)
-            assert eventually(lambda: publisher.subscribers == 1)
-            for socket in subscribers:
-                frames = [socket.recv_multipart()]
-                while len(contacts := [body for topic, body in frames if topic == b"contact"]) < len(records):
-                    frames.append(socket.recv_multipart())
-                assert [msgpack.unpackb(body) for body in contacts] == [contact_map(record) for record in records]
-            process.send_signal(signal.SIGINT)
-            content = json.loads(process.stdout.read())
-            assert process.wait(WAIT_S) == 0
-        context.destroy(0)
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        forwarding("--from", publisher.endpoint, "--to", "tcp://127.0.0.1:*") as (process, endpoint),
+        subscribed(endpoint, "") as first,
+        subscribed(endpoint, "") as second,
+    ):
+        for socket in (first, second):  # until each is known to receive messages
+            while not socket.poll(10):
+                publisher.event("mark", "mark", label="are you there")
+        publisher.publish(records)
+        assert eventually(lambda: publisher.subscribers == 1)
+        for socket in (first, second):
+            frames = [socket.recv_multipart()]
+            while len(contacts := [body for topic, body in frames if topic == b"contact"]) < len(records):
+                frames.append(socket.recv_multipart())
+            assert [msgpack.unpackb(body) for body in contacts] == [contact_map(record) for record in records]
+        process.send_signal(signal.SIGINT)
+        content = json.loads(process.stdout.read())
+        assert process.wait(WAIT_S) == 0
     assert content["messages"] >= len(records) and content["lost"] == 4
     assert content["telemetry"]["connections_max"] == 2 and content["telemetry"]["refused"] == 0
 
@@ -303,9 +301,9 @@ def test_a_key_that_floods_is_barred(key_ring: KeyRing) -> None:
 
             assert eventually(flooded) and process.poll() is None
             assert "second is barred" in next(line for line in process.stderr if "barred" in line)
-            heard, reader_heard = flood.messages, reader.look().messages
-            assert eventually(lambda: reader.look().messages > reader_heard + 500)
-            assert flood.look().messages == heard
+            count, reader_count = flood.messages, reader.look().messages
+            assert eventually(lambda: reader.look().messages > reader_count + 500)
+            assert flood.look().messages == count
         context.destroy(0)
 
 

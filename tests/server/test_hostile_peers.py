@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.processes import COMMAND, read_memory
 from helpers.programs import Program
 from helpers.waits import eventually
 
@@ -173,12 +174,6 @@ MESSAGE_BYTES = 2 * 64 + 1536
 """Two of libzmq's messages, 64 bytes each, and the data shared by all subscribers."""
 
 
-def memory_bytes(pid: int, field: str) -> int:
-    """Return a field of /proc/PID/status, bytes."""
-    (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith(field)]
-    return int(line.split()[1]) * 1024
-
-
 def read_report(process: subprocess.Popen[str]) -> Any:
     assert process.stdout is not None
     line = process.stdout.readline()
@@ -260,7 +255,7 @@ def attack(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
     with publishing(endpoint) as (process, (bound, ring, pid)):
         with Subscription(bound, ("contact",)) as healthy, Local(ring) as local:
             assert healthy.receive(60.0) is not None  # the kernels may have to be compiled
-            before = memory_bytes(process.pid, "VmHWM")
+            before = read_memory(process.pid, "VmHWM")
             with ExitStack() as ends:
                 peers = []
                 for name in names:
@@ -274,12 +269,12 @@ def attack(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
                 missing = count_missing(local, healthy, seconds)
                 assert all(peer.poll() is None for peer in peers), "an attack was over"
                 with contextlib.suppress(FileNotFoundError):  # the process has ended
-                    assert memory_bytes(pid, "VmHWM") < 1.5 * MEMORY_MAX
+                    assert read_memory(pid, "VmHWM") < 1.5 * MEMORY_MAX
             missing += count_missing(local, healthy, 0.2)
             assert is_served(bound)
             while healthy.receive(60.0) is None:
                 raise AssertionError("a healthy subscriber is not served again")
-            grown = memory_bytes(process.pid, "VmHWM") - before
+            grown = read_memory(process.pid, "VmHWM") - before
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
         report = end_publisher(process)
     assert grown < GROWN_BYTES
@@ -326,11 +321,11 @@ def test_connections_are_limited_by_open_files() -> None:
             peer = peers.enter_context(socket.create_connection(address))
             peer.sendall(GREETING + READY)
             peer.settimeout(1.0)
-            heard = b""
+            received = b""
             with contextlib.suppress(TimeoutError):
-                while b"XPUB" not in heard and (more := peer.recv(100)):
-                    heard += more
-            if b"XPUB" not in heard:
+                while b"XPUB" not in received and (more := peer.recv(100)):
+                    received += more
+            if b"XPUB" not in received:
                 break
             peer.sendall(SUBSCRIBE)
         assert eventually(lambda: publisher.subscribers > FILES_MAX // 2)
@@ -381,17 +376,17 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
         subscribers_that_do_not_read(bound),
         Subscription(bound, ("contact",)) as watching,
     ):
-        before = memory_bytes(pid, "VmRSS")
+        before = read_memory(pid, "VmRSS")
         for _ in range(BACKLOG + 4096):  # more messages than that are in the system's buffers
             assert watching.receive(60.0) is not None
-        grown = memory_bytes(pid, "VmHWM") - before
+        grown = read_memory(pid, "VmHWM") - before
         report = end_publisher(process)
     assert report["lost"] > 0 and report["restarts"] == 0
     assert grown < 1.5 * BACKLOG * (41 * 2 * 64 + MESSAGE_BYTES)
 
 
 def test_the_daemon_ends_while_a_subscriber_is_stopped() -> None:
-    words = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*"]
+    words = [*COMMAND, "run", "--endpoint", "tcp://127.0.0.1:*"]
     with Program(words, stderr=subprocess.PIPE, text=True, kill_at_end=True) as daemon:
         assert daemon.stderr is not None
         bound = next(line for line in daemon.stderr if "telemetry on" in line).split("telemetry on ")[1].strip()

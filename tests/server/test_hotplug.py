@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.daemons import make_daemon
 from test_devices_verb import plug_hid, plug_serial, plug_usb, root  # noqa: F401  (a fixture)
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server import app
-from softfinger.server.app import Daemon
 from softfinger.server.services import hotplug
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.wire.client import subscribe
@@ -93,8 +92,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noq
 
 def test_a_running_daemon_publishes_hotplug_events(quick: Path) -> None:
     events: list[dict[str, Any]] = []
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
+    with make_daemon() as daemon:
         with subscribe(daemon.publisher.endpoint, ("event",), timeout_s=20.0) as samples:
             while samples.receive(0.01) is None:  # until the subscription has taken effect
                 daemon.publisher.event("test", "joined")

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.compiled_code import called_in, functions
+from helpers.processes import COMMAND
 from helpers.programs import run_program
 
 from softfinger.config.load import describe, load_scene
@@ -102,8 +103,7 @@ def test_compiler_and_warmup_cache_all_kernels(fresh_loop: tuple[str, Path, str]
     assert output.startswith("compiling ") and re.search(r"^compiling kernel \d+ \(about \d+ ", output, re.MULTILINE)
     assert not run_compiler(scene, cache).startswith("compiling ")  # cached kernels are only loaded
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
-    words = [sys.executable, "-m", "softfinger.server.cli"]
-    warm = [*words, "warmup", scene]
+    warm = [*COMMAND, "warmup", scene]
     first = run_program(warm, env=environment, check=True)
     assert str(cache) in first.stdout
     after = list_kernels(cache)
@@ -117,7 +117,7 @@ def test_compiler_and_warmup_cache_all_kernels(fresh_loop: tuple[str, Path, str]
     run_program([*warm, "--prune"], env=environment, check=True)
     assert not old_version.exists() and foreign.exists()  # kernels of another version, and an unrelated folder
     brief = ["--duration", "0.2", "--realtime", "off", "--endpoint", "tcp://127.0.0.1:*", "--commands", "off"]
-    run_program([*words, "run", "--scene", scene, *brief], env=environment, check=True)
+    run_program([*COMMAND, "run", "--scene", scene, *brief], env=environment, check=True)
     assert list_kernels(cache) == after
 
 

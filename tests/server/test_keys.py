@@ -6,12 +6,12 @@ import json
 import os
 import stat
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import zmq
 import zmq.auth
+from helpers.processes import COMMAND
 from helpers.programs import run_program
 
 from softfinger.config.errors import ConfigError
@@ -22,7 +22,6 @@ from softfinger.server.socket_process.allowed import Allowed
 
 OTHER = 65534
 """User `nobody`."""
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 
 
 def read_mode(path: Path) -> int:
@@ -62,8 +61,8 @@ def test_no_key_is_overwritten(tmp_path: Path) -> None:
 def test_the_verb_makes_pairs(tmp_path: Path) -> None:
     words = [*COMMAND, "keys", str(tmp_path / "new" / "keys"), "rig", "anna", "--json"]
     completed = run_program(words, check=True)
-    made = json.loads(completed.stdout)
-    assert set(made) == {"rig", "anna"} and all(read_pair(files["secret"]) for files in made.values())
+    pairs = json.loads(completed.stdout)
+    assert set(pairs) == {"rig", "anna"} and all(read_pair(files["secret"]) for files in pairs.values())
     assert subprocess.run(words, capture_output=True, check=False).returncode == 2
     output = run_program([*words[:-3], "ben"], check=True).stdout
     assert (

@@ -10,20 +10,18 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from emulators.serialboard import Board, Cable
+from helpers.processes import COMMAND, list_children, read_command_line
 from helpers.programs import Program, run_program
+from helpers.rig_files import write_rig
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import until
 
 from softfinger.config.errors import RecordingError
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.proxy.record import AT
 from softfinger.server.recording.reader import TickBlock, read_contents
 
@@ -45,22 +43,9 @@ MOMENT_S = 4.0
 """Latest time of a kill after the start: most hit the imports, the opening of the device, or the first ticks."""
 
 
-def list_children(pid: int) -> list[int]:
-    """Return child processes of all threads: the thread that supervises a process restarts it."""
-    pids: list[int] = []
-    for thread in Path(f"/proc/{pid}/task").glob("*/children"):
-        with suppress(FileNotFoundError, ProcessLookupError):
-            pids += map(int, thread.read_text().split())
-    return pids
-
-
 def find_process(kind: str, pid: int) -> int | None:
     """Return the process of a run with this role, if it has started."""
-    for candidate in (pid, *list_children(pid)):
-        with suppress(FileNotFoundError, ProcessLookupError):
-            if VICTIMS[kind] in Path(f"/proc/{candidate}/cmdline").read_bytes():
-                return candidate
-    return None
+    return next((victim for victim in (pid, *list_children(pid)) if VICTIMS[kind] in read_command_line(victim)), None)
 
 
 def has_exited(pid: int) -> bool:
@@ -84,7 +69,7 @@ def count_readable(path: Path) -> int:
 
 
 def make_command(tmp_path: Path, rig: Path, *words: str) -> list[str]:
-    run = [sys.executable, "-m", "softfinger.server.cli", "-q", "run", "--realtime", "off", "--rig", str(rig), "--view"]
+    run = [*COMMAND, "-q", "run", "--realtime", "off", "--rig", str(rig), "--view"]
     return [*run, "--scene", "paper-plane", "--endpoint", f"ipc://{tmp_path}/t", *words]
 
 
@@ -99,14 +84,14 @@ def run_to_end(tmp_path: Path, rig: Path) -> None:
 def kill(process: subprocess.Popen[bytes], kind: str, log_path: Path) -> list[int]:
     """Kill one process of a run, wait until its end is reported, and return all that the daemon had."""
     until(lambda: find_process(kind, process.pid) or process.poll() is not None, START_S, f"there is no {kind}")
-    begun, victim = list_children(process.pid), find_process(kind, process.pid)
+    started_pids, victim = list_children(process.pid), find_process(kind, process.pid)
     assert victim is not None, log_path.read_text()
     os.kill(victim, signal.SIGKILL)
     if kind != "daemon":
         words = f"the {kind} has ended"
         until(lambda: words in log_path.read_text() or process.poll() is not None, START_S, f"{words}: not told")
         assert words in log_path.read_text()
-    return begun + list_children(process.pid)
+    return started_pids + list_children(process.pid)
 
 
 @pytest.mark.exhaustive
@@ -116,9 +101,7 @@ def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> Non
     board = Board(lambda _: (*PLACE[:2], 0.006))
     recorded = 0
     with Cable(board) as cable:
-        rig = tmp_path / "rig.toml"
-        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
-        rig.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
+        rig = write_rig(tmp_path, RIG, path=cable.path, quiet_s=0.1, timeout_s=2.0)
         run_to_end(tmp_path, rig)  # with compiled kernels a run reaches its ticks before most kills
         for number, kind in zip(range(kills), itertools.cycle(VICTIMS)):
             recording, log_path = tmp_path / f"{number}.mcap", tmp_path / f"{number}.log"
@@ -127,12 +110,12 @@ def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> Non
             ) as process:  # fmt: skip
                 try:
                     time.sleep(drawn.uniform(0.0, MOMENT_S))
-                    begun = kill(process, kind, log_path)
+                    pids = kill(process, kind, log_path)
                     time.sleep(drawn.uniform(0.0, 0.5))  # the daemon restarts the process, or ends with an error
-                    begun += list_children(process.pid)
+                    pids += list_children(process.pid)
                 finally:
                     process.kill()
-            until(lambda begun=begun: all(map(has_exited, begun)), END_S, f"kill {number}: a process is left")
+            until(lambda pids=pids: all(map(has_exited, pids)), END_S, f"kill {number}: a process is left")
             if recording.exists():
                 recorded += count_readable(recording)
         run_to_end(tmp_path, rig)

@@ -179,7 +179,7 @@ def test_a_torque_fades_with_the_force():
     assert passed.guard_state.torque == pytest.approx((0.0, 0.0, 0.15), rel=1e-12)
 
 
-def test_energy_given_in_a_contact_fades_the_force():
+def test_generated_energy_in_a_contact_fades_the_force():
     """The energy is P tau (1 - r^n); above the limit E the force has the share s = 2 - given / E."""
     guard, passed = make_guard(energy=0.1), INITIAL_OUTPUT
     shares, ratio = [], lim.FORGET_S / (lim.FORGET_S + T)
@@ -314,8 +314,10 @@ def test_energy_of_a_wall_per_cycle_follows_colgate(hz, late):
         passed, bits = tick(guard, passed, (0.0, 0.0, forces[spent]), (0.0, 0.0, moved[spent]), ROLLING)
     assert spent > 4 * count  # and some more, because a part is forgotten
     stored = 0.5 * stiffness * depths[spent] ** 2
-    made = sum_with_decay(works)[spent] + stored
-    assert made <= (2 * late + 1) * (passed.limit_state.energy_given + stored) * (1.0 + 1e-9)  # rounding, for late = 0
+    generated = sum_with_decay(works)[spent] + stored
+    assert generated <= (2 * late + 1) * (passed.limit_state.energy_given + stored) * (
+        1.0 + 1e-9
+    )  # rounding, for late = 0
 
 
 @pytest.mark.parametrize("late", [1, 2, 4])

@@ -11,13 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.daemons import make_daemon
 from helpers.programs import Program
 from helpers.telemetry_records import synthetic
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT, RECORD_SIZE, columns
-from softfinger.server.app import Daemon
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.memory import Local, make_memory, remove
@@ -113,9 +112,8 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
 
 
 def test_describe_returns_the_ring_of_ticks():
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     batches = []
-    with Daemon(rig, load_scene("paper-plane"), 500) as daemon:
+    with make_daemon(500) as daemon:
         ring = daemon.publisher.ring()
         with Local(ring["name"]) as ticks:
             daemon.start()
@@ -134,8 +132,7 @@ def test_describe_returns_the_ring_of_ticks():
 
 def test_program_on_the_page_runs():
     (program,) = [fence for fence in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "Local" in fence]
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
+    with make_daemon() as daemon:
         code = program.replace("Control()", f"Control({daemon.commands_endpoint!r})")
         daemon.start()
         process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
@@ -148,7 +145,7 @@ def test_program_on_the_page_runs():
 def test_a_sleeping_reader_wakes_at_a_tick_and_at_the_end():
     """A sleeping reader wakes at a tick and at the end; its time-out is longer than the test."""
     forever_s = 1e6
-    made = make_memory(16, 4)
+    shared = make_memory(16, 4)
     code = (
         "import sys\n"
         "from softfinger.server.wire.native.memory import Local\n"
@@ -157,14 +154,14 @@ def test_a_sleeping_reader_wakes_at_a_tick_and_at_the_end():
         f"while len(rows := ticks.take({forever_s})):\n"
         "    print(rows.tolist(), flush=True)\n"
     )
-    words = [sys.executable, "-c", code, made.name]
+    words = [sys.executable, "-c", code, shared.name]
     with Program(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "open\n"
-        made.broadcast.slots[0] = 7.0
-        made.broadcast.head[0] = 1
-        memory.wake_readers_from_python(made.broadcast)
+        shared.broadcast.slots[0] = 7.0
+        shared.broadcast.head[0] = 1
+        memory.wake_readers_from_python(shared.broadcast)
         assert process.stdout.readline() == "[[7.0, 7.0, 7.0, 7.0]]\n"
-        remove(made)
+        remove(shared)
         assert process.wait(WAIT_S) == 0
 
 

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from helpers.processes import COMMAND
+from helpers.waits import WAIT_S
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
@@ -22,7 +24,6 @@ from softfinger.server.wire.protocol import EVENT
 
 pytestmark = pytest.mark.real_time
 
-WAIT_S = 120.0
 MARKS = 20
 APART_S = 10.0
 """Offset between the daemon's epoch and the machine's clock, as if the clock had been set."""
@@ -65,7 +66,7 @@ def start_inlets(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | N
     settings = folder / "lsl.cfg"
     settings.write_text("[multicast]\nResolveScope = machine\n")
     env = os.environ | {"LSLAPICFG": str(settings)}
-    forward = [sys.executable, "-m", "softfinger.server.cli", "-q", "forward", "--lsl", "--from", endpoint]
+    forward = [*COMMAND, "-q", "forward", "--lsl", "--from", endpoint]
     sending = subprocess.Popen(forward, env=env, stdout=subprocess.DEVNULL)
     stack.append(sending)
     inlets = subprocess.Popen([sys.executable, "-c", INLETS, endpoint], env=env, stdout=subprocess.PIPE, text=True)
@@ -137,8 +138,8 @@ def test_lsl_has_the_time_of_the_tick(marked_run: MarkedRun) -> None:
         pytest.skip("pylsl is not installed: pip install 'softfinger[lsl]'")
     stamps = dict(marked_run.lsl["ticks"])
     times = dict(zip(marked_run.run.first["tick"].tolist(), marked_run.run.first["timestamp"].tolist(), strict=True))
-    heard = [(json.loads(text), stamp) for text, stamp in marked_run.lsl["markers"]]
-    markers = [(event, stamp) for event, stamp in heard if event.get("label", "").startswith("mark ")]
+    lsl_events = [(json.loads(text), stamp) for text, stamp in marked_run.lsl["markers"]]
+    markers = [(event, stamp) for event, stamp in lsl_events if event.get("label", "").startswith("mark ")]
     assert len(markers) == MARKS
     for event, stamp in markers:
         published = next(mark for mark in select_marks(marked_run.published) if mark["label"] == event["label"])

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from helpers import meshes
 from helpers.pages import LOCAL, running
+from helpers.waits import WAIT_S
 
 from softfinger.config import schema
 from softfinger.config.errors import CommandRefused
@@ -26,7 +27,6 @@ from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.publisher import Publisher
 from softfinger.server.wire.rig_endpoints import bind_rig
 
-WAIT_S = 120.0
 MATERIAL = {"stiffness_n_per_m": 500.0}
 BALL = meshes.geodesic(16, 0.04)
 """5120 triangles."""
@@ -43,8 +43,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def make_scene(*objects: dict[str, Any]) -> schema.Scene:
-    made = {"fingertip": {"radius_m": 0.01}, "object": [table | {"material": MATERIAL} for table in objects]}
-    return build(schema.Scene, made, "test scene")
+    mapping = {"fingertip": {"radius_m": 0.01}, "object": [table | {"material": MATERIAL} for table in objects]}
+    return build(schema.Scene, mapping, "test scene")
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +58,8 @@ def commands(folder: Path) -> Iterator[str]:
     rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", LOCAL), scene=scene))
     doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
-        doing = cast(Any, SimpleNamespace(replace=None, report=print, serve=publisher.serve, reply=publisher.reply))
-        service = CommandService(str(doors.commands), rendering, doing, "meshes")
+        actions = cast(Any, SimpleNamespace(replace=None, report=print, serve=publisher.serve, reply=publisher.reply))
+        service = CommandService(str(doors.commands), rendering, actions, "meshes")
         service.start()
         yield service.endpoint
         service.stop()

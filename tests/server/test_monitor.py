@@ -275,7 +275,7 @@ def test_the_dashboard_fits_the_terminal(width, height):
     assert "number 0 of the scene" in text
 
 
-def test_what_the_daemon_prepares_is_shown():
+def test_preparations_of_the_daemon_are_shown():
     board = make_board(make_press(), preparing="compiling kernel 12")
     assert any("preparing" in line and "compiling kernel 12" in line for line in render_text(board))
     assert "preparing: compiling kernel 12;" in monitor.line(board)

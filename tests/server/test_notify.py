@@ -6,18 +6,17 @@ import contextlib
 import os
 import signal
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from helpers import faulty_device
+from helpers.daemons import make_daemon
+from helpers.processes import COMMAND
 from helpers.programs import Program, run_program
 
 from softfinger.config.errors import SafetyStop
-from softfinger.config.load import load_rig, load_scene
-from softfinger.server.app import Daemon
 from softfinger.server.services.notify import Notify, _watchdog_s
 
 pytestmark = pytest.mark.real_time
@@ -84,7 +83,7 @@ def test_a_service_manager_that_reads_nothing_delays_no_end(manager: Manager) ->
 
 def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) -> None:
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off"]
-    command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
+    command = [*COMMAND, "run", *words]
     log_path = tmp_path / "stderr"
     environment = os.environ | manager.environment
     with log_path.open("w") as stderr, Program(command, env=environment, stderr=stderr, kill_at_end=True) as process:
@@ -107,9 +106,8 @@ def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monke
     faulty_device.registered(monkeypatch)
     for name, value in manager.environment.items():
         monkeypatch.setenv(name, value)
-    keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
     faulty = {"device.driver": "faulty", "device.fault": "hang", "device.at": 1500}
-    running = Daemon(load_rig("replay", keys | faulty), load_scene("paper-plane"))
+    running = make_daemon(changes=faulty | {"commands.endpoint": "off"})
     (device,) = running.devices
     assert isinstance(device, faulty_device.FaultyDevice)
     try:
@@ -135,6 +133,6 @@ def test_a_watchdog_for_another_process_is_ignored() -> None:
 def test_a_missing_manager_does_not_end_the_daemon(manager: Manager, tmp_path: Path) -> None:
     environment = os.environ | manager.environment | {"NOTIFY_SOCKET": str(tmp_path / "gone")}
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--duration", "0.5"]
-    command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
+    command = [*COMMAND, "run", *words]
     completed = run_program(command, env=environment, timeout=WAIT_S)
     assert completed.returncode == 0, completed.stderr

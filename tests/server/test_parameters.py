@@ -62,15 +62,15 @@ class AbsentDevice(Device):
 
 @pytest.fixture
 def make_rendering(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], Rendering]]:
-    made: list[Rendering] = []
+    renderings: list[Rendering] = []
     monkeypatch.setattr("softfinger.server.services.rendering.open_devices", lambda scene, rig: (AbsentDevice(),))
 
     def make(scene: Scene) -> Rendering:
-        made.append(Rendering(load_rig("replay"), scene, None, lambda: lambda: None))
-        return made[-1]
+        renderings.append(Rendering(load_rig("replay"), scene, None, lambda: lambda: None))
+        return renderings[-1]
 
     yield make
-    for rendering in made:
+    for rendering in renderings:
         rendering.servo.close()
 
 

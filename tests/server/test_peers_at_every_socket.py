@@ -13,7 +13,6 @@ import signal
 import socket
 import struct
 import subprocess
-import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -25,6 +24,7 @@ from urllib.parse import urlsplit
 import pytest
 import viser
 import zmq
+from helpers.processes import COMMAND, find_child, read_memory
 from helpers.programs import Program
 from helpers.raw_peers import GREETING, frame
 from websockets.exceptions import ConnectionClosed
@@ -41,7 +41,6 @@ from softfinger.server.wire.endpoint import listen
 
 pytestmark = pytest.mark.real_time
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 LARGE = 45_000_000
 """Bytes of a message that no socket may read into memory. viser's own limit is 50 MB."""
 GROWN_MAX = 20_000_000
@@ -68,19 +67,6 @@ OWNERS = {
 """Owner of each socket: the process that reads it."""
 ZMTP = {"telemetry": b"SUB", "commands": b"DEALER", "forwarded telemetry": b"SUB", "forwarded commands": b"DEALER"}
 """Sockets of ZeroMQ with the socket type of their peers."""
-
-
-def find_child(parent: int, word: bytes) -> int:
-    """Return the process id of the child with `word` in its command line."""
-    until = time.monotonic() + CUT_S
-    while time.monotonic() < until:
-        for children in Path(f"/proc/{parent}/task").glob("*/children"):
-            for child in children.read_text().split():
-                with contextlib.suppress(OSError):  # it has exited
-                    if word in Path(f"/proc/{child}/cmdline").read_bytes():
-                        return int(child)
-        time.sleep(0.01)
-    raise AssertionError(f"no child with {word!r}")
 
 
 def read_after(program: Program, words: str) -> str:
@@ -140,19 +126,19 @@ def peers() -> Iterator[Peers]:
 
 
 def dial(address: str) -> socket.socket:
-    made = socket.create_connection(("127.0.0.1", urlsplit(address).port or 0), CUT_S)
-    made.settimeout(CUT_S)
-    return made
+    peer = socket.create_connection(("127.0.0.1", urlsplit(address).port or 0), CUT_S)
+    peer.settimeout(CUT_S)
+    return peer
 
 
 def greet(address: str, kind: bytes) -> socket.socket:
-    made = dial(address)
-    made.sendall(GREETING + frame(b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind, 4))
-    heard = b""
-    while b"Socket-Type" not in heard:
-        heard += (more := made.recv(1000))
+    peer = dial(address)
+    peer.sendall(GREETING + frame(b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind, 4))
+    received = b""
+    while b"Socket-Type" not in received:
+        received += (more := peer.recv(1000))
         assert more, "turned away"
-    return made
+    return peer
 
 
 def browser(address: str) -> ClientConnection:
@@ -215,9 +201,9 @@ def send_slowly(name: str, address: str) -> None:
             assert time.monotonic() < until, "it is not cut off"
             peer.sendall(bytes((byte,)))
             with contextlib.suppress(TimeoutError):
-                while heard := peer.recv(1000):
+                while received := peer.recv(1000):
                     pass
-                if not heard:
+                if not received:
                     return
 
 
@@ -228,9 +214,9 @@ ATTACKS: dict[str, Callable[[str, str], None]] = {
 
 def read_peak_memory(pid: int) -> int:
     """Return the peak memory (bytes) of a process since the last call, and reset it."""
-    (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmHWM")]
+    peak = read_memory(pid, "VmHWM")
     Path(f"/proc/{pid}/clear_refs").write_text("5")
-    return 1024 * int(line.split()[1])
+    return peak
 
 
 def is_serving(name: str, address: str) -> bool:
@@ -331,34 +317,36 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
     with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:
         readers = Readers(SocketContext(context, None), bound, None, 1000, topics_read.append)
         ends.callback(readers.peers.close)
-        had: dict[socket.socket, dict[bytes, int]] = {}
+        subscriptions: dict[socket.socket, dict[bytes, int]] = {}
 
         def until(true: Callable[[], bool]) -> None:
             end = time.monotonic() + CUT_S
             while not true():
-                assert time.monotonic() < end, (readers.subscribers, had)
+                assert time.monotonic() < end, (readers.subscribers, subscriptions)
                 readers.take()
                 readers.peers.process_events()
 
         for number in range(120):
-            if len(had) < 4 and chance.random() < 0.5:
-                had[ends.enter_context(greet(bound.endpoint, b"SUB"))] = {}
-            if not had:
+            if len(subscriptions) < 4 and chance.random() < 0.5:
+                subscriptions[ends.enter_context(greet(bound.endpoint, b"SUB"))] = {}
+            if not subscriptions:
                 continue
-            peer, topic = chance.choice([*had]), chance.choice([b"", b"a", b"ab"])
+            peer, topic = chance.choice([*subscriptions]), chance.choice([b"", b"a", b"ab"])
             if chance.random() < 0.1:
                 peer.close()
-                del had[peer]
+                del subscriptions[peer]
             else:
-                ends_it, count = chance.random() < 0.6, had[peer].get(topic, 0)
-                had[peer][topic] = max(count - 1, 0) if ends_it else count + 1
+                ends_it, count = chance.random() < 0.6, subscriptions[peer].get(topic, 0)
+                subscriptions[peer][topic] = max(count - 1, 0) if ends_it else count + 1
                 sync = b"sync%d" % number
                 peer.sendall(frame((b"\0" if ends_it else b"\1") + topic) + frame(b"\1" + sync))
                 until(lambda sync=sync: sync in topics_read)
-                with_sync = sum(subscriber is peer or any(topics.values()) for subscriber, topics in had.items())
+                with_sync = sum(
+                    subscriber is peer or any(topics.values()) for subscriber, topics in subscriptions.items()
+                )
                 assert readers.subscribers == with_sync
                 peer.sendall(frame(b"\0" + sync))
-            until(lambda: readers.subscribers == sum(any(topics.values()) for topics in had.values()))
+            until(lambda: readers.subscribers == sum(any(topics.values()) for topics in subscriptions.values()))
         assert len(topics_read) > 60
 
 

@@ -18,9 +18,9 @@ from pathlib import Path
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.faults_seen import SEEN
+from helpers.processes import find_child, list_children
 from helpers.programs import run_program
 from helpers.waits import until
-from test_kills import list_children
 from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, read_state
 
 from softfinger.proxy.record import AT
@@ -39,11 +39,12 @@ RAMP_TICKS = 500
 """Ramp of the rig."""
 
 
-def read(path: Path) -> tuple[list[int], list[tuple[str, float]]]:
-    """Return the ticks of a recording and the names and times of its events, in file order."""
+def read_events(path: Path) -> list[str]:
+    """Return the names of the events of a recording, in which no tick may be missing."""
     parts = list(read_contents(path))
     ticks = [int(row) for part in parts if isinstance(part, TickBlock) for row in part.records()[:, AT.tick]]
-    return ticks, [(part.event["name"], part.event["timestamp"]) for part in parts if isinstance(part, Event)]
+    assert ticks == list(range(len(ticks)))
+    return [part.event["name"] for part in parts if isinstance(part, Event)]
 
 
 def stop_daemon(process: subprocess.Popen[str]) -> str:
@@ -52,15 +53,6 @@ def stop_daemon(process: subprocess.Popen[str]) -> str:
     stderr = process.communicate(timeout=END_S)[1]
     assert process.returncode == 0, stderr
     return stderr
-
-
-def find_child(pid: int, name: str) -> int:
-    """Return the daemon's child process that has the endpoints `name`."""
-    words = f"socket_process\0{name}".encode()
-    (child,) = [
-        candidate for candidate in list_children(pid) if words in Path(f"/proc/{candidate}/cmdline").read_bytes()
-    ]
-    return child
 
 
 def fill_stderr(process: subprocess.Popen[str]) -> None:
@@ -92,9 +84,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
         # Without a wall the hand gets 4 mm deep, and overshoots to at most twice that, a fiftieth of 8 N.
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2
         stop_daemon(process)
-    ticks, events = read(recording)
-    assert ticks == list(range(len(ticks)))
-    assert "ramping" in [name for name, _ in events]
+    assert "ramping" in read_events(recording)
     reaction = {"driver": "serial", "fault": "every process is stopped for 0.6 s", "ticks": first}
     record_property(SEEN, reaction | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
 
@@ -102,7 +92,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
 def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_property: Note) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
-        publisher = find_child(process.pid, "telemetry")
+        publisher = find_child(process.pid, b"socket_process\0telemetry")
         os.kill(publisher, signal.SIGSTOP)
         until(lambda: read_state(publisher) == "T", END_S, "the stop")
         count = len(board.sent)
@@ -113,7 +103,7 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
             first = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > first + 100)
         fill_stderr(process)
-        os.kill(find_child(process.pid, "commands"), signal.SIGKILL)
+        os.kill(find_child(process.pid, b"socket_process\0commands"), signal.SIGKILL)
         with Control(f"ipc://{tmp_path}/t.commands", END_S) as control:
             assert control.disarm().armed is False
             until(lambda: board.force == ZERO, END_S, "the zero")
@@ -123,8 +113,7 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
         assert process.wait(END_S) == 0
         until(lambda: board.force == ZERO, END_S, "the zero")
     assert min(forces) > 0.0
-    ticks, _ = read(recording)
-    assert ticks == list(range(len(ticks)))
+    read_events(recording)
     reaction = {"driver": "serial", "fault": "the publisher is stopped for a second", "ticks": None, "event": "none"}
     hazard = {"hazard": "a publisher that hangs, a lost network"}  # it is a test of another one, too
     record_property(SEEN, hazard | reaction | {"state": "armed", "recovery": "none needed"})

@@ -13,6 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from helpers.processes import COMMAND
 from helpers.shares import collect_shares
 from helpers.terminal import Screen, on_terminal
 from helpers.waits import until
@@ -32,7 +33,7 @@ from softfinger.server.recording.results import read_results
 from softfinger.server.recording.tables import make_layout, read_table
 from softfinger.server.verbs import check
 
-RUN = [sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
+RUN = [*COMMAND, "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
 
 LOGGING = """
 import logging, sys, time
@@ -99,7 +100,7 @@ def test_run_counts_in_a_separate_line() -> None:
 def test_stability_shows_its_share() -> None:
     screen, shares = Screen(80), []
     words = ["stability", "--map", "all", "--compare", "--points", "40"]
-    with on_terminal([sys.executable, "-m", "softfinger.server.cli", *words]) as (process, pieces):
+    with on_terminal([*COMMAND, *words]) as (process, pieces):
         for piece in pieces:
             screen.feed(piece)
             shares += [
@@ -188,7 +189,7 @@ class ProgressFolder(Folder):
         return super().read(name)
 
 
-def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
+def test_the_progress_text_distinguishes_compiling_and_loading(tmp_path: Path) -> None:
     while_compiled: list[str] = []
 
     class Look(event.Listener):  # type: ignore[misc]

@@ -9,18 +9,16 @@ from pathlib import Path
 import msgpack
 import numpy as np
 import pytest
-import zmq
+from helpers.daemons import make_daemon, subscribed
 from helpers.programs import run_program
 from helpers.telemetry_records import join, put, synthetic
 from helpers.waits import repeated
 
-from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.bodies import body_maps
 from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
-from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.hotplug import event_fields
@@ -138,15 +136,10 @@ def real_messages():
     put(records[25:], "contact.nonlinear", 4)
     put(records[30:], "servo.missed", 2)
     messages = []
-    context = zmq.Context.instance()
     with (
         Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES, extra=SCENE_TOPICS) as publisher,
-        context.socket(zmq.SUB) as socket,
+        subscribed(publisher.endpoint, *TOPICS[:-1], *SCENE_TOPICS) as socket,
     ):
-        socket.rcvhwm = 10_000
-        for topic in (*TOPICS[:-1], *SCENE_TOPICS):
-            socket.subscribe(topic)
-        socket.connect(publisher.endpoint)
         join(publisher, socket)
         socket.subscribe(SCHEMA_TOPIC)
         publisher.publish(records)
@@ -222,8 +215,7 @@ def test_both_clients_have_every_method():
 @pytest.mark.real_time
 def test_command_program_on_the_page_runs():
     (program,) = [fence for fence in re.findall(r"```python\n(.*?)```", DOC, re.DOTALL) if "set_params" in fence]
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
+    with make_daemon() as daemon:
         daemon.start()
         assert "tcp://127.0.0.1:5556" in program
         code = program.replace("tcp://127.0.0.1:5556", daemon.commands_endpoint)

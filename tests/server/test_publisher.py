@@ -7,11 +7,12 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 
 import msgpack
 import numpy as np
 import pytest
-import zmq
+from helpers.daemons import make_daemon, subscribed
 from helpers.encoder import contact_map, state_map
 from helpers.hapticore_client import Client, HapticState
 from helpers.plotjuggler import complaints, prefix_complaints
@@ -19,10 +20,8 @@ from helpers.programs import Program
 from helpers.telemetry_records import join, put, synthetic
 
 from softfinger.config.errors import SafetyStop
-from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
-from softfinger.server.app import Daemon
 from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows, write_row
 from softfinger.server.recording.summary import summary
 from softfinger.server.socket_process.process import QUIET_S
@@ -40,21 +39,8 @@ FINGERS = ("index", "thumb")
 
 @pytest.fixture
 def sockets():
-    with zmq.Context() as context:
-        made = []
-
-        def plain(endpoint, *topics):
-            socket = context.socket(zmq.SUB)
-            made.append(socket)
-            socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, WAIT_MS
-            for topic in topics:
-                socket.subscribe(topic)
-            socket.connect(endpoint)
-            return socket
-
-        yield plain
-        for socket in made:
-            socket.close()
+    with ExitStack() as closing:
+        yield lambda endpoint, *topics: closing.enter_context(subscribed(endpoint, *topics, wait_s=10.0))
 
 
 def receive_until(socket, name):
@@ -115,8 +101,8 @@ def test_messages_equal_those_of_the_encoder(sockets, every):
             publisher.event("test", "end")
             messages = receive_until(socket, "end")
             for topic, of_finger in records.items():
-                got = [msgpack.unpackb(body) for name, body in messages if name == topic]
-                assert is_same(got, [contact_map(record, every) for record in of_finger[::every]])
+                received = [msgpack.unpackb(body) for name, body in messages if name == topic]
+                assert is_same(received, [contact_map(record, every) for record in of_finger[::every]])
             states = [msgpack.unpackb(body) for name, body in messages if name == b"state"]
             assert is_same(states, [state_map(record, scene, epoch_s) for record in rows[::5]])
 
@@ -224,8 +210,7 @@ def test_plotjugglers_rules_hold_for_every_topic(sockets):
 
 def test_the_client_of_hapticore_reads_state_and_commands(sockets):
     before = time.monotonic()
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
+    with make_daemon(scene_name="paper-plane") as daemon:
         socket = sockets(daemon.publisher.endpoint, b"state")
         daemon.start()
         client = Client(daemon.commands_endpoint)
@@ -284,15 +269,14 @@ def test_a_thread_that_holds_the_interpreter_lock_does_not_delay_ticks(sockets):
                     times.append((topic, time.monotonic()))
         finally:
             process.kill()
-    begun, ended = map(float, lines[0].split())
-    topics = [topic for topic, at in times if begun < at < ended]
+    start, end = map(float, lines[0].split())
+    topics = [topic for topic, at in times if start < at < end]
     # 900 and 180 were sent; a machine that stalls delivers fewer within that time
     assert topics.count(b"contact") > 100 and topics.count(b"state") > 20
 
 
 def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane"), scene_name="paper-plane") as daemon:
+    with make_daemon(scene_name="paper-plane") as daemon:
         daemon.recordings.record(tmp_path / "all.mcap", "paper-plane")
         publisher = daemon.publisher
         socket = sockets(publisher.endpoint, b"contact", b"event", b"health")
@@ -328,8 +312,7 @@ def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
 
 def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
     monkeypatch.setattr(link, "MODULE", "softfinger.server.no_such_module")
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
+    with make_daemon() as daemon:
         daemon.start()
         with pytest.raises(SafetyStop, match="the rendered state would be invisible"):
             daemon.wait(60.0)

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
+from helpers.daemons import make_daemon
 from helpers.drd_stub import Stub, stub, stub_library
 from helpers.telemetry_records import join, put, synthetic
 from test_forcedimension_loop import PRESSING, fd_rig
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.replay.device import Options, Replay
 from softfinger.proxy.record import AT
@@ -51,9 +52,8 @@ def record_run(daemon: Daemon, path: Path) -> RecordingStats:
 
 
 def record_replay(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStats, np.ndarray]:
-    changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": rate_hz}
-    changes |= {"device.recording": "tap", "device.loop": False}
-    with Daemon(load_rig("replay", changes), load_scene("paper-plane")) as daemon:
+    changes = {"servo.rate_hz": rate_hz, "device.recording": "tap", "device.loop": False}
+    with make_daemon(changes=changes) as daemon:
         return record_run(daemon, path), daemon.devices[0].samples
 
 
@@ -156,14 +156,14 @@ def test_duration_ends_the_recording(tmp_path: Path) -> None:
     assert len(load_poses(file).t) == 300
 
 
-def test_a_server_that_starts_again_ends_the_recording(tmp_path: Path) -> None:
+def test_a_server_that_restarts_ends_the_recording(tmp_path: Path) -> None:
     """Decreasing tick numbers belong to another run, so the file ends before them."""
     totals, file = record_rows(tmp_path, np.vstack([make_moving(100), make_moving(50)]))
     assert totals.end_reason == "the server started again"
     assert len(load_poses(file).t) == 100
 
 
-def test_an_invalid_pose_is_left_out(tmp_path: Path) -> None:
+def test_an_invalid_pose_is_skipped(tmp_path: Path) -> None:
     records = make_moving(100)
     put(records[30:31], "probe.position", np.nan)
     totals, file = record_rows(tmp_path, records)

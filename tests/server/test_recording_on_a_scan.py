@@ -1,10 +1,9 @@
 """A shipped recording over a bumpy mesh, by the command line: every change of the force has a cause."""
 
-import sys
-
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.processes import COMMAND
 from helpers.programs import run_program
 from helpers.touching import FRICTION, Array, R, write_part
 
@@ -52,7 +51,7 @@ def scan_records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     np.savetxt(folder / "hand.csv", table, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
     (folder / "scan.toml").write_text(SCENE)
     words = ["simulate", "--scene", "scan.toml", "--poses", "hand.csv", "--out", "out.npz"]
-    command = [sys.executable, "-m", "softfinger.server.cli", *words]
+    command = [*COMMAND, *words]
     completed = run_program(command, cwd=folder, timeout=550)
     assert completed.returncode == 0, completed.stderr
     with np.load(folder / "out.npz") as results:

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 import msgpack
 import numpy as np
 import pytest
-import zmq
+from helpers.daemons import RecordSink, subscribed
 from helpers.faulty_device import acts, registered
-from helpers.waits import eventually
+from helpers.waits import WAIT_S, eventually
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound, SafetyStop
 from softfinger.config.load import load_rig, load_scene
@@ -30,25 +30,10 @@ QUIET = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "gu
 FORCE = slice(AT.force, AT.force + 3)
 TIMES = 20
 SLEW = 200.0
-WAIT_S = 120.0
-"""Generous limit: a compilation on a busy machine."""
 
 
-class RecordSink:
-    def __init__(self) -> None:
-        self.rows: list[np.ndarray] = []
-        self.sink = Sink("kept", self._take)
-
-    def _take(self, records: np.ndarray, drops: int) -> None:
-        columns = [AT.tick, AT.timestamp, AT.servo_missed, *range(FORCE.start, FORCE.stop)]
-        self.rows.append(records[:, columns])
-
-    @property
-    def all(self) -> np.ndarray:
-        return np.concatenate(self.rows)
-
-    def pressed(self) -> bool:
-        return bool(self.rows) and float(np.linalg.norm(self.rows[-1][-1, 3:])) > 0.2
+def wait_for_force(recorder: RecordSink, newtons: float = 0.2) -> None:
+    assert eventually(lambda: np.linalg.norm(recorder.force) > newtons)
 
 
 def load_scenes():
@@ -75,17 +60,17 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
     # At a low slew limit a force close to its largest takes MAX_OFF_S to fade, six ticks.
     low = {"guard.force_max_n": 0.4, "guard.force_slew_n_per_s": 20.0}
     rig, recorder, (first, second) = load_rig(rig_name, QUIET | low), RecordSink(), load_scenes()
-    begun, missed, loops, open_before = [], [], [], None
+    first_ticks, missed, loops, open_before = [], [], [], None
     with Daemon(rig, first, sinks=[recorder.sink]) as running:
         running.start()
         for time_number in range(TIMES):
-            assert eventually(recorder.pressed)
+            wait_for_force(recorder)
             loops.append(weakref.ref(running.servo.shared.tuning.values))
-            begun.append(running.rendering.replace(first if time_number % 2 else second))
+            first_ticks.append(running.rendering.replace(first if time_number % 2 else second))
             missed.append(running.servo.missed_before)
             if time_number == 1:  # both are compiled
                 open_before = count_resources()
-            assert eventually(lambda: running.servo.ticks > begun[-1] + 5)
+            assert eventually(lambda: running.servo.ticks > first_ticks[-1] + 5)
         # Fewer are fine too: a file of cached kernels may have been open during the first count.
         assert all(now <= before for now, before in zip(count_resources(), open_before, strict=True))
         assert not running.wait(0.0)  # it continues
@@ -98,12 +83,12 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
         ticks = running.servo.ticks
         written = device._log.read_log().wrench
     rows = recorder.all
-    assert rows[:, 0].tolist() == list(range(ticks))
-    assert rows[begun, 2].tolist() == missed
-    assert (np.diff(rows[:, 1]) > 0.0).all() and (np.diff(rows[:, 2]) >= 0.0).all()
-    assert not rows[[number - 1 for number in begun], 3:].any()
+    assert rows[:, AT.tick].tolist() == list(range(ticks))
+    assert rows[first_ticks, AT.servo_missed].tolist() == missed
+    assert (np.diff(rows[:, AT.timestamp]) > 0.0).all() and (np.diff(rows[:, AT.servo_missed]) >= 0.0).all()
+    assert not rows[[number - 1 for number in first_ticks]][:, FORCE].any()
     largest = rig.guard.force_max_n / (MAX_OFF_S * rig.servo.rate_hz)
-    for forces in (rows[:, 3:], written[:-2, :3]):  # except the last zeros, of a stop in contact
+    for forces in (rows[:, FORCE], written[:-2, :3]):  # except the last zeros, of a stop in contact
         steps = np.linalg.norm(np.diff(forces, axis=0), axis=1)
         assert steps.max() <= largest * (1.0 + 1e-9)  # rounding of the sum that makes a step
         assert np.linalg.norm(forces, axis=1).max() > 0.2
@@ -114,15 +99,15 @@ def test_a_new_rig_cannot_exceed_the_force_of_the_device():
     recorder, rig = RecordSink(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
     with Daemon(rig, load_scene("paper-plane"), sinks=[recorder.sink]) as running:
         running.start()
-        assert eventually(lambda: bool(recorder.rows) and np.linalg.norm(recorder.rows[-1][-1, 3:]) > 0.19)
-        begun = running.replace(rig=load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 40.0}))
-        assert eventually(lambda: running.servo.ticks > begun + 200)
+        wait_for_force(recorder, 0.19)
+        first_tick = running.replace(rig=load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 40.0}))
+        assert eventually(lambda: running.servo.ticks > first_tick + 200)
         running.stop()
         assert running.wait(WAIT_S)
         (plant,) = running.devices
         written = np.linalg.norm(plant._log.read_log().wrench[:, :3], axis=1)
-    norms = np.linalg.norm(recorder.all[:, 3:], axis=1)
-    assert norms[:begun].max() == pytest.approx(0.2, rel=1e-12)  # rounding of the scaled vector
+    norms = np.linalg.norm(recorder.all[:, FORCE], axis=1)
+    assert norms[:first_tick].max() == pytest.approx(0.2, rel=1e-12)  # rounding of the scaled vector
     assert norms.max() == pytest.approx(most, rel=1e-12) and written.max() <= most * (1.0 + 1e-12)
 
 
@@ -130,10 +115,10 @@ def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
     rig, recorder = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), RecordSink()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})
     with started(rig, load_scene("frictionless-plane"), recorder.sink) as running:
-        assert eventually(recorder.pressed)
-        begun = running.rendering.replace(stiff)
-        assert eventually(lambda: running.servo.ticks > begun + 500)
-    forces = np.linalg.norm(recorder.all[begun : begun + 500, 3:], axis=1)
+        wait_for_force(recorder)
+        first_tick = running.rendering.replace(stiff)
+        assert eventually(lambda: running.servo.ticks > first_tick + 500)
+    forces = np.linalg.norm(recorder.all[first_tick : first_tick + 500, FORCE], axis=1)
     limits = rig.guard.force_max_n * np.arange(1, 501) / (rig.guard.ramp_s * rig.servo.rate_hz)
     assert (forces <= limits * (1.0 + 1e-9)).all()  # rounding of the sum of shares
     assert (forces[:20] > 0.9 * limits[:20]).all()  # the hand has not moved away yet
@@ -141,11 +126,7 @@ def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
 
 def test_subscribers_stay_connected_and_get_an_event():
     rig, (first, second) = load_rig("replay", QUIET), load_scenes()
-    with Daemon(rig, first) as running, zmq.Context() as context, context.socket(zmq.SUB) as socket:
-        socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, 60_000
-        socket.subscribe("contact")
-        socket.subscribe("event")
-        socket.connect(running.publisher.endpoint)
+    with Daemon(rig, first) as running, subscribed(running.publisher.endpoint, "contact", "event") as socket:
         assert eventually(lambda: running.publisher.subscribers == 1)
         running.start()
         assert eventually(lambda: running.servo.ticks > 50)
@@ -180,7 +161,7 @@ def test_what_cannot_be_built_changes_nothing(monkeypatch):
         with pytest.raises(ZeroDivisionError):
             running.replace(second)
         assert running.servo.shared is shared and running.devices is devices
-        assert eventually(recorder.pressed)
+        wait_for_force(recorder)
 
 
 @pytest.fixture
@@ -196,7 +177,7 @@ def make_faulty_rig(**changes):
 def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):
     recorder, (first, second) = RecordSink(), load_scenes()
     with started(make_faulty_rig(), first, recorder.sink) as running:
-        assert eventually(recorder.pressed)
+        wait_for_force(recorder)
         running.replace(second, make_faulty_rig(**{"servo.rate_hz": 4000.0}))
         assert eventually(
             lambda: len(driver.devices) == 2 and np.abs(driver.devices[1].wrenches).max(initial=0.0) > 0.2
@@ -208,7 +189,7 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
         rises = np.diff(np.linalg.norm(device.wrenches[:, :3], axis=1))  # falls may be faster: MAX_OFF_S
         assert rises.max() <= SLEW / rate * (1.0 + 1e-9)
         assert not device.wrenches[-1].any()
-    assert recorder.all[:, 0].tolist() == list(range(running.servo.ticks))
+    assert recorder.all[:, AT.tick].tolist() == list(range(running.servo.ticks))
 
 
 def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
@@ -221,8 +202,8 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
             return float(np.abs(devices[-1].wrenches[-5:]).max(initial=0.0)) > 0.1
 
         def idle() -> bool:
-            begun = running.servo.ticks
-            return eventually(lambda: running.servo.ticks > begun + 100)
+            ticks = running.servo.ticks
+            return eventually(lambda: running.servo.ticks > ticks + 100)
 
         assert not devices[0].wrenches.any()
         rendering.disarm(COMMANDED)
@@ -305,7 +286,7 @@ def test_the_number_of_ticks_is_counted_over_all_loops(driver):
         running.replace(second)
         assert running.wait(120.0)
         assert running.servo.ticks == 1_000
-    assert recorder.all[-1, 0] == 999
+    assert recorder.all[-1, AT.tick] == 999
 
 
 def test_two_pauses_are_one_pause(driver):

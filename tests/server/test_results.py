@@ -104,8 +104,8 @@ def test_mcap_is_readable_with_only_the_library(tmp_path: Path) -> None:
             value = decoded
             for name in field.name.split("."):
                 value = getattr(value, name)
-            got = np.array(value, dtype=float).reshape(field.size)
-            np.testing.assert_array_equal(got, records[row, field.at : field.at + field.size])
+            decoded_value = np.array(value, dtype=float).reshape(field.size)
+            np.testing.assert_array_equal(decoded_value, records[row, field.at : field.at + field.size])
             assert field.kind == "float" or isinstance(value, int)
 
 

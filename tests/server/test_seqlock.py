@@ -7,6 +7,7 @@ import time
 import numba
 import numpy as np
 from helpers.compiled_code import functions
+from helpers.waits import WAIT_S
 
 from softfinger.proxy.kernels.jit.atomics import load_relaxed, store_relaxed
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry
@@ -14,7 +15,6 @@ from softfinger.proxy.kernels.jit.seqlock import make_slot, publish, refresh
 
 READS = 10_000_000
 WIDTH = 64
-WAIT_S = 120.0
 
 
 @entry

@@ -74,14 +74,14 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
 
     rig = SimpleNamespace(commands=SimpleNamespace(heartbeat_s=-1.0))  # missed immediately
     rendering = SimpleNamespace(rig=rig, force=Failing())
-    doing = SimpleNamespace(
+    actions = SimpleNamespace(
         replace=print,
         report=print,
         serve=served.append,
         fail=ended.append,
         event=lambda *words, **more: events.append((words, more)),
     )
-    commands = CommandService("ipc:///nowhere", cast(Any, rendering), cast(Any, doing), "a scene")
+    commands = CommandService("ipc:///nowhere", cast(Any, rendering), cast(Any, actions), "a scene")
     commands.start()
     served[0].each_period()
     commands.stop()

@@ -147,10 +147,10 @@ def test_a_watcher_discards_queued_bytes_before_its_zero() -> None:
         while os.write(near, b"force"):
             pass
     assert zero_force("the node", near, b"zero!") == "zero force was written to the node"
-    got = os.read(far, 1 << 16)
-    while not got.endswith(b"zero!" * 3):
-        got += os.read(far, 1 << 16)
-    assert len(got) <= 4096 + 3 * 5  # bytes already at the far end, of some 16 kB
+    received = os.read(far, 1 << 16)
+    while not received.endswith(b"zero!" * 3):
+        received += os.read(far, 1 << 16)
+    assert len(received) <= 4096 + 3 * 5  # bytes already at the far end, of some 16 kB
     os.close(near)
     os.close(far)
 

@@ -16,18 +16,17 @@ from pathlib import Path
 import pytest
 from emulators.serialboard import Board, Cable
 from helpers.called import called
+from helpers.processes import COMMAND, find_child
 from helpers.programs import Program, run_program
+from helpers.rig_files import write_rig
 from helpers.serial_devices import PLACE, RIG
 from helpers.waits import until
 
 from softfinger.config.errors import DeviceError
-from softfinger.config.schema import Rig
-from softfinger.config.sources import find
 from softfinger.server import signals
 
 pytestmark = pytest.mark.real_time
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 ZERO = (0.0, 0.0, 0.0)
 FORCE_N = 0.5
 """Below the force of the hand's spring at this depth, so it can only be a contact force."""
@@ -44,10 +43,8 @@ def pressing(
     """Run a daemon, with more `environment`, on a board whose hand presses into the plane."""
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
-        mine = tmp_path / "rig.toml"
-        named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
-        mine.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
-        command = [*COMMAND, "run", "--rig", str(mine), "--realtime", "off", "--scene", "paper-plane"]
+        rig = write_rig(tmp_path, RIG, path=cable.path, quiet_s=0.1, timeout_s=2.0)
+        command = [*COMMAND, "run", "--rig", str(rig), "--realtime", "off", "--scene", "paper-plane"]
         command += ["--endpoint", f"ipc://{tmp_path}/t", *words]
         # Without a parent in its session (process_group), as under a service manager, Ctrl-Z has no effect.
         more = {"env": os.environ | (environment or {}), "process_group": 0, "kill_at_end": True}
@@ -89,16 +86,7 @@ OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal
 
 
 def find_watcher(process: subprocess.Popen[str]) -> int:
-    """Return the process id of a daemon's watcher, its only child except the publisher."""
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-
-    def watchers() -> list[int]:
-        pids = map(int, children.read_text().split())
-        return [child for child in pids if b"socket_process" not in Path(f"/proc/{child}/cmdline").read_bytes()]
-
-    until(lambda: bool(watchers()), END_S, "the watcher")
-    (watcher,) = watchers()
-    return watcher
+    return find_child(process.pid, b"watcher.py\0")
 
 
 def end_by_signal(process: subprocess.Popen[str], board: Board, number: int) -> None:

@@ -35,8 +35,8 @@ def _close_subscribers():
 
 @pytest.fixture
 def publisher():
-    with Publisher("tcp://127.0.0.1:*", guard_names=("clamped", "slew")) as made:
-        yield made
+    with Publisher("tcp://127.0.0.1:*", guard_names=("clamped", "slew")) as server:
+        yield server
 
 
 def connect_plain(endpoint, *topics, high_water=100_000):
@@ -71,12 +71,12 @@ def publish_and_receive(records, topic, count, **options):
         for at in range(0, len(records), 100):
             publisher.publish(records[at : at + 100], drops=7)
         publisher.event("test", "end")
-        got = []
-        while not got or got[-1][0] != b"event" or got[-1][1]["kind"] != "test":
+        received = []
+        while not received or received[-1][0] != b"event" or received[-1][1]["kind"] != "test":
             assert socket.poll(WAIT_MS)
             frames = socket.recv_multipart()
-            got.append((frames[0], msgpack.unpackb(frames[1])))
-    maps = [message for name, message in got[:-1] if name == topic.encode()]
+            received.append((frames[0], msgpack.unpackb(frames[1])))
+    maps = [message for name, message in received[:-1] if name == topic.encode()]
     assert len(maps) == count
     return maps
 

@@ -137,11 +137,11 @@ def test_the_contact_is_that_of_the_tip() -> None:
         ]
     ).T
     expected = simulate(tune_scene("paper-plane", None), tips, SLOW_HZ)
-    got = simulate(tune_scene("paper-plane", tool), handles, SLOW_HZ)
+    records = simulate(tune_scene("paper-plane", tool), handles, SLOW_HZ)
     for name, size in (("probe_position", 3), ("force", 3), ("torque", 3), ("contact_mode", 1), ("contact_rolled", 1)):
         at = getattr(AT, name)
         # 1000 N/m times the rounding of 0.15 m, summed over hundreds of ticks of rolling.
-        np.testing.assert_allclose(got[:, at : at + size], expected[:, at : at + size], rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(records[:, at : at + size], expected[:, at : at + size], rtol=0.0, atol=1e-9)
     assert np.ptp(expected[:, AT.force]) > 0.1 and np.ptp(expected[:, AT.torque]) > 1e-3
 
 

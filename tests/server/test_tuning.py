@@ -59,7 +59,7 @@ def test_devices_without_torque_are_known():
     assert guard_limits(RIG).displays_torque == 1.0
 
 
-def test_the_servo_is_given_these_limits():
+def test_the_servo_gets_these_limits():
     rig = load_rig("replay", {"guard.force_slew_n_per_s": 321.0})
     weak = dataclasses.replace(STRONG, force_max_n=0.5)
     tuning = make_tuning(load_scene("paper-plane"), rig.guard, [weak])

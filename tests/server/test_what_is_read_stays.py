@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
 from helpers.called import called
+from helpers.processes import COMMAND
 from helpers.programs import run_program
 
 POSES = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.02,1,0,0,0\n0.1,0,0,0.009,1,0,0,0\n"
@@ -54,7 +54,7 @@ def test_a_name_that_the_terminal_cannot_encode_is_escaped(tmp_path: Path) -> No
     scene = tmp_path / "scene.toml"
     table = 'name = "стол"\nshape = "plane"\nmaterial = "rubber"\n'
     scene.write_text(f"[fingertip]\nradius_m = 0.01\n[[object]]\n{table}", "utf-8")
-    words = [sys.executable, "-m", "softfinger.server.cli", "check", str(scene)]
+    words = [*COMMAND, "check", str(scene)]
     result = run_program(words, env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert (
         result.returncode == 0 and "\\u0441\\u0442\\u043e\\u043b" in result.stdout and "Traceback" not in result.stderr

@@ -8,11 +8,13 @@ import stat
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from helpers.daemons import make_daemon
+from helpers.processes import COMMAND
 from helpers.programs import Program
 
 from softfinger.config.errors import AddressInUse, ConfigError
@@ -45,8 +47,7 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def daemons() -> Iterator[list[Daemon]]:
-    rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as first, Daemon(rig, load_scene("paper-plane")) as second:
+    with make_daemon() as first, make_daemon() as second:
         first.start()
         second.start()
         yield [first, second]
@@ -120,25 +121,17 @@ def test_a_daemon_with_named_commands_is_found_from_either_address(
 
 @pytest.mark.real_time
 def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named_daemon: Daemon) -> None:
+    from helpers.live_pages import step_until
+
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.page import Page
 
-    page = Page("127.0.0.1", 0)
-    try:
-        fed = LivePage(page, find_addresses(named_daemon.publisher.endpoint))
-        try:
-            until = time.monotonic() + WAIT_S
-            while not page.fingers and time.monotonic() < until:
-                fed.step(0.05)
-                time.sleep(0.01)
-            assert page.fingers
-        finally:
-            fed.close()
-    finally:
-        page.close()
+    addresses = find_addresses(named_daemon.publisher.endpoint)
+    with closing(Page("127.0.0.1", 0)) as page, closing(LivePage(page, addresses)) as live:
+        assert step_until(live, lambda: page.fingers)
     gateway_endpoint = f"ipc://{folder.parent}/there"
     words = ["forward", "--from", named_daemon.publisher.endpoint, "--commands-to", gateway_endpoint]
-    with Program([sys.executable, "-m", "softfinger.server.cli", *words]) as gateway:
+    with Program([*COMMAND, *words]) as gateway:
         try:
             with Control(gateway_endpoint, WAIT_S) as control:
                 assert control.describe()["endpoints"]["telemetry"] == named_daemon.publisher.endpoint

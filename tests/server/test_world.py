@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import math
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +18,9 @@ import mujoco
 import numpy as np
 import pytest
 from helpers.allocations import HAS_COMPILER, counted
+from helpers.daemons import QUIET, RecordSink
 from helpers.key_world import KEY, ROLLING, key_world
+from helpers.processes import COMMAND
 
 from softfinger.config import schema
 from softfinger.config.load import apply_overrides, load_rig, load_scene
@@ -31,7 +32,6 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.recording.compare import FIELDS, compare, replay
 from softfinger.server.recording.run import load_run
-from softfinger.server.services.records import Sink
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
 
@@ -47,8 +47,7 @@ def scene(tmp_path: Path) -> schema.Scene:
 
 
 def make_rig(**changes: Any) -> schema.Rig:
-    keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
-    return load_rig("replay", keys | {"device.recording": "tap", **changes})
+    return load_rig("replay", QUIET | {"commands.endpoint": "off", "device.recording": "tap"} | changes)
 
 
 def receive_heights(endpoint: str) -> Iterator[tuple[int, float]]:
@@ -61,10 +60,9 @@ def receive_heights(endpoint: str) -> Iterator[tuple[int, float]]:
 
 
 def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Path) -> None:
-    rows: list[np.ndarray] = []
     ticks = 1100
-    keep = Sink("test", lambda records, drops: rows.append(records.copy()))
-    with Daemon(make_rig(), scene, ticks, sinks=[keep]) as running:
+    recorder = RecordSink()
+    with Daemon(make_rig(), scene, ticks, sinks=[recorder.sink]) as running:
         running.recordings.record(tmp_path / "a.mcap", "key")
         published = []
         running.start()
@@ -79,7 +77,7 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
     assert min(down for _, down in published) == pytest.approx(-share * PRESSED_M, rel=0.3)  # a tap, so it oscillates
     assert published[-1][1] > -1e-4
 
-    records = np.concatenate(rows)
+    records = recorder.all
     poses = resample(load_poses("tap"), 1000.0)[:ticks]
     offline = simulate(make_tuning(scene, make_rig().guard), poses, 1000.0)
     for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
@@ -153,8 +151,7 @@ def test_the_step_of_bodies_allocates_nothing(tmp_path: Path) -> None:
 @pytest.mark.exhaustive
 def test_two_simulated_hands_lift_the_box_and_a_replay_agrees(tmp_path: Path) -> None:
     words = ["--duration", "5.4", "--realtime", "off", "--commands", "off", "--endpoint", f"ipc://{tmp_path}/t"]
-    command = [sys.executable, "-m", "softfinger.server.cli"]
-    process = subprocess.Popen([*command, "run", "--scene", "lift-a-box", *words, "--record", str(tmp_path / "a.mcap")])
+    process = subprocess.Popen([*COMMAND, "run", "--scene", "lift-a-box", *words, "--record", str(tmp_path / "a.mcap")])
     top = turned = 0.0
     with subscribe(f"ipc://{tmp_path}/t", ("world",), timeout_s=300.0) as samples:
         for sample in samples:
@@ -167,7 +164,7 @@ def test_two_simulated_hands_lift_the_box_and_a_replay_agrees(tmp_path: Path) ->
     assert top == pytest.approx(0.12, abs=0.003)  # less the sag of springs and hands
     assert math.degrees(turned) < 5.0
     assert box.position[2] == pytest.approx(0.02, abs=2e-4)  # MuJoCo's soft floor
-    subprocess.run([*command, "replay", str(tmp_path / "a.mcap")], check=True)
+    subprocess.run([*COMMAND, "replay", str(tmp_path / "a.mcap")], check=True)
 
 
 HOME = """
@@ -185,7 +182,7 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
     with Daemon(make_rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), at_home) as running:
         running.start()
         samples = receive_heights(running.publisher.endpoint)
-        begun = [height for _, height in itertools.islice(samples, 5)]
+        start_heights = [height for _, height in itertools.islice(samples, 5)]
         bodies = running.servo.tuning.scene.bodies
         assert bodies is not None
         bodies.block.owner.data.ctrl[0] = 0.0
@@ -194,7 +191,7 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
             tick = control.reset_world().tick
         after = [height for at, height in itertools.islice(samples, 60) if at >= tick]
         assert len(after) > 10
-        assert begun + after == pytest.approx([-0.025] * len(begun + after), abs=1e-9)
+        assert start_heights + after == pytest.approx([-0.025] * len(start_heights + after), abs=1e-9)
 
 
 def next_fault(events: Subscription) -> str:
@@ -210,10 +207,9 @@ SLEW = 20.0
 
 
 def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Path) -> None:
-    rows: list[np.ndarray] = []
-    keep = Sink("test", lambda records, drops: rows.append(records.copy()))
+    recorder = RecordSink()
     changes = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
-    with Daemon(make_rig(**changes), scene, sinks=[keep]) as running:
+    with Daemon(make_rig(**changes), scene, sinks=[recorder.sink]) as running:
         running.start()
         with (
             Control(f"ipc://{tmp_path}/c") as control,
@@ -234,13 +230,13 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
                 let_go = running.servo.ticks
                 wait_for(running, let_go + 1500)
                 resets.append(control.reset_world().tick)
-                together = np.concatenate(rows)
+                together = recorder.all
                 quiet = together[(together[:, AT.tick] > let_go + 100) & (together[:, AT.tick] < resets[-1])]
                 assert len(quiet) > 1000
                 assert not quiet[:, [AT.contact_mode, AT.force, AT.force + 1, AT.force + 2]].any()
             wait_for(running, resets[-1] + 1500)
             assert running.servo.is_running
-    together = np.concatenate(rows)
+    together = recorder.all
     force, tick = together[:, AT.force + 2], together[:, AT.tick]
     assert np.abs(np.diff(force)).max() <= SLEW * 1e-3 + 1e-12
     for begin in resets:

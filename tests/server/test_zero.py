@@ -58,7 +58,7 @@ def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
         assert message["name"] == "zero" and message["what"] == {"finger": "", "offset_m": list(answer.offset_m)}
         assert answer.offset_m[2] == pytest.approx(0.0005, rel=1e-9)  # a difference of numbers 20 times as large
         assert control.describe()["fingers"][0]["offset_m"] == list(answer.offset_m)
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > answer.tick + 20)
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > answer.tick + 20)
         rows = recorder.since(answer.tick + 2)
         np.testing.assert_allclose(rows[:, AT.probe_position + 2], HELD_M + 0.0005, rtol=ROUNDING)
         # The tick in which the offset is applied is among these; moving 0.5 mm in a tick would be 0.5 m/s.
@@ -75,7 +75,7 @@ def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
         assert zero_when_off(control, reset=True).offset_m == (0.0, 0.0, 0.0)
         control.arm()
         assert eventually(lambda: recorder.force_n == pytest.approx(2000.0 * DEPTH_M + 1.0, rel=ROUNDING))
-        assert recorder.rows[-1][-1, AT.probe_position + 2] == HELD_M
+        assert recorder.batches[-1][-1, AT.probe_position + 2] == HELD_M
 
 
 def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
@@ -86,6 +86,6 @@ def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
         with pytest.raises(CommandRefused, match="give finger, one of thumb, index"):
             control.zero()
         answer = zero_when_off(control, position_m=(0.0, 0.0, 0.0085), finger="index")
-        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > answer.tick + 2)
-        heights = recorder.rows[-1][-1].reshape(2, -1)[:, AT.probe_position + 2]
+        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > answer.tick + 2)
+        heights = recorder.batches[-1][-1].reshape(2, -1)[:, AT.probe_position + 2]
         assert heights[0] == HELD_M and heights[1] == pytest.approx(0.0085, rel=ROUNDING)

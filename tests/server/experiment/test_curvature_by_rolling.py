@@ -39,7 +39,7 @@ def simulate_condition(condition: str, radius_m: float) -> tuple[Any, NDArray[np
 
 
 @pytest.mark.parametrize("radius_m", [0.04, 0.02])  # reference radius and smallest radius of all levels
-def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
+def test_with_rolling_the_finger_never_slides(radius_m: float) -> None:
     """The finger never slides, and the tangential force is coupling stiffness times the lag of the rolling proxy."""
     records, poses = simulate_condition("rolls", radius_m)
     mode = records["contact.mode"]

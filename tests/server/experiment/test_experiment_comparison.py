@@ -58,7 +58,7 @@ def test_confidence_follows_signal_detection() -> None:
         assert [marks[mark] / 2000 for mark in (1.0, 2.0, 3.0, 4.0)] == pytest.approx(shares, abs=4.5 * 0.5 / 2000**0.5)
 
 
-def test_the_planted_thresholds_and_ratings_are_found(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
+def test_the_planted_thresholds_and_ratings_are_recovered(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
     """The 95 % intervals of the pooled fit contain the simulated thresholds, 0.15 without and 0.3 with damping."""
     experiment, rows = study
     pooled = {
@@ -111,16 +111,16 @@ def test_a_factor_without_effect_is_none() -> None:
 def test_numbers_are_compared_by_regression() -> None:
     """With an intercept per condition chi squared is n log(RSS0 / RSS1), checked by NumPy's least squares."""
     task = {"kind": "rate", "parameter": "object.table.material.stiffness_n_per_m", "question": "?"}
-    made = Experiment(
+    experiment = Experiment(
         make_tables(task=task, procedure={"kind": "constant", "levels": [100.0, 300.0, 900.0], "repetitions": 6}),
         {"observer.by": {"2.0": {"scale": 15.0}}},
     )
-    rows = [row | row["levels"] | {"participant": "sub-01"} for row in made.rehearse()]
+    rows = [row | row["levels"] | {"participant": "sub-01"} for row in experiment.rehearse()]
     x, y = np.log([row["level"] for row in rows]), np.log([row["answer"] for row in rows])
     dummies = np.array([[row["damping"] == level for level in (0.0, 1.0, 2.0)] for row in rows], float)
     with_factor = np.linalg.lstsq(np.column_stack([dummies, x]), y, rcond=None)[1][0]
     without = np.linalg.lstsq(np.column_stack([np.ones_like(x), x]), y, rcond=None)[1][0]
-    (comparison,) = compare_models(made.file, rows)
+    (comparison,) = compare_models(experiment.file, rows)
     assert comparison.chi_squared == pytest.approx(len(y) * np.log(without / with_factor)) and comparison.freedom == 2
 
 
@@ -183,7 +183,7 @@ def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
     assert differences[1].interval_95 == pytest.approx(stats.t.interval(0.95, 1, 10.5, stats.sem([10.0, 11.0])))
 
 
-def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
+def test_a_participant_who_fails_catch_trials_is_excluded() -> None:
     experiment = Experiment(make_tables(factor=[], catch=CATCH))
     guessing = Experiment(make_tables(factor=[], catch=CATCH), {"observer.threshold": 1e3})
     rows = [
@@ -198,25 +198,25 @@ def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
 
 def test_a_score_is_the_mean_of_all_ratings() -> None:
     names = [question.name for question in Experiment(make_tables(survey=[TLX])).file.survey[0].question]
-    made = Experiment(make_tables(survey=[TLX])).file
+    file = Experiment(make_tables(survey=[TLX])).file
     row = {"participant": "sub-01", "survey": "load", "block": 1, "condition": None}
     answers = [row | {"question": name, "answer": 10.0 * k} for k, name in enumerate(names, 1)]
-    table = survey_table(made, answers)
+    table = survey_table(file, answers)
     assert [(entry["question"], entry["mean"]) for entry in table][-1] == ("mean", 35.0) and len(table) == 7
-    assert len(survey_table(made, answers[:-1])) == 5
+    assert len(survey_table(file, answers[:-1])) == 5
 
 
 def test_scores_are_compared_within_participants() -> None:
-    made = Experiment(make_tables(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
+    file = Experiment(make_tables(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
     answers = [
         {"participant": who, "survey": "load", "block": block, "condition": condition, "question": question.name,
          "answer": 30.0 + more}
         for who, rise in (("sub-01", 10.0), ("sub-02", 20.0))
         for block, condition, more in ((1, "0.0", 0.0), (2, "1.0", rise), (3, "2.0", 5.0))
-        for question in made.survey[0].question
+        for question in file.survey[0].question
     ]  # fmt: skip
-    (title, first), (_, second) = compare_scores(made, answers)
+    (title, first), (_, second) = compare_scores(file, answers)
     paired = stats.ttest_rel([40.0, 50.0], [30.0, 30.0]).confidence_interval()
     assert title == "NASA-TLX" and first[:5] == ("damping", "1.0", "0.0", 2, 15.0)
     assert first.interval_95 == pytest.approx((paired.low, paired.high))
-    assert second.value == 5.0 and compare_scores(made, answers[:6]) == []
+    assert second.value == 5.0 and compare_scores(file, answers[:6]) == []

@@ -9,7 +9,6 @@ import re
 import resource
 import signal
 import subprocess
-import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.processes import COMMAND
 from helpers.programs import Program
-from helpers.waits import repeated
+from helpers.waits import WAIT_S, repeated
 from test_trial_order import make_tables
 
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
@@ -41,7 +41,6 @@ pytestmark = pytest.mark.real_time
 MOTION = [[0.0, 0.0, 0.0, 0.015], [0.2, 0.0, 0.0, 0.008], [0.9, 0.0, 0.0, 0.008]]
 TURN = [[0.2, 0.0, 0.0, 0.0], [0.7, 0.0, 0.0, 0.3]]
 """Spin about the normal: a plane answers it with a moment and no force."""
-WAIT_S = 120.0
 SLEW_N = 2.0
 """Slew limit of the rig's guard, N per tick."""
 RAMP_TICKS = 500
@@ -91,9 +90,9 @@ def find_tick(run: Run, tick: int) -> int:
 
 def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
     _, run = session
-    begun = [(event["data"]["trial"], event["data"]["touch"]) for event in select_marks(run, "touch")]
-    assert begun == [(1, 1), (1, 2), (2, 1), (2, 2)]
-    assert [(event["data"]["trial"], event["data"]["touch"]) for event in select_marks(run, "release")] == begun
+    touches = [(event["data"]["trial"], event["data"]["touch"]) for event in select_marks(run, "touch")]
+    assert touches == [(1, 1), (1, 2), (2, 1), (2, 2)]
+    assert [(event["data"]["trial"], event["data"]["touch"]) for event in select_marks(run, "release")] == touches
     values = [event["data"]["changes"].popitem()[1] for event in select_marks(run, "touch")]
     assert sorted(values) == [500.0, 500.0, 1000.0, 1000.0]
 
@@ -129,11 +128,11 @@ def test_a_guided_hand_turns_on_its_path_and_turns_back(session: tuple[Path, Run
     w, _, _, z = run.first["probe.orientation"].T
     angle = 2.0 * np.arctan2(z, w)
     ends = [
-        (find_tick(run, begun["tick"]), find_tick(run, end["tick"]))
-        for begun, end in zip(select_marks(run, "touch"), select_marks(run, "release"), strict=True)
+        (find_tick(run, start["tick"]), find_tick(run, end["tick"]))
+        for start, end in zip(select_marks(run, "touch"), select_marks(run, "release"), strict=True)
     ]
-    for begun, end in ends:
-        assert abs(angle[begun]) <= START_TOLERANCE_RAD
+    for start, end in ends:
+        assert abs(angle[start]) <= START_TOLERANCE_RAD
         # The path ends 0.2 s before the touch; the hand follows with a first-order lag of 30 ms.
         assert angle[end] == pytest.approx(0.3, abs=START_TOLERANCE_RAD)
 
@@ -148,8 +147,8 @@ def test_a_hand_is_at_the_start_of_its_path_when_a_touch_starts(session: tuple[P
 @pytest.mark.exhaustive
 def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
     limits = {"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.3, 5.0]}
-    made = Experiment(experiment() | {"factor": [limits]})
-    low, high = made.run(tmp_path / "out", 1, settings(tmp_path))
+    varied = Experiment(experiment() | {"factor": [limits]})
+    low, high = varied.run(tmp_path / "out", 1, settings(tmp_path))
     assert low["peak_force_n"] == pytest.approx(0.3, rel=1e-9) and 0.5 < high["peak_force_n"] < 5.0
     run = load_run(tmp_path / "out" / "sub-01" / "sub-01_run-01_ticks.mcap", ("force",))
     replaced = [event["first"] for event in run.events if event["name"] == "replaced"]
@@ -265,7 +264,7 @@ def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> 
 
 def program(file: Path, folder: Path, *words: str) -> list[str]:
     ends = ["--endpoint", f"ipc://{folder}/t", "--commands", f"ipc://{folder}/c"]
-    common = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", str(file), "--no-doctor"]
+    common = [*COMMAND, "-q", "experiment", str(file), "--no-doctor"]
     return [*common, "--out", str(folder / "out"), *ends, *words]
 
 

@@ -6,7 +6,6 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from helpers.processes import COMMAND, list_children
 
 from softfinger.server.experiment.experiment import Experiment, results
 from softfinger.server.experiment.journal import read
@@ -60,12 +60,6 @@ realtime = "off"
 """
 
 
-def list_children(pid: int) -> list[int]:
-    with suppress(OSError):
-        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    return []
-
-
 def kill_while_running(words: list[str], journal: Path, rng: random.Random) -> None:
     size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -92,7 +86,7 @@ def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[
     (tmp_path / "rig.toml").write_text(RIG)
     file = tmp_path / "killed.toml"
     file.write_text(EXPERIMENT.format(repetitions=2 * kills))
-    words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", str(file), "--dry-run", "--no-doctor"]
+    words = [*COMMAND, "-q", "experiment", str(file), "--dry-run", "--no-doctor"]
     words += ["--out", str(tmp_path / "out"), "--endpoint", f"ipc://{tmp_path}/t", "--commands", f"ipc://{tmp_path}/c"]
     own, rng = tmp_path / "out" / "sub-01", random.Random(11)
     for _ in range(kills):

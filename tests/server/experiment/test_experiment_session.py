@@ -9,7 +9,6 @@ import resource
 import shutil
 import signal
 import subprocess
-import sys
 import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from helpers.processes import COMMAND
 from PIL import Image
 from test_trial_order import make_tables
 
@@ -90,7 +90,7 @@ def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> N
 
 
 def kill_and_resume(folder: Path, kills: int, seed: int) -> None:
-    words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
+    words = [*COMMAND, "-q", "experiment", "friction-magnitude", "--dry-run"]
     words += ["--no-daemon", "--out", str(folder)]
     rng, journal = random.Random(seed), folder / "sub-01" / "sub-01_journal.jsonl"
     size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
@@ -197,7 +197,7 @@ def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
 
 
 def test_sessions_at_once_in_one_folder_leave_one_table(tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
+    words = [*COMMAND, "-q", "experiment", "friction-magnitude", "--dry-run"]
     words += ["--no-daemon", "--out", str(tmp_path / "out"), "--participant"]
     processes = [subprocess.Popen([*words, str(number)], stdout=subprocess.DEVNULL) for number in (1, 2, 3)]
     assert [process.wait(100.0) for process in processes] == [0, 0, 0]

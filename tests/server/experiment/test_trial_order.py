@@ -134,10 +134,10 @@ def test_progress_tells_the_block_and_no_condition() -> None:
 def test_a_rating_stays_on_its_scale() -> None:
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "?", "scale": [1, 7], "scale_ends": ["soft", "hard"]}
     observer = {"scale": 5.0, "exponent": 2.0, "noise": 0.5}
-    made = Experiment(
+    experiment = Experiment(
         make_tables(task=task, observer=observer, procedure={"kind": "constant", "levels": [0.1, 1.0, 3.0]})
     )
-    assert {row["answer"] for row in made.rehearse()} <= {float(mark) for mark in made.file.task.marks}
+    assert {row["answer"] for row in experiment.rehearse()} <= {float(mark) for mark in experiment.file.task.marks}
 
 
 def test_numbers_are_no_comparison() -> None:

@@ -84,7 +84,7 @@ def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_ticks_after_a_gap_are_left_out_until_the_state_is_known(tmp_path: Path) -> None:
+def test_ticks_after_a_gap_are_skipped_until_the_state_is_known(tmp_path: Path) -> None:
     middle = find_touches()[1] + 20
     holed = np.delete(run(), [middle, middle + 1], axis=0)
     outcome = replay_and_compare(recorded(tmp_path / "a.mcap", holed))
@@ -110,7 +110,7 @@ OTHER = "another scene or rig was set"
 
 
 @pytest.mark.plain
-def test_ticks_after_a_change_of_the_rig_are_left_out(tmp_path: Path) -> None:
+def test_ticks_after_a_change_of_the_rig_are_skipped(tmp_path: Path) -> None:
     tick, rig = find_touches()[1] - 100, load_rig("replay")
     weak = msgspec.structs.replace(rig.guard, force_max_n=0.3)
     poses, scene = resample(load_poses("tap"), 1000.0), load_scene("paper-plane")
@@ -157,7 +157,7 @@ def test_commands_are_replayed(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
+def test_forces_withheld_by_the_driver_are_skipped(tmp_path: Path) -> None:
     records = run().copy()
     at = find_touches()[0] + 10
     records[at, AT.servo_device] = HELD
@@ -227,7 +227,7 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["replay", "tap", "--scene", "paper-plane"]) == 2
 
 
-def test_against_the_forces_that_a_device_was_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_against_the_forces_sent_to_a_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for ending in ("csv", "npz"):
         forces = tmp_path / f"forces.{ending}"
         words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", str(forces)]

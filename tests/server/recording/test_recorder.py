@@ -7,7 +7,6 @@ import random
 import resource
 import signal
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -15,9 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.daemons import QUIET
+from helpers.processes import COMMAND
 from helpers.programs import Program
 from helpers.recorded import about, event, recorded, run
-from helpers.waits import eventually
+from helpers.waits import WAIT_S, eventually
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -38,15 +39,12 @@ from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS
 
 pytestmark = pytest.mark.real_time
 
-COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
-WAIT_S = 120.0
 LOST_MAX_TICKS = 200
 """Promised maximum after a kill, at 1 kHz: four times the delay of an idle recorder."""
 
 
 def quiet_rig(folder: Path, **changes: Any) -> Any:
-    quiet = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "device.recording": "tap"}
-    return load_rig("replay", quiet | {"recording.directory": str(folder)} | changes)
+    return load_rig("replay", QUIET | {"device.recording": "tap", "recording.directory": str(folder)} | changes)
 
 
 def read(path: Path) -> tuple[np.ndarray, list[dict[str, Any]], dict[str, Any], End]:
@@ -333,12 +331,12 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     file.free.clear()
     recorder.take(run()[:1])
     assert file.writing.wait(WAIT_S)
-    begun = time.monotonic()
+    start_s = time.monotonic()
     for number in range(QUEUE_EVENTS + 30):
         recorder.event(event("mark", f"mark {number}", number))
     recorder.note("last", {"said": True})
     assert recorder.recorded.events_dropped == 30
-    stalled = time.monotonic() - begun
+    stalled = time.monotonic() - start_s
     file.free.set()
     assert eventually(lambda: reports)
     recorded_ = recorder.stop(WAIT_S)

@@ -58,7 +58,7 @@ def test_quoted_cells_may_have_decimal_commas(tmp_path: Path) -> None:
     assert poses.position.tolist() == [[0.001, 0.0, 0.01], [0.002, 0.0, 0.02]]
 
 
-def test_a_column_that_is_sometimes_empty_is_left_out(tmp_path: Path) -> None:
+def test_a_column_that_is_sometimes_empty_is_skipped(tmp_path: Path) -> None:
     file = tmp_path / "theirs.csv"
     file.write_bytes(b"\xef\xbb\xbf0.0,0,0,0.01,\n0.1,0,0,0.02,\n0.2,0,0,0.03,press\n0.3,,0,0.04,\n")
     with pytest.raises(RecordingError, match=r"line 4, column 'x': the cell is empty"):

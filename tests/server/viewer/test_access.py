@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -16,6 +15,7 @@ import msgspec
 import pytest
 import viser
 from helpers.browser import browser, shown, why_none
+from helpers.live_pages import step_until
 from helpers.pages import CAMERA
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
@@ -183,26 +183,18 @@ def send_value(stream: ClientConnection, control: Any, value: Any) -> None:
 def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tuple[str, str]) -> None:
     with closing(LivePage(page, Addresses(*endpoints))) as live:
         slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._scene_list
-        step_until(live, lambda: page.fingers and slider.value == 1000.0)
+        assert step_until(live, lambda: page.fingers and slider.value == 1000.0)
         requests: list[Any] = []
         live._tuning._params = lambda name, values: requests.append(values)
         live._tuning._set_scene = lambda name, values: requests.append(values)
         with opened(page, get_path(page), f"http://{get_host(page)}") as stream:
             stream.send(msgspec.msgpack.encode(CAMERA))
-            step_until(live, page.server.get_clients)
+            assert step_until(live, page.server.get_clients)
             for control, wrong in ((slider, 1e6), (slider, -1.0), (slider, float("nan")), (choice, "/etc/scene.toml")):
                 right, before = control.value, control.update_timestamp
                 send_value(stream, control, wrong)
-                step_until(live, lambda c=control, r=right, b=before: c.update_timestamp > b and c.value == r)  # type: ignore[misc]
+                assert step_until(live, lambda c=control, r=right, b=before: c.update_timestamp > b and c.value == r)  # type: ignore[misc]
             assert not requests
             send_value(stream, slider, 740.0)
-            step_until(live, lambda: requests)
+            assert step_until(live, lambda: requests)
         assert requests == [{"object.0.material.stiffness_n_per_m": 740.0}]
-
-
-def step_until(live: LivePage, until: Callable[[], Any]) -> None:
-    end = time.monotonic() + 60.0
-    while not until():
-        assert time.monotonic() < end
-        live.step(0.05)
-        time.sleep(0.01)

@@ -113,8 +113,8 @@ def test_a_slider_changes_the_material_of_the_daemon(screen: Screen, client: Cli
     name."""
 
     def material() -> dict[str, object]:
-        made: dict[str, object] = client.describe()["scene"]["object"][0]["material"]
-        return made
+        table: dict[str, object] = client.describe()["scene"]["object"][0]["material"]
+        return table
 
     screen.tab("Feel")
     assert eventually(lambda: screen.page.get_by_role("slider", name="stiffness, N/m").count() == 1)

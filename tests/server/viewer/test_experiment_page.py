@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 from helpers.browser import eventually, shown, why_none
 from helpers.experiment_page import RATING, STUDY, session
+from helpers.waits import WAIT_S
 
 from softfinger.server.experiment.experiment import results
 from softfinger.server.recording.run import load_run
 from softfinger.server.viewer.prompt import assign_keys
 from softfinger.tools.bench.view import viewer
-
-WAIT_S = 120.0
 
 
 @pytest.fixture

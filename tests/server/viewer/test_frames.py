@@ -30,12 +30,12 @@ def nothing_else_collects() -> Iterator[None]:
 def test_a_page_collects_its_garbage_while_it_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
     """A collection also frees CPython's free lists of tuples, which programs cannot clear directly."""
     monkeypatch.setattr(page, "COLLECT_S", 2.5 * page.FRAME_S)
-    made: list[weakref.ref[Circle]] = []
+    references: list[weakref.ref[Circle]] = []
     alive: list[int] = []
 
     def work(dt: float) -> None:
-        made.append(weakref.ref(Circle()))
-        alive.append(sum(reference() is not None for reference in made))
+        references.append(weakref.ref(Circle()))
+        alive.append(sum(reference() is not None for reference in references))
 
     page.run_frames(work, [], 20.0 * page.FRAME_S)
     assert len(alive) > 10  # a busy machine runs fewer frames

@@ -32,10 +32,10 @@ STEP_N = 1000.0 * gestures.APPROACH_SPEED_M_PER_S / RATE_HZ
 @cache
 def play_gesture(name: str, start: tuple[float, float, float]) -> list[Step]:
     engine = Engine("paper-plane", rate_hz=RATE_HZ)
-    here, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
+    targets, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
     stage = gestures.Stage(
-        lambda finger: here[finger],
-        lambda finger: here[finger].position,
+        lambda finger: targets[finger],
+        lambda finger: targets[finger].position,
         lambda finger: steps[-1].normal_force if steps else 0.0,
         lambda finger: RADIUS,
         lambda point: 0.0,
@@ -43,8 +43,8 @@ def play_gesture(name: str, start: tuple[float, float, float]) -> list[Step]:
     gesture = gestures.ONE_FINGER[name](stage, "")
     goals = next(gesture)
     while True:
-        here.update(goals)
-        target = here[""]
+        targets.update(goals)
+        target = targets[""]
         steps.append(engine.step(position=target.position.tolist(), orientation=list(target.orientation)))
         try:
             goals = gesture.send(1.0 / RATE_HZ)

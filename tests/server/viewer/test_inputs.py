@@ -95,8 +95,8 @@ def test_a_rolling_method_is_rendered_by_the_daemon(screen: Screen, client: Clie
     screen.choose("rolling", method)
     wanted = None if method == NO_ROLLING else method
     assert eventually(lambda: (client.describe()["scene"].get("rolling") or {}).get("method") == wanted)
-    begun = client.describe()["since"]
-    assert eventually(lambda: client.get_state().sequence > begun)
+    since = client.describe()["since"]
+    assert eventually(lambda: client.get_state().sequence > since)
     chosen = screen.page.locator("xpath=//label[normalize-space()='rolling']/following::input[1]")
     assert eventually(lambda: chosen.input_value() == method)
 

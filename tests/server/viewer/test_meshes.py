@@ -50,9 +50,9 @@ def test_a_picture_is_unchanged_by_the_wire(tmp_path: Path) -> None:
         ),
     )
     assert PICTURE_TRIANGLES * (3 * 12 + 12) < ANSWER_MAX  # no shared vertices
-    got = msgspec.convert(msgpack.unpackb(message)["result"], Triangles)
-    mesh = decode_mesh(got.vertices, got.triangles)
-    assert got.of == 72000 and mesh.faces.tolist() == picture.triangles.tolist()
+    decoded = msgspec.convert(msgpack.unpackb(message)["result"], Triangles)
+    mesh = decode_mesh(decoded.vertices, decoded.triangles)
+    assert decoded.of == 72000 and mesh.faces.tolist() == picture.triangles.tolist()
     np.testing.assert_allclose(mesh.vertices, picture.vertices, rtol=6e-8)  # float32
 
 

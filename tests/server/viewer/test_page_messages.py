@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import random
 import subprocess
 import sys
@@ -18,6 +17,7 @@ import pytest
 import viser
 from helpers.fuzzing import mutated
 from helpers.pages import CAMERA
+from helpers.processes import read_memory
 from helpers.programs import Program
 from viser._messages import GuiUpdateMessage
 from viser.infra._async_message_buffer import AsyncMessageBuffer
@@ -49,10 +49,6 @@ SAID: list[dict[str, Any]] = [
 """Messages that viser's browser client sends."""
 GROWTH_MAX_KB = 200_000
 """A Python process grows by some tens of MB in its first seconds; corrupted messages may not add memory."""
-
-
-def resident_kb(pid: int) -> int:
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 1024
 
 
 def talk(address: str, messages: list[bytes]) -> None:
@@ -101,11 +97,11 @@ def test_corrupted_messages_do_not_harm_the_page(seconds: float, tmp_path: Path)
         address = page.stdout.readline().strip()
         try:
             talk(address, seeds)
-            before, until = resident_kb(page.pid), time.monotonic() + seconds
+            before, until = read_memory(page.pid), time.monotonic() + seconds
             while time.monotonic() < until:
                 talk(address, [seeds[0], *(mutated(seeds, chance) for _ in range(8))])
             assert page.poll() is None
-            assert resident_kb(page.pid) - before < GROWTH_MAX_KB
+            assert read_memory(page.pid) - before < 1024 * GROWTH_MAX_KB
             with urlopen(address, timeout=60.0) as answer:
                 assert answer.status == 200
         finally:

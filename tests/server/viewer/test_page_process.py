@@ -22,6 +22,7 @@ from urllib.request import url2pathname, urlopen
 import pytest
 from helpers.browser import browser, eventually, shown, why_none
 from helpers.called import called
+from helpers.processes import COMMAND, find_child
 from helpers.programs import Program
 
 from softfinger.server.viewer.door import process as of_page
@@ -34,15 +35,8 @@ WAIT_S = 280.0
 
 
 def find_page(process: subprocess.Popen[str]) -> int:
-    """Wait for the page's process. The publisher is another child, and threads have their own children."""
-    while process.poll() is None:
-        for children in Path(f"/proc/{process.pid}/task").glob("*/children"):
-            for child in children.read_text().split():
-                with suppress(OSError):  # it has exited
-                    if b"\0view\0" in Path(f"/proc/{child}/cmdline").read_bytes():
-                        return int(child)
-        time.sleep(0.01)
-    raise AssertionError("the daemon has ended")
+    """Wait for the page's process."""
+    return find_child(process.pid, b"\0view\0")
 
 
 def get_status(process: subprocess.Popen[str], address: str) -> int:
@@ -58,7 +52,7 @@ def get_status(process: subprocess.Popen[str], address: str) -> int:
 @contextmanager
 def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*"]
-    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--realtime", "off", *ends, "--view", *more]
+    command = [*COMMAND, "run", "--realtime", "off", *ends, "--view", *more]
     with Program(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:
         assert process.stderr is not None
         timer = threading.Timer(WAIT_S, os.killpg, (process.pid, signal.SIGKILL))
@@ -135,7 +129,7 @@ def test_a_browser_opens_the_page_through_a_private_file(tmp_path: Path, monkeyp
     program.chmod(0o755)
     monkeypatch.setenv("BROWSER", f"{shlex.quote(str(program))} %s")
     monkeypatch.setenv("DISPLAY", ":0")
-    command = [sys.executable, "-m", "softfinger.server.cli", "view", "tap", "--port", "8320"]
+    command = [*COMMAND, "view", "tap", "--port", "8320"]
     with Program([*command, "--print-address"], stdout=subprocess.PIPE, text=True, kill_at_end=True) as process:
         assert process.stdout is not None
         address = process.stdout.readline().strip()

@@ -170,11 +170,11 @@ def test_a_moving_body_is_drawn_at_its_pose_in_the_contact(own_clock: bool) -> N
     deadline does not advance its time."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.004], "frequency_hz": 3.0}
     scene = build(schema.Scene, paper_mapping(table={"motion": motion}), "test scene")
-    engine, period, begun, missed = Engine(scene), 1e-3, 500, 70
-    bodies = BodyNodes(Frames(), scene, SceneStart(begun, missed, period, own_clock))
+    engine, period, first_tick, missed = Engine(scene), 1e-3, 500, 70
+    bodies = BodyNodes(Frames(), scene, SceneStart(first_tick, missed, period, own_clock))
     random = np.random.default_rng(3)
-    for tick in range(begun, begun + 400):
-        skipped = int(random.integers(0, 8)) if random.random() < 0.1 and tick > begun else 0
+    for tick in range(first_tick, first_tick + 400):
+        skipped = int(random.integers(0, 8)) if random.random() < 0.1 and tick > first_tick else 0
         missed += skipped
         dt = period if own_clock else period * (1 + skipped)
         row = np.array(engine.step([0.0, 0.0, 0.004], [1.0, 0.0, 0.0, 0.0], dt).record)

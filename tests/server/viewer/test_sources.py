@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.live_pages import step_until
 from helpers.pages import running
 from helpers.pressed import pressed_scene
 from helpers.programs import run_program
@@ -137,16 +137,6 @@ def live(page: Page, endpoints: tuple[str, str]) -> Iterator[LivePage]:
 
 def live_page(page: Page, daemon: Daemon) -> closing[LivePage]:
     return closing(LivePage(page, Addresses(daemon.publisher.endpoint, str(daemon.commands_endpoint))))
-
-
-def step_until(live: LivePage, until: Any) -> bool:
-    end = time.monotonic() + WAIT_S
-    while not until():
-        if time.monotonic() > end:
-            return False
-        live.step(0.05)
-        time.sleep(0.05)
-    return True
 
 
 def test_a_page_follows_its_daemon(page: Page, live: LivePage, endpoints: tuple[str, str]) -> None:

@@ -15,18 +15,18 @@ RADIUS = 0.01
 
 
 def rows(modes: list[int], rolled: float = 0.0) -> np.ndarray:
-    made = np.zeros((len(modes), RECORD_SIZE))
-    made[:, AT.tick] = np.arange(len(modes)) + 40
-    made[:, AT.timestamp] = 0.001 * np.arange(len(modes))
-    made[:, AT.contact_mode] = modes
-    made[:, AT.contact_rolled] = rolled * np.arange(len(modes))
-    return made
+    records = np.zeros((len(modes), RECORD_SIZE))
+    records[:, AT.tick] = np.arange(len(modes)) + 40
+    records[:, AT.timestamp] = 0.001 * np.arange(len(modes))
+    records[:, AT.contact_mode] = modes
+    records[:, AT.contact_rolled] = rolled * np.arange(len(modes))
+    return records
 
 
 def test_a_band_has_each_state_where_it_is() -> None:
-    made = rows([FREE] * 200 + [ROLLING] * 400)
-    made[400:, AT.contact_rolled] = 0.01 * np.arange(200)
-    assert find_state_runs(made, RADIUS) == [
+    records = rows([FREE] * 200 + [ROLLING] * 400)
+    records[400:, AT.contact_rolled] = 0.01 * np.arange(200)
+    assert find_state_runs(records, RADIUS) == [
         (0, VisibleState.FREE),
         (200, VisibleState.STICKING),
         (403, VisibleState.ROLLING),
@@ -65,9 +65,9 @@ def test_events_can_be_reached_from_both_sides() -> None:
 
 
 def test_events_follow_from_the_ticks_if_none_are_recorded() -> None:
-    made = rows([ROLLING] * 10 + [FREE] * 10)
-    made[10, AT.contact_cause] = 6
-    events = Events({"": made}, (), 1000.0)
+    records = rows([ROLLING] * 10 + [FREE] * 10)
+    records[10, AT.contact_cause] = 6
+    events = Events({"": records}, (), 1000.0)
     assert events.after(0) == 10 and "release" in events.format_html(10)
 
 
