@@ -23,7 +23,7 @@ import msgspec
 FOLDER: Final = Path(__file__).resolve().parent
 
 
-class Measured(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Measurement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Published value: a coefficient of friction, or a range of a modulus or of an exponent of the patch.
 
     friction, sd, low  mean, standard deviation and smallest observed value
@@ -56,7 +56,7 @@ class LibraryEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     holds: str
     papers: tuple[str, ...]
     values: dict[str, Any]
-    measured: tuple[Measured, ...] = ()
+    measured: tuple[Measurement, ...] = ()
     friction_of: str = ""
 
 
@@ -87,7 +87,7 @@ class Library(NamedTuple):
         dropped = {theirs for ours, theirs in self.instead.items() if table.get(ours) is not None}
         values = self.entries()[table[self.key]].values
         base = {key: value for key, value in values.items() if key not in dropped}
-        return _over(base, table) | ({"resolved": True} if self.marked else {})
+        return _merge(base, table) | ({"resolved": True} if self.marked else {})
 
 
 @lru_cache(maxsize=1)
@@ -127,10 +127,10 @@ def _tables(file: str) -> dict[str, Any]:
     return tomllib.loads((FOLDER / file).read_text(encoding="utf-8"))
 
 
-def _over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     result = dict(base)
     for key, value in changes.items():
         below = base.get(key)
         are_tables = isinstance(below, Mapping) and isinstance(value, Mapping)
-        result[key] = _over(below, value) if are_tables else value  # type: ignore[arg-type]
+        result[key] = _merge(below, value) if are_tables else value  # type: ignore[arg-type]
     return result

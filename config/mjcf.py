@@ -31,7 +31,7 @@ CACHED_MODELS: Final = 4
 """Compiled models that stay in memory."""
 
 
-class Compiled(NamedTuple):
+class CompiledModel(NamedTuple):
     """A model: its specification as in the file, the compiled model, and the state of each of its files."""
 
     spec: mujoco.MjSpec
@@ -39,7 +39,7 @@ class Compiled(NamedTuple):
     files: Mapping[str, Any]
 
 
-_compiled: Final = OrderedDict[tuple[str, str | None], Compiled]()
+_compiled: Final = OrderedDict[tuple[str, str | None], CompiledModel]()
 _lock: Final = threading.Lock()
 
 
@@ -78,7 +78,7 @@ def key_number(model: mujoco.MjModel, world: schema.World) -> int | None:
     return names.index(world.keyframe)
 
 
-def compile_model(path: str, root: str | None = None) -> Compiled:
+def compile_model(path: str, root: str | None = None) -> CompiledModel:
     """Return a model as MuJoCo compiles it, from memory while its files stay the same. The caller must not change it.
 
     Parameters
@@ -106,7 +106,7 @@ def compile_model(path: str, root: str | None = None) -> Compiled:
     return model
 
 
-def _compile(path: str, root: str | None) -> Compiled:
+def _compile(path: str, root: str | None) -> CompiledModel:
     package, name = mujoco_module(), repr(path)[1:-1]
     text = read_text(path, name)
     home = Path(os.path.realpath(Path(path).parent if root is None else root))
@@ -131,7 +131,7 @@ def _compile(path: str, root: str | None) -> Compiled:
             model = spec.compile()
     except (ValueError, package.FatalError) as error:
         raise ConfigError(f"world.model {name}: {_line(error)}") from error
-    return Compiled(spec, model, states)
+    return CompiledModel(spec, model, states)
 
 
 def _remove_pictures(spec: mujoco.MjSpec) -> None:
@@ -207,5 +207,5 @@ def read_hfield(path: str, root: str | None, name: str) -> Grid:
     raise ConfigError(f"{path}: has no height field {name!r}; it has: {_names(model.hfield, model.nhfield)}")
 
 
-def _names(named: Any, count: int) -> str:
-    return ", ".join(named(number).name for number in range(count)) or "none"
+def _names(elements: Any, count: int) -> str:
+    return ", ".join(elements(number).name for number in range(count)) or "none"

@@ -38,32 +38,34 @@ def check_flexes(folder: str, folders: Iterable[str], flexes: Iterable[str], hom
             check_place(os.path.join(folder, below, file), home, f"{model}: <flexcomp file={file!r}>")
 
 
-def place_files(spec: mujoco.MjSpec, listed: list[str], attaches: bool, home: Path, model: str) -> Iterator[str]:
+def place_files(spec: mujoco.MjSpec, files: list[str], attaches: bool, home: Path, model: str) -> Iterator[str]:
     """Give every mesh and height field of a model that has a file its absolute path, and yield the paths.
 
-    `listed` are the files that MuJoCo reports as dependencies of the model; files of attached models are found in their
+    `files` are those that MuJoCo reports as dependencies of the model; files of attached models are found in their
     folders.
     """
     strips, spec.strippath = spec.strippath, False
     for asset in (*spec.meshes, *spec.hfields):
         if asset.file:
-            own = os.path.basename(asset.file) if strips else asset.file
-            path = os.path.abspath(os.path.join(spec.modelfiledir, spec.meshdir or "", own))
+            file_name = os.path.basename(asset.file) if strips else asset.file
+            path = os.path.abspath(os.path.join(spec.modelfiledir, spec.meshdir or "", file_name))
             if attaches:
-                path = _find_attached(asset, path, listed, model)
+                path = _find_attached(asset, path, files, model)
             check_place(path, home, f"{model}: the file {path}")
             asset.file = path
             yield path
 
 
-def _find_attached(asset: Any, path: str, listed: list[str], model: str) -> str:
+def _find_attached(asset: Any, path: str, files: list[str], model: str) -> str:
     name = os.path.basename(asset.file)
-    matching = {os.path.abspath(file) for file in listed if os.path.basename(file) == name and os.path.exists(file)}
+    matching = {os.path.abspath(file) for file in files if os.path.basename(file) == name and os.path.exists(file)}
     if path in matching or not matching:
         matching = {path}
     if len(matching) > 1:
-        files = ", ".join(sorted(matching))
-        raise ConfigError(f"world.model {model}: {asset.name!r} may be one of {files}: give the files different names")
+        choices = ", ".join(sorted(matching))
+        raise ConfigError(
+            f"world.model {model}: {asset.name!r} may be one of {choices}: give the files different names"
+        )
     return matching.pop()
 
 

@@ -93,13 +93,13 @@ class _Model:
         models, attached, included = dict[str, Path](), Counter[str](), {path}
         folder, waiting = path.parent, [(self._root(text, name), times, name, path.parent)]
         while waiting:
-            element, times, name, own = waiting.pop()
+            element, times, name, base = waiting.pop()
             self._check_paths(element, name)
             check_numbers(element, name)
             file = element.get("file") or ""
             match element.tag:
                 case "include":
-                    part = self._find_file(element, (folder, own), name)
+                    part = self._find_file(element, (folder, base), name)
                     if part in included:
                         raise ConfigError(f"world.model {name}: includes {file} again: MuJoCo reads each file once")
                     included.add(part)
@@ -107,12 +107,12 @@ class _Model:
                         within = f"{self._name}, {file}"
                         waiting.append((self._root(inner, within), times, within, part.parent))
                 case "model":
-                    models[element.get("name") or Path(file).stem] = self._find_file(element, (folder, own), name)
+                    models[element.get("name") or Path(file).stem] = self._find_file(element, (folder, base), name)
                 case "attach":
                     attached[element.get("model") or ""] += times
             self._count(element, times, folder, name)
             copies = times * (product(element, ("count",)) if element.tag == "replicate" else 1)
-            waiting += [(child, copies, name, own) for child in element]
+            waiting += [(child, copies, name, base) for child in element]
         unknown = sum(count for model, count in attached.items() if model not in models)
         for model, part in models.items():
             inner = self._text(part) if depth < DEPTH_MAX else None

@@ -56,10 +56,10 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
             return path
     except (OSError, ValueError):
         pass
-    own = f"my-{kind.split()[-1]}.toml"
+    example = f"my-{kind.split()[-1]}.toml"
     raise ConfigError(
         f"no {kind} is called {format_value(path_or_name)}{near(path_or_name, names)}; "
-        f"shipped are {', '.join(names)}; give the path of another file with its suffix, such as {own}"
+        f"shipped are {', '.join(names)}; give the path of another file with its suffix, such as {example}"
     )
 
 

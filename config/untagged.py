@@ -14,7 +14,7 @@ Read = Callable[[inspect.Type, object, str, FaultCollector], Any]
 """Reads a value of a type, and records its faults: type, value, key, report."""
 
 
-class Untagged(NamedTuple):
+class TableKinds(NamedTuple):
     """Kinds of a table.
 
     every  all kinds that it may have
@@ -26,7 +26,7 @@ class Untagged(NamedTuple):
 
 
 def read_untagged(
-    kinds: Untagged, table: Mapping[Any, Any], key: str, report: FaultCollector, read: Read
+    kinds: TableKinds, table: Mapping[Any, Any], key: str, report: FaultCollector, read: Read
 ) -> tuple[type[Struct] | None, dict[str, Any]]:
     """Check a table of unknown kind against the kinds in `meant`, and report its faults.
 

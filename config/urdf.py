@@ -29,16 +29,16 @@ def locate(uri: str, folder: Path, home: Path) -> Path:
     """
     if not uri.startswith(PACKAGES):
         return folder / uri.removeprefix("file://")
-    ways = list(_ways(uri, folder))
+    candidates = list(_candidates(uri, folder))
     inside = (
         candidate
-        for _, candidate in ways
+        for _, candidate in candidates
         if candidate.is_file() and Path(os.path.realpath(candidate)).is_relative_to(home)
     )
-    return next(inside, ways[0][1])
+    return next(inside, candidates[0][1])
 
 
-def _ways(file_name: str, folder: Path) -> Iterator[tuple[Path, Path]]:
+def _candidates(file_name: str, folder: Path) -> Iterator[tuple[Path, Path]]:
     """Yield folders that may have the package of a file, upwards from `folder`, and the path of the file in each."""
     within = file_name.partition("://")[2].lstrip("/")
     start = Path(os.path.abspath(folder))
@@ -67,7 +67,7 @@ def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
         check_place(path, home, f"{model}: the file {mesh.file}")
         if not path.is_file():
             higher = next(
-                (above for above, candidate in _ways(mesh.file, folder) if candidate.is_file()), folder.parent
+                (above for above, candidate in _candidates(mesh.file, folder) if candidate.is_file()), folder.parent
             )
             raise ConfigError(
                 f"world.model {model}: {mesh.file} is not found from its folder up to {home}: name a folder that has "

@@ -17,7 +17,7 @@ from msgspec import UNSET, Struct, inspect
 from softfinger.config.materials import Library
 from softfinger.config.scalars import Fault, FaultCollector, check_literal, check_number, check_text
 from softfinger.config.typeinfo import describe_struct, options, unwrap
-from softfinger.config.untagged import Untagged, read_untagged
+from softfinger.config.untagged import TableKinds, read_untagged
 from softfinger.config.words import describe_allowed, either, format_value, join_key, missing, near
 
 UNKNOWN_SHOWN: Final = 8
@@ -144,7 +144,7 @@ def _read_untagged(
 ) -> Any:
     """Read the fields that all possible kinds of a table share, for the checks across tables."""
     start = len(report.faults)
-    cls, values = read_untagged(Untagged(structs, matching), value, key, report, _value)
+    cls, values = read_untagged(TableKinds(structs, matching), value, key, report, _value)
     return UNSET if cls is None else _create(cls, values, key, report, start)
 
 
@@ -182,7 +182,7 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
         dotted,
         f"{dotted} = {format_value(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers",
     )
-    read_untagged(Untagged([info], [info]), mapping, key, report, _value)
+    read_untagged(TableKinds([info], [info]), mapping, key, report, _value)
     return UNSET  # its keys would have the values of the library
 
 

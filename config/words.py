@@ -137,8 +137,8 @@ def join_key(key: str, name: object) -> str:
 
 def either(names: Iterable[object]) -> str:
     """Return `one of 'a', 'b'`, or the only name."""
-    listed = [format_value(name) for name in names]
-    return listed[0] if len(listed) == 1 else f"one of {', '.join(listed)}"
+    texts = [format_value(name) for name in names]
+    return texts[0] if len(texts) == 1 else f"one of {', '.join(texts)}"
 
 
 def _unit(key: str) -> str:

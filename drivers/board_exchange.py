@@ -154,7 +154,7 @@ def command(driver: Any, handle: int, wrench: Any) -> Any:
 
 @by_type
 def wake(driver: Any, handle: int) -> Any:
-    """Send a packet without force that makes a silent device answer. Return like `send_zero`."""
+    """Send a packet without force to which a silent device replies. Return like `send_zero`."""
 
 
 # --- common to all drivers -------------------------------------------------------------------------

@@ -60,7 +60,7 @@ def resample(poses: Poses, rate_hz: float) -> Array:
 
 
 def _slopes(t: Array, x: Array) -> Array:
-    """Return velocities (N, 3) at the samples with which the interpolant is monotone where the samples are.
+    """Return velocities (N, 3) at the samples that make the interpolant monotone wherever the samples are.
 
     Source: Fritsch, Carlson (1980), with the weighted harmonic mean of Fritsch, Butland (1984) and their one-sided
     three-point rule at both ends.

@@ -73,8 +73,8 @@ class RigidBodies:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state from which a copy continues with the same bits; MuJoCo pickles its data with the model."""
-        own = ("world", "data", "moving", "names", "_key", "_fault", "_last", "_said")
-        return {name: vars(self)[name] for name in own}
+        fields = ("world", "data", "moving", "names", "_key", "_fault", "_last", "_said")
+        return {name: vars(self)[name] for name in fields}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, model=state["data"].model)
@@ -148,10 +148,10 @@ class RigidBodies:
         if fault == at.WARNED:
             counted = self.data.warning
             kind = int(np.flatnonzero(counted.number)[0])
-            said = mujoco_module().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
+            message = mujoco_module().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
         else:
-            said = self._said or words_in(self._rescue)
-        return SafetyStop(f"{text}: MuJoCo said: {said}: {remedy}")
+            message = self._said or words_in(self._rescue)
+        return SafetyStop(f"{text}: MuJoCo said: {message}: {remedy}")
 
     def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
         """Return the kernels' Bodies, with `riders` as described there."""

@@ -80,8 +80,10 @@ def compiled(scene: Scene, begin: State) -> Callable[..., None]:
     like, start = (types.TypeRef(numba.typeof(tree)) for tree in (scene, begin))
     leaves, table = types.float64[::1], types.float64[:, :, ::1]
     kernel: Any = step_many
-    made: Callable[..., None] = kernel.compile((like, leaves, start, leaves, table, types.float64, types.int64, table))
-    return made
+    compiled: Callable[..., None] = kernel.compile(
+        (like, leaves, start, leaves, table, types.float64, types.int64, table)
+    )
+    return compiled
 
 
 class Engine:
@@ -143,7 +145,7 @@ class Engine:
         self._write_pose = partial(struct.Struct("7d").pack_into, memoryview(self._pose).cast("B"), 0)
 
     def __repr__(self) -> str:
-        objects = ", ".join(thing.name for thing in self.config.object)
+        objects = ", ".join(obj.name for obj in self.config.object)
         fingers = f"fingers {', '.join(self.fingers)}; " if len(self.fingers) > 1 else ""
         return f"<Engine: {fingers}objects {objects}; {1.0 / self.dt:g} Hz, after {self._tick} ticks>"
 
@@ -164,8 +166,8 @@ class Engine:
         from html import escape
 
         rows = "".join(
-            f"<tr><th>{escape(thing.name)}</th><td>{escape(type(thing).__name__.lower())}</td></tr>"
-            for thing in self.config.object
+            f"<tr><th>{escape(obj.name)}</th><td>{escape(type(obj).__name__.lower())}</td></tr>"
+            for obj in self.config.object
         )
         return f"<p>{escape(repr(self).strip('<>'))}</p><table>{rows}</table>"
 
@@ -219,9 +221,9 @@ class Engine:
         from softfinger.config.load import apply_overrides
         from softfinger.proxy.scene import other_model
 
-        wanted = {changes: value} if isinstance(changes, str) else changes
-        if not self._take(apply_overrides(self.config, wanted, "set")):
-            raise ConfigError(f"set: {other_model(self.config, wanted)}: make another Engine")
+        values = {changes: value} if isinstance(changes, str) else changes
+        if not self._take(apply_overrides(self.config, values, "set")):
+            raise ConfigError(f"set: {other_model(self.config, values)}: make another Engine")
 
     def get(self, path: str) -> Any:
         """Return the present value of a parameter.
@@ -297,9 +299,9 @@ class Engine:
         try:
             # Numbers are written in a third of the time that assignments to arrays take.
             centre: Any = position.tolist() if isinstance(position, ndarray) else position
-            turned: Any = orientation.tolist() if isinstance(orientation, ndarray) else orientation
+            wxyz: Any = orientation.tolist() if isinstance(orientation, ndarray) else orientation
             x, y, z = centre
-            a, b, c, d = turned
+            a, b, c, d = wxyz
             self._write_pose(x, y, z, a, b, c, d)
             # Skip the check, 20 us, of a usable pose.
             is_usable = x * x + y * y + z * z < NEAR_M2 and 0.5 < a * a + b * b + c * c + d * d < 2.0
@@ -347,8 +349,8 @@ class Engine:
         SafetyStop
             If the bodies of a [world] have failed.
         """
-        named = isinstance(poses, Mapping)
-        if not named and len(self.fingers) > 1:
+        is_by_finger = isinstance(poses, Mapping)
+        if not is_by_finger and len(self.fingers) > 1:
             raise self._several()
         poses_by_finger: Mapping[str, Any] = poses if isinstance(poses, Mapping) else {self.fingers[0]: poses}
         together = poses_together(poses_by_finger, self.fingers)
@@ -360,7 +362,7 @@ class Engine:
         if self._has_bodies:
             self._check_bodies()
         by_finger = {name: Records(np.ascontiguousarray(records[:, at])) for at, name in enumerate(self.fingers)}
-        return by_finger if named else by_finger[self.fingers[0]]
+        return by_finger if is_by_finger else by_finger[self.fingers[0]]
 
     def _check_bodies(self) -> None:
         if (failure := self._world.failure) is not None:

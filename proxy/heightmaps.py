@@ -42,27 +42,27 @@ class Facets(NamedTuple):
     ridge: Grid
 
 
-def read_heights(thing: schema.Heightmap) -> Grid:
+def read_heights(obj: schema.Heightmap) -> Grid:
     """Return the heights (rows, columns), m, from the object's file. Raises ConfigError if it cannot be used."""
     try:
-        heights = _levels(thing) * thing.level_m
+        heights = _levels(obj) * obj.level_m
         most, worst = limits.COORDINATE_M.high, float(heights.flat[np.abs(heights).argmax()])
         if abs(worst) > most:
             raise ConfigError(
-                f"{thing.file}: a height of {worst:g} m with level_m = {thing.level_m:g}, {most:g} m up or down is the "
+                f"{obj.file}: a height of {worst:g} m with level_m = {obj.level_m:g}, {most:g} m up or down is the "
                 "most: make level_m smaller"
             )
     except ConfigError as error:
-        raise ConfigError(f"object '{thing.name}': file: {error}") from error
+        raise ConfigError(f"object '{obj.name}': file: {error}") from error
     return heights
 
 
-def _levels(thing: schema.Heightmap) -> Grid:
-    if thing.hfield is None:
-        return read_grid(thing.file, even=True)
+def _levels(obj: schema.Heightmap) -> Grid:
+    if obj.hfield is None:
+        return read_grid(obj.file, even=True)
     from softfinger.config.mjcf import read_hfield  # requires MuJoCo
 
-    return read_hfield(thing.file, thing.root, thing.hfield)
+    return read_hfield(obj.file, obj.root, obj.hfield)
 
 
 def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:

@@ -20,11 +20,11 @@ _LIMP = schema.Torsion(stiffness_nm_per_rad=1.0, friction_length_m=0.0)
 
 def normal_laws(scene: schema.Scene) -> list[NormalLaw]:
     """Return a law for each object, of the most general type needed: a linear spring has the exponent 1."""
-    things = [(thing.material, thing.material.normal or schema.Normal()) for thing in scene.object]
-    curved = any(normal.exponent != 1.0 for _, normal in things)
-    crossed = any(normal.damping_s_per_m is not None for _, normal in things)
+    pairs = [(obj.material, obj.material.normal or schema.Normal()) for obj in scene.object]
+    curved = any(normal.exponent != 1.0 for _, normal in pairs)
+    crossed = any(normal.damping_s_per_m is not None for _, normal in pairs)
     laws: list[NormalLaw] = []
-    for material, normal in things:
+    for material, normal in pairs:
         stiffness, damping = material.stiffness_n_per_m, material.damping_ns_per_m
         law: model.LinearNormal | model.PowerNormal = model.LinearNormal(stiffness, damping)
         if curved:
@@ -40,7 +40,7 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
     All are of the most general type needed. The unused parameters of an object are neutral: coefficient 0 without
     friction, speed 0 without a Stribeck curve, scale 1 without a direction.
     """
-    parameters = [thing.material.friction for thing in scene.object]
+    parameters = [obj.material.friction for obj in scene.object]
     present = [friction for friction in parameters if friction is not None]
     if not present:
         return [None for _ in parameters]
@@ -64,21 +64,21 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
 
 def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
     """Return a law for each object, all of one type, as in `friction_laws`; None for all if none has torsion."""
-    parameters = [thing.material.torsion for thing in scene.object]
+    parameters = [obj.material.torsion for obj in scene.object]
     present = [torsion for torsion in parameters if torsion is not None]
     if not present:
         return [None for _ in parameters]
     growing = any(torsion.exponent is not None for torsion in present)
     models = {torsion.model for torsion in present}
     laws: list[TorsionLaw] = []
-    for thing in scene.object:
-        t, friction = thing.material.torsion or _LIMP, thing.material.friction or _SMOOTH
+    for obj in scene.object:
+        t, friction = obj.material.torsion or _LIMP, obj.material.friction or _SMOOTH
         length = t.friction_length_m or 0.0
         kinetic = length if t.kinetic_friction_length_m is None else t.kinetic_friction_length_m
         share = kinetic / length if length > 0.0 else 1.0
         law: model.Torsion | model.PowerTorsion | model.PatchTorsion
         if scene.soft:
-            law = model.PatchTorsion(0.0 if thing.material.torsion is None else friction.static)
+            law = model.PatchTorsion(0.0 if obj.material.torsion is None else friction.static)
             if t.friction_length_m is None and friction.static > 0.0:
                 share = friction.kinetic / friction.static
         elif growing:
@@ -97,7 +97,7 @@ def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
 
 def shear_compliances(scene: schema.Scene) -> list[float | None]:
     """Return 1/G of each object, m^2/N, 0 for a rigid one; None for all if no fingertip has a patch."""
-    moduli = [thing.material.shear_modulus_pa for thing in scene.object]
+    moduli = [obj.material.shear_modulus_pa for obj in scene.object]
     if not scene.soft:
         return [None for _ in moduli]
     return [0.0 if modulus is None else 1.0 / modulus for modulus in moduli]

@@ -32,9 +32,9 @@ def many_objects(
     if len(objects) > ENTRIES:
         raise ConfigError(f"{len(objects)} walls and objects: at most {ENTRIES} are possible; remove some")
     needs = _needs(objects, fingers, rolling)
-    entries = [_entry(thing, needs) for thing in objects]
-    surfaces = [thing.shape.surface for thing in entries]
-    movers = [row for row, thing in enumerate(entries) if thing.motion.kind != model.STILL]
+    entries = [_entry(obj, needs) for obj in objects]
+    surfaces = [obj.shape.surface for obj in entries]
+    movers = [row for row, obj in enumerate(entries) if obj.motion.kind != model.STILL]
     meshes = float(surfaces.count(model.FACETED))
     mark = model.Creased if model.CREASED in surfaces else model.Faceted if meshes else model.Smooth
     return model.Many(
@@ -43,8 +43,8 @@ def many_objects(
         movers=ReadOnly(np.array(movers or [0], np.int64)),
         moving=float(len(movers)),
         search=mark(meshes),
-        materials=Rows([thing.material._replace(normal=None) for thing in objects]),
-        textures=_textures([thing.texture for thing in objects]),
+        materials=Rows([obj.material._replace(normal=None) for obj in objects]),
+        textures=_textures([obj.texture for obj in objects]),
         effects=effects,
     )
 
@@ -53,19 +53,19 @@ def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolli
     """Return the kernels of shapes that only some scenes call."""
     return frozenset(
         kernel
-        for kernel, wanted in (
+        for kernel, is_needed in (
             (kinds.UNROLL, isinstance(rolling, model.RotationVector)),
             (kinds.AHEAD, isinstance(rolling, model.EulerZxz | model.EulerZyx)),
-            (kinds.CHART, any(thing.texture is not None for thing in objects)),
+            (kinds.CHART, any(obj.texture is not None for obj in objects)),
             (kinds.MINKOWSKI, any(finger.form is not None for finger in fingers)),
         )
-        if wanted
+        if is_needed
     )
 
 
-def _entry(thing: model.Object, needs: frozenset[int]) -> model.Entry:
-    shape = any_shape(thing.shape, thing.pose, needs)
-    return model.Entry(shape, _pose(thing.pose), _motion(thing.motion), thing.material.normal, thing.number)
+def _entry(obj: model.Object, needs: frozenset[int]) -> model.Entry:
+    shape = any_shape(obj.shape, obj.pose, needs)
+    return model.Entry(shape, _pose(obj.pose), _motion(obj.motion), obj.material.normal, obj.number)
 
 
 def _pose(pose: Any) -> model.Pose:

@@ -26,14 +26,14 @@ class Picture(NamedTuple):
     of: int
 
 
-def picture_of(thing: Filed) -> Picture:
+def picture_of(obj: Filed) -> Picture:
     """Return the picture of an object. Raises ConfigError, with its name, if its file cannot be used any more."""
-    if isinstance(thing, schema.Mesh):
-        report, arrays = latest_picture(thing)
+    if isinstance(obj, schema.Mesh):
+        report, arrays = latest_picture(obj)
         return Picture(arrays, report.triangles)
-    heights = read_heights(thing)
+    heights = read_heights(obj)
     rows, columns = (max(count - 1, 1) for count in heights.shape)
-    return Picture(relief(*thin_map(heights, thing.pitch_m, MAP_PIXELS)), 2 * rows * columns)
+    return Picture(relief(*thin_map(heights, obj.pitch_m, MAP_PIXELS)), 2 * rows * columns)
 
 
 def relief(x: Grid, y: Grid, z: Grid) -> Arrays:

@@ -23,6 +23,7 @@ from softfinger.proxy.kernels.query.container import MEMORY
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
 from softfinger.proxy.many import many_objects
 from softfinger.proxy.record import FREE
+from softfinger.proxy.rotation import matrix_of
 from softfinger.proxy.textures import kernel_texture
 
 
@@ -53,17 +54,17 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
     bodies = list[model.Object]()
     carriers = list[model.Carrier]()
     riders = list[float]()
-    for number, (thing, material) in enumerate(zip(scene.object, materials, strict=True)):
-        motion, effects = kernel_motion(thing.motion, rigid), kernel_effects(thing.effect)
+    for number, (obj, material) in enumerate(zip(scene.object, materials, strict=True)):
+        motion, effects = kernel_motion(obj.motion, rigid), kernel_effects(obj.effect)
         riders.append(motion.body if isinstance(motion, model.Simulated) else 0.0)
-        texture = kernel_texture(thing)
-        for part, (shape, position, orientation) in enumerate(shape_bodies(thing)):
+        texture = kernel_texture(obj)
+        for part, (shape, position, orientation) in enumerate(shape_bodies(obj)):
             fixed = motion is None and texture is None
-            shape, pose = _place_shape(shape, thing, position, orientation, fixed)
+            shape, pose = _place_shape(shape, obj, position, orientation, fixed)
             if effects and part == 0:  # an object of several walls has its effects once
                 carriers.append(model.Carrier(float(len(bodies)), effects))
-            made_of = material if isinstance(pose, model.Pose) else _facing(material, thing.orientation_wxyz)
-            bodies.append(model.Object(shape, pose, motion, made_of, float(number), texture=texture))
+            world_material = material if isinstance(pose, model.Pose) else _to_world(material, obj.orientation_wxyz)
+            bodies.append(model.Object(shape, pose, motion, world_material, float(number), texture=texture))
     fingers, rolling = tuple(_finger(finger, scene.rolling) for finger in scene.fingers), _rolling(scene)
     return model.Scene(
         fingers=fingers,
@@ -79,12 +80,12 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
 
 def _elastic(scene: schema.Scene, bodies: list[model.Object]) -> Any:
     """Return the compliance of the only object if it is elastic, otherwise None."""
-    thing = scene.elastic_object
-    if thing is None or thing.elastic is None:
+    obj = scene.elastic_object
+    if obj is None or obj.elastic is None:
         return None
     from softfinger.proxy.elastic.prepared import kernel_elastic
 
-    return kernel_elastic(thing, thing.elastic, bodies[0].shape.row[0])
+    return kernel_elastic(obj, obj.elastic, bodies[0].shape.row[0])
 
 
 def same_model(first: Any, second: Any) -> bool:
@@ -164,12 +165,12 @@ def patches_of(objects: model.Single | model.Many) -> int:
 
 
 def _place_shape(
-    shape: Any, thing: schema.Object, position: model.Vec3, orientation: model.Quaternion, fixed: bool
+    shape: Any, obj: schema.Object, position: model.Vec3, orientation: model.Quaternion, fixed: bool
 ) -> tuple[Any, Any]:
     """Return a shape and its simplest pose: none if it is `fixed` and can be expressed in the world frame."""
-    turn = thing.orientation_wxyz  # parts are translated relative to their object, not rotated
-    moved = _rotate(thing.orientation_wxyz, position)
-    at = (moved[0] + thing.position_m[0], moved[1] + thing.position_m[1], moved[2] + thing.position_m[2])
+    turn = obj.orientation_wxyz  # parts are translated relative to their object, not rotated
+    moved = _rotate(obj.orientation_wxyz, position)
+    at = (moved[0] + obj.position_m[0], moved[1] + obj.position_m[1], moved[2] + obj.position_m[2])
     if not fixed:
         return shape, model.Pose(at, turn)
     if isinstance(shape, model.Plane):
@@ -181,18 +182,12 @@ def _place_shape(
 
 
 def _rotate(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
-    """Rotate `v` (3,) by the unit quaternion `q`; in Python, because compiling a kernel would delay the start."""
-    w, x, y, z = q
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    a, b, c = (sum(r * e for r, e in zip(row, v, strict=True)) for row in rows)
+    """Rotate `v` (3,) by the unit quaternion `q`."""
+    a, b, c = (sum(r * e for r, e in zip(row, v, strict=True)) for row in matrix_of(q))
     return (a, b, c)
 
 
-def _facing(material: model.Material, turn: model.Quaternion) -> model.Material:
+def _to_world(material: model.Material, turn: model.Quaternion) -> model.Material:
     """Return the material of a shape expressed in the world frame, with its directions rotated there, too."""
     law = material.friction
     if not isinstance(law, model.Anisotropic):
@@ -211,71 +206,71 @@ def _materials(scene: schema.Scene) -> list[model.Material]:
 
 
 @singledispatch
-def shape_bodies(thing: Any) -> list[Body]:
+def shape_bodies(shape: Any) -> list[Body]:
     """Return the bodies of an object's shape. Another package registers a function for the table of its shape.
 
     Most shapes are one body. The inside of a box or of a cylinder with ends consists of several walls that
     can support the fingertip simultaneously, one body each.
     """
-    raise TypeError(f"{type(thing).__name__} is not a shape: nothing is registered with shape_bodies for it")
+    raise TypeError(f"{type(shape).__name__} is not a shape: nothing is registered with shape_bodies for it")
 
 
 @shape_bodies.register
-def _plane(thing: schema.Plane) -> list[Body]:
+def _plane(plane: schema.Plane) -> list[Body]:
     return [Body(model.Plane((0.0, 0.0, 1.0), 0.0))]
 
 
 @shape_bodies.register
-def _sphere(thing: schema.Sphere) -> list[Body]:
-    return [Body(model.Sphere(thing.radius_m, _side(thing.inside)))]
+def _sphere(sphere: schema.Sphere) -> list[Body]:
+    return [Body(model.Sphere(sphere.radius_m, _side(sphere.inside)))]
 
 
 @shape_bodies.register
-def _cylinder(thing: schema.Cylinder) -> list[Body]:
-    if thing.length_m is None:
-        return [Body(model.Cylinder(thing.radius_m, _side(thing.inside)))]
-    if not thing.inside:
-        return [Body(model.CappedCylinder(thing.radius_m, 0.5 * thing.length_m))]
-    return [Body(model.Cylinder(thing.radius_m, -1.0)), *_walls(2, 0.5 * thing.length_m)]
+def _cylinder(cylinder: schema.Cylinder) -> list[Body]:
+    if cylinder.length_m is None:
+        return [Body(model.Cylinder(cylinder.radius_m, _side(cylinder.inside)))]
+    if not cylinder.inside:
+        return [Body(model.CappedCylinder(cylinder.radius_m, 0.5 * cylinder.length_m))]
+    return [Body(model.Cylinder(cylinder.radius_m, -1.0)), *_walls(2, 0.5 * cylinder.length_m)]
 
 
 @shape_bodies.register
-def _capsule(thing: schema.Capsule) -> list[Body]:
-    return [Body(model.Capsule(thing.radius_m, 0.5 * thing.length_m, _side(thing.inside)))]
+def _capsule(capsule: schema.Capsule) -> list[Body]:
+    return [Body(model.Capsule(capsule.radius_m, 0.5 * capsule.length_m, _side(capsule.inside)))]
 
 
 @shape_bodies.register
-def _box(thing: schema.Box) -> list[Body]:
-    x, y, z = (0.5 * edge for edge in thing.size_m)
-    if not thing.inside:
+def _box(box: schema.Box) -> list[Body]:
+    x, y, z = (0.5 * edge for edge in box.size_m)
+    if not box.inside:
         return [Body(model.Box((x, y, z)))]
     return [*_walls(0, x), *_walls(1, y), *_walls(2, z)]
 
 
 @shape_bodies.register
-def _ellipsoid(thing: schema.Ellipsoid) -> list[Body]:
-    return [Body(model.Ellipsoid(thing.semi_axes_m, _side(thing.inside)))]
+def _ellipsoid(ellipsoid: schema.Ellipsoid) -> list[Body]:
+    return [Body(model.Ellipsoid(ellipsoid.semi_axes_m, _side(ellipsoid.inside)))]
 
 
 @shape_bodies.register
-def _torus(thing: schema.Torus) -> list[Body]:
-    return [Body(model.Torus(thing.major_radius_m, thing.minor_radius_m, _side(thing.inside)))]
+def _torus(torus: schema.Torus) -> list[Body]:
+    return [Body(model.Torus(torus.major_radius_m, torus.minor_radius_m, _side(torus.inside)))]
 
 
 @shape_bodies.register
-def _heightmap(thing: schema.Heightmap) -> list[Body]:
+def _heightmap(heightmap: schema.Heightmap) -> list[Body]:
     from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
 
-    return [Body(kernel_heightmap(read_heights(thing), thing.pitch_m))]
+    return [Body(kernel_heightmap(read_heights(heightmap), heightmap.pitch_m))]
 
 
 @shape_bodies.register
-def _mesh(thing: schema.Mesh) -> list[Body]:
+def _mesh(mesh: schema.Mesh) -> list[Body]:
     from softfinger.proxy.meshes.prepared import tree_of
 
-    tree = tree_of(thing)
+    tree = tree_of(mesh)
     x, y, z = tree.center.tolist()
-    side = _side(thing.inside) if tree.closed else 0.0
+    side = _side(mesh.inside) if tree.closed else 0.0
     triangles = model.Triangles(
         nodes=ReadOnly(tree.nodes),
         first=ReadOnly(tree.first),
@@ -287,7 +282,7 @@ def _mesh(thing: schema.Mesh) -> list[Body]:
         center=(x, y, z),
         size=tree.size,
         side=side,
-        shade=float(thing.shading == "normals"),
+        shade=float(mesh.shading == "normals"),
     )
     return [Body(model.Mesh(Rows([triangles])))]
 
@@ -323,14 +318,14 @@ def _rolling(scene: schema.Scene) -> Any:
 
 def explain(scene: schema.Scene) -> str:
     """Return one line that lists the modelled and the omitted parts."""
-    materials = [thing.material for thing in scene.object]
+    materials = [obj.material for obj in scene.object]
     parts = {
         "rolling" if scene.rolling is None else f"rolling ({scene.rolling.method})": scene.rolling is not None,
         "friction": any(material.friction is not None for material in materials),
         "torsion": any(material.torsion is not None for material in materials),
         "passivity" if scene.passivity is None else f"passivity ({scene.passivity.mode})": scene.passivity is not None,
     }
-    shapes = ", ".join(thing.shape for thing in scene.object)
+    shapes = ", ".join(obj.shape for obj in scene.object)
     have = ", ".join(name for name, present in parts.items() if present)
     lack = ", ".join(name for name, present in parts.items() if not present)
     return f"{shapes}" + (f" with {have}" if have else "") + (f"; without {lack}" if lack else "")

@@ -46,18 +46,18 @@ def cutoff_m(texture: schema.Texture) -> float:
     return texture.speed_m_per_s / FREQUENCY_MAX_HZ
 
 
-def make(thing: schema.Textured) -> RenderedTexture:
+def make(obj: schema.Textured) -> RenderedTexture:
     """Return the texture of an object from its file. Raises ConfigError if the file cannot be used."""
-    texture = thing.texture
+    texture = obj.texture
     assert texture is not None
     try:
         grid = read_grid(texture.file)
     except ConfigError as error:
-        raise ConfigError(f"object '{thing.name}': texture.file: {error}") from error
+        raise ConfigError(f"object '{obj.name}': texture.file: {error}") from error
     width, depth = texture.size_m
-    around = isinstance(thing, schema.Cylinder)
-    if isinstance(thing, schema.Cylinder):
-        whole = 2.0 * math.pi * thing.radius_m
+    around = isinstance(obj, schema.Cylinder)
+    if isinstance(obj, schema.Cylinder):
+        whole = 2.0 * math.pi * obj.radius_m
         width = whole / max(round(whole / width), 1)
     low, high = float(grid.min()), float(grid.max())
     repeats = texture.border == "period"
@@ -67,17 +67,17 @@ def make(thing: schema.Textured) -> RenderedTexture:
     return RenderedTexture(values, (width, depth), around)
 
 
-def bounds(thing: schema.Textured) -> tuple[float, float, float]:
+def bounds(obj: schema.Textured) -> tuple[float, float, float]:
     """Return bounds of the heights as rendered: range, m; largest slope, 1; largest curvature, 1/m.
 
     Derivatives of a B-spline are B-splines of differences of its coefficients, and bounded by their range. The
     curvature is that of the direction where it is largest: from the second derivatives h_uu, h_vv, h_uv, at most the
     larger of the first two plus the third.
     """
-    assert thing.texture is not None and thing.texture.height_m is not None
-    values, size, around = make(thing)
-    repeats = thing.texture.border == "period"
-    heights = thing.texture.height_m * values
+    assert obj.texture is not None and obj.texture.height_m is not None
+    values, size, around = make(obj)
+    repeats = obj.texture.border == "period"
+    heights = obj.texture.height_m * values
     for axis, on in ((1, around or repeats), (0, repeats)):
         heights = np.pad(heights, [(0, 0), (1, 1)] if axis else [(1, 1), (0, 0)], mode="wrap" if on else "edge")
     pitches = size[1] / values.shape[0], size[0] / values.shape[1]
@@ -108,12 +108,12 @@ def filter_texture(grid: Grid, pitch: tuple[float, float], cutoff: float, repeat
     return np.clip(smooth, grid.min(), grid.max())
 
 
-def kernel_texture(thing: schema.Object) -> model.Texture | None:
+def kernel_texture(obj: schema.Object) -> model.Texture | None:
     """Return the texture of an object for its kernels; None without one. Raises ConfigError as `make` does."""
-    texture = getattr(thing, "texture", None)
+    texture = getattr(obj, "texture", None)
     if texture is None:
         return None
-    values, (width, depth), around = make(thing)  # type: ignore[arg-type]
+    values, (width, depth), around = make(obj)  # type: ignore[arg-type]
     rows, columns = values.shape
     repeats = texture.border == "period"
     return model.Texture(

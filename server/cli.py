@@ -32,7 +32,7 @@ DESCRIPTORS_MIN: Final = 64
 
 
 class Verb(NamedTuple):
-    """Module with `run(args) -> exit code`, and the help text of the verb.
+    """Module of softfinger with `run(args) -> exit code`, and the help text of the verb.
 
     `options.py` in the folder of the module defines `configure_<verb>(parser)`; it imports neither numpy nor numba.
     """
@@ -42,48 +42,40 @@ class Verb(NamedTuple):
 
 
 VERBS: Final = {
-    "run": Verb("softfinger.server.verbs.run", "run the daemon: read a device, render contact, publish telemetry"),
-    "simulate": Verb(
-        "softfinger.server.verbs.simulate", "run the contact step offline on recorded poses or a simulated device"
-    ),
-    "monitor": Verb("softfinger.server.verbs.monitor", "show a live dashboard of a running daemon"),
-    "view": Verb(
-        "softfinger.server.verbs.view", "open a browser page of a daemon or a recording; the mouse can move the hand"
-    ),
-    "record": Verb("softfinger.server.verbs.record", "record a running daemon to a file: all telemetry, or only poses"),
-    "info": Verb("softfinger.server.recording.verbs.info", "summarise a recording"),
-    "export": Verb("softfinger.server.recording.verbs.export", "convert a recording to CSV, Parquet or npz"),
-    "import": Verb("softfinger.server.recording.verbs.tables", "convert a table of poses from another program"),
-    "replay": Verb("softfinger.server.recording.verbs.replay", "recompute the forces of a recording and compare them"),
-    "ctl": Verb("softfinger.server.verbs.ctl", "send a command to a running daemon: parameters, scene, force, marks"),
+    "run": Verb("server.verbs.run", "run the daemon: read a device, render contact, publish telemetry"),
+    "simulate": Verb("server.verbs.simulate", "run the contact step offline on recorded poses or a simulated device"),
+    "monitor": Verb("server.verbs.monitor", "show a live dashboard of a running daemon"),
+    "view": Verb("server.verbs.view", "open a browser page of a daemon or a recording; the mouse can move the hand"),
+    "record": Verb("server.verbs.record", "record a running daemon to a file: all telemetry, or only poses"),
+    "info": Verb("server.recording.verbs.info", "summarise a recording"),
+    "export": Verb("server.recording.verbs.export", "convert a recording to CSV, Parquet or npz"),
+    "import": Verb("server.recording.verbs.tables", "convert a table of poses from another program"),
+    "replay": Verb("server.recording.verbs.replay", "recompute the forces of a recording and compare them"),
+    "ctl": Verb("server.verbs.ctl", "send a command to a running daemon: parameters, scene, force, marks"),
     "forward": Verb(
-        "softfinger.server.gateway.verbs.forward", "forward telemetry and commands to other machines, with encryption"
+        "server.gateway.verbs.forward", "forward telemetry and commands to other machines, with encryption"
     ),
-    "bridge": Verb("softfinger.server.bridges.verb", "show a daemon or a recording in Foxglove or Rerun"),
-    "keys": Verb("softfinger.server.gateway.verbs.keys", "create CURVE key pairs for daemons and clients"),
-    "devices": Verb("softfinger.tools.devices", "list attached devices and the reasons why one cannot be opened"),
-    "doctor": Verb("softfinger.tools.doctor.verb", "check this machine, or write a report on an attached device"),
-    "report": Verb("softfinger.tools.report", "write an archive for a bug report"),
-    "scenes": Verb("softfinger.server.verbs.shipped", "list the shipped scenes"),
-    "rigs": Verb("softfinger.server.verbs.shipped", "list the shipped rigs"),
-    "recordings": Verb("softfinger.server.verbs.shipped", "list the shipped recordings"),
-    "faults": Verb("softfinger.server.verbs.shipped", "list the shipped faults for `run --inject`"),
-    "experiments": Verb("softfinger.server.verbs.shipped", "list the shipped experiments"),
-    "materials": Verb(
-        "softfinger.server.verbs.materials", "list the shipped materials and fingertips with their sources"
-    ),
-    "experiment": Verb("softfinger.server.experiment.verb", "run an experiment: trials, answers, a folder of results"),
-    "figure": Verb("softfinger.server.experiment.figure_verb", "fit and plot the results of an experiment"),
-    "check": Verb("softfinger.server.verbs.check", "validate scene, rig and experiment files"),
-    "schema": Verb("softfinger.server.verbs.schema", "print the JSON Schema of the file formats and of telemetry"),
-    "install": Verb(
-        "softfinger.server.install.verb", "install or remove udev rules, limits, service, man page and completion"
-    ),
-    "warmup": Verb("softfinger.server.verbs.warmup", "compile the kernels in advance"),
-    "accuracy": Verb("softfinger.tools.accuracy.verb", "measure the accuracy and speed of the rolling methods"),
-    "stability": Verb("softfinger.tools.stability.verb", "measure the stiffest stable wall in closed loop"),
-    "calibrate": Verb("softfinger.tools.calibrate", "calibrate a Falcon's motor counts per N m with a known weight"),
-    "bench": Verb("softfinger.tools.bench.options", "measure cost per step, wake-up lateness and telemetry latency"),
+    "bridge": Verb("server.bridges.verb", "show a daemon or a recording in Foxglove or Rerun"),
+    "keys": Verb("server.gateway.verbs.keys", "create CURVE key pairs for daemons and clients"),
+    "devices": Verb("tools.devices", "list attached devices and the reasons why one cannot be opened"),
+    "doctor": Verb("tools.doctor.verb", "check this machine, or write a report on an attached device"),
+    "report": Verb("tools.report", "write an archive for a bug report"),
+    "scenes": Verb("server.verbs.shipped", "list the shipped scenes"),
+    "rigs": Verb("server.verbs.shipped", "list the shipped rigs"),
+    "recordings": Verb("server.verbs.shipped", "list the shipped recordings"),
+    "faults": Verb("server.verbs.shipped", "list the shipped faults for `run --inject`"),
+    "experiments": Verb("server.verbs.shipped", "list the shipped experiments"),
+    "materials": Verb("server.verbs.materials", "list the shipped materials and fingertips with their sources"),
+    "experiment": Verb("server.experiment.verb", "run an experiment: trials, answers, a folder of results"),
+    "figure": Verb("server.experiment.figure_verb", "fit and plot the results of an experiment"),
+    "check": Verb("server.verbs.check", "validate scene, rig and experiment files"),
+    "schema": Verb("server.verbs.schema", "print the JSON Schema of the file formats and of telemetry"),
+    "install": Verb("server.install.verb", "install or remove udev rules, limits, service, man page and completion"),
+    "warmup": Verb("server.verbs.warmup", "compile the kernels in advance"),
+    "accuracy": Verb("tools.accuracy.verb", "measure the accuracy and speed of the rolling methods"),
+    "stability": Verb("tools.stability.verb", "measure the stiffest stable wall in closed loop"),
+    "calibrate": Verb("tools.calibrate", "calibrate a Falcon's motor counts per N m with a known weight"),
+    "bench": Verb("tools.bench.options", "measure cost per step, wake-up lateness and telemetry latency"),
 }
 """All verbs. Verbs of `tools` are named, not imported: the server does not depend on the tools."""
 
@@ -138,7 +130,7 @@ def run_verb(words: list[str]) -> int:
     logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it reports its font cache
     progress.set_enabled(not args.quiet)
     preparation.display = progress.progress
-    run = importlib.import_module(VERBS[args.verb].module).run
+    run = importlib.import_module(f"softfinger.{VERBS[args.verb].module}").run
     signals.mark_imported()
     if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
         gc.freeze()
@@ -162,7 +154,7 @@ def to_stderr() -> logging.Handler:
     class ToStderr(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             try:
-                for line in self.format(record).splitlines():  # a pipe that takes anything takes a line
+                for line in self.format(record).splitlines():  # a writable pipe has room for a line
                     standard_error.write_line(line)
             except Exception:
                 self.handleError(record)
@@ -246,7 +238,7 @@ def make_parser() -> Parser:
 
 def add_options(verb: str, parser: Parser) -> None:
     folder = VERBS[verb].module.rpartition(".")[0]
-    getattr(importlib.import_module(f"{folder}.options"), f"configure_{verb}")(parser)
+    getattr(importlib.import_module(f"softfinger.{folder}.options"), f"configure_{verb}")(parser)
 
 
 def add_completion(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,7 @@ from softfinger.config.errors import DeviceBusy, DeviceNotFound, DevicePermissio
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import END, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop.servo_thread import Servo as Loop
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
@@ -164,7 +164,7 @@ class DriverContract:
         assert all(0 <= before[name] <= after[name] for name in before)
         assert not after or after != before
 
-    def test_write_is_taken_while_armed(self, device: Device, bench: Bench) -> None:
+    def test_write_is_accepted_while_armed(self, device: Device, bench: Bench) -> None:
         """An armed device accepts a small force and displays it in the world frame."""
         servo = Servo(device)
         servo.read()
@@ -179,7 +179,7 @@ class DriverContract:
         with bench.open() as device:
             arm, acts = device.arm, []
 
-            def noted() -> None:
+            def log_and_arm() -> None:
                 arm()
                 acts.append(("armed", threading.get_native_id()))
 
@@ -188,8 +188,8 @@ class DriverContract:
                 acts.append(("prepared", threading.get_native_id()))
                 return lambda: None
 
-            monkeypatch.setattr(device, "arm", noted)
-            servo = Loop([device], make_pulling_tuning(), RATE_HZ, 100, slow)
+            monkeypatch.setattr(device, "arm", log_and_arm)
+            servo = ServoThread([device], make_pulling_tuning(), RATE_HZ, 100, slow)
             servo.compile()
             servo.start()
             end = servo.join(30.0)
@@ -232,7 +232,7 @@ class DriverContract:
             assert math.hypot(*bench.displayed()) > 0.0
 
     @pytest.mark.parametrize("ending", ["stop", "close", "error"])
-    def test_no_force_is_left_without_a_servo(self, ending: str, bench: Bench) -> None:
+    def test_no_force_remains_without_a_servo(self, ending: str, bench: Bench) -> None:
         """`stop`, `close` and an exception in the context, which propagates unchanged, all remove an applied force."""
         device = bench.open()
         servo = Servo(device)
@@ -250,15 +250,15 @@ class DriverContract:
         device.close()
 
     @pytest.mark.parametrize("ending", ["last_tick", "stop_word", "crash"])
-    def test_no_force_is_left_after_a_servo(self, ending: str, bench: Bench) -> None:
+    def test_no_force_remains_after_a_servo(self, ending: str, bench: Bench) -> None:
         """The force is removed after the last tick, after a stop, and after an exception in the servo thread."""
         with bench.open() as device:
-            servo = Loop(
+            servo = ServoThread(
                 [device],
                 make_pulling_tuning(),
                 RATE_HZ,
                 100 if ending == "last_tick" else None,
-                failing if ending == "crash" else None,
+                fail_to_prepare if ending == "crash" else None,
             )
             servo.compile()
             if ending == "crash":  # without a tick of the loop, apply a force first
@@ -287,7 +287,7 @@ class DriverContract:
             bench.mend()
             bench.open().close()
 
-    def test_failure_in_use_is_told_and_survived(self, bench: Bench) -> None:
+    def test_failure_in_use_is_reported_and_survived(self, bench: Bench) -> None:
         """A read of a failed device returns the failure's status within `patience_s`.
 
         `stop` and `close` raise nothing and remove the force, and the device opens again after it is mended.
@@ -310,7 +310,7 @@ class DriverContract:
         """A device that fails under the servo ends the loop with its status and zero force."""
         for case in set(FAULTS) - set(bench.cannot):
             with bench.open() as device:
-                servo = Loop([device], make_pulling_tuning(), RATE_HZ)
+                servo = ServoThread([device], make_pulling_tuning(), RATE_HZ)
                 servo.compile()
                 servo.start()
                 run_for(servo, 100)
@@ -328,7 +328,7 @@ class DriverContract:
             bench.mend()
 
 
-def run_for(servo: Loop, ticks: int) -> None:
+def run_for(servo: ServoThread, ticks: int) -> None:
     """Wait until a loop has run `ticks` ticks; fail if it ends before, because no further record would arrive."""
     while servo.ticks < ticks:
         assert servo.is_running, f"the loop ended after {servo.ticks} ticks of {ticks}"
@@ -343,11 +343,11 @@ def first_failure(servo: Servo, patience_s: float) -> int:
     return status
 
 
-def failing() -> Callable[[], None]:
+def fail_to_prepare() -> Callable[[], None]:
     raise RuntimeError("refused")
 
 
-def last_force(servo: Loop) -> float:
+def last_force(servo: ServoThread) -> float:
     """Return the norm (N) of the force in the last tick."""
     out = np.empty((4096, RECORD_SIZE))
     records = out[: servo.records.take(out)]

@@ -68,12 +68,12 @@ def progress(
     operations: list[_Operation] = _this_thread.__dict__.setdefault("operations", [])
     if operations:
         advance = operations[-1].advance
-        shown: AbstractContextManager[Callable[[float], None]] = nullcontext(
+        display: AbstractContextManager[Callable[[float], None]] = nullcontext(
             lambda count: advance(count / (total or 1))
         )
     else:
-        shown = _open_display(label, total, detail)
-    with shown as show:
+        display = _open_display(label, total, detail)
+    with display as show:
         operation = _Operation(show)
         operations.append(operation)
         try:

@@ -35,7 +35,7 @@ def write_line(text: str, wait_s: float = 0.0) -> None:
 
 
 def is_writable(wait_s: float = 0.0) -> bool:
-    """Return whether standard error takes a line now, or within `wait_s`."""
+    """Return whether standard error accepts a line within `wait_s` (s)."""
     with contextlib.suppress(OSError, ValueError):  # standard error has no file
         poller = select.poll()
         poller.register(sys.stderr.fileno(), select.POLLOUT)

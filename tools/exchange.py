@@ -29,7 +29,7 @@ from softfinger.proxy.kernels.jit.atomics import call_device, load_acquire, stor
 from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop import realtime, shutdown
-from softfinger.server.loop.all_devices import Io, put_wrench
+from softfinger.server.loop.all_devices import Io, write_wrench
 from softfinger.server.loop.clock import (
     NS_PER_S,
     first_pace,
@@ -124,7 +124,7 @@ def push_force(push: Push, t: float) -> Vec3:
     return (size * push.force[0], size * push.force[1], size * push.force[2])
 
 
-class Exchanged(NamedTuple):
+class ExchangeResult(NamedTuple):
     """Result of one exchange.
 
     guarded                   state of the guard; zero force if the force was withheld
@@ -146,23 +146,23 @@ class Exchanged(NamedTuple):
 @jit
 def exchange_once(
     io: Io, empty: Io, guard: Guard, guarded: GuardState, force: Vec3, dt: float, period: float, scratch: Buffers
-) -> Exchanged:
+) -> ExchangeResult:
     """Read, write a force (3,) N through the guard, and do the same with the empty device; stop at a failure."""
     timespec, sample, wrench = scratch
     status = call_device(io.read, io.handle, sample)
     read = now_ns(timespec)
     if status < 0 or status == END:
-        return Exchanged(guarded, status, OK, read, read, read, read, read)
+        return ExchangeResult(guarded, status, OK, read, read, read, read, read)
     if status == WITHHELD:
         guarded = INITIAL_GUARD_STATE
     previous = guarded
     guarded, _ = guard_wrench(guard, guarded, force, (0.0, 0.0, 0.0), dt, period)
-    put_wrench(wrench, guarded.force, guarded.torque)
+    write_wrench(wrench, guarded.force, guarded.torque)
     before = now_ns(timespec)
     status_out = call_device(io.write, io.handle, wrench)
     wrote = now_ns(timespec)
     if status_out < 0:
-        return Exchanged(guarded, status, status_out, read, before, wrote, wrote, wrote)
+        return ExchangeResult(guarded, status, status_out, read, before, wrote, wrote, wrote)
     if status_out == WITHHELD:
         guarded = INITIAL_GUARD_STATE
     elif status_out == HELD:
@@ -170,11 +170,11 @@ def exchange_once(
     call_device(empty.read, empty.handle, sample)
     empty_read = now_ns(timespec)
     call_device(empty.write, empty.handle, wrench)
-    return Exchanged(guarded, status, status_out, read, before, wrote, empty_read, now_ns(timespec))
+    return ExchangeResult(guarded, status, status_out, read, before, wrote, empty_read, now_ns(timespec))
 
 
 @jit
-def fill_row(row: Array, begun: int, woke: int, late: int, exchanged: Exchanged, sample: Array) -> None:
+def fill_row(row: Array, begun: int, woke: int, late: int, exchanged: ExchangeResult, sample: Array) -> None:
     row[START], row[LATE] = (woke - begun) / NS_PER_S, late / NS_PER_S
     row[READ], row[WRITE] = (exchanged.read - woke) / NS_PER_S, (exchanged.wrote - exchanged.before) / NS_PER_S
     row[EMPTY_READ] = (exchanged.empty_read - exchanged.wrote) / NS_PER_S

@@ -12,7 +12,7 @@ from typing import Final
 from softfinger.server.offline.figures import plot_file
 
 PUSH_N: Final = 0.2
-"""A tenth of the force of most devices, and more than the friction of a good one."""
+"""Amplitude of the pushes: a tenth of the force of most devices, and more than the friction of a good one."""
 BOXES: Final = 3
 REPORT: Final = "softfinger-report.tar.gz"
 

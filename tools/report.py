@@ -120,7 +120,7 @@ def clean_recording(path: Path, cleaner: privacy.Privacy) -> bytes:
 def clean_event(event: dict[str, Any], cleaner: privacy.Privacy) -> dict[str, Any]:
     """Return an event with cleaned texts and a shortened serial number of the device."""
     clean: dict[str, Any] = cleaner.clean(event)
-    return clean | ({"serial": privacy.shortened(str(event["serial"]))} if "serial" in event else {})
+    return clean | ({"serial": privacy.shorten_serial(str(event["serial"]))} if "serial" in event else {})
 
 
 def log_lines(path: Path, cleaner: privacy.Privacy) -> Iterator[blackbox.LogLine]:

@@ -166,9 +166,11 @@ def _patch_faults(scene: Scene) -> Iterator[Complaint]:
 def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.rolling, scene.coupling, scene.finger) or scene.rolling is None:
         return
-    own = [(f"finger[{index}].coupling", item.coupling) for index, item in enumerate(scene.finger) if is_usable(item)]
+    couplings = [
+        (f"finger[{index}].coupling", item.coupling) for index, item in enumerate(scene.finger) if is_usable(item)
+    ]
     k_tau = scene.rolling.torque_stiffness_n_per_m
-    for where, coupling in [("coupling", scene.coupling), *own]:
+    for path, coupling in [("coupling", scene.coupling), *couplings]:
         if not is_usable(k_tau, coupling) or k_tau is None or coupling is None:
             continue
         k_t = coupling.stiffness_n_per_m
@@ -176,7 +178,7 @@ def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
             yield (
                 "rolling.torque_stiffness_n_per_m",
                 k_tau,
-                f"must be at most {where}.stiffness_n_per_m = {k_t:g} N/m, or a roll gives back more than was put in; "
+                f"must be at most {path}.stiffness_n_per_m = {k_t:g} N/m, or a roll gives back more than was put in; "
                 "leave it out to have the coupling's",
             )
 
@@ -202,8 +204,8 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
     ]
     if scene.fingertip is not None:
         fingertips.append(("fingertip.radii_m", scene.fingertip))
-    where = next((key for key, tip in fingertips if is_usable(tip.radii_m) and tip.radii_m is not None), None)
-    if where is None:
+    key = next((key for key, tip in fingertips if is_usable(tip.radii_m) and tip.radii_m is not None), None)
+    if key is None:
         return
     if is_usable(scene.rolling) and scene.rolling is not None and is_usable(scene.rolling.method):
         method = scene.rolling.method
@@ -211,7 +213,7 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
             yield (
                 "rolling.method",
                 method,
-                f"rolls a sphere, and {where} are an ellipsoid's: choose midpoint, or montana_rk4 for long ticks",
+                f"rolls a sphere, and {key} are an ellipsoid's: choose midpoint, or montana_rk4 for long ticks",
             )
     if not is_usable(scene.object):
         return
@@ -222,7 +224,7 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
             yield (
                 f"object[{scene_index}].shape",
                 item.shape,
-                f"as it is cannot be touched by an ellipsoid, and {where} are those of one: planes can, spheres and "
+                f"as it is cannot be touched by an ellipsoid, and {key} are those of one: planes can, spheres and "
                 "cylinders without ends from outside, and boxes from inside; take one of these, or radius_m",
             )
         texture = getattr(item, "texture", None)
@@ -230,7 +232,7 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
             yield (
                 f"object[{scene_index}].texture",
                 msgspec.UNSET,
-                f"is felt under a sphere, and {where} are an ellipsoid's: leave it out, or take radius_m",
+                f"is felt under a sphere, and {key} are an ellipsoid's: leave it out, or take radius_m",
             )
 
 
@@ -264,19 +266,19 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
     coupled: dict[bool, str] = {}
     for scene_index, material in _materials(scene):
         friction, torsion = material.friction, material.torsion
-        where = f"object[{scene_index}].material"
+        path = f"object[{scene_index}].material"
         if literal and friction is not None:
             for key in ("stribeck_speed_m_per_s", "viscous_s_per_m", "direction_x"):
                 if getattr(friction, key) is not None:
-                    yield f"{where}.friction.{key}", getattr(friction, key), _not_in_the_paper("Coulomb friction")
+                    yield f"{path}.friction.{key}", getattr(friction, key), _not_in_the_paper("Coulomb friction")
         if torsion is None or not is_usable(torsion.model):
             continue
         if literal and torsion.model == "limit_surface":
-            yield f"{where}.torsion.model", torsion.model, _not_in_the_paper("independent limits")
+            yield f"{path}.torsion.model", torsion.model, _not_in_the_paper("independent limits")
         coupled.setdefault(torsion.model == "limit_surface", f"object[{scene_index}]")
         if len(coupled) > 1:
             yield (
-                f"{where}.torsion.model",
+                f"{path}.torsion.model",
                 torsion.model,
                 f"{coupled[torsion.model != 'limit_surface']} has another: either all objects with torsion have the "
                 "model limit_surface, or none has",
@@ -292,16 +294,16 @@ def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
         return
     soft = any(tip.patch is not None for tip in tips)
     for scene_index, material in _materials(scene):
-        torsion, where = material.torsion, f"object[{scene_index}].material.torsion"
+        torsion, path = material.torsion, f"object[{scene_index}].material.torsion"
         if torsion is None:
             continue
         lacking = [key for key in ("stiffness_nm_per_rad", "friction_length_m") if getattr(torsion, key) is None]
         if not soft:
             table = "[fingertip.patch]" if scene.fingertip is not None else "[finger.patch]"
             for key in lacking:
-                yield f"{where}.{key}", msgspec.UNSET, f"is missing: give it, or the fingertip a {table}"
+                yield f"{path}.{key}", msgspec.UNSET, f"is missing: give it, or the fingertip a {table}"
         elif lacking and material.friction is None:
-            yield where, msgspec.UNSET, "follows from the patch and from friction, and there is none: leave it out"
+            yield path, msgspec.UNSET, "follows from the patch and from friction, and there is none: leave it out"
 
 
 def _not_in_the_paper(known_law: str) -> str:
@@ -341,12 +343,12 @@ def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
     for scene_index, item in enumerate(scene.object):
         if not isinstance(item, Mesh) or not is_usable(item.elastic) or item.elastic is None:
             continue
-        where = f"object[{scene_index}].elastic"
+        path = f"object[{scene_index}].elastic"
         if len(scene.object) > 1:
-            yield where, msgspec.UNSET, "must be of the only object of a scene: remove the other objects, or this table"
+            yield path, msgspec.UNSET, "must be of the only object of a scene: remove the other objects, or this table"
         if len(scene.finger) > 2:
-            yield where, msgspec.UNSET, f"is felt by one or two fingers, and there are {len(scene.finger)}: remove some"
+            yield path, msgspec.UNSET, f"is felt by one or two fingers, and there are {len(scene.finger)}: remove some"
         for key, table in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
             if is_usable(table) and table is not None:
-                yield where, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"
+                yield path, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"
         return

@@ -281,7 +281,7 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
             yield from self._elastic_faults()
 
     def _elastic_faults(self) -> Iterator[Complaint]:
-        """Check that nothing else is given for an elastic object that its surface cannot have."""
+        """Check that an elastic object has no key that a deformable surface cannot support."""
         for key, table in (("motion", self.motion), ("effect", self.effect or None)):
             if is_usable(table) and table is not None:
                 yield key, msgspec.UNSET, "cannot be combined with [object.elastic]: remove one of them"

@@ -168,7 +168,7 @@ class Falcon(BlockDevice):
         if not self._word[AT.open]:
             return
         self._zero_failure = ""
-        if not self._until_done(exchange.silence):
+        if not self._wait_until_true(exchange.silence):
             self._zero_failure = f"it has taken no packet for {STOP_WAIT_S:g} s"
             log.error(
                 "%s: takes no packet for %g s; zero force was not sent: switch it off", self.info.name, STOP_WAIT_S
@@ -183,7 +183,7 @@ class Falcon(BlockDevice):
         self._word[AT.lights] = packets.RED
         self._word[AT.has_force] = 1  # so that the last zero and the light are sent in any case
         self.stop()
-        if self._until_done(exchange.cancel_transfers):
+        if self._wait_until_true(exchange.cancel_transfers):
             for field in (AT.transfer_in, AT.transfer_out):
                 if self._word[field]:
                     self._free(int(self._word[field]))
@@ -207,7 +207,7 @@ class Falcon(BlockDevice):
         """Motor counts per N m at a leg, used to send forces."""
         return self._options.counts_per_nm or COUNTS_PER_NM
 
-    def _until_done(self, function: Any) -> bool:
+    def _wait_until_true(self, function: Any) -> bool:
         until = time.monotonic() + STOP_WAIT_S
         while not function.ctypes(self._block.handle):
             if time.monotonic() > until:

@@ -22,7 +22,7 @@ from softfinger.drivers.falcon.usb import SerialChip
 log: Final = logging.getLogger(__name__)
 
 PROBES_MAX: Final = 1000
-"""Exchanges without a valid reply after which no firmware runs in the device; each takes one or two milliseconds."""
+"""Number of exchanges without a valid reply that prove that no firmware runs; each takes one or two milliseconds."""
 GREETINGS_MAX: Final = 100
 ATTEMPTS_MAX: Final = 10
 """Number of attempts to send the file; bytes are lost occasionally."""

@@ -163,11 +163,11 @@ def _choose(devices: list[Any], serial: str | None) -> Any:
         except (usb.core.USBError, ValueError):  # ValueError: pyusb has no permission to open the device
             serials[f"? at {_node(device)}"] = device
         usb.util.dispose_resources(device)  # reading the serial number opened it
-    listed = ", ".join(f"'{serial}'" for serial in sorted(serials))
+    serial_list = ", ".join(f"'{serial}'" for serial in sorted(serials))
     if serial is None:
-        raise DeviceNotFound(f"{len(devices)} Falcons are attached: name one with serial: {listed}")
+        raise DeviceNotFound(f"{len(devices)} Falcons are attached: name one with serial: {serial_list}")
     if serial not in serials:
-        raise DeviceNotFound(f"no Falcon has the serial number '{serial}': attached are {listed}")
+        raise DeviceNotFound(f"no Falcon has the serial number '{serial}': attached are {serial_list}")
     return serials[serial]
 
 

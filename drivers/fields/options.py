@@ -70,8 +70,8 @@ def layout_faults(
             continue
         end = field.offset + TYPE_BYTES[field.type]
         if end > bytes_:
-            where = f"bytes {field.offset} to {end - 1}"
-            yield f"field[{index}].offset", field.offset, f"{where} of {owner} of {bytes_}: count from 0{note}"
+            span = f"bytes {field.offset} to {end - 1}"
+            yield f"field[{index}].offset", field.offset, f"{span} of {owner} of {bytes_}: count from 0{note}"
         for byte in range(field.offset, min(end, bytes_)):
             first_index = field_of_byte.setdefault(byte, index)
             if first_index != index:

@@ -81,8 +81,8 @@ def patterns(environ: Mapping[str, str]) -> list[Path]:
     build = Path("lib") / "release" / f"lin-{platform.machine()}-gcc" / "libdrd.so*"
     kits = [Path(environ[name]) / build for name in ("FDSDK", "FORCEDIM_SDK") if environ.get(name)]
     home = environ.get("HOME") or home_folder()
-    own = [Path(home) / ".local" / "lib" / "libdrd.so*"] if home else []
-    return [*kits, *own, Path("/usr/local/lib/libdrd.so*")]
+    user_paths = [Path(home) / ".local" / "lib" / "libdrd.so*"] if home else []
+    return [*kits, *user_paths, Path("/usr/local/lib/libdrd.so*")]
 
 
 LIBRARY: Final = MakersLibrary(
@@ -96,10 +96,10 @@ LIBRARY: Final = MakersLibrary(
 )
 
 
-def load(named: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
+def load(file: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
     unset = [f"${name} is not set" for name in ("FDSDK", "FORCEDIM_SDK") if not environ.get(name)]
     note = f" ({', '.join(unset)})" if unset else ""
-    return makers_library.load(LIBRARY, named, patterns(environ), note)
+    return makers_library.load(LIBRARY, file, patterns(environ), note)
 
 
 def error_text(library: ctypes.CDLL) -> str:

@@ -73,10 +73,10 @@ def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
     )
 
 
-def load(named: str | None) -> ctypes.CDLL:
+def load(file: str | None) -> ctypes.CDLL:
     """Load the library; if it is missing, the error also lists devices attached over USB."""
     try:
-        loaded = library.load(named)
+        loaded = library.load(file)
     except DeviceNotFound as error:
         devices = [refusal(device) or str(device) for device in list_attached()]
         attached = f". Attached over USB: {'; '.join(devices)}" if devices else ""

@@ -32,7 +32,7 @@ class WebSocketLink:
         self._end.setblocking(False)
         self._partial = bytearray()
         self._unsent = bytearray()
-        """Bytes not accepted by the system yet: the end of a frame, and what follows it."""
+        """Bytes not accepted by the system yet: the end of a frame, and the frames after it."""
         self._protocol = client.ClientProtocol(uri.parse_uri(f"ws://{HOST}:{port}"), max_size=MESSAGE_MAX)
         try:
             self._protocol.send_request(self._protocol.connect())

@@ -101,7 +101,7 @@ class GripEntry(Struct):
     state: GripState
 
 
-class Listed(Struct):
+class InventoryEntry(Struct):
     """Entry of the inventory."""
 
     device_id: Name
@@ -123,14 +123,14 @@ class Inventory(Struct):
     """Device inventory that the service sends on connect."""
 
     session_id: int = 0
-    inverse3: list[Listed] = []
-    inverse3x: list[Listed] = []
-    minverse: list[Listed] = []
-    wireless_verse_grip: list[Listed] = []
-    verse_grip: list[Listed] = []
-    custom_verse_grip: list[Listed] = []
+    inverse3: list[InventoryEntry] = []
+    inverse3x: list[InventoryEntry] = []
+    minverse: list[InventoryEntry] = []
+    wireless_verse_grip: list[InventoryEntry] = []
+    verse_grip: list[InventoryEntry] = []
+    custom_verse_grip: list[InventoryEntry] = []
 
-    def list_devices(self, groups: tuple[str, ...]) -> list[tuple[DeviceRef, Listed]]:
+    def list_devices(self, groups: tuple[str, ...]) -> list[tuple[DeviceRef, InventoryEntry]]:
         return [(DeviceRef(group, entry.device_id), entry) for group in groups for entry in getattr(self, group)]
 
 
@@ -219,7 +219,7 @@ def force_key(version: tuple[int, int]) -> str:
 def is_identity(mount: dict[str, Any]) -> bool:
     """Return True if a mount, flat or below `transform`, changes neither position, orientation nor scale.
 
-    An empty one is the identity; one of unknown form is not.
+    An empty mount is the identity; a mount of unknown form is not.
     """
     transform = mount.get("transform", mount)
     return transform == {} or (

@@ -25,7 +25,7 @@ from softfinger.drivers.haply.messages import (
     Config,
     DeviceRef,
     Inventory,
-    Listed,
+    InventoryEntry,
     Malformed,
     Missing,
     PoseReading,
@@ -78,10 +78,10 @@ def find(options: Options) -> Connection:
         opened.callback(link.close)
         try:
             inventory = _inventory(link, until)
-            device, listed = choose_device(inventory, options.device_id, options.models)
+            device, entry = choose_device(inventory, options.device_id, options.models)
             grip = choose_grip(inventory, options.grip)
             lock = opened.enter_context(claim(options.port, device))
-            _apply_filters(options, version, device, listed.config, inventory.session_id, until)
+            _apply_filters(options, version, device, entry.config, inventory.session_id, until)
             key = force_key(version)
             link.send(command(device, key, _ZERO, basis=True))
             connection = Connection(link, lock, device, grip, key, read_state(link.next(until), device, grip))
@@ -108,16 +108,16 @@ def identify(port: int, version: str | None) -> dict[str, Any]:
 
 def choose_device(
     inventory: Inventory, device_id: str | None, models: tuple[str, ...] | None
-) -> tuple[DeviceRef, Listed]:
+) -> tuple[DeviceRef, InventoryEntry]:
     """Return the device of `models` with the id, or the only one; raises DeviceNotFound."""
     entries = inventory.list_devices(GROUPS)
     candidates = [entry for entry in entries if device_id in (None, entry[0].name)]
     matching = [entry for entry in candidates if models is None or _model(*entry) in models]
     if len(matching) == 1:
         return matching[0]
-    listed = ", ".join(str(ref) for ref, _ in entries)
+    choices = ", ".join(str(ref) for ref, _ in entries)
     if matching:
-        raise DeviceNotFound(f"{len(matching)} devices are at the Inverse Service: name one with device_id: {listed}")
+        raise DeviceNotFound(f"{len(matching)} devices are at the Inverse Service: name one with device_id: {choices}")
     if candidates and models is not None:
         present = ", ".join(f"{ref} (type {_model(ref, entry)})" for ref, entry in candidates)
         raise DeviceNotFound(
@@ -126,14 +126,14 @@ def choose_device(
         )
     id_text = f" with device_id = '{device_id}'" if device_id is not None else ""
     raise DeviceNotFound(
-        f"no Inverse3, Inverse3x or Minverse{id_text} is at the Inverse Service, which lists {listed or 'no device'}: "
+        f"no Inverse3, Inverse3x or Minverse{id_text} is at the Inverse Service, which lists {choices or 'no device'}: "
         "plug it in, switch it on and wait for its light"
     )
 
 
-def _model(ref: DeviceRef, listed: Listed) -> str:
+def _model(ref: DeviceRef, entry: InventoryEntry) -> str:
     """Return the kind of a device as its configuration names it, or else its list."""
-    return listed.config.type if listed.config.type in GROUPS else ref.group
+    return entry.config.type if entry.config.type in GROUPS else ref.group
 
 
 def choose_grip(inventory: Inventory, grip_id: str) -> DeviceRef | None:
@@ -144,15 +144,16 @@ def choose_grip(inventory: Inventory, grip_id: str) -> DeviceRef | None:
     matching = [ref for ref in entries if grip_id in ("auto", ref.name)]
     if len(matching) == 1:
         return matching[0]
-    listed = ", ".join(map(str, entries)) or "no grip"
+    choices = ", ".join(map(str, entries)) or "no grip"
     if matching:
         raise DeviceNotFound(
-            f'{len(matching)} VerseGrips are at the Inverse Service: name one with grip, or set grip = "none": {listed}'
+            f'{len(matching)} VerseGrips are at the Inverse Service: name one with grip, or set grip = "none": '
+            f"{choices}"
         )
     if grip_id == "auto":
         return None
     raise DeviceNotFound(
-        f"no VerseGrip '{grip_id}' is at the Inverse Service, which lists {listed}: pair it in the Haply Hub"
+        f"no VerseGrip '{grip_id}' is at the Inverse Service, which lists {choices}: pair it in the Haply Hub"
     )
 
 

@@ -113,8 +113,8 @@ def _choose(options: Options, serials: dict[str, str]) -> str:
     if len(matching) == 1:
         return matching[0]
     if matching:
-        listed = ", ".join(f"{path} (serial '{serials[path]}')" for path in sorted(matching))
-        raise DeviceNotFound(f"{len(matching)} HID devices are {usb_ids}: name one with serial or path: {listed}")
+        choices = ", ".join(f"{path} (serial '{serials[path]}')" for path in sorted(matching))
+        raise DeviceNotFound(f"{len(matching)} HID devices are {usb_ids}: name one with serial or path: {choices}")
     serial_list = ", ".join(f"'{serial}'" for serial in sorted(serials.values()))
     raise DeviceNotFound(
         f"no HID device {usb_ids} has the serial number '{options.serial}': attached are {serial_list}"

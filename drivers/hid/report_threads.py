@@ -103,7 +103,7 @@ class ReportThreads:
         """Wait until the device has accepted the first `count` reports of the driver.
 
         until    s, monotonic clock
-        returns  False if it has not by then, or cannot any more
+        returns  False if it has not accepted them by then, or the writer has ended
         """
         while self.accepted < count and self._writer.is_alive() and time.monotonic() < until:
             time.sleep(FLUSH_POLL_S)

@@ -41,12 +41,12 @@ class MotionSubspace(NamedTuple):
     def describe(self) -> str:
         """Return a description of the handle's motion and of the forces that are not displayed."""
         if self.degrees == 2:
-            where = f"in the plane across ({_format_vector(self.axis)}) of the world; forces out of it"
+            motion = f"in the plane across ({_format_vector(self.axis)}) of the world; forces out of it"
         else:
             along = np.cross(self.axis, self.centre - self.origin)
-            where = f"on an arc, in its middle along ({_format_vector(along / np.linalg.norm(along))}) of the world; "
-            where += "forces across it"
-        return f"{where} are shown, not displayed"
+            motion = f"on an arc, in its middle along ({_format_vector(along / np.linalg.norm(along))}) of the world; "
+            motion += "forces across it"
+        return f"{motion} are shown, not displayed"
 
 
 def make_subspace(kinematics: Kinematics | None, mounting: Mounting) -> MotionSubspace | None:

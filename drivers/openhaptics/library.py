@@ -146,19 +146,19 @@ LIBRARY: Final = MakersLibrary(
 )
 
 
-def load(named: str | None) -> ctypes.CDLL:
-    return makers_library.load(LIBRARY, named, [folder / "libHD.so*" for folder in FOLDERS])
+def load(file: str | None) -> ctypes.CDLL:
+    return makers_library.load(LIBRARY, file, [folder / "libHD.so*" for folder in FOLDERS])
 
 
 def errors(library: ctypes.CDLL) -> list[Error]:
     """Remove all errors from the library's stack and return them, oldest first."""
-    listed: list[Error] = []
+    errors: list[Error] = []
     for _ in range(ERRORS_MAX):
         error = library.hdGetError()
         if error.code == 0:
             break
-        listed.append(Error(error.code, error.internal, error_text(library, error.code, error.internal)))
-    return listed[::-1]
+        errors.append(Error(error.code, error.internal, error_text(library, error.code, error.internal)))
+    return errors[::-1]
 
 
 def error_text(library: ctypes.CDLL, code: int, internal: int) -> str:

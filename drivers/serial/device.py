@@ -30,7 +30,7 @@ log: Final = logging.getLogger(__name__)
 STOP_WAIT_S: Final = 1.0
 """Time for a port to send the zero of a stop."""
 STOP_AGAIN_S: Final = 0.1
-"""Time for a repeated stop, after one whose zero the port has not sent."""
+"""Time for a repeated stop after a stop whose zero the port did not send."""
 WARN_NS: Final = 1_000_000_000
 """Duration of the warning about a blocked port; the daemon checks warnings twice a second."""
 BLOCKED: Final = (

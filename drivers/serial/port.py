@@ -113,8 +113,8 @@ def find_port(options: Options) -> str:
             f'"{matching[0].node}" under [device] of the rig, or its serial number with serial'
         )
     if matching:
-        listed = ", ".join(f"{port.node} (serial '{port.serial}')" for port in matching)
-        raise DeviceNotFound(f"{len(matching)} serial ports are {usb_ids}: name one with serial or path: {listed}")
+        choices = ", ".join(f"{port.node} (serial '{port.serial}')" for port in matching)
+        raise DeviceNotFound(f"{len(matching)} serial ports are {usb_ids}: name one with serial or path: {choices}")
     if with_ids:
         serials = ", ".join(f"'{port.serial}'" for port in with_ids)
         raise DeviceNotFound(

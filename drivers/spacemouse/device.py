@@ -265,8 +265,8 @@ def find(options: Options) -> SystemDevice:
     if len(matching) == 1:
         return matching[0]
     if matching:
-        listed = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
-        raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {listed}")
+        choices = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
+        raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {choices}")
     present = ", ".join(map(str, pucks or nodes)) or "no HID device"
     condition = f" with serial = '{options.serial}'" if options.serial is not None else ""
     raise DeviceNotFound(f"no SpaceMouse{condition} is attached: plug it in; attached are: {present}")

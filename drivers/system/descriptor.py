@@ -20,9 +20,9 @@ class ReportLengths(NamedTuple):
     input: dict[int, int]
     output: dict[int, int]
 
-    def includes(self, other: ReportLengths) -> bool:
-        """Return True if every report of `other` is included with the same length."""
-        return other.input.items() <= self.input.items() and other.output.items() <= self.output.items()
+    def includes(self, required: ReportLengths) -> bool:
+        """Return True if every report of `required` is included with the same length."""
+        return required.input.items() <= self.input.items() and required.output.items() <= self.output.items()
 
     def __str__(self) -> str:
         return f"input {_format_lengths(self.input)}, output {_format_lengths(self.output)}"

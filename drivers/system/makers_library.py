@@ -31,18 +31,18 @@ class MakersLibrary(NamedTuple):
     version: str
 
 
-def load(library: MakersLibrary, named: str | None, patterns: Sequence[Path], note: str = "") -> ctypes.CDLL:
-    """Load the library from the file `named` or from its usual places, and declare every prototype.
+def load(library: MakersLibrary, file: str | None, patterns: Sequence[Path], note: str = "") -> ctypes.CDLL:
+    """Load the library from `file` or from its usual places, and declare every prototype.
 
     patterns  places to search, in order; the last part of each is a glob pattern
     note      appended to the list of searched places in the message
 
     Raises DeviceNotFound, with every place searched, if no file exists, and DeviceError if a file cannot be used.
     """
-    if named is not None:
-        path = expand_home(named)
+    if file is not None:
+        path = expand_home(file)
         if not os.path.isfile(path):  # also if this user may not read the folder
-            raise DeviceNotFound(f"library_file = '{named}': there is no such file; {library.advice}")
+            raise DeviceNotFound(f"library_file = '{file}': there is no such file; {library.advice}")
         return _open(library, str(path))
     for pattern in patterns:
         # The longest name contains the full version; the latest version sorts last.

@@ -20,7 +20,7 @@ from softfinger.proxy.elastic.solid import Doubles, Solid
 BLOCK: Final = 128
 """Right-hand sides that are solved together."""
 STRIP: Final = 16
-"""Right-hand sides whose displacement gradients are in memory together."""
+"""Number of right-hand sides whose displacement gradients are in memory together."""
 
 
 def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: float) -> list[Any]:
@@ -47,15 +47,15 @@ def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: floa
     mesh = solid.basis.mesh
     scalar = skfem.FacetBasis(mesh, skfem.ElementTetP2(), intorder=8)
     points = np.asarray(scalar.global_coordinates())  # (3, facets, quadrature points)
-    _, facets, each = points.shape
+    _, facets, points_per_facet = points.shape
     places = points.reshape(3, -1).T
     outward = np.broadcast_to(np.asarray(scalar.normals), points.shape).reshape(3, -1).T
-    area = np.broadcast_to(scalar.dx, (facets, each)).ravel()
-    shares = csr_matrix((scalar.N, facets * each))
-    columns = np.arange(facets * each)
+    area = np.broadcast_to(scalar.dx, (facets, points_per_facet)).ravel()
+    shares = csr_matrix((scalar.N, facets * points_per_facet))
+    columns = np.arange(facets * points_per_facet)
     for local, dofs in enumerate(scalar.element_dofs):
-        values = np.broadcast_to(np.asarray(scalar.basis[local][0]), (facets, each)).ravel()
-        shares = shares + csr_matrix((values * area, (np.repeat(dofs, each), columns)), shape=shares.shape)
+        values = np.broadcast_to(np.asarray(scalar.basis[local][0]), (facets, points_per_facet)).ravel()
+        shares = shares + csr_matrix((values * area, (np.repeat(dofs, points_per_facet), columns)), shape=shares.shape)
     rows, weights, owners = [], [], []
     for number, near in enumerate(cKDTree(places).query_ball_point(centers, radius_m)):
         chosen = np.asarray(near, np.int64)
@@ -102,8 +102,8 @@ class Solution(NamedTuple):
     bending: Doubles
 
 
-def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = lambda number: None) -> Solution:
-    """Solve for unit loads on all patches; `done` is called with the number of solved loads, out of 3 n."""
+def solve_patches(solid: Solid, loads: list[Any], advance: Callable[[int], None] = lambda number: None) -> Solution:
+    """Solve for unit loads on all patches; `advance` is called with the number of solved loads, out of 3 n."""
     from scipy.sparse import hstack
 
     count = loads[0].shape[1]
@@ -128,7 +128,7 @@ def solve_patches(solid: Solid, loads: list[Any], done: Callable[[int], None] = 
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:  # the kernels release the interpreter lock
         for part, _ in zip(parts, threads.map(solve, parts), strict=True):
             solved += len(part)
-            done(solved)
+            advance(solved)
     for patch in range(count):
         later = blocks[patch, patch:]
         later[:] = 0.5 * (later + blocks[patch:, patch].transpose(0, 2, 1))
@@ -149,10 +149,10 @@ def surface_gradient(solid: Solid) -> Any:
     edges = mesh.p[:, corners[1:]] - mesh.p[:, corners[:1]]  # (3, 3, m): component, edge
     inner = np.linalg.inv(edges.transpose(2, 1, 0))  # (m, 3, 3): column of each corner but the first
     slopes = np.concatenate([-inner.sum(axis=2, keepdims=True), inner], axis=2)  # (m, j, corner)
-    each = np.arange(len(outer))
+    tetrahedron = np.arange(len(outer))
     rows, columns, values = [], [], []
     for i, j, corner in np.ndindex(3, 3, 4):
-        rows.append(9 * each + 3 * i + j)
+        rows.append(9 * tetrahedron + 3 * i + j)
         columns.append(solid.basis.nodal_dofs[i, corners[corner]])
         values.append(slopes[:, j, corner])
     indices = np.concatenate(rows), np.concatenate(columns)
@@ -175,5 +175,5 @@ def vertex_normals(vertices: Doubles, triangles: NDArray[np.int64]) -> Doubles:
     for corner in range(3):
         np.add.at(normals, triangles[:, corner], np.cross(b - a, c - a))
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    found: Doubles = normals / np.where(length > 0.0, length, 1.0)
-    return found
+    unit_normals: Doubles = normals / np.where(length > 0.0, length, 1.0)
+    return unit_normals

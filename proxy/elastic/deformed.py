@@ -38,7 +38,7 @@ class Deformed:
 
     Parameters
     ----------
-    thing
+    obj
         Object of the scene.
     body
         Its solution.
@@ -53,17 +53,17 @@ class Deformed:
         (m, 3), indices of the vertices of the body's surface.
     """
 
-    def __init__(self, thing: schema.Mesh, body: ElasticBody, vertices: Doubles | None = None) -> None:
-        assert thing.elastic is not None
-        self._body, self._thing = body, thing
+    def __init__(self, obj: schema.Mesh, body: ElasticBody, vertices: Doubles | None = None) -> None:
+        assert obj.elastic is not None
+        self._body, self._object = body, obj
         self.vertices: Final = body.surface.vertices if vertices is None else vertices
         self.triangles: Final = body.surface.triangles
-        self._softness: Final = 1.0 / thing.elastic.youngs_pa
+        self._softness: Final = 1.0 / obj.elastic.youngs_pa
         count = len(body.nodes)
         self._compliance: Final = body.compliance.array.reshape(count, count, 3, 3)
         self._numbers: Final = np.full(len(body.surface.vertices), -1)
         self._numbers[body.nodes] = np.arange(count)
-        self._drawn, self._shares = self._followed(self.vertices)
+        self._drawn, self._shares = self._followed_nodes(self.vertices)
 
     @classmethod
     def of_scene(cls, scene: SceneSource) -> Self:
@@ -79,10 +79,10 @@ class Deformed:
         ConfigError
             If the scene has no elastic object, or it cannot be solved.
         """
-        thing = load_scene(scene).elastic_object
-        if thing is None:
+        obj = load_scene(scene).elastic_object
+        if obj is None:
             raise ConfigError("the scene has no object with [object.elastic]")
-        return cls(thing, body_of(thing))
+        return cls(obj, body_of(obj))
 
     def at(self, loads: Iterable[Load]) -> Doubles:
         """Return the displaced vertices (n, 3) m, object frame."""
@@ -92,17 +92,17 @@ class Deformed:
             for node, weight in zip(nodes, weights, strict=True):
                 if node >= 0:
                     moved += self._softness * weight * (self._compliance[:, node] @ np.asarray(load.force))
-        found: Doubles = self.vertices + self._shares[:, None] * moved[self._drawn]
-        return found
+        displaced: Doubles = self.vertices + self._shares[:, None] * moved[self._drawn]
+        return displaced
 
-    def _followed(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
+    def _followed_nodes(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
         """Return the node that each of `vertices` (n, 3) follows, and its share of that node's displacement.
 
         A vertex outside of `reach` has no compliance. Its share grows from 0 at the fixed regions to 1 at the node.
         """
-        assert self._thing.elastic is not None
+        assert self._object.elastic is not None
         places = self._body.surface.vertices
-        fixed = places[region_holds(self._thing.elastic.fixed, places)]
+        fixed = places[region_holds(self._object.elastic.fixed, places)]
         nodes, shares = np.empty(len(vertices), np.int64), np.empty(len(vertices))
         for index, vertex in enumerate(vertices):
             distances = np.linalg.norm(places[self._body.nodes] - vertex, axis=1)

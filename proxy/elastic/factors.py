@@ -88,26 +88,26 @@ class Factors:
     def _write(self, own: Whole, beyond: Whole, square: Doubles, below: Doubles) -> None:
         """Append a front, in column-major order as LAPACK has it."""
         self._fronts.append(Front(own, beyond, self._file.tell()))
-        for each in (square, below):
-            self._file.write(np.ascontiguousarray(each.T).data)
+        for block in (square, below):
+            self._file.write(np.ascontiguousarray(block.T).data)
 
     def _read(self, front: Front) -> tuple[Doubles, Doubles]:
         """Return `square` and `below` of a front."""
         count, columns = len(front.own), len(front.own) + len(front.beyond)
-        found = np.empty((columns, count))
-        if os.preadv(self._file.fileno(), [found.data], front.offset) != found.nbytes:
+        front_rows = np.empty((columns, count))
+        if os.preadv(self._file.fileno(), [front_rows.data], front.offset) != front_rows.nbytes:
             raise OSError("a temporary file is truncated")
-        return found[:count].T, found[count:].T
+        return front_rows[:count].T, front_rows[count:].T
 
     def _eliminate(self, part: Whole) -> tuple[Whole, Doubles]:
         """Eliminate the unknowns of a part; return the unknowns that these act on, and the change of their matrix."""
         from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
         parts, own = self._divide(part)
-        children = [self._eliminate(each) for each in parts]
+        children = [self._eliminate(half) for half in parts]
         rows = self._matrix[own].tocoo()
         self.number[own] = len(self._fronts)
-        later = np.unique(np.concatenate([rows.col, *(each for each, _ in children)]))
+        later = np.unique(np.concatenate([rows.col, *(of_child for of_child, _ in children)]))
         beyond = later[self.number[later] < 0]
         count, unknowns = len(own), np.concatenate([own, beyond])
         self._position[unknowns] = np.arange(len(unknowns))
@@ -145,7 +145,7 @@ class Factors:
         separates = np.logical_or.reduceat(self._is_high[rows.indices], rows.indptr[:-1])  # no row is empty
         self._is_high[high] = False
         separates[0] |= not separates.any()  # a front is not empty
-        return [each for each in (low[~separates], high) if len(each)], low[separates]
+        return [half for half in (low[~separates], high) if len(half)], low[separates]
 
 
 def _strips(count: int) -> list[slice]:

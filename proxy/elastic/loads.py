@@ -41,17 +41,17 @@ class ContactLoad(NamedTuple):
     patch_radius: float
 
 
-def contact_loads(thing: schema.Mesh, rows: Mapping[str, Doubles]) -> list[ContactLoad]:
+def contact_loads(obj: schema.Mesh, rows: Mapping[str, Doubles]) -> list[ContactLoad]:
     """Return the loads on an elastic object, from the record (RECORD_SIZE,) of each finger in a tick."""
-    assert thing.elastic is not None
+    assert obj.elastic is not None
     loads = []
     for finger, row in rows.items():
         if int(row[AT.contact_mode]) == FREE:
             continue
-        point = _vector(row, AT.contacts0_point) - _vector(row, AT.contact_displacement) - thing.position_m
-        force = -_force(row, thing.material.friction is not None)
-        turned = _into(thing, force), _into(thing, point)
-        loads.append(ContactLoad(finger, int(row[AT.contact_object]), *turned, thing.elastic.radius_m))
+        point = _vector(row, AT.contacts0_point) - _vector(row, AT.contact_displacement) - obj.position_m
+        force = -_force(row, obj.material.friction is not None)
+        turned = _to_object_frame(obj, force), _to_object_frame(obj, point)
+        loads.append(ContactLoad(finger, int(row[AT.contact_object]), *turned, obj.elastic.radius_m))
     return loads
 
 
@@ -74,23 +74,23 @@ def _force(row: Doubles, has_friction: bool) -> Doubles:
     Without friction, the recorded force of the first contact includes that of the slope of the deformed surface, which
     does not load the body. It is replaced by the force along the normal that gives the recorded normal force.
     """
-    forces = np.array([_vector(row, AT.contacts0_force + each * _WIDTH) for each in range(PATCHES)])
+    forces = np.array([_vector(row, AT.contacts0_force + contact * _WIDTH) for contact in range(PATCHES)])
     if has_friction:
         total: Doubles = forces.sum(axis=0)
         return total
-    normal, beside = _vector(row, AT.contacts0_normal), forces[1:].sum(axis=0)
-    beside = beside - (beside @ normal) * normal
-    along = sqrt(max(float(row[AT.contact_normal_force]) ** 2 - float(beside @ beside), 0.0))
-    found: Doubles = beside + along * normal
-    return found
+    normal, tangential = _vector(row, AT.contacts0_normal), forces[1:].sum(axis=0)
+    tangential = tangential - (tangential @ normal) * normal
+    along = sqrt(max(float(row[AT.contact_normal_force]) ** 2 - float(tangential @ tangential), 0.0))
+    force: Doubles = tangential + along * normal
+    return force
 
 
 def _vector(row: Doubles, at: int) -> Doubles:
     return row[at : at + 3]
 
 
-def _into(thing: schema.Mesh, vector: Doubles) -> Vec3:
+def _to_object_frame(obj: schema.Mesh, vector: Doubles) -> Vec3:
     """Return a vector (3,) of the world frame in the object frame."""
-    w, x, y, z = thing.orientation_wxyz
+    w, x, y, z = obj.orientation_wxyz
     a, b, c = vector.tolist()
     return rotate((w, -x, -y, -z), (a, b, c))

@@ -46,7 +46,7 @@ LARGE: Final = 0.1
 _bodies: Final[dict[str, ElasticBody]] = {}
 
 
-def body_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody:
+def body_of(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody:
     """Return the body of an elastic mesh object, and store it on disk for later runs.
 
     Raises
@@ -54,41 +54,41 @@ def body_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticB
     ConfigError
         If the file, its mesh or a value of [object.elastic] cannot be used.
     """
-    assert thing.elastic is not None
+    assert obj.elastic is not None
     try:
-        identity = solution.identity(thing, thing.elastic, read_bytes(thing.file))
+        identity = solution.identity(obj, obj.elastic, read_bytes(obj.file))
         if identity not in _bodies:
-            body = _solved(thing, thing.elastic, identity, folder)
+            body = _load_or_solve(obj, obj.elastic, identity, folder)
             while len(_bodies) >= BODIES:
                 _bodies.pop(next(iter(_bodies)))
             _bodies[identity] = body
         return _bodies[identity]
     except ConfigError as error:
-        raise ConfigError(f"object '{thing.name}': file: {error}") from error
+        raise ConfigError(f"object '{obj.name}': file: {error}") from error
     except ValueError as error:
-        raise ConfigError(f"object '{thing.name}': elastic: {thing.file}: {error}") from error
+        raise ConfigError(f"object '{obj.name}': elastic: {obj.file}: {error}") from error
     except OSError as error:  # of the temporary file of `Factors`
         raise ConfigError(
-            f"object '{thing.name}': elastic: {thing.file}: no temporary file in {gettempdir()}: {error.strerror}: "
+            f"object '{obj.name}': elastic: {obj.file}: no temporary file in {gettempdir()}: {error.strerror}: "
             "make room, or set TMPDIR"
         ) from error
 
 
-def stored_body(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody | None:
+def stored_body(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody | None:
     """Return the body if it was solved before, here or in the file `solution`: for pictures, which do not wait."""
-    assert thing.elastic is not None
+    assert obj.elastic is not None
     try:
-        identity = solution.identity(thing, thing.elastic, read_bytes(thing.file))
+        identity = solution.identity(obj, obj.elastic, read_bytes(obj.file))
     except ConfigError:  # a file of another machine
         return None
-    return _bodies.get(identity) or _stored(thing.elastic, identity, folder)[0]
+    return _bodies.get(identity) or _load(obj.elastic, identity, folder)[0]
 
 
-def kernel_elastic(thing: schema.Mesh, elastic: schema.Elastic, mesh: model.Triangles) -> model.Elastic:
+def kernel_elastic(obj: schema.Mesh, elastic: schema.Elastic, mesh: model.Triangles) -> model.Elastic:
     """Return the compliance at the vertices of an object's mesh. Raises ConfigError as `body_of` does."""
     import softfinger.proxy.kernels.elastic.step  # noqa: F401  registers its step
 
-    body = body_of(thing)
+    body = body_of(obj)
     numbers = np.full(len(body.surface.vertices), -1, np.int64)
     numbers[body.nodes] = np.arange(len(body.nodes))
     place = {vertex.tobytes(): number for vertex, number in zip(body.surface.vertices, numbers, strict=True)}
@@ -105,7 +105,7 @@ def kernel_elastic(thing: schema.Mesh, elastic: schema.Elastic, mesh: model.Tria
     )
 
 
-def _stored(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[ElasticBody | None, str]:
+def _load(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[ElasticBody | None, str]:
     """Return the body from the file `solution` or from the cache, and a reason if that file is not used."""
     refusal = ""
     if elastic.solution is not None:
@@ -122,30 +122,30 @@ def _key(identity: str) -> str:
     return hashlib.sha256(repr((SOURCE_HASH, identity)).encode()).hexdigest()
 
 
-def _solved(thing: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> ElasticBody:
+def _load_or_solve(obj: schema.Mesh, elastic: schema.Elastic, identity: str, folder: Folder) -> ElasticBody:
     """Return the body from the file `solution`, from the cache, or by solving."""
-    body, refusal = _stored(elastic, identity, folder)
+    body, refusal = _load(elastic, identity, folder)
     if body is not None:
         return body
     try:
-        body = solve(thing, elastic)
+        body = solve(obj, elastic)
     except ValueError as error:
         raise ValueError(f"{error}; {refusal}" if refusal else str(error)) from error
     if refusal:
-        log.warning("object '%s': %s; the body was solved", thing.name, refusal)
+        log.warning("object '%s': %s; the body was solved", obj.name, refusal)
     array_cache.save(_key(identity), _to_disk(body), folder)
     return body
 
 
-def volume_of(thing: schema.Mesh, resolution_m: float) -> Volume:
+def volume_of(obj: schema.Mesh, resolution_m: float) -> Volume:
     """Return the volume mesh of an object; a file of tetrahedra has its own resolution.
 
     Raises ConfigError or ValueError if the file cannot be read, its surface is open, or it cannot be filled.
     """
-    if thing.file.lower().endswith(thing.volumes):
-        return read_volume(thing.file, thing.scale)
-    vertices, triangles = arrays_of(thing.file, read_bytes(thing.file))
-    mended = mend(Arrays(vertices * thing.scale, triangles), thing.file.lower().endswith(".stl"))
+    if obj.file.lower().endswith(obj.volumes):
+        return read_volume(obj.file, obj.scale)
+    vertices, triangles = arrays_of(obj.file, read_bytes(obj.file))
+    mended = mend(Arrays(vertices * obj.scale, triangles), obj.file.lower().endswith(".stl"))
     if not mended.watertight:
         raise ValueError(f"the mesh is open at {mended.open_edges} edges: close it, or leave out [object.elastic]")
     return fill(mended.arrays.vertices, mended.arrays.triangles.astype(np.int64), resolution_m)
@@ -158,27 +158,27 @@ def solid_of(volume: Volume, elastic: schema.Elastic) -> Solid:
     )
 
 
-def solve(thing: schema.Mesh, elastic: schema.Elastic) -> ElasticBody:
+def solve(obj: schema.Mesh, elastic: schema.Elastic) -> ElasticBody:
     """Mesh and solve a body. Raises ConfigError or ValueError if that is not possible."""
-    volume = volume_of(thing, elastic.resolution_m)
+    volume = volume_of(obj, elastic.resolution_m)
     triangles = boundary(volume)
     nodes = _compliant_nodes(volume, triangles, elastic)
     solid = solid_of(volume, elastic)
     normals = vertex_normals(volume.vertices, triangles)
     loads = patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
-    with progress.display(f"compliance of {thing.name}", 3 * len(nodes)) as done:
-        compliance, bending = solve_patches(solid, loads, done)
-    placed = volume.vertices
+    with progress.display(f"compliance of {obj.name}", 3 * len(nodes)) as advance:
+        compliance, bending = solve_patches(solid, loads, advance)
+    vertices = volume.vertices
     if elastic.density_kg_per_m3 is not None:
         weight = solid.gravity((0.0, 0.0, -GRAVITY_M_PER_S2 * elastic.density_kg_per_m3))
         sag = solid.solve(weight[:, None])[:, 0] / elastic.youngs_pa
-        placed = placed + sag[solid.basis.nodal_dofs].T
+        vertices = vertices + sag[solid.basis.nodal_dofs].T
     used, corners = np.unique(triangles, return_inverse=True)
     place = np.searchsorted(used, nodes).astype(np.int32)
-    surface = Arrays(np.ascontiguousarray(placed[used]), corners.reshape(-1, 3).astype(np.int32))
+    surface = Arrays(np.ascontiguousarray(vertices[used]), corners.reshape(-1, 3).astype(np.int32))
     probes = _spread(volume.vertices[nodes])
     own = np.einsum("ki,kij,kj->k", normals[nodes[probes]], compliance[probes, probes], normals[nodes[probes]])
-    error = _error(thing, elastic, volume.vertices[nodes[probes]], normals[nodes[probes]], own)
+    error = _error(obj, elastic, volume.vertices[nodes[probes]], normals[nodes[probes]], own)
     measured = quality(volume)
     report = Report(
         len(volume.vertices), len(volume.tetrahedra), len(nodes), float(measured.min()), float(measured.mean()),
@@ -215,13 +215,11 @@ def _spread(points: Doubles) -> NDArray[np.int64]:
     return np.array(chosen)
 
 
-def _error(
-    thing: schema.Mesh, elastic: schema.Elastic, points: Doubles, normals: Doubles, own: Doubles
-) -> float | None:
+def _error(obj: schema.Mesh, elastic: schema.Elastic, points: Doubles, normals: Doubles, own: Doubles) -> float | None:
     """Return the error of the compliances `own` over the largest, by Richardson's rule; None for a file of one mesh."""
-    if thing.file.lower().endswith(thing.volumes):
+    if obj.file.lower().endswith(obj.volumes):
         return None
-    solid = solid_of(volume_of(thing, COARSER * elastic.resolution_m), elastic)
+    solid = solid_of(volume_of(obj, COARSER * elastic.resolution_m), elastic)
     compliance = solve_patches(solid, patch_loads(solid, points, normals, elastic.radius_m)).compliance
     patches = np.arange(len(points))
     coarse = np.einsum("ki,kij,kj->k", normals, compliance[patches, patches], normals)

@@ -70,15 +70,15 @@ class ElasticBody(NamedTuple):
     report: Report
 
 
-def identity(thing: schema.Mesh, elastic: schema.Elastic, data: bytes) -> str:
+def identity(obj: schema.Mesh, elastic: schema.Elastic, data: bytes) -> str:
     """Return all that determines the solution of a mesh object with the file `data`: that of Young's modulus 1 Pa.
 
     Under gravity the modulus itself belongs to it.
     """
     sag = None if elastic.density_kg_per_m3 is None else (elastic.density_kg_per_m3, elastic.youngs_pa)
     regions = [msgspec.to_builtins(region) for region in (elastic.fixed, elastic.reach)]
-    size = elastic.resolution_m, elastic.radius_m, thing.scale
-    file = hashlib.sha256(data).hexdigest(), Path(thing.file).suffix.lower()
+    size = elastic.resolution_m, elastic.radius_m, obj.scale
+    file = hashlib.sha256(data).hexdigest(), Path(obj.file).suffix.lower()
     return repr((VERSION, file, size, elastic.poisson, regions, sag))
 
 

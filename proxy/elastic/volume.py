@@ -50,7 +50,7 @@ def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
         raise ValueError(f"gmsh is not usable ({missing}): pip install 'softfinger[elastic]'") from missing
     gmsh.initialize([], False, False, False)  # neither the user's settings nor a signal handler
     try:
-        points, corners = _filled(gmsh, vertices, triangles, resolution_m)
+        points, corners = _fill(gmsh, vertices, triangles, resolution_m)
     except Exception as error:  # gmsh raises no other class
         raise ValueError(f"gmsh cannot fill the surface: {error}: repair the mesh, or give a .msh file") from error
     finally:
@@ -58,7 +58,7 @@ def fill(vertices: Doubles, triangles: Whole, resolution_m: float) -> Volume:
     return check_volume(points, corners)
 
 
-def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float) -> tuple[Doubles, Whole]:
+def _fill(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float) -> tuple[Doubles, Whole]:
     gmsh.option.setNumber("General.Terminal", 0)
     for name in ("Mesh.MeshSizeMin", "Mesh.MeshSizeMax"):
         gmsh.option.setNumber(name, resolution_m)
@@ -81,7 +81,7 @@ def _filled(gmsh: Any, vertices: Doubles, triangles: Whole, resolution_m: float)
 
 
 def read_volume(file: str, scale: float) -> Volume:
-    """Return the tetrahedra of a .msh or .vtu file, m: of second order, those of the corners.
+    """Return the volume mesh of a .msh or .vtu file, m. Second-order tetrahedra are reduced to their corners.
 
     Raises ValueError if meshio is not installed, the file cannot be read, or its tetrahedra cannot be used.
     """
@@ -93,15 +93,15 @@ def read_volume(file: str, scale: float) -> Volume:
         raise ValueError("no such file")
     try:
         with open(os.devnull, "w") as nothing, redirect_stdout(nothing), redirect_stderr(nothing):
-            found = meshio.read(file)
+            mesh = meshio.read(file)
     except SystemExit as error:  # meshio prints the reason
         raise ValueError("meshio cannot read it: it is damaged or has another format") from error
     except Exception as error:
         raise ValueError(f"meshio cannot read it: {error}") from error
-    tetrahedra = [cells.data[:, :4] for cells in found.cells if cells.type in ("tetra", "tetra10")]
+    tetrahedra = [cells.data[:, :4] for cells in mesh.cells if cells.type in ("tetra", "tetra10")]
     if not tetrahedra:
-        raise ValueError(f"has no tetrahedra, only {', '.join(found.cells_dict) or 'nothing'}: export the volume mesh")
-    return check_volume(scale * np.asarray(found.points, np.float64), np.concatenate(tetrahedra).astype(np.int64))
+        raise ValueError(f"has no tetrahedra, only {', '.join(mesh.cells_dict) or 'nothing'}: export the volume mesh")
+    return check_volume(scale * np.asarray(mesh.points, np.float64), np.concatenate(tetrahedra).astype(np.int64))
 
 
 def check_volume(vertices: Doubles, tetrahedra: Whole) -> Volume:
@@ -129,13 +129,13 @@ def quality(volume: Volume) -> Doubles:
     a, b, c, d = (volume.vertices[volume.tetrahedra[:, i]] for i in range(4))
     six = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))
     squares = sum(((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (a, c), (a, d), (b, c), (b, d), (c, d)))
-    found: Doubles = np.sqrt(2.0) * six / (np.asarray(squares) / 6.0) ** 1.5
-    return found
+    qualities: Doubles = np.sqrt(2.0) * six / (np.asarray(squares) / 6.0) ** 1.5
+    return qualities
 
 
 def boundary(volume: Volume) -> Whole:
     """Return the triangles (k, 3) that belong to one tetrahedron, counter-clockwise seen from outside."""
     faces = volume.tetrahedra[:, FACES].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    found: Whole = faces[first[count == 1]]
-    return found
+    outer_faces: Whole = faces[first[count == 1]]
+    return outer_faces

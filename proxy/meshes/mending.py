@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import limits
-from softfinger.proxy.meshes.pieces import edges_of, mark_flat, unique_rows, unique_triangles
+from softfinger.proxy.meshes.pieces import corners_in_blocks, edges_of, unique_rows, unique_triangles
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 from softfinger.proxy.meshes.winding import Winding, wind
 
@@ -76,16 +76,15 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
     merged = len(vertices) - len(unique)
     vertices, triangles = vertices[unique], renumbered[triangles]
 
-    flat = np.empty(len(triangles), np.bool_)
-    mark_flat(vertices, triangles, FLATNESS, flat)
+    flat = _is_flat(vertices, triangles)
     triangles = triangles[~flat]
     unique_corners = unique_triangles(triangles)
     duplicate, triangles = len(triangles) - len(unique_corners), triangles[unique_corners]
     if len(triangles) == 0:
         raise ValueError(f"has no triangle with an area: all {len(flat):,} are points or lines")
 
-    left, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
-    vertices = vertices[left]
+    used_vertices, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
+    vertices = vertices[used_vertices]
     edges = edges_of(triangles)
     winding = wind(Arrays(vertices, triangles), edges)
     return RepairedMesh(
@@ -98,6 +97,18 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
         crowded_edges=int((edges.many > 2).sum()),
         winding=winding,
     )
+
+
+def _is_flat(vertices: Vertices, triangles: Triangles) -> NDArray[np.bool_]:
+    """Return which triangles (m, 3) have a height of at most FLATNESS times their longest edge."""
+    flat = np.empty(len(triangles), np.bool_)
+    for block, (a, b, c) in corners_in_blocks(vertices, triangles):
+        u, v = b - a, c - a
+        longest = np.sqrt(np.max([(edge * edge).sum(axis=1) for edge in (u, v, v - u)], axis=0))
+        # The square of a small area would underflow to zero.
+        scale = np.divide(1.0, longest, out=np.zeros_like(longest), where=longest > 0.0)[:, None]
+        flat[block] = ~(np.linalg.norm(np.cross(scale * u, scale * v), axis=1) > FLATNESS)
+    return flat
 
 
 def _check_size(vertices: Vertices) -> None:
@@ -127,10 +138,10 @@ def _size(vertices: Vertices) -> float:
 
 def _drop_unused_vertices(arrays: Arrays) -> tuple[NDArray[np.int64], Triangles]:
     """Return the indices of the used vertices, and the triangles (m, 3) as indices into these."""
-    has = np.zeros(len(arrays.vertices), np.bool_)
-    has[arrays.triangles.ravel()] = True
-    place = np.cumsum(has, dtype=np.int32) - np.int32(1)
-    return np.flatnonzero(has), place[arrays.triangles]
+    is_used = np.zeros(len(arrays.vertices), np.bool_)
+    is_used[arrays.triangles.ravel()] = True
+    place = np.cumsum(is_used, dtype=np.int32) - np.int32(1)
+    return np.flatnonzero(is_used), place[arrays.triangles]
 
 
 def _merge_vertices(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

@@ -1,24 +1,25 @@
-"""Compiled functions on millions of triangles: equal rows, connected pieces, areas and volumes.
+"""Functions on millions of triangles: equal rows, connected pieces, and corners in blocks.
 
-NumPy's arrays of all their edges would take gigabytes.
+Equal rows and pieces are found by compiled functions: NumPy's arrays of all edges would take gigabytes.
 """
 
 from __future__ import annotations
 
 import secrets
-from math import sqrt
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.numerics.vec3 import cross, dot, sub
 
 Rows = NDArray[Any]
 Numbers = NDArray[np.int32]
 Vertices = NDArray[np.float64]
 
+BLOCK: Final = 1 << 18
+"""Number of triangles in a block: its arrays have some megabytes."""
 _SEED: Final = secrets.randbits(63) | 1
 """Differs between processes, so that no file can be crafted whose rows all collide in the hash table."""
 
@@ -49,8 +50,19 @@ class Pieces(NamedTuple):
     one_sided: NDArray[np.bool_]
 
 
+def corners_in_blocks(
+    vertices: Vertices, triangles: Numbers
+) -> Iterator[tuple[slice, tuple[Vertices, Vertices, Vertices]]]:
+    """Yield blocks of triangles (m, 3), and the three corners (n, 3) m of the triangles of each."""
+    for begin in range(0, len(triangles), BLOCK):
+        block = slice(begin, begin + BLOCK)
+        a, b, c = triangles[block].T
+        yield block, (vertices[a], vertices[b], vertices[c])
+
+
 def first_alike(rows: Rows) -> Numbers:
     """Return for each row (n, k) of uint64 or uint32 the index of the first equal row."""
+    rows = np.ascontiguousarray(rows).view(np.uint32)  # one type, compiled once
     slots = 1 << max(4, (2 * len(rows)).bit_length())
     first = np.empty(len(rows), np.int32)
     with np.errstate(over="ignore"):  # as plain Python, NumPy would warn about each product modulo 2^64
@@ -66,7 +78,7 @@ def unique_rows(rows: Rows) -> tuple[NDArray[np.int64], Numbers]:
 
 
 def unique_triangles(triangles: Numbers) -> NDArray[np.int64]:
-    """Return the indices of the triangles (m, 3) that have other corners than all earlier ones."""
+    """Return the indices of the first of the triangles (m, 3) with each set of corners."""
     return unique_rows(np.sort(triangles, axis=1).view(np.uint32))[0]
 
 
@@ -103,16 +115,16 @@ def _alike(rows: Rows, seed: np.uint64, table: Numbers, first: Numbers) -> None:
             mixed ^= mixed >> np.uint64(29)
         place = mixed & mask
         while True:
-            other = table[place]
-            if other < 0:
+            row = table[place]
+            if row < 0:
                 table[place] = i
                 first[i] = i
                 break
             same = True
             for k in range(rows.shape[1]):
-                same = same and rows[other, k] == rows[i, k]
+                same = same and rows[row, k] == rows[i, k]
             if same:
-                first[i] = other
+                first[i] = row
                 break
             place = (place + np.uint64(1)) & mask
 
@@ -128,11 +140,11 @@ def _unite(
 ) -> None:
     """Unite pieces under the lower root and track the parity of the winding; in the end each parent is a root."""
     for side in range(len(first)):
-        other = first[side]
-        if other == side or count[other] != 2:
+        first_side = first[side]
+        if first_side == side or count[first_side] != 2:
             continue
-        a, b = side // 3, other // 3
-        against = forward[side] == forward[other]
+        a, b = side // 3, first_side // 3
+        against = forward[side] == forward[first_side]
         while parent[a] != a:  # path halving
             above = parent[a]
             turned[a] ^= turned[above]
@@ -156,30 +168,3 @@ def _unite(
         if above != vertex:
             turned[vertex] ^= turned[above]
             parent[vertex] = parent[above]
-
-
-@entry
-def mark_flat(vertices: Vertices, triangles: Numbers, flatness: float, flat: NDArray[np.bool_]) -> None:
-    """Mark the triangles (m, 3) with a height of at most `flatness` times their longest edge."""
-    for i in range(len(triangles)):
-        a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
-        p = (vertices[a, 0], vertices[a, 1], vertices[a, 2])
-        u = sub((vertices[b, 0], vertices[b, 1], vertices[b, 2]), p)
-        v = sub((vertices[c, 0], vertices[c, 1], vertices[c, 2]), p)
-        w = sub(v, u)
-        longest = sqrt(max(dot(u, u), dot(v, v), dot(w, w)))
-        scale = 1.0 / longest if longest > 0.0 else 0.0  # the square of a small area would underflow to zero
-        n = cross((scale * u[0], scale * u[1], scale * u[2]), (scale * v[0], scale * v[1], scale * v[2]))
-        flat[i] = not sqrt(dot(n, n)) > flatness
-
-
-@entry
-def add_volumes(vertices: Vertices, triangles: Numbers, middle: Vertices, body: Numbers, volumes: Vertices) -> None:
-    """Add to each body (bodies,) the signed volume, m^3, of the tetrahedra from `middle` (3,) m to its triangles."""
-    o = (middle[0], middle[1], middle[2])
-    for i in range(len(triangles)):
-        a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
-        p = sub((vertices[a, 0], vertices[a, 1], vertices[a, 2]), o)
-        q = sub((vertices[b, 0], vertices[b, 1], vertices[b, 2]), o)
-        r = sub((vertices[c, 0], vertices[c, 1], vertices[c, 2]), o)
-        volumes[body[i]] += dot(p, cross(q, r)) / 6.0

@@ -75,130 +75,130 @@ _abouts: Final = _Memory(ABOUTS)
 _trees: Final = _Memory(TREES)
 
 
-def about(thing: schema.Mesh) -> About:
+def about(obj: schema.Mesh) -> About:
     """Return report and picture of an object's mesh.
 
     Raises ConfigError, with the object's name, if the file is unusable.
     """
-    state = _state(thing)
+    state = _state(obj)
     summary: About | None = _abouts.get(state)
     if summary is None:
-        summary = _about(_read_and_mend(thing, _bytes(thing)))
-        _remember(thing, state, summary)
+        summary = _about(_read_and_mend(obj, _bytes(obj)))
+        _remember(obj, state, summary)
     return summary
 
 
-def latest_picture(thing: schema.Mesh) -> About:
+def latest_picture(obj: schema.Mesh) -> About:
     """Return report and picture as of the last build of an object's mesh, even if its file has changed since.
 
     Without a previous build, return the result of `about`.
     """
-    summary: About | None = _abouts.get(_source(thing))
-    return about(thing) if summary is None else summary
+    summary: About | None = _abouts.get(_source(obj))
+    return about(obj) if summary is None else summary
 
 
 STAGES: Final = 4
 """Stages of a mesh that is not cached: read, repair, build the tree, compute its figures."""
 
 
-def tree_of(thing: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Tree:
+def tree_of(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Tree:
     """Return the tree of an object's mesh, and store it on disk for later runs. Raises ConfigError as `about` does."""
     from softfinger.proxy.meshes import tree as trees  # its kernels are only for scenes with a mesh
 
-    state = _state(thing)
+    state = _state(obj)
     tree: Tree | None = _trees.get(state)
     if tree is not None:
         return tree
-    data = _bytes(thing)
-    key = _key(data, thing)
+    data = _bytes(obj)
+    key = _key(data, obj)
     tree, summary = _from_disk(key, trees.Tree, folder) or (None, None)
     if tree is None or summary is None:
-        if thing.elastic is not None:
-            _body(thing)  # shows its own progress
-        with progress.display(f"building the mesh of {thing.name}", STAGES) as advance:
-            mended = _read_and_mend(thing, data, advance)
+        if obj.elastic is not None:
+            _body(obj)  # shows its own progress
+        with progress.display(f"building the mesh of {obj.name}", STAGES) as advance:
+            mended = _read_and_mend(obj, data, advance)
             tree = trees.build_tree(*mended[0])
             advance(3)
             summary = _about(mended)
             advance(STAGES)
         array_cache.save(key, _to_disk(tree, summary), folder)
-    _remember(thing, state, summary)
+    _remember(obj, state, summary)
     _trees.put(state, tree)
     return tree
 
 
-def _remember(thing: schema.Mesh, state: Any, summary: About) -> None:
+def _remember(obj: schema.Mesh, state: Any, summary: About) -> None:
     _abouts.put(state, summary)
-    _abouts.put(_source(thing), summary)
+    _abouts.put(_source(obj), summary)
 
 
-def _source(thing: schema.Mesh) -> tuple[Any, ...]:
+def _source(obj: schema.Mesh) -> tuple[Any, ...]:
     """Return the keys of an object that name its triangles."""
-    return thing.file, thing.mesh, thing.root, thing.scale, thing.elastic
+    return obj.file, obj.mesh, obj.root, obj.scale, obj.elastic
 
 
-def _bytes(thing: schema.Mesh) -> bytes:
+def _bytes(obj: schema.Mesh) -> bytes:
     """Return the content of a file, or the numbers of a model's mesh."""
     try:
-        if thing.mesh is None:
-            return read_bytes(thing.file)
-        return b"".join(array.tobytes() for array in read_mesh(thing.file, thing.root, thing.mesh))
+        if obj.mesh is None:
+            return read_bytes(obj.file)
+        return b"".join(array.tobytes() for array in read_mesh(obj.file, obj.root, obj.mesh))
     except ConfigError as error:
-        raise ConfigError(f"object '{thing.name}': file: {error}") from error
+        raise ConfigError(f"object '{obj.name}': file: {error}") from error
 
 
-def _body(thing: schema.Mesh) -> ElasticBody:
+def _body(obj: schema.Mesh) -> ElasticBody:
     from softfinger.proxy.elastic.prepared import body_of  # SciPy, only for elastic objects
 
-    return body_of(thing)
+    return body_of(obj)
 
 
 def _read_and_mend(
-    thing: schema.Mesh, data: bytes, advance: Callable[[int], None] = lambda stage: None
+    obj: schema.Mesh, data: bytes, advance: Callable[[int], None] = lambda stage: None
 ) -> tuple[Arrays, MeshReport]:
-    if thing.elastic is not None:
-        mended = mend(_body(thing).surface, loose=False)
+    if obj.elastic is not None:
+        mended = mend(_body(obj).surface, loose=False)
         return mended.arrays, report_of(mended, loose=False, scale=None)
     try:
-        if thing.mesh is None:
-            vertices, triangles = arrays_of(thing.file, data)
+        if obj.mesh is None:
+            vertices, triangles = arrays_of(obj.file, data)
         else:
-            vertices, triangles = read_mesh(thing.file, thing.root, thing.mesh)
-        loose = thing.file.lower().endswith(".stl")
+            vertices, triangles = read_mesh(obj.file, obj.root, obj.mesh)
+        loose = obj.file.lower().endswith(".stl")
         with np.errstate(over="ignore"):  # infinite coordinates are rejected later
-            vertices = vertices * thing.scale
+            vertices = vertices * obj.scale
         advance(1)
         mended = mend(Arrays(vertices, triangles), loose)
         advance(2)
     except ConfigError as error:
-        raise ConfigError(f"object '{thing.name}': file: {error}") from error
+        raise ConfigError(f"object '{obj.name}': file: {error}") from error
     except ValueError as error:
-        raise ConfigError(f"object '{thing.name}': file: {thing.file}: {error}") from error
-    return mended.arrays, report_of(mended, loose, thing.scale if thing.mesh is None else None)
+        raise ConfigError(f"object '{obj.name}': file: {obj.file}: {error}") from error
+    return mended.arrays, report_of(mended, loose, obj.scale if obj.mesh is None else None)
 
 
 def _about(mended: tuple[Arrays, MeshReport]) -> About:
     return About(mended[1], thin_mesh(mended[0]))
 
 
-def _state(thing: schema.Mesh) -> Any:
+def _state(obj: schema.Mesh) -> Any:
     """Return a key that changes if the triangles of an object may have changed."""
-    if thing.mesh is not None:
-        return hashlib.sha256(_bytes(thing)).digest(), *_source(thing)
+    if obj.mesh is not None:
+        return hashlib.sha256(_bytes(obj)).digest(), *_source(obj)
     try:
-        status = os.stat(thing.file)
+        status = os.stat(obj.file)
     except (OSError, ValueError):
-        return None, *_source(thing)
-    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, *_source(thing)
+        return None, *_source(obj)
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, *_source(obj)
 
 
-def _key(data: bytes, thing: schema.Mesh) -> str:
+def _key(data: bytes, obj: schema.Mesh) -> str:
     """Return a hash of the file's bytes, its ending and scale, and the program's source."""
     digest = hashlib.sha256(data)
-    made: tuple[Any, ...] = SOURCE_HASH, len(data), Path(thing.file).suffix.lower(), thing.scale
-    if thing.elastic is not None:
-        made = (*made, *(hashlib.sha256(array.tobytes()).digest() for array in _body(thing).surface))
-    digest.update(repr(made).encode())
+    parts: tuple[Any, ...] = SOURCE_HASH, len(data), Path(obj.file).suffix.lower(), obj.scale
+    if obj.elastic is not None:
+        parts = (*parts, *(hashlib.sha256(array.tobytes()).digest() for array in _body(obj).surface))
+    digest.update(repr(parts).encode())
     return digest.hexdigest()
 
 

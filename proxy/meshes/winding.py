@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.meshes.pieces import Edges, Pieces, add_volumes, pieces_of
+from softfinger.proxy.meshes.pieces import Edges, Pieces, corners_in_blocks, pieces_of
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 
 HOLDERS: Final = 16
@@ -46,7 +46,8 @@ def wind(mesh: Arrays, edges: Edges) -> Winding:
     closed[pieces.body[rim]] = False
     volumes = np.zeros(bodies)
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    add_volumes(mesh.vertices, triangles, middle, pieces.body, volumes)
+    for block, (a, b, c) in corners_in_blocks(mesh.vertices - middle, triangles):
+        np.add.at(volumes, pieces.body[block], (a * np.cross(b, c)).sum(axis=1) / 6.0)
     volumes[~closed] = 0.0
     hollow = _find_hollows(mesh.vertices, triangles, pieces.body, volumes)
     inward = (volumes < 0.0) & ~hollow

@@ -151,7 +151,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         return goals
 
     def _velocities(self, action: Array) -> Array:
-        """Return the velocity (hands, 6) of each goal in m/s and rad/s; here the action has the three of each hand."""
+        """Return the velocity (hands, 6) of each goal, m/s and rad/s; `action` has the translations (3 hands,)."""
         velocities = np.zeros((len(self._homes), 6))
         velocities[:, :3] = self.setup.speed_m_per_s * action.reshape(-1, 3)
         return velocities

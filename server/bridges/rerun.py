@@ -49,8 +49,8 @@ def stream(save: Path | None = None, connect: str | None = None) -> Any:
         else:
             stream.spawn()
     except RuntimeError as error:
-        where = f"--save {save}" if save else f"--connect {connect}" if connect else "its viewer cannot be started"
-        raise ConfigError(f"{where}: Rerun says: {error}") from error
+        option = f"--save {save}" if save else f"--connect {connect}" if connect else "its viewer cannot be started"
+        raise ConfigError(f"{option}: Rerun says: {error}") from error
     return stream
 
 

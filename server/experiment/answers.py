@@ -11,7 +11,7 @@ from typing import Any, Final
 from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.server.experiment.files import screen_for
 from softfinger.server.experiment.haptics import Haptics
-from softfinger.server.experiment.interfaces import Answer, Progress, TouchResult
+from softfinger.server.experiment.interfaces import Progress, Response, TouchResult
 from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question
@@ -65,10 +65,10 @@ class Participant:
         task = self._experiment.task
         self._show(self._prompt(task.question if task.kind == "trace" else progress.text))
 
-    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
+    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
         task = self._experiment.task
         if task.kind == "trace":
-            return Answer(float(result.summary.get("duration_s", 0.0)))
+            return Response(float(result.summary.get("duration_s", 0.0)))
         if task.kind == "compare":
             prompt = self._prompt(task.question, choices=CHOICES)
             answer = self._ask(prompt, f"{task.question} 1: the first, 2: the second")
@@ -83,18 +83,18 @@ class Participant:
         answer = self._ask(prompt, f"{task.question} {ends} ({task.scale[0]} to {task.scale[1]}, then Enter)")
         return answer._replace(value=float(answer.value))
 
-    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Response:
         progress = self._progress
         assert progress is not None
         return self.ask(progress.title, question, condition, trial.number, (0, 0))
 
     def ask(
         self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
-    ) -> Answer:
-        line, (index, of) = question.text, place
-        if of > 1:
-            title = f"{title}: question {index + 1} of {of}"
-        prompt = partial(Prompt, title, line, *place if of > 1 else (0, 0))
+    ) -> Response:
+        line, (index, total) = question.text, place
+        if total > 1:
+            title = f"{title}: question {index + 1} of {total}"
+        prompt = partial(Prompt, title, line, *place if total > 1 else (0, 0))
         if question.kind == "text":
             return self._ask(prompt(text_length=TEXT_ANSWER_MAX), f"{line} A text, then Enter")
         if question.kind == "number":
@@ -109,10 +109,10 @@ class Participant:
         text = "That was right." if is_right else "That was wrong."
         self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
 
-    def pause(self, done: int, of: int) -> None:
-        done_text = f"{done} of {of} trials are done."
-        prompt = Prompt("A break", f"{done_text} Go on when you are ready.", done, of, (CONTINUE,))
-        self._ask(prompt, f"{done_text} A break: Press Enter or a button to continue.")
+    def pause(self, completed: int, total: int) -> None:
+        progress_text = f"{completed} of {total} trials are done."
+        prompt = Prompt("A break", f"{progress_text} Go on when you are ready.", completed, total, (CONTINUE,))
+        self._ask(prompt, f"{progress_text} A break: Press Enter or a button to continue.")
 
     def end(self) -> None:
         """Show the debriefing until the participant has read it, and then that the session is over."""
@@ -129,7 +129,7 @@ class Participant:
         number: int = self._haptics.client.ask("set_prompt", prompt).number
         return number
 
-    def _ask(self, prompt: Prompt, line: str) -> Answer:
+    def _ask(self, prompt: Prompt, line: str) -> Response:
         client, typed, single = self._haptics.client, "", is_single(prompt)
         with keyboard(single) as keys:  # discards keys typed before the question
             if single and sys.stdin.isatty():
@@ -147,7 +147,7 @@ class Participant:
                     self._send_answer(value, number)
         if prompted.number != number or prompted.answer is None:
             raise ConfigError("another program has replaced the question by its own prompt: end that program first")
-        return Answer(prompted.answer, prompted.after_s)
+        return Response(prompted.answer, prompted.after_s)
 
     def _wait_for_release(self, keys: Callable[[], str]) -> None:
         """Wait until no key of the terminal is pressed: a repeating key would answer every question."""
@@ -184,19 +184,19 @@ class DryRun:
     def instruct(self) -> None:
         """Do nothing: the simulated observer needs no instructions."""
 
-    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
-        return Answer(self._observer.confidence(trial, condition, level, question))
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Response:
+        return Response(self._observer.confidence(trial, condition, level, question))
 
     def ask(
         self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
-    ) -> Answer:
-        return Answer(self._observer.survey(question, condition, number))
+    ) -> Response:
+        return Response(self._observer.survey(question, condition, number))
 
     def prepare(self, progress: Progress, condition: Condition) -> None:
         """Do nothing: the simulated observer needs no prompt."""
 
-    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
-        return Answer(self._observer.answer(trial, condition, level))
+    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
+        return Response(self._observer.answer(trial, condition, level))
 
-    def pause(self, done: int, of: int) -> None:
+    def pause(self, completed: int, total: int) -> None:
         """Do nothing: the simulated observer needs no break."""

@@ -126,16 +126,16 @@ class _Checks:
     def _parameter_faults(self) -> list[str]:
         """Return the faults of the parameters at the extremes of each condition, each fault once."""
         distinct = dict[str, str]()
-        for where, name, values in level_extremes(self.experiment):
+        for location, name, values in level_extremes(self.experiment):
             faults, rig, scene = list[str](), self._rig, self._scenes[name]
-            parameters = attempt(partial(split_rig, values, where), faults)
+            parameters = attempt(partial(split_rig, values, location), faults)
             if parameters is not None and rig is not None:
-                attempt(partial(check_motors, rig.guard, parameters[0], where), faults)
-                attempt(partial(apply_overrides, rig, parameters[0], where), faults)
+                attempt(partial(check_motors, rig.guard, parameters[0], location), faults)
+                attempt(partial(apply_overrides, rig, parameters[0], location), faults)
             if parameters is not None and scene is not None:
-                attempt(partial(load_changed_scene, scene, parameters[1], where), faults)
+                attempt(partial(load_changed_scene, scene, parameters[1], location), faults)
             for fault in faults:
-                distinct.setdefault(fault.removeprefix(f"{where}: "), fault)
+                distinct.setdefault(fault.removeprefix(f"{location}: "), fault)
         return list(distinct.values())
 
     def _faults_by_condition(self, key: str) -> list[str]:
@@ -158,12 +158,12 @@ def _answer_faults(experiment: ExperimentFile) -> Iterator[str]:
     observer = experiment.observer
     everywhere = [observer.answers, *(values.get("answers", {}) for values in observer.by.values())]
     for name, answer in (pair for answers in everywhere if isinstance(answers, Mapping) for pair in answers.items()):
-        where = f"observer.answers.{name} = {format_value(answer)}"
+        location = f"observer.answers.{name} = {format_value(answer)}"
         if name not in questions:
-            yield f"{where}: no survey has this question{near(name, list(questions))}"
+            yield f"{location}: no survey has this question{near(name, list(questions))}"
             continue
         question = questions[name]
         if question.kind == "multi-choice" and answer not in question.options:
-            yield f"{where}: must be one of {', '.join(question.options)}"
+            yield f"{location}: must be one of {', '.join(question.options)}"
         if question.kind in ("likert", "number") and not isinstance(answer, int | float):
-            yield f"{where}: must be a number from {question.min:g} to {question.max:g}"
+            yield f"{location}: must be a number from {question.min:g} to {question.max:g}"

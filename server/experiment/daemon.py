@@ -69,14 +69,14 @@ def start_daemon(
         )
         if daemon.commands_endpoint is None:
             raise ConfigError(f"{rig}: accepts no commands, but an experiment needs them: remove commands.endpoint")
-        for where, name, parameters in level_extremes(experiment):
-            condition_rig, condition_scene = split_rig(parameters, where)
-            scene_at_level = load_changed_scene(scene_of(name), condition_scene, where)
+        for location, name, parameters in level_extremes(experiment):
+            condition_rig, condition_scene = split_rig(parameters, location)
+            scene_at_level = load_changed_scene(scene_of(name), condition_scene, location)
             try:
                 daemon.rendering.check(scene_at_level, load_rig(rig, values | condition_rig))
             except ConfigError as error:
-                raise ConfigError(f"{where}: {error}") from error
-        parameters_by_location = ((where, parameters) for where, _, parameters in level_extremes(experiment))
+                raise ConfigError(f"{location}: {error}") from error
+        parameters_by_location = ((location, parameters) for location, _, parameters in level_extremes(experiment))
         check_device_limits(parameters_by_location, [device.info for device in daemon.devices])
         stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause))
         with report_compilation("kernels of the scene"):

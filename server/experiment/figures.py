@@ -99,9 +99,9 @@ def _draw_staircases(plt: Any, rows: Sequence[Entry]) -> Any:
     )
     for axes in grid.flat[len(panels) :]:
         axes.remove()
-    for axes, ((participant, condition), own) in zip(grid.flat, panels.items(), strict=False):
-        for number in sorted({row["staircase"] for row in own}):
-            stairs = [(place, row) for place, row in enumerate(own, 1) if row["staircase"] == number]
+    for axes, ((participant, condition), group_rows) in zip(grid.flat, panels.items(), strict=False):
+        for number in sorted({row["staircase"] for row in group_rows}):
+            stairs = [(place, row) for place, row in enumerate(group_rows, 1) if row["staircase"] == number]
             places, levels = [place for place, _ in stairs], [row["level"] for _, row in stairs]
             (line,) = axes.plot(places, levels, lw=1.0, label=f"staircase {number}")
             wrong = [(place, row["level"]) for place, row in stairs if not row["right"]]
@@ -146,12 +146,12 @@ def _draw_surveys(plt: Any, experiment: ExperimentFile, ratings: Sequence[Entry]
         width_ratios=[count + 1 for count in counts],
     )  # fmt: skip
     for axes, survey in zip(grid.flat, surveys, strict=True):
-        own = [row for row in ratings if row["survey"] == survey]
-        questions = list(dict.fromkeys(row["question"] for row in own))
-        conditions = list(dict.fromkeys(row["condition"] for row in own))
+        group_rows = [row for row in ratings if row["survey"] == survey]
+        questions = list(dict.fromkeys(row["question"] for row in group_rows))
+        conditions = list(dict.fromkeys(row["condition"] for row in group_rows))
         for k, condition in enumerate(conditions):
             shift = 0.2 * (k - 0.5 * (len(conditions) - 1))
-            condition_rows = [row for row in own if row["condition"] == condition]
+            condition_rows = [row for row in group_rows if row["condition"] == condition]
             axes.errorbar(
                 [questions.index(row["question"]) + shift for row in condition_rows],
                 [row["mean"] for row in condition_rows],

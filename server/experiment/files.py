@@ -68,9 +68,9 @@ def hashes(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
     """Return the SHA-256 of the files of an experiment: scenes, rig and images next to it, and files of the scenes."""
     images = image_names(experiment)
     scenes = {experiment.scene, *(name for factor in experiment.factor for name in factor.scenes.values())}
-    own = {name for name in scenes if name.endswith(".toml")}
-    names = {*own, *images, *({experiment.rig} if experiment.rig.endswith(".toml") else ())}
-    for name in own:
+    scene_files = {name for name in scenes if name.endswith(".toml")}
+    names = {*scene_files, *images, *({experiment.rig} if experiment.rig.endswith(".toml") else ())}
+    for name in scene_files:
         names |= {os.path.relpath(file, folder) for file in _list_files(load_scene(folder / name))}
     return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in sorted(names)}
 
@@ -103,19 +103,19 @@ def read_image(name: str, folder: Path) -> str:
 
     Raises ConfigError if a file is outside the folder of the experiment, is not an image, or is too large.
     """
-    where = f"screen.image = {format_value(name)}"
+    setting = f"screen.image = {format_value(name)}"
     path = (folder / name).resolve()
     if not path.is_relative_to(folder.resolve()):
-        raise ConfigError(f"{where}: is outside the folder of the experiment {folder.resolve()}: copy it there")
+        raise ConfigError(f"{setting}: is outside the folder of the experiment {folder.resolve()}: copy it there")
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise ConfigError(f"{where}: cannot be read: {error.strerror}") from error
+        raise ConfigError(f"{setting}: cannot be read: {error.strerror}") from error
     kind = next((kind for kind, start in IMAGES.items() if re.match(start, data, re.DOTALL)), None)
     if kind is None:
-        raise ConfigError(f"{where}: is not an image: use a PNG, JPEG or WebP file")
+        raise ConfigError(f"{setting}: is not an image: use a PNG, JPEG or WebP file")
     if len(data) > IMAGE_BYTES_MAX:
-        raise ConfigError(f"{where}: has {len(data)} bytes: at most {IMAGE_BYTES_MAX}; make it smaller")
+        raise ConfigError(f"{setting}: has {len(data)} bytes: at most {IMAGE_BYTES_MAX}; make it smaller")
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 

@@ -38,7 +38,7 @@ class Hands:
         return starts
 
     def lead(self, elapsed_s: float) -> None:
-        """Lead each hand with a path to its point at a time of the touch, s."""
+        """Move each hand that has a path to its point at `elapsed_s`, s since the start of the touch."""
         for name, is_led in self._is_led.items():
             if is_led and (path := self._experiment.motion.get(name or SINGLE_FINGER)):
                 self._lead(name, interpolate_path(path, elapsed_s), elapsed_s)

@@ -80,8 +80,8 @@ class NullApparatus:
         return TouchResult({}, [])
 
 
-class Answer(NamedTuple):
-    """Answer: `first` or `second` of a comparison, else a number; and the response time (s), if known."""
+class Response(NamedTuple):
+    """Response: `first` or `second` of a comparison, else a number; and the response time (s), if known."""
 
     value: str | float
     after_s: float | None = None
@@ -96,20 +96,20 @@ class AnswerSource(Protocol):
     def prepare(self, progress: Progress, condition: Condition) -> None:
         """Prepare for the next touch."""
 
-    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Answer:
+    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
         """Return the answer to a trial, after its touches."""
 
-    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Answer:
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Response:
         """Return the confidence in the answer to a trial."""
 
     def ask(
         self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
-    ) -> Answer:
+    ) -> Response:
         """Return the answer to a question that belongs to no trial.
 
         number  of the question in the session
         place   number of questions before it in its survey, and of all in the survey
         """
 
-    def pause(self, done: int, of: int) -> None:
+    def pause(self, completed: int, total: int) -> None:
         """Wait until the participant continues."""

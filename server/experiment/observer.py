@@ -15,7 +15,7 @@ from softfinger.server.experiment.schema_parts import Question
 from softfinger.server.experiment.trial_order import SURVEY, TRIAL, Condition, PlannedTrial
 
 CERTAIN: Final = 2.0
-"""Evidence, in standard deviations of its noise, from which the last mark of confidence is given."""
+"""Smallest evidence, in standard deviations of its noise, for the highest rating of confidence."""
 RATING_NOISE: Final = 0.1
 """Standard deviation of the answers to likert questions and numbers, as a share of their range."""
 

@@ -125,10 +125,10 @@ def _exclusions(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Map
     journals = {path.parent.name: read(path) for path in sorted(root.glob("sub-*/sub-*_journal.jsonl"))}
     lines = []
     for participant, entries in journals.items():
-        own = [row for row in rows if row["participant"] == participant]
-        practice, catch, counted = count_trials(own)
+        group_rows = [row for row in rows if row["participant"] == participant]
+        practice, catch, counted = count_trials(group_rows)
         right = f"{caught[participant][0]} of {catch}" if participant in caught else "none"
-        first = [row["answer"] == "first" for row in own if is_counted(row)] if is_comparison else []
+        first = [row["answer"] == "first" for row in group_rows if is_counted(row)] if is_comparison else []
         kinds = {entry["kind"] for entry in entries}
         why = excluded.get(participant, "no")
         if "consent" in kinds and not any(entry.get("agreed") for entry in entries):
@@ -156,8 +156,8 @@ def _estimates(experiment: ExperimentFile, groups: Sequence[Group], excluded: Ma
             for estimate in estimate_population(groups, excluded)
         ],
     )
-    own = [(group.participant, group.condition, str(group.trials), format_fit(group.fit)) for group in groups]
-    fits = _table(("participant", _condition_head(experiment), "trials", "estimate (95 % interval)"), own)
+    group_rows = [(group.participant, group.condition, str(group.trials), format_fit(group.fit)) for group in groups]
+    fits = _table(("participant", _condition_head(experiment), "trials", "estimate (95 % interval)"), group_rows)
     return _paragraph(quantity) + population + ratios + fits
 
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import HapticError
 from softfinger.server.experiment.folder import ParticipantFolder
-from softfinger.server.experiment.interfaces import Answer, AnswerSource, Apparatus, Progress, Stimulus
+from softfinger.server.experiment.interfaces import AnswerSource, Apparatus, Progress, Response, Stimulus
 from softfinger.server.experiment.journal import Entry, MemoryJournal
 from softfinger.server.experiment.procedures import make_procedures
 from softfinger.server.experiment.schema import ExperimentFile
@@ -173,7 +173,7 @@ def consent_question(experiment: ExperimentFile) -> Question:
 
 
 def _survey_entry(
-    survey: Survey, question: Question, at: str, block: int, condition: Condition | None, answer: Answer
+    survey: Survey, question: Question, at: str, block: int, condition: Condition | None, answer: Response
 ) -> Entry:
     return {
         "survey": survey.name, "at": at, "block": block, "condition": None if condition is None else condition.name,

@@ -21,12 +21,12 @@ def survey_table(experiment: ExperimentFile, answers: Sequence[Entry], excluded:
     """
     table = []
     for survey in experiment.survey:
-        own = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
-        scores = _scores(survey, own)
-        own += [{"question": "mean", "condition": key[2], "answer": value} for key, value in scores.items()]
+        rows = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
+        scores = _scores(survey, rows)
+        rows += [{"question": "mean", "condition": key[2], "answer": value} for key, value in scores.items()]
         for question in [*(question.name for question in survey.question), *(["mean"] if scores else [])]:
-            for condition in dict.fromkeys(row["condition"] for row in own):
-                values = [row["answer"] for row in own if (row["question"], row["condition"]) == (question, condition)]
+            for condition in dict.fromkeys(row["condition"] for row in rows):
+                values = [row["answer"] for row in rows if (row["question"], row["condition"]) == (question, condition)]
                 if values:
                     table.append(
                         {
@@ -46,9 +46,9 @@ def compare_scores(
     """Return survey and difference of its score between the levels of each factor, for surveys after blocks."""
     effects = []
     for survey in experiment.survey:
-        own = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
+        rows = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
         scores = {
-            (participant, at): score for (participant, _, at), score in _scores(survey, own).items() if at is not None
+            (participant, at): score for (participant, _, at), score in _scores(survey, rows).items() if at is not None
         }
         effects += [(survey.title or survey.name, effect) for effect in difference_of_levels(experiment, scores)]
     return effects

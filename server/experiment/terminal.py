@@ -25,10 +25,10 @@ def is_single(prompt: Prompt) -> bool:
 
 
 def parse_answer(prompt: Prompt, typed: str, buttons: int) -> tuple[str | float | None, str]:
-    """Return the answer that the typed text and newly pressed buttons mean, or None, and the unused text.
+    """Return the answer from the typed text and newly pressed buttons, or None, and the unused text.
 
     With one choice, any key or button answers. With CHOICES, the keys 1 and 2 and the first two buttons do. All other
-    prompts take a line.
+    prompts require a line.
     """
     choices = prompt.choices
     if len(choices) == 1:

@@ -14,7 +14,7 @@ from softfinger.server.socket_process.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import BoundSocket
 
 CLIENTS_MAX: Final = 16
-"""Clients at a time, half of the server's limit; another one replaces the client with the oldest last request."""
+"""Largest number of clients, half of the server's limit; a further one replaces the client that was silent longest."""
 WAITING_MAX: Final = 64
 """Queued requests of a client, or answers to it; further ones are dropped."""
 

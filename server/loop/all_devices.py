@@ -27,7 +27,7 @@ from softfinger.proxy.record import AT
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import POSE_JUMPED, POSE_REFUSED, Guard
 from softfinger.server.loop.inputs.poses import check_pose, make_pose_memory
-from softfinger.server.loop.tick import FingerMemory, record_wrench, reset_contact, reset_guard, with_kept_wrench
+from softfinger.server.loop.tick import FingerMemory, continue_from_wrench, record_wrench, reset_contact, reset_guard
 
 POSE_REJECTED: Final = POSE_REFUSED | POSE_JUMPED
 """Bits of a pose that a run tolerates only for a limited time."""
@@ -100,7 +100,7 @@ def check_status(status: int) -> int:
 
 
 @jit
-def put_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None:
+def write_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None:
     for i in range(3):
         wrench[i] = force[i]
         wrench[3 + i] = torque[i]
@@ -146,13 +146,13 @@ def write_one(
 
     FingerMemory and record follow the force that the hand receives.
     """
-    put_wrench(device.wrench, hand.guard_state.force, hand.guard_state.torque)
+    write_wrench(device.wrench, hand.guard_state.force, hand.guard_state.torque)
     status = check_status(call_device(io.write, io.handle, device.wrench))
     device.ignored_ticks[0] = device.ignored_ticks[0] + 1 if status == HELD else 0
     if device.ignored_ticks[0] > device.ignored_ticks[1]:
         status = TIMEOUT
     if status in (WITHHELD, HELD):
-        hand = reset_guard(start, hand) if status == WITHHELD else with_kept_wrench(before.guard_state, hand)
+        hand = reset_guard(start, hand) if status == WITHHELD else continue_from_wrench(before.guard_state, hand)
         record_wrench(tool, hand.guard_state, device.record)
     return hand, status
 
@@ -200,8 +200,8 @@ def collect_guard_bits(buffers: Any) -> tuple[int, int]:
 @jit
 def add_guard_bits(device: Any, later: tuple[int, int]) -> tuple[int, int]:
     """Combine the bits of a finger with the result of `collect_guard_bits` for the fingers after it."""
-    own, (bits, index) = int(device.record[AT.servo_guard]), later
-    return own | bits, 0 if own & POSE_REJECTED or not bits & POSE_REJECTED else index + 1
+    bits_of_device, (bits, index) = int(device.record[AT.servo_guard]), later
+    return bits_of_device | bits, 0 if bits_of_device & POSE_REJECTED or not bits & POSE_REJECTED else index + 1
 
 
 @jit

@@ -20,7 +20,7 @@ from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
 IS_REQUESTED: Final = 0
 """1: force is requested."""
 DEADLINE_NS: Final = 1
-"""Time, ns on CLOCK_MONOTONIC, at which the force turns off unless it is extended."""
+"""Time, ns on CLOCK_MONOTONIC, at which the force turns off unless the time is extended."""
 IS_ACTIVE: Final = 2
 """Written by the loop: 1 if a hand was given a force in the last tick, or the switch was on."""
 FOREVER: Final = np.iinfo(np.int64).max

@@ -6,7 +6,7 @@ import threading
 from typing import Any, NamedTuple
 
 from softfinger.drivers.base import Device
-from softfinger.server.loop.servo import Shared
+from softfinger.server.loop.servo import SharedMemory
 from softfinger.server.loop.tick import Tuning
 
 
@@ -15,7 +15,7 @@ class Loop(NamedTuple):
 
     devices: tuple[Device, ...]
     tuning: Tuning
-    shared: Shared
+    shared: SharedMemory
     arguments: tuple[Any, ...]
 
 

@@ -196,12 +196,12 @@ def _lock_memory(applied: AppliedSettings) -> Setting:
     later = MCL_FUTURE if _may_lock_without_limit() else 0
     call = _libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
     if call.result < 0:
-        need, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
+        required, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
         advice = (
             f"{_group_advice()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
             "--cap-add=IPC_LOCK or --ulimit memlock=-1"
         )
-        return Setting("mlockall", False, f"{_reason(call.error)}: {need} to lock, limit {limit}", advice)
+        return Setting("mlockall", False, f"{_reason(call.error)}: {required} to lock, limit {limit}", advice)
     applied._undo_process.append(lambda: _libc("munlockall"))
     _load_small_mappings()
     locked = f"{_status('VmLck')} locked, {_status('VmRSS')} of them in memory"

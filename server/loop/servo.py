@@ -57,7 +57,7 @@ class Schedule(NamedTuple):
     own_clock: int
 
 
-class Shared(NamedTuple):
+class SharedMemory(NamedTuple):
     """Memory shared with Python.
 
     stop      stop flag
@@ -128,7 +128,7 @@ def make_stamp(schedule: Schedule, pace: Pace, woke: int, wrote: int, busy: int)
 
 
 @jit
-def publish_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None:
+def publish_record(shared: SharedMemory, row: NDArray[np.float64], ticks: int) -> None:
     """Append a tick's records to the ring and wake the reader; `ticks` includes this tick."""
     push(shared.ring, row)
     store_release(shared.progress, 0, ticks)
@@ -137,7 +137,7 @@ def publish_record(shared: Shared, row: NDArray[np.float64], ticks: int) -> None
 
 @jit
 def schedule_next(
-    shared: Shared, schedule: Schedule, pace: Pace, woke: int, timespec: NDArray[np.int64]
+    shared: SharedMemory, schedule: Schedule, pace: Pace, woke: int, timespec: NDArray[np.int64]
 ) -> tuple[int, Pace]:
     """Return the duration of the tick that started at `woke`, ns, and the pace of the next tick."""
     end = now_ns(timespec)
@@ -148,7 +148,7 @@ def schedule_next(
 
 @entry
 def servo_loop(
-    tuning_like: Tuning, start: Memory, ios: tuple[Io, ...], schedule: Schedule, shared: Shared, scratch: Scratch
+    tuning_like: Tuning, start: Memory, ios: tuple[Io, ...], schedule: Schedule, shared: SharedMemory, scratch: Scratch
 ) -> tuple[int, int, int]:
     """Run ticks until stopped; return the reason for the end, the last status of a device, and the index of its finger.
 

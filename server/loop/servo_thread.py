@@ -27,7 +27,7 @@ from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.handover import Handover, Loop
 from softfinger.server.loop.inputs.ramp import flatten_tuning, make_ramp
-from softfinger.server.loop.servo import Schedule, Scratch, Shared, servo_loop
+from softfinger.server.loop.servo import Schedule, Scratch, SharedMemory, servo_loop
 from softfinger.server.loop.shared.ring import make_ring, take
 from softfinger.server.loop.shared.rings import Rings
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, LoopEnd
@@ -44,7 +44,7 @@ HANDOVER_S: Final = 5.0
 HANDOVER_POLL_S: Final = 0.05
 
 
-class Servo:
+class ServoThread:
     """Thread that runs a loop with open devices, and possibly further loops after it.
 
     devices  an open device for each of the scene's fingers; the servo commands zero to all of them whenever and however
@@ -101,7 +101,7 @@ class Servo:
         if ring is None or len(ring.slots) != capacity:
             ring = make_ring(capacity, len(row))
         motion = np.zeros(motion_size(tuning.scene))
-        shared = Shared(*self._words, make_slot(values), ring, self.records.wake_fd, make_slot(motion))
+        shared = SharedMemory(*self._words, make_slot(values), ring, self.records.wake_fd, make_slot(motion))
         arguments = (
             tuning,
             begin(tuning.scene),
@@ -262,7 +262,7 @@ class Servo:
         return self._loop.tuning
 
     @property
-    def shared(self) -> Shared:
+    def shared(self) -> SharedMemory:
         return self._loop.shared
 
     @property

@@ -186,10 +186,10 @@ def loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> H
         )
     if ended.ending != health.STARVED:
         return None
-    where, remedy = "in the device's exchange", "see to the device and its cable, or take a lower servo.rate_hz"
+    phase, remedy = "in the device's exchange", "see to the device and its cable, or take a lower servo.rate_hz"
     if woken_late:
-        where, remedy = "before the servo thread was woken", "see softfinger doctor, or end other work"
+        phase, remedy = "before the servo thread was woken", "see softfinger doctor, or end other work"
     return SafetyStop(
-        f"the servo lost more than {health.LOST_SHARE:.0%} of its time, mostly {where}, {missed} of "
+        f"the servo lost more than {health.LOST_SHARE:.0%} of its time, mostly {phase}, {missed} of "
         f"{ticks + missed} deadlines in all: zero force was commanded; {remedy}"
     )

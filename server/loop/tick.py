@@ -115,7 +115,7 @@ def reset_contact(start: FingerMemory, hand: FingerMemory) -> FingerMemory:
 
 
 @jit
-def with_kept_wrench(before: GuardState, hand: FingerMemory) -> FingerMemory:
+def continue_from_wrench(before: GuardState, hand: FingerMemory) -> FingerMemory:
     """Return the state after the device kept the wrench `before`: the slew limit continues from it."""
     guard_state = GuardState(before.force, before.torque, hand.guard_state.gain)
     return FingerMemory(hand.contact, guard_state, hand.energy, hand.limit_state, hand.reactions)

@@ -238,15 +238,16 @@ def run_closed_loop(
     begin_bodies(tuning.scene, dt)
     loop = ClosedLoop(tuning, [device.state for device in devices])
     hands = tuple(
-        DrivenPlant(each.plant, PlantInputs(each.intention, each.poses, np.zeros(DELAY_LINE_SIZE))) for each in devices
+        DrivenPlant(simulation.plant, PlantInputs(simulation.intention, simulation.poses, np.zeros(DELAY_LINE_SIZE)))
+        for simulation in devices
     )
-    with progress("simulating", ticks) as done:
+    with progress("simulating", ticks) as advance:
         for first in range(0, ticks, CHUNK):
             records = np.zeros((min(CHUNK, ticks - first), len(devices), RECORD_SIZE))
             for first_tick, part in messages.split(tuning.scene, first, records):
                 loop.run(hands, dt, first_tick, records[part])
             yield records
-            done(first + len(records))
+            advance(first + len(records))
 
 
 @entry

@@ -139,11 +139,11 @@ def make_touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
 
 
 def measure(
-    scene: schema.Scene, poses: Array, blocks: int = 50, done: Callable[[int], None] = lambda number: None
+    scene: schema.Scene, poses: Array, blocks: int = 50, advance: Callable[[int], None] = lambda number: None
 ) -> Cost:
     """Measure the cost of a step of `scene` over `poses`; compiles the kernels if necessary.
 
-    `done` is called with the number of blocks that are measured.
+    `advance` is called with the number of measured blocks.
     """
     tree = build_scene(scene)
     parameters, state = packed(tree), packed(start_state(tree))
@@ -155,7 +155,7 @@ def measure(
     for block in range(blocks):
         row = slice(block, block + 1)
         touching += time_steps(parameters, state, poses, 0.001, watch._replace(ns=watch.ns[row]), cpu[row])[1]
-        done(block + 1)
+        advance(block + 1)
     step_ns = watch.ns * (stretches / steps)
     return Cost(
         median_ns=float(np.mean(np.median(step_ns, axis=0))),
@@ -208,7 +208,7 @@ def keep_contact(scene: schema.Scene) -> schema.Scene:
 
 def _with_tips(scene: schema.Scene, change: Callable[[Any], Any]) -> schema.Scene:
     tip = None if scene.fingertip is None else change(scene.fingertip)
-    return msgspec.structs.replace(scene, fingertip=tip, finger=tuple(change(each) for each in scene.finger))
+    return msgspec.structs.replace(scene, fingertip=tip, finger=tuple(change(finger) for finger in scene.finger))
 
 
 def _rigid(tip: Any) -> Any:

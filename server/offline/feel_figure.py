@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.materials import LibraryEntry, Measured
+from softfinger.config.materials import LibraryEntry, Measurement
 from softfinger.config.schema import Fingertip, Material
 from softfinger.server.offline.figures import figure, legends_below, save
 from softfinger.server.offline.library_texts import entries, find_entry, library_table
@@ -48,44 +48,47 @@ def friction(axes: Any, entry: LibraryEntry, material: Material) -> None:
     assert law is not None  # every material of the library has friction
     axes.plot(LOAD_N, [law.static] * 2, color="C0", label="model, static")
     axes.plot(LOAD_N, [law.kinetic] * 2, "--", color="C0", label="model, kinetic")
-    points = [each for each in entry.measured if each.friction is not None]
+    points = [study for study in entry.measured if study.friction is not None]
     free_loads = np.geomspace(0.3, 8.0, len(points) + 2)[1:-1]
-    for index, each in enumerate(points):
-        load = free_loads[index] if each.load_n is None else float(np.sqrt(each.load_n[0] * each.load_n[1]))
-        load_note = "" if each.load_n else ", load unknown"
-        point(axes, load, each, f"C{index + 1}", f"{each.of}{load_note} ({each.paper})")
+    for index, study in enumerate(points):
+        load = free_loads[index] if study.load_n is None else float(np.sqrt(study.load_n[0] * study.load_n[1]))
+        load_note = "" if study.load_n else ", load unknown"
+        point(axes, load, study, f"C{index + 1}", f"{study.of}{load_note} ({study.paper})")
     axes.set(xscale="log", xlabel="load [N]", ylabel="coefficient of friction")
     axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
 
 
-def point(axes: Any, x: float, each: Measured, color: str, label: str) -> None:
+def point(axes: Any, x: float, study: Measurement, color: str, label: str) -> None:
     """Draw a published coefficient with its deviation and the range of loads that it averages."""
-    load_range = None if each.load_n is None else [[x - each.load_n[0]], [each.load_n[1] - x]]
-    axes.errorbar(x, each.friction, spread(each), load_range, fmt="o", ms=4, capsize=3, color=color, label=label)
+    load_range = None if study.load_n is None else [[x - study.load_n[0]], [study.load_n[1] - x]]
+    axes.errorbar(x, study.friction, spread(study), load_range, fmt="o", ms=4, capsize=3, color=color, label=label)
 
 
-def spread(each: Measured) -> list[list[float]]:
+def spread(study: Measurement) -> list[list[float]]:
     """Return the lower and upper error bar of a published coefficient: its deviation, or below to the lowest value."""
-    deviation = each.sd or 0.0
-    return [[deviation if each.low is None or each.friction is None else each.friction - each.low], [deviation]]
+    deviation = study.sd or 0.0
+    return [[deviation if study.low is None or study.friction is None else study.friction - study.low], [deviation]]
 
 
 def overview(axes: Any) -> None:
     """Draw the coefficients of all materials with a published coefficient on skin, and these coefficients."""
     measured_entries = [
-        (name, entry) for name, (_, entry) in entries().items() if any(each.friction for each in entry.measured)
+        (name, entry) for name, (_, entry) in entries().items() if any(study.friction for study in entry.measured)
     ]
     rows = dict(zip((name for name, _ in measured_entries), range(len(measured_entries), 0, -1), strict=True))
     laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in measured_entries])
     axes.hlines(list(rows.values()), *laws.T, color="C0", lw=2.5, label="model, kinetic to static")
     axes.plot(laws[:, 1], list(rows.values()), "|", color="C0", ms=6)  # visible if both are equal
     points = [
-        (rows[name], each) for name, entry in measured_entries for each in entry.measured if each.friction is not None
+        (rows[name], study)
+        for name, entry in measured_entries
+        for study in entry.measured
+        if study.friction is not None
     ]
     axes.errorbar(
-        [each.friction for _, each in points],
+        [study.friction for _, study in points],
         [row - 0.25 for row, _ in points],
-        xerr=np.hstack([spread(each) for _, each in points]),
+        xerr=np.hstack([spread(study) for _, study in points]),
         fmt="o", ms=2.5, capsize=1.5, lw=1, color="C1", label="published, of skin",
     )  # fmt: skip
     axes.set_yticks(list(rows.values()), list(rows), fontsize="x-small")
@@ -99,19 +102,19 @@ def depth(axes: Any, entry: LibraryEntry, material: Material) -> None:
     """
     force = np.linspace(0.0, 3.0, 61)
     origin = "chosen for rendering, not measured" if material.normal is None else "computed, by Hertz"
-    line = [1e3 * material.depth_under(each) if each else 0.0 for each in force]
+    line = [1e3 * material.depth_under(load) if load else 0.0 for load in force]
     axes.plot(line, force, color="C0", label=f"model: {origin}")
-    for each in entry.measured:
-        if each.youngs_modulus_pa is not None:
-            low, high = (1e3 * hertz_depth(force, young, RADIUS_M) for young in each.youngs_modulus_pa)
-            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=label_band(each))
+    for study in entry.measured:
+        if study.youngs_modulus_pa is not None:
+            low, high = (1e3 * hertz_depth(force, young, RADIUS_M) for young in study.youngs_modulus_pa)
+            axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=label_band(study))
     axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
 
 
-def label_band(each: Measured) -> str:
+def label_band(study: Measurement) -> str:
     """Return the label of a band: a published range and a law."""
-    what = "modulus, by Hertz" if each.youngs_modulus_pa is not None else "exponent"
-    return f"range of the {what}: {each.of} ({each.paper})"
+    quantity = "modulus, by Hertz" if study.youngs_modulus_pa is not None else "exponent"
+    return f"range of the {quantity}: {study.of} ({study.paper})"
 
 
 RADIUS_M: Final = 0.01
@@ -137,9 +140,9 @@ def patch(axes: Any, tips: dict[str, tuple[LibraryEntry, Fingertip]]) -> None:
     drawn_labels: set[str] = set()
     for name, (entry, tip) in tips.items():
         axes.plot(load, 1e3 * patch_radius(tip, load), label=f"{name}, computed")
-        for each in entry.measured:
-            band = patch_band(each, tip)
-            if band is not None and (text := label_band(each)) not in drawn_labels:
+        for study in entry.measured:
+            band = patch_band(study, tip)
+            if band is not None and (text := label_band(study)) not in drawn_labels:
                 drawn_labels.add(text)
                 loads, low, high = band
                 axes.fill_between(loads, 1e3 * low, 1e3 * high, alpha=0.2, lw=1.0, label=text)
@@ -147,18 +150,18 @@ def patch(axes: Any, tips: dict[str, tuple[LibraryEntry, Fingertip]]) -> None:
     axes.set_ylim(bottom=0.0)
 
 
-def patch_band(each: Measured, tip: Fingertip) -> tuple[Array, Array, Array] | None:
+def patch_band(study: Measurement, tip: Fingertip) -> tuple[Array, Array, Array] | None:
     """Return loads (n,) N, and smallest and largest radius (n,) m for a published range; None for another quantity.
 
     A modulus gives the radius by Hertz's law on this fingertip; an exponent scales the radius of this fingertip at 1 N.
     """
-    load = np.linspace(*(each.load_n or (0.0, 10.0)), 9)
-    if each.youngs_modulus_pa is not None:
-        moduli = (SHEAR_PER_YOUNG * young for young in each.youngs_modulus_pa)
+    load = np.linspace(*(study.load_n or (0.0, 10.0)), 9)
+    if study.youngs_modulus_pa is not None:
+        moduli = (SHEAR_PER_YOUNG * young for young in study.youngs_modulus_pa)
         soft, stiff = (hertz_radius(load, modulus, tip.radius_m or 0.0) for modulus in moduli)
         return load, stiff, soft
-    if each.patch_exponent is not None:
-        ends = [patch_radius(tip, np.ones(1))[0] * load**exponent for exponent in each.patch_exponent]
+    if study.patch_exponent is not None:
+        ends = [patch_radius(tip, np.ones(1))[0] * load**exponent for exponent in study.patch_exponent]
         return load, np.minimum(*ends), np.maximum(*ends)
     return None
 

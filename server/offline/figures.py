@@ -41,8 +41,8 @@ def figure(width: float = 8.0, height: float = 4.5) -> Any:
 
 def legends_below(drawing: Any, axes: Any, size: str) -> None:
     """Draw the legends of two axes side by side below both, where long texts cover no data."""
-    for side, each in zip(("left", "right"), axes, strict=True):
-        drawing.legend(*each.get_legend_handles_labels(), loc=f"outside lower {side}", frameon=False, fontsize=size)
+    for side, panel in zip(("left", "right"), axes, strict=True):
+        drawing.legend(*panel.get_legend_handles_labels(), loc=f"outside lower {side}", frameon=False, fontsize=size)
 
 
 def save(drawing: Any, path: Path) -> None:

@@ -10,7 +10,7 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.fields import unit
 from softfinger.config.load import build, describe
-from softfinger.config.materials import FINGERTIPS, MATERIALS, LibraryEntry, Measured, flat, papers
+from softfinger.config.materials import FINGERTIPS, MATERIALS, LibraryEntry, Measurement, flat, papers
 from softfinger.config.schema import Fingertip, Material
 from softfinger.config.schema.contact import Form
 from softfinger.config.words import format_value, near
@@ -21,7 +21,7 @@ _TABLES: Final[dict[str, type[msgspec.Struct]]] = {"material": Material, "finger
 
 def entries() -> dict[str, tuple[str, LibraryEntry]]:
     """Return all entries by name, each with its kind, `material` or `fingertip`."""
-    return {name: (kind, entry) for kind, each in LIBRARIES.items() for name, entry in each.entries().items()}
+    return {name: (kind, entry) for kind, library in LIBRARIES.items() for name, entry in library.entries().items()}
 
 
 def find_entry(name: str) -> tuple[str, LibraryEntry]:
@@ -72,20 +72,20 @@ def value_rows(entry: LibraryEntry) -> list[tuple[str, str]]:
     return [(key, f"{value:g} {unit(key)}".rstrip()) for key, value in flat(entry.values)]
 
 
-def format_measured(each: Measured) -> str:
+def format_measured(study: Measurement) -> str:
     """Format a published value: `0.38 +- 0.13: palm on aluminium (buchholz-1988)`."""
-    if each.youngs_modulus_pa is not None:
-        low, high = (1e-3 * value for value in each.youngs_modulus_pa)
+    if study.youngs_modulus_pa is not None:
+        low, high = (1e-3 * value for value in study.youngs_modulus_pa)
         text = f"Young's modulus {low:g} to {high:g} kPa"
-    elif each.patch_exponent is not None:
-        low, high = each.patch_exponent
+    elif study.patch_exponent is not None:
+        low, high = study.patch_exponent
         text = f"exponent of the patch {low:.3g}" + (f" to {high:.3g}" if high > low else "")
     else:
-        text = f"friction {each.friction:g}" + (f" +- {each.sd:g}" if each.sd is not None else "")
-    if each.load_n is not None:
-        low, high = each.load_n
+        text = f"friction {study.friction:g}" + (f" +- {study.sd:g}" if study.sd is not None else "")
+    if study.load_n is not None:
+        low, high = study.load_n
         text += f" at {low:g}" + (f" to {high:g} N" if high > low else " N")
-    return f"{text}: {each.of} ({each.paper})"
+    return f"{text}: {study.of} ({study.paper})"
 
 
 def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
@@ -100,6 +100,6 @@ def list_cited_papers(entry: LibraryEntry) -> set[str]:
     """Return the names of the papers cited for an entry's values, measurements and range."""
     return {
         *entry.papers,
-        *(each.paper for each in entry.measured),
-        *(each for each in papers() if each in entry.holds),
+        *(study.paper for study in entry.measured),
+        *(paper for paper in papers() if paper in entry.holds),
     }

@@ -51,23 +51,23 @@ def draw_run(curves: Array, path: Path) -> None:
     turns.set_ylabel("angle [deg]")
     turns.set_xlabel("time [s]")
     for axes in (depth, forces, turns):
-        _shade(axes, seconds, mode, named=axes is depth)
+        _shade(axes, seconds, mode, has_legend=axes is depth)
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")
         axes.margins(x=0.0)
     save(drawing, path)
 
 
-def _shade(axes: Any, seconds: Array, modes: Array, named: bool) -> None:
-    """Draw a band for each interval in contact; if `named`, each mode is in the legend once."""
+def _shade(axes: Any, seconds: Array, modes: Array, has_legend: bool) -> None:
+    """Draw a band for each interval in contact; if `has_legend`, each mode is in the legend once."""
     starts = np.flatnonzero(np.diff(modes, prepend=np.nan))
     ends = np.append(starts[1:], len(modes) - 1)
-    left = set(SHADES) if named else set()
+    unlabelled = set(SHADES) if has_legend else set()
     for start, end in zip(starts, ends, strict=True):
         mode = int(modes[start])
         if mode == FREE:
             continue
         name = MODE_NAMES[mode]
         axes.axvspan(
-            seconds[start], seconds[end], color=SHADES[name], linewidth=0, label=name if name in left else None
+            seconds[start], seconds[end], color=SHADES[name], linewidth=0, label=name if name in unlabelled else None
         )
-        left.discard(name)
+        unlabelled.discard(name)

@@ -97,7 +97,7 @@ def simulate_poses(
     dts = np.full(min(len(poses), CHUNK), dt)
     begin_bodies(tuning.scene, dt)
     scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
-    with progress("simulating", len(poses)) as done:
+    with progress("simulating", len(poses)) as advance:
         for first in range(0, len(poses), CHUNK):
             block = np.ascontiguousarray(poses[first : first + CHUNK])
             records = np.zeros((*block.shape[:2], RECORD_SIZE))
@@ -106,7 +106,7 @@ def simulate_poses(
                 tick_many(scene_and_guard, memory, block[part], dts, dt, first_tick, records[part])
                 check_bodies(tuning.scene)
             yield records
-            done(first + len(block))
+            advance(first + len(block))
 
 
 @overload
@@ -222,14 +222,14 @@ def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Pat
         expected_fingers = ", ".join(filter(None, fingers)) or "one, without its name"
         given_fingers = ", ".join(filter(None, recordings)) or "a single finger"
         raise ConfigError(f"poses of {given_fingers}: not the scene's fingers: give poses of {expected_fingers}")
-    each = [
+    poses_of_fingers = [
         resample(
             load_poses(recordings["" if has_one_file else name], name if has_one_file and has_fingers else ""), rate_hz
         )
         for name in fingers
     ]
-    count = min(map(len, each))
-    return np.stack([poses[:count] for poses in each], axis=1)
+    count = min(map(len, poses_of_fingers))
+    return np.stack([poses[:count] for poses in poses_of_fingers], axis=1)
 
 
 def simulate_devices(
@@ -244,11 +244,13 @@ def simulate_devices(
 
     rate, pairs = rig.servo.rate_hz, pair(scene, rig)
     with ExitStack() as stack:
-        devices = [stack.enter_context(_open_simulated(each, rate)) for each in pairs]
+        devices = [stack.enter_context(_open_simulated(paired, rate)) for paired in pairs]
         ticks = max(1, round(seconds * rate))
-        lengths = [int(each.simulation.intention.length) for each in devices if not each.simulation.intention.loop]
-        tuning = make_tuning(scene, rig.guard, [each.info for each in devices], [each.device.tool for each in pairs])
-        simulations = [each.simulation for each in devices]
+        tuning = make_tuning(
+            scene, rig.guard, [device.info for device in devices], [paired.device.tool for paired in pairs]
+        )
+        simulations = [device.simulation for device in devices]
+        lengths = [int(plant.intention.length) for plant in simulations if not plant.intention.loop]
         yield from run_closed_loop(tuning, simulations, rate, min([ticks, *lengths]), messages)
 
 

@@ -37,8 +37,8 @@ def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[
     coupling, probe = finger.coupling, finger.probe
     rolling = "left out: rotation moves no contact"
     if scene.rolling is not None:
-        given = scene.rolling.torque_stiffness_n_per_m
-        stiffness = coupling.stiffness_n_per_m if given is None else given
+        own_stiffness = scene.rolling.torque_stiffness_n_per_m
+        stiffness = coupling.stiffness_n_per_m if own_stiffness is None else own_stiffness
         rolling = f"{scene.rolling.method}, torque stiffness {stiffness:g} N/m"
     smoothing = f"low-pass {probe.velocity_time_constant_s:g} s" if probe.velocity_time_constant_s else "none"
     drags = "left out: nothing sticks"
@@ -46,12 +46,12 @@ def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[
         drags = f"{coupling.stiffness_n_per_m:g} N/m, {coupling.damping_ns_per_m:g} N s/m"
         if coupling.torsional_damping_nms_per_rad:
             drags += f", torsion damped by {coupling.torsional_damping_nms_per_rad:g} N m s/rad"
-    what, moved_text = (
+    label, moved_text = (
         ("fingertip", "") if not finger.name else (f"finger '{finger.name}'", f", moved by {finger.device}")
     )
     within = "" if not finger.name else "  "
     return [
-        (what, f"{_form(finger)}{moved_text}"),
+        (label, f"{_form(finger)}{moved_text}"),
         (f"{within}patch", "left out" if finger.patch is None else _values(finger.patch)),
         (f"{within}rolling", rolling),
         (f"{within}coupling", drags),
@@ -71,8 +71,8 @@ def _form(finger: schema.FingerParts) -> str:
 
 
 def _size(item: schema.ObjectBase) -> str:
-    own = [name for name in item.__struct_fields__ if name not in (*schema.Textured.__struct_fields__, "elastic")]
-    return "".join(f", {name} {format_value(getattr(item, name))}" for name in own if getattr(item, name) is not None)
+    names = [name for name in item.__struct_fields__ if name not in (*schema.Textured.__struct_fields__, "elastic")]
+    return "".join(f", {name} {format_value(getattr(item, name))}" for name in names if getattr(item, name) is not None)
 
 
 def object_rows(item: schema.Object, has_patch: bool) -> list[tuple[str, str]]:
@@ -85,8 +85,8 @@ def object_rows(item: schema.Object, has_patch: bool) -> list[tuple[str, str]]:
         torsion = f"of the patch, model {material.torsion.model}" if has_patch else _values(material.torsion)
     place = ", ".join(f"{value:g}" for value in item.position_m)
     damping = f"{material.damping_ns_per_m:g} N s/m" if material.damping_ns_per_m else "undamped"
-    what = f"{item.shape} at ({place}) m{_size(item)}, {material.stiffness_n_per_m:g} N/m, {damping}"
-    rows = [(f"object '{item.name}'", what), *entry_rows(material)]
+    description = f"{item.shape} at ({place}) m{_size(item)}, {material.stiffness_n_per_m:g} N/m, {damping}"
+    rows = [(f"object '{item.name}'", description), *entry_rows(material)]
     rows += [("  friction", friction), ("  torsion", torsion)]
     if material.normal is not None:
         rows.insert(-2, ("  normal force", _values(material.normal)))
@@ -144,14 +144,14 @@ def _heightmap_rows(item: schema.Heightmap) -> list[tuple[str, str]]:
     low, high = float(heights.min()), float(heights.max())
     valley = tightest(heights, item.pitch_m)
     bends = "no valley" if valley == 0.0 else f"valleys bend with {1.0 / valley:.3g} m or more"
-    found = [
+    lines = [
         ("  map", f"{size}, heights {low:g} to {high:g} m"),
         ("    bends", f"{bends}; where that is less than the fingertip's radius it touches in several places"),
     ]
     if (over := overshoot(heights)) > OVERSHOOT * (high - low):
         beyond = f"the smooth surface is up to {over:.3g} m higher or lower than the neighbouring pixels"
-        found.append(("    steps", f"{beyond}; a step spread over more pixels has less"))
-    return found
+        lines.append(("    steps", f"{beyond}; a step spread over more pixels has less"))
+    return lines
 
 
 def _texture_rows(item: schema.Textured, texture: schema.Texture) -> list[tuple[str, str]]:
@@ -159,7 +159,7 @@ def _texture_rows(item: schema.Textured, texture: schema.Texture) -> list[tuple[
 
     rows, columns = make(item).values.shape
     width, depth = texture.size_m
-    found = [
+    lines = [
         ("  texture", f"{texture.file}, {columns} x {rows} on {width:g} x {depth:g} m, border {texture.border}"),
         (
             "    filter",
@@ -168,18 +168,18 @@ def _texture_rows(item: schema.Textured, texture: schema.Texture) -> list[tuple[
         ),
     ]
     if texture.height_m is not None:
-        left, slope, bend = bounds(item)
+        rendered_height, slope, bend = bounds(item)
         stiffness = item.material.stiffness_under(schema.Guard().force_max_n) * slope**2
-        found.append(
+        lines.append(
             (
                 "    height",
-                f"{texture.height_m:g} m, {left:.3g} m after the filter, slope at most {slope:.3g}; along the surface "
-                f"at most as stiff as {stiffness:.3g} N/m, and {bend:.3g} N/m more for each N of load",
+                f"{texture.height_m:g} m, {rendered_height:.3g} m after the filter, slope at most {slope:.3g}; along "
+                f"the surface at most as stiff as {stiffness:.3g} N/m, and {bend:.3g} N/m more for each N of load",
             )
         )
     if texture.friction_scale is not None:
-        found.append(("    friction", f"times {format_value(texture.friction_scale)}, lowest to highest"))
-    return found
+        lines.append(("    friction", f"times {format_value(texture.friction_scale)}, lowest to highest"))
+    return lines
 
 
 def _values(table: Struct) -> str:
@@ -264,11 +264,11 @@ def check_start(world: schema.World, rate_hz: float = schema.Servo().rate_hz) ->
     RigidBodies(world).begin(1.0 / rate_hz)
 
 
-def _timestep(world: schema.World, own: float) -> str:
+def _timestep(world: schema.World, model_step: float) -> str:
     if world.timestep == "file":
-        return f"{own:g} s, the model's own: a tick at servo.rate_hz = {1.0 / (own * world.substeps):g}"
+        return f"{model_step:g} s, the model's own: a tick at servo.rate_hz = {1.0 / (model_step * world.substeps):g}"
     step = 1.0 / (schema.Servo().rate_hz * world.substeps)
-    text = f"a tick's, {step:g} s at {schema.Servo().rate_hz:g} Hz; the model's own is {own:g} s"
-    if own < 0.999 * step:
-        text += f": substeps = {math.ceil(step * world.substeps / own - 1e-3)} would keep to it"
+    text = f"a tick's, {step:g} s at {schema.Servo().rate_hz:g} Hz; the model's own is {model_step:g} s"
+    if model_step < 0.999 * step:
+        text += f": substeps = {math.ceil(step * world.substeps / model_step - 1e-3)} would keep to it"
     return text

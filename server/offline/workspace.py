@@ -7,7 +7,7 @@ a scene.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from softfinger.config.schema import Object, Plane, Scene, Workspace
 from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.proxy.pictures import Filed, picture_of
+from softfinger.proxy.rotation import matrix_of
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.surface_meshes import plane, surface_mesh
 
@@ -64,7 +65,7 @@ def place_objects(wall: Workspace, scene: Scene) -> list[PlacedObject]:
     for obj in scene.object:
         corners = _corners(obj, 8.0 * float(half_sizes(wall).max()) + 2.0 * float(np.abs(wall.center_m).max()))
         if corners is not None:
-            corners_w = corners @ _rotation(obj.orientation_wxyz).T + np.array(obj.position_m)
+            corners_w = corners @ np.array(matrix_of(obj.orientation_wxyz)).T + np.array(obj.position_m)
             placed_objects.append(PlacedObject(obj.name, corners_w, _sample_triangles(corners_w, 0.5 * cell)))
     return placed_objects
 
@@ -75,12 +76,12 @@ def rows(wall: Workspace, objects: list[PlacedObject]) -> list[tuple[str, str]]:
     for number, obj in zip(NUMBERS, objects, strict=False):
         distances = 1e3 * signed_distance(wall, obj.points)
         if distances.max() <= 0.0:
-            where = "inside"
+            reach = "inside"
         elif distances.min() > 0.0:
-            where = f"outside: its nearest point is {distances.min():.0f} mm behind the wall"
+            reach = f"outside: its nearest point is {distances.min():.0f} mm behind the wall"
         else:
-            where = "inside and outside"
-        reach_rows.append((f"{number} '{obj.name}'", where))
+            reach = "inside and outside"
+        reach_rows.append((f"{number} '{obj.name}'", reach))
     return reach_rows
 
 
@@ -94,9 +95,9 @@ def reachable_curve(wall: Workspace, freedom: MotionSubspace) -> Array:
         return np.asarray(points[signed_distance(wall, points) <= 0.0])
     centre = np.array(wall.center_m)
     centre = centre - (centre - freedom.origin) @ normal * normal
-    one = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-    one /= np.linalg.norm(one)
-    rays = np.cos(angles) * one + np.sin(angles) * np.cross(normal, one)
+    tangent = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    tangent /= np.linalg.norm(tangent)
+    rays = np.cos(angles) * tangent + np.sin(angles) * np.cross(normal, tangent)
     reach = np.linspace(0.0, 2.0 * half, DIRECTIONS)
     points = centre + reach[None, :, None] * rays[:, None, :]
     inside = signed_distance(wall, points.reshape(-1, 3)).reshape(points.shape[:2]) <= 0.0
@@ -113,8 +114,8 @@ def text(wall: Workspace, objects: list[PlacedObject], freedom: MotionSubspace |
     lines += ["   ".join(pair).rstrip() for pair in zip(*views, strict=True)]
     lines.append(f"{WALL_MARK} inside of the wall, + its centre, numbers: objects")
     if freedom is not None:
-        what = "the arc" if freedom.degrees == 1 else "the edge of the plane"
-        lines.append(f"{CURVE_MARK} {what} in which the handle moves; other forces are shown, not displayed")
+        curve = "the arc" if freedom.degrees == 1 else "the edge of the plane"
+        lines.append(f"{CURVE_MARK} {curve} in which the handle moves; other forces are shown, not displayed")
     return lines
 
 
@@ -195,19 +196,8 @@ def _sample_triangles(triangles: Array, step: float) -> Array:
     for triangle in triangles:
         longest = max(float(np.linalg.norm(triangle[k] - triangle[k - 1])) for k in range(3))
         n = int(np.clip(np.ceil(longest / step), 1, 400))
-        i, j = (each.ravel() for each in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+        i, j = (index.ravel() for index in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
         is_in_triangle = i + j <= n
         shares = np.stack([i, j, n - i - j])[:, is_in_triangle].T / n
         points.append(shares @ triangle)
     return np.concatenate(points) if points else np.zeros((0, 3))
-
-
-def _rotation(wxyz: tuple[float, float, float, float]) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion."""
-    w, x, y, z = np.array(wxyz) / np.linalg.norm(wxyz)
-    rotation: Any = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.array(rotation)

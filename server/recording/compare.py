@@ -108,7 +108,7 @@ class ReplayComparison(NamedTuple):
     left_out: list[SkippedTicks]
 
 
-class Replayed(NamedTuple):
+class ReplayResult(NamedTuple):
     """Results of a run's ticks with today's code.
 
     columns     (n, fingers, ...)  compared columns of the records
@@ -127,7 +127,7 @@ class Replayed(NamedTuple):
         return self.columns[:, finger_index, _SLICES[name]]
 
 
-def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
+def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
     """Compute every tick of a run with today's step and guard, and report the progress.
 
     Raises ConfigError if the scene has other fingers.
@@ -147,11 +147,11 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
     bodies = np.full_like(run.bodies.poses, np.nan)
     comparable, left_out = np.zeros(len(ticks), dtype=bool), list[SkippedTicks]()
     ramp = round(rig.commands.ramp_s * run.rate_hz)
-    with progress("replaying", len(ticks)) as done:
+    with progress("replaying", len(ticks)) as advance:
         for part in _split_run(run, scene, ticks, ramp):
             block = slice(part.start, part.stop)
             tuning = make_tuning(part.scene, rig.guard, devices)
-            _simulate(run, part, tuning, poses[block], (columns[block], bodies), done)
+            _simulate(run, part, tuning, poses[block], (columns[block], bodies), advance)
             start = part.start
             if ticks[start] > 0:
                 modes, guards = (columns[block, :, _SLICES[name]][..., 0] for name in ("contact.mode", "servo.guard"))
@@ -177,7 +177,7 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
                 int(ticks[withheld][0]), int(ticks[withheld][-1]), "the force was withheld or disarmed in between"
             )
         )
-    return Replayed(
+    return ReplayResult(
         columns,
         comparable,
         left_out + _span(ticks, _find_known_end(run, scene, ticks), len(ticks), "another scene or rig was set"),
@@ -186,11 +186,12 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> Replayed:
 
 
 def _simulate(
-    run: Run, part: _Segment, tuning: Tuning, poses: Array, out: tuple[Array, Array], done: Callable[[int], None]
+    run: Run, part: _Segment, tuning: Tuning, poses: Array, out: tuple[Array, Array], advance: Callable[[int], None]
 ) -> None:
-    """Simulate the poses (n, fingers, 7) of a part from an empty state; call `done` with the ticks of the run so far.
+    """Simulate the poses (n, fingers, 7) of a part from an empty state.
 
-    Writes the columns (n, fingers, ...) and the poses of bodies (`Replayed`) into `out`.
+    Calls `advance` with the ticks of the run so far. Writes the columns (n, fingers, ...) and the poses of bodies
+    (`ReplayResult`) into `out`.
     """
     columns, bodies = out
     period = period_ns(run.rate_hz) / NS_PER_S
@@ -210,7 +211,7 @@ def _simulate(
         tick_many(scene_and_guard, carried, poses[block], dts[block], period, first_tick + start, rows)
         check_bodies(tuning.scene)
         columns[block] = rows[:, :, _COLUMNS]
-        done(part.start + end)
+        advance(part.start + end)
         if tuning.scene.bodies is not None:
             owner = tuning.scene.bodies.block.owner
             if tuple(owner.names) == run.bodies.names:
@@ -250,7 +251,9 @@ def _device_infos(run: Run) -> list[DeviceInfo]:
     """Return the properties of the devices, if the recording has them."""
     fingers = run.notes.get("fingers")
     try:
-        return [msgspec.convert(each["device"], DeviceInfo) for each in fingers] if isinstance(fingers, list) else []
+        return (
+            [msgspec.convert(finger["device"], DeviceInfo) for finger in fingers] if isinstance(fingers, list) else []
+        )
     except (msgspec.ValidationError, KeyError, TypeError):
         return []
 
@@ -265,7 +268,7 @@ def _find_settling_ticks(scene: schema.Scene, rate_hz: float) -> int | None:
 
 
 def compare(
-    run: Run, replayed: Replayed, against: Mapping[str, Mapping[str, Array]], tolerance: float
+    run: Run, replayed: ReplayResult, against: Mapping[str, Mapping[str, Array]], tolerance: float
 ) -> ReplayComparison:
     """Compare a replay with the recorded or other values.
 
@@ -307,14 +310,14 @@ def compare(
                     )
                 )
     differences += _compare_bodies(run, replayed, tolerance, differs, largest)
-    first = min(differences, key=lambda each: each.tick, default=None)
+    first = min(differences, key=lambda difference: difference.tick, default=None)
     return ReplayComparison(
         len(ticks), int(replayed.comparable.sum()), int(differs.sum()), first, largest, replayed.left_out
     )
 
 
 def _compare_bodies(
-    run: Run, replayed: Replayed, tolerance: float, differs: Mask, largest: dict[str, float]
+    run: Run, replayed: ReplayResult, tolerance: float, differs: Mask, largest: dict[str, float]
 ) -> Iterator[Difference]:
     """Yield the first difference of each body's pose, m or quaternion component; update `differs` and `largest`."""
     ticks, names, recorded = run.bodies
@@ -390,18 +393,18 @@ def _command_changes(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ra
 
 def _read_changes(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the changes of a command, by dotted key of the scene with indices; None if its event lacks them."""
-    what = event.get("what")
-    if not isinstance(what, dict):
+    content = event.get("what")
+    if not isinstance(content, dict):
         return None
     if event["name"] == "set_params":
-        if not all(isinstance(change, dict) and "to" in change for change in what.values()):
+        if not all(isinstance(change, dict) and "to" in change for change in content.values()):
             return None
         mapping = describe(scene)
-        return {index_entries(mapping, key): change["to"] for key, change in what.items()}
+        return {index_entries(mapping, key): change["to"] for key, change in content.items()}
     if event["name"] == "drive":
-        scene_index = next((i for i, obj in enumerate(scene.object) if obj.name == what.get("object")), None)
+        scene_index = next((i for i, obj in enumerate(scene.object) if obj.name == content.get("object")), None)
         return None if scene_index is None else {
-            f"object.{scene_index}.{key}": value for key, value in what.items() if key != "object"
+            f"object.{scene_index}.{key}": value for key, value in content.items() if key != "object"
         }  # fmt: skip
     return {}
 

@@ -79,7 +79,7 @@ class McapFile:
         self._metadata.append(records.MetadataIndex(offset=offset, length=len(data), name=name))
 
     def channel(self, topic: str, schema: str, descriptors: bytes) -> int:
-        schema_record = next((each for each in self._schemas if each.name == schema), None)
+        schema_record = next((record for record in self._schemas if record.name == schema), None)
         if schema_record is None:
             schema_record = records.Schema(
                 id=len(self._schemas) + 1, name=schema, encoding="protobuf", data=descriptors
@@ -104,10 +104,10 @@ class McapFile:
     def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
         """Add messages (n, size) with their times (n,); full chunks are written, the remainder is pending."""
         size = messages.shape[1]
-        done = 0
-        while done < len(messages):
+        written = 0
+        while written < len(messages):
             fitting = max(1, -((self._pending_bytes - CHUNK_BYTES) // (_MESSAGE_HEADER.itemsize + size)))
-            block = slice(done, done + fitting)
+            block = slice(written, written + fitting)
             times = times_ns[block]
             encoded = np.empty((len(times), _MESSAGE_HEADER.itemsize + size), np.uint8)
             header = np.empty(len(times), _MESSAGE_HEADER)
@@ -121,7 +121,7 @@ class McapFile:
             encoded[:, _MESSAGE_HEADER.itemsize :] = messages[block]
             self._add_to_index(channel, times, self._pending_bytes + np.arange(len(times)) * encoded.shape[1])
             self._add(encoded.data.cast("B"))
-            done += len(times)
+            written += len(times)
             self._flush_if_full()
 
     def flush(self) -> None:

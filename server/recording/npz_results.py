@@ -19,7 +19,7 @@ from softfinger.proxy.record import FIELDS, RECORD_SIZE
 Array = NDArray[np.float64]
 
 CHUNK_ROWS: Final = 4096
-"""Rows sorted by column at a time, which fit into the processor's cache."""
+"""Number of rows transposed at a time; they fit into the processor's cache."""
 
 
 def prefix(finger: str) -> str:

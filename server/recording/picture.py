@@ -39,7 +39,7 @@ _IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 DISPLAY_HZ: Final = 60.0
 """Pictures per second: the rate of a display."""
 ARROW_M_PER_N: Final = 0.02
-"""Length of a force arrow: 1 N gives twice the radius of a fingertip."""
+"""Length of a force arrow, m per N: 1 N is drawn twice as long as the radius of a fingertip."""
 
 
 def select_displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]:

@@ -47,7 +47,7 @@ class CsvPoses:
 
 
 class McapPoses:
-    """Complete records on topic `contact`, in blocks, with the wall clock's time."""
+    """MCAP file with complete records on topic `contact`, written in blocks with the wall clock's time."""
 
     BLOCK: Final = 256
 

@@ -146,10 +146,10 @@ def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorl
     with (
         translate_errors(path, "read"),
         open_input(path) as file,
-        progress(f"reading {Path(path).name}", os.fstat(file.fileno()).st_size) as done,
+        progress(f"reading {Path(path).name}", os.fstat(file.fileno()).st_size) as advance,
     ):
         for part in _contents(Path(path), file):
-            done(file.tell())
+            advance(file.tell())
             yield part
 
 
@@ -197,7 +197,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
             cut = f"{type(error).__name__}: {str(error)[:120]}"
         if not channels:
             raise RecordingError(f"{path}: not a readable MCAP recording: {cut}") from error
-    topics = [Topic(each.topic, each.schema.name if each.schema else "", each.messages) for each in channels.values()]
+    topics = [Topic(item.topic, item.schema.name if item.schema else "", item.messages) for item in channels.values()]
     yield End(topics, cut)
 
 

@@ -84,10 +84,10 @@ def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> Non
         If the records have another shape, or the file cannot be written.
     """
     by_finger = records if isinstance(records, Mapping) else {"": records}
-    fingers = {name: np.asarray(each, dtype=np.float64) for name, each in by_finger.items()}
-    for each in fingers.values():
-        if each.ndim != 2 or each.shape[1] != RECORD_SIZE:
-            raise RecordingError(f"{path}: records of shape {each.shape}, must be (n, {RECORD_SIZE})")
+    fingers = {name: np.asarray(rows, dtype=np.float64) for name, rows in by_finger.items()}
+    for rows in fingers.values():
+        if rows.ndim != 2 or rows.shape[1] != RECORD_SIZE:
+            raise RecordingError(f"{path}: records of shape {rows.shape}, must be (n, {RECORD_SIZE})")
     write_blocks(path, list(fingers), _blocks(list(fingers.values()), Path(path).suffix[1:]))
 
 
@@ -154,10 +154,10 @@ def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iter
 
 def write_csv_rows(file: IO[bytes], rows: Array) -> None:
     """Write rows (n, width) as lines of CSV, which restore every float64 exactly; report the progress."""
-    with progress("writing csv", len(rows)) as done:
+    with progress("writing csv", len(rows)) as advance:
         for at in range(0, len(rows), CSV_CHUNK_ROWS):
             file.write(_format_chunk(rows[at : at + CSV_CHUNK_ROWS]))
-            done(at)
+            advance(at)
 
 
 def _format_chunk(rows: Array) -> bytes:
@@ -202,10 +202,10 @@ def _read_csv(path: Path, finger: str) -> Array:
                 of_finger = f" of a finger '{finger}'" if finger else ""
                 raise RecordingError(f"{path}, line 1: the columns are not those of this version's results{of_finger}")
             values = array("d")
-            with progress(f"reading {path.name}", os.fstat(file.fileno()).st_size) as done:
+            with progress(f"reading {path.name}", os.fstat(file.fileno()).st_size) as advance:
                 while line := file.readline(LINE_MAX):
                     if not len(values) % (CSV_CHUNK_ROWS * RECORD_SIZE):
-                        done(file.tell())
+                        advance(file.tell())
                     cells = line.split(b",")
                     if len(cells) != len(header):
                         raise ValueError(f"a line of {len(cells)} numbers, must be {len(header)}")
@@ -308,8 +308,8 @@ class McapResults(Closeable):
 def _blocks(fingers: Sequence[Array], kind: str) -> Iterator[Array]:
     """Yield the fingers' records (n, RECORD_SIZE) in joint blocks; report the progress."""
     count = min(map(len, fingers))
-    with progress(f"writing {kind}", count) as done:
+    with progress(f"writing {kind}", count) as advance:
         for start in range(0, count, BLOCK_ROWS):
             block = [records[start : min(start + BLOCK_ROWS, count)] for records in fingers]
             yield block[0][:, None] if len(block) == 1 else np.stack(block, axis=1)
-            done(min(start + BLOCK_ROWS, count))
+            advance(min(start + BLOCK_ROWS, count))

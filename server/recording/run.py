@@ -90,10 +90,10 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
     if not blocks:
         raise RecordingError(f"{path}: has no tick")
     fingers = {}
-    for finger, each in blocks.items():
-        if missing := [name for name in (*_REQUIRED, *fields) if name not in each[0]]:
+    for finger, parts in blocks.items():
+        if missing := [name for name in (*_REQUIRED, *fields) if name not in parts[0]]:
             raise RecordingError(f"{path}: its ticks lack {', '.join(missing)}: not a recording of this program")
-        fingers[finger] = {name: np.concatenate([block[name] for block in each]) for name in each[0]}
+        fingers[finger] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Run(_keep_common_ticks(_sort_fingers(fingers, notes)), notes, events, cut, _read_body_poses(worlds))
 
 
@@ -102,7 +102,9 @@ def _read_body_poses(worlds: list[dict[str, Any]]) -> BodyPoses:
     if not worlds:
         return NO_BODIES
     names = tuple(body["name"] for body in worlds[0]["bodies"])
-    messages = {each["tick"]: each for each in worlds if tuple(body["name"] for body in each["bodies"]) == names}
+    messages = {
+        message["tick"]: message for message in worlds if tuple(body["name"] for body in message["bodies"]) == names
+    }
     poses = [[body["position"] + body["orientation"] for body in messages[tick]["bodies"]] for tick in sorted(messages)]
     return BodyPoses(
         np.array(sorted(messages), np.int64), names, np.array(poses, np.float64).reshape(-1, len(names), 7)
@@ -118,8 +120,9 @@ def _fields(ticks: TickBlock, fields: tuple[str, ...]) -> Iterator[tuple[str, Ar
 
 def _sort_fingers(fingers: dict[str, dict[str, Array]], notes: dict[str, Any]) -> dict[str, dict[str, Array]]:
     described = notes.get("fingers")
-    names = [each.get("name") for each in described if isinstance(each, dict)] if isinstance(described, list) else []
-    return dict(sorted(fingers.items(), key=lambda each: names.index(each[0]) if each[0] in names else len(names)))
+    names = [entry.get("name") for entry in described if isinstance(entry, dict)] if isinstance(described, list) else []
+    by_order = sorted(fingers, key=lambda name: names.index(name) if name in names else len(names))
+    return {name: fingers[name] for name in by_order}
 
 
 def _keep_common_ticks(fingers: dict[str, dict[str, Array]]) -> dict[str, dict[str, Array]]:

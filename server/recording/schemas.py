@@ -254,27 +254,27 @@ def _add_ticks(top: Any) -> None:
 
 def _add_list(message: Any, keys: Sequence[Key], nested: str) -> None:
     """Add the keys of a topic with one list of maps; the keys of an element form a message of the type `nested`."""
-    element, listed = message.nested_type.add(name=nested), ""
+    element, list_name = message.nested_type.add(name=nested), ""
     for key in keys:
         plain, _, size = key.type.partition("[")
         parent, _, name = key.name.rpartition(".")
-        listed = parent or listed
+        list_name = parent or list_name
         _add_field(element if parent else message, name, f"[{_PLAIN[plain]}]" if size else _PLAIN[plain])
-    _add_field(message, listed.removesuffix("[]"), f"[.softfinger.{message.name}.{nested}]")
+    _add_field(message, list_name.removesuffix("[]"), f"[.softfinger.{message.name}.{nested}]")
 
 
-def _add_foxglove(files: Any, name: str, done: set[str]) -> None:
+def _add_foxglove(files: Any, name: str, added: set[str]) -> None:
     """Add one file per Foxglove message, dependencies first, as in Foxglove's schemas."""
     from google.protobuf import duration_pb2, timestamp_pb2
 
-    done.add(name)
+    added.add(name)
     dependencies = [kind.strip("[]") for kind in _FOXGLOVE[name].values()]
     for kind in dependencies:
-        if kind in _FOXGLOVE and kind not in done:
-            _add_foxglove(files, kind, done)
+        if kind in _FOXGLOVE and kind not in added:
+            _add_foxglove(files, kind, added)
         for known, module in ((_TIME, timestamp_pb2), (_DURATION, duration_pb2)):
-            if kind == known and kind not in done:
-                done.add(kind)
+            if kind == known and kind not in added:
+                added.add(kind)
                 module.DESCRIPTOR.CopyToProto(files.file.add())
     file = files.file.add(name=f"foxglove/{name}.proto", package="foxglove", syntax="proto3")
     message = file.message_type.add(name=name)

@@ -102,11 +102,11 @@ def read_table(path: Path, layout: TableFormat) -> Poses:
     with (
         translate_errors(path, "read"),
         open_input(path) as file,
-        progress(f"reading {path.name}", path.stat().st_size) as done,
+        progress(f"reading {path.name}", path.stat().st_size) as advance,
     ):
         for number, line in enumerate(iter(partial(file.readline, LINE_MAX), b""), 1):
             if not number % CSV_CHUNK_ROWS:
-                done(file.tell())
+                advance(file.tell())
             if number == 1:
                 line = _without_mark(path, line)
             if number <= layout.skip or _is_comment(line, len(layout.columns)):
@@ -156,11 +156,11 @@ def _parse_row(location: str, line: bytes, layout: TableFormat, dialect: _Dialec
     row = []
     for name, cell in zip(layout.columns, _cells(location, text, len(layout.columns), dialect), strict=True):
         if name != SKIPPED and not _NUMBER.fullmatch(cell):
-            what = "the cell is empty: fill it, or delete the line"
+            fault = "the cell is empty: fill it, or delete the line"
             if cell:
                 remedy = "--skip N skips a heading" if is_first else "write a number such as -0.02 or 2e-3"
-                what = f"{cell[:40]!r} is not a number; {remedy}"
-            raise RecordingError(f"{location}, column '{name}': {what}")
+                fault = f"{cell[:40]!r} is not a number; {remedy}"
+            raise RecordingError(f"{location}, column '{name}': {fault}")
         row.append(0.0 if name == SKIPPED else float(cell.replace(",", ".")))
         dialect.commas |= {mark == "," for mark in ",." if name != SKIPPED and mark in cell}
     if len(dialect.commas) > 1:
@@ -185,14 +185,14 @@ def _cells(location: str, text: str, columns: int, dialect: _Dialect) -> list[st
             dialect.separator = name
             return cells
         counts[name] = len(cells)
-    separator_name, found = next(((name, count) for name, count in counts.items() if count > 1), ("", 1))
+    separator_name, value_count = next(((name, count) for name, count in counts.items() if count > 1), ("", 1))
     advice = f"give a name or {SKIPPED} for each"
-    if found == 1 and dialect.separator == "":
+    if value_count == 1 and dialect.separator == "":
         advice = "separate them by commas, semicolons, tabs or blanks"
-    elif separator_name == "," and found > columns and "." not in text:
+    elif separator_name == "," and value_count > columns and "." not in text:
         advice += "; decimal commas need semicolons, tabs or blanks between the values"
     raise RecordingError(
-        f"{location}: {found} value{'s' * (found != 1)} where --columns has {columns}: {advice}; "
+        f"{location}: {value_count} value{'s' * (value_count != 1)} where --columns has {columns}: {advice}; "
         "--skip N skips lines at the start"
     )
 

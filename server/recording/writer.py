@@ -226,13 +226,13 @@ def parse_scene(about: Mapping[str, Any]) -> schema.Scene | None:
 
 def apply_drive(scene: schema.Scene, event: Mapping[str, Any]) -> schema.Scene | None:
     """Return the scene with the pose set by an event of `drive`; None for other events."""
-    what = event.get("what")
-    if (event["kind"], event["name"]) != ("command", "drive") or not isinstance(what, dict):
+    content = event.get("what")
+    if (event["kind"], event["name"]) != ("command", "drive") or not isinstance(content, dict):
         return None
-    pose = {key: tuple(what[key]) for key in ("position_m", "orientation_wxyz") if key in what}
+    pose = {key: tuple(content[key]) for key in ("position_m", "orientation_wxyz") if key in content}
     return msgspec.structs.replace(
         scene,
         object=tuple(
-            msgspec.structs.replace(obj, **pose) if obj.name == what.get("object") else obj for obj in scene.object
+            msgspec.structs.replace(obj, **pose) if obj.name == content.get("object") else obj for obj in scene.object
         ),
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.recording.blackbox import BlackBox, folder, format_file_name, prepare_folder
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
@@ -39,7 +39,7 @@ class BlackBoxes(Worker):
     describe  returns the description of the run, for the file
     """
 
-    def __init__(self, servo: Servo, fingers: Sequence[str], describe: Callable[[], Mapping[str, Any]]) -> None:
+    def __init__(self, servo: ServoThread, fingers: Sequence[str], describe: Callable[[], Mapping[str, Any]]) -> None:
         super().__init__("blackbox")
         self._describe = describe
         self.box: Final = BlackBox(fingers, GUARD_NAMES, NS_PER_S / servo.period_ns)

@@ -149,7 +149,7 @@ class CommandHandlers:
     ) -> None:
         """Read, compile and render a scene from zero force; the result is of its first tick."""
 
-        def checked() -> schema.Scene:
+        def read_checked() -> schema.Scene:
             scene = read()
             self._rendering.check(scene, self._rendering.rig)  # before it is compiled
             return scene
@@ -162,7 +162,7 @@ class CommandHandlers:
             self.publish_change(request.method, request.command_id, {"scene": name, "tick": outcome})
             on_result(result(outcome))
 
-        self.scenes.request(SceneRequest(checked, name, finish))
+        self.scenes.request(SceneRequest(read_checked, name, finish))
 
     def drive(self, request: Request) -> wire.Applied:
         params: wire.Drive = request.params

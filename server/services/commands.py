@@ -20,7 +20,7 @@ from softfinger.drivers import switch_interval
 from softfinger.server.loop import shutdown
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.command_handlers import CommandHandlers, DaemonInterface
-from softfinger.server.services.compilation import NotCompiled, Superseded
+from softfinger.server.services.compilation import CompilerFailure, SupersededRequest
 from softfinger.server.services.rendering import Rendering, Replacing
 from softfinger.server.socket_process.brake import SHORT
 from softfinger.server.states import SILENT
@@ -159,9 +159,9 @@ class CommandService:
         match error:
             case Declined():
                 return error
-            case Superseded():
+            case SupersededRequest():
                 return Declined("superseded", str(error))
-            case NotCompiled():
+            case CompilerFailure():
                 return Declined("failed", str(error))
             case ConfigError():
                 return Declined("bad_params", str(error))

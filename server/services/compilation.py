@@ -26,7 +26,7 @@ from softfinger.drivers.registry import open_device
 from softfinger.proxy import progress as preparation
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.decorators import KEPT
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S, progress_text
@@ -40,25 +40,25 @@ REPORT_PERIOD_S: Final = 1.0
 """Time between two reports of the compiler, that of `health`, which publishes them."""
 
 
-class Superseded(HapticError):
+class SupersededRequest(HapticError):
     """Request for a scene that was replaced by a later request."""
 
 
-class NotCompiled(HapticError):
+class CompilerFailure(HapticError):
     """Compiler process that failed."""
 
 
 class SceneRequest(NamedTuple):
     """Request to replace the scene.
 
-    read  returns the validated scene
-    name  name of the scene
-    done  called with the first tick of the scene, or with the error
+    read   returns the validated scene
+    name   name of the scene
+    reply  called with the first tick of the scene, or with the error
     """
 
     read: Callable[[], schema.Scene]
     name: str
-    done: Callable[[int | Exception], None]
+    reply: Callable[[int | Exception], None]
 
 
 class SceneChanges(Worker):
@@ -82,7 +82,7 @@ class SceneChanges(Worker):
             self._end_compiler()
             self._changed.notify()
         if before is not None:
-            before.done(_superseded_error())
+            before.reply(_superseded_error())
 
     def stop(self) -> None:
         with self._changed:
@@ -101,11 +101,11 @@ class SceneChanges(Worker):
             except Exception as error:
                 outcome = error
             self._report("")
-            change.done(outcome)
+            change.reply(outcome)
         preparation.display = before
 
     def handle_failure(self, error: Exception) -> None:
-        """Do nothing: only `done` can have raised, so one client gets no answer, and rendering is not affected."""
+        """Do nothing: only `reply` can have raised, so one client gets no answer, and rendering is not affected."""
 
     @contextmanager
     def _display(self, operation: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -124,14 +124,14 @@ class SceneChanges(Worker):
 
     def _compile(self, scene: schema.Scene, name: str) -> None:
         """Compile the loop of a scene into the cache; raises Superseded if a later scene has been requested."""
-        if Servo.has_compiled(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
+        if ServoThread.has_compiled(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
             return  # if the cache cannot be written, a separate process is useless
         with tempfile.TemporaryFile("w+") as errors:
             code = self._run_compiler(scene, name, errors)
             if code:
                 errors.seek(0)
                 log.error("the compiler of a scene ended with %d: %s", code, errors.read().strip())
-                raise NotCompiled("the scene could not be compiled: see the daemon's log")
+                raise CompilerFailure("the scene could not be compiled: see the daemon's log")
 
     def _run_compiler(self, scene: schema.Scene, name: str, errors: IO[str]) -> int:
         """Run a process that fills the cache and return its exit code; its errors are in `errors`."""
@@ -175,8 +175,8 @@ class SceneChanges(Worker):
             self._compiler.kill()
 
 
-def _superseded_error() -> Superseded:
-    return Superseded("another scene was requested, or the daemon ends, before this one was compiled")
+def _superseded_error() -> SupersededRequest:
+    return SupersededRequest("another scene was requested, or the daemon ends, before this one was compiled")
 
 
 def compile_loop(scene: schema.Scene) -> Tuning:
@@ -187,7 +187,7 @@ def compile_loop(scene: schema.Scene) -> Tuning:
     rig = load_rig("replay")
     with open_device(single_device(rig), rig.servo.rate_hz) as device:
         tuning = make_tuning(scene, rig.guard)
-        servo = Servo([device] * len(scene.fingers), tuning, rig.servo.rate_hz)
+        servo = ServoThread([device] * len(scene.fingers), tuning, rig.servo.rate_hz)
         servo.compile()
         servo.close()
     return tuning

@@ -14,7 +14,7 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.base import Worker
 
 log: Final = logging.getLogger(__name__)
@@ -32,7 +32,7 @@ class Notify(Worker):
     environment  with NOTIFY_SOCKET, and WATCHDOG_USEC and WATCHDOG_PID if there is a watchdog
     """
 
-    def __init__(self, servo: Servo, environment: Mapping[str, str]) -> None:
+    def __init__(self, servo: ServoThread, environment: Mapping[str, str]) -> None:
         super().__init__("notify")
         self._servo = servo
         self._address = _address(environment["NOTIFY_SOCKET"])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, SafetyStop
 from softfinger.server.loop import shutdown
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.base import Worker
 from softfinger.server.wire.native.relay import Tap
 
@@ -47,7 +47,12 @@ class RecordService(Worker):
     """
 
     def __init__(
-        self, servo: Servo, tap: Tap, sinks: list[Sink], fail: Callable[[HapticError], None], event: Callable[..., Any]
+        self,
+        servo: ServoThread,
+        tap: Tap,
+        sinks: list[Sink],
+        fail: Callable[[HapticError], None],
+        event: Callable[..., Any],
     ) -> None:
         super().__init__("records")
         self._servo, self._tap, self._sinks, self._fail, self._event = servo, tap, list(sinks), fail, event

@@ -24,7 +24,7 @@ from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.loop.handover import Loop
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene
 from softfinger.server.progress import report_compilation
@@ -64,12 +64,12 @@ class Rendering:
     All changes to the running servo are made here; this class knows the scene and whether the force is on.
 
     rig, scene      validated configuration
-    ticks, prepare  as for `Servo`
+    ticks, prepare  as for `ServoThread`
     faults          faults to inject between the devices and the loop
     states          updated with the reasons that keep the force off
-    switch          as for `Servo`
+    switch          as for `ServoThread`
 
-    A failure of the servo is reported by `Servo.join`. The constructor raises the errors of opening a device, and
+    A failure of the servo is reported by `ServoThread.join`. The constructor raises the errors of opening a device, and
     ConfigError if the rig has no device for a finger; no device remains open then.
     """
 
@@ -102,7 +102,7 @@ class Rendering:
         try:
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
             with report_compilation("kernels that call the device"):
-                self.servo: Final = Servo(
+                self.servo: Final = ServoThread(
                     devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
                 )
         except BaseException as error:

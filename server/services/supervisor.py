@@ -8,7 +8,7 @@ from typing import Any
 
 from softfinger.config.errors import HapticError, SafetyStop
 from softfinger.server.loop import health, shutdown
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.base import Worker
 
 
@@ -19,7 +19,7 @@ class Supervisor(Worker):
     event  publishes an event
     """
 
-    def __init__(self, servo: Servo, fail: Callable[[HapticError], None], event: Callable[..., Any]) -> None:
+    def __init__(self, servo: ServoThread, fail: Callable[[HapticError], None], event: Callable[..., Any]) -> None:
         super().__init__("supervisor")
         self._servo, self._fail, self._event = servo, fail, event
 

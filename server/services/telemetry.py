@@ -5,7 +5,7 @@ from __future__ import annotations
 from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import names
 from softfinger.server.loop import shutdown
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.publisher import Publisher
 
@@ -13,7 +13,7 @@ from softfinger.server.wire.publisher import Publisher
 class TelemetryService:
     """Service of an open publisher; its `sink` is vital, because without it rendering cannot be monitored."""
 
-    def __init__(self, publisher: Publisher, servo: Servo) -> None:
+    def __init__(self, publisher: Publisher, servo: ServoThread) -> None:
         self._publisher, self._servo = publisher, servo
         self._announced = False
         self.sink = Sink(

@@ -12,7 +12,7 @@ import numpy as np
 from softfinger.proxy.bodies import body_maps, motion_size
 from softfinger.proxy.kernels.jit.seqlock import Slot, read
 from softfinger.proxy.kernels.model import Scene
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.base import Worker
 from softfinger.server.wire.protocol import PICTURE_HZ, WORLD
 
@@ -30,7 +30,7 @@ class WorldState(Worker):
     """
 
     def __init__(
-        self, servo: Servo, publish: Callable[[str, int, dict[str, Any]], None], event: Callable[..., Any]
+        self, servo: ServoThread, publish: Callable[[str, int, dict[str, Any]], None], event: Callable[..., Any]
     ) -> None:
         super().__init__("world")
         self._servo, self._publish, self._event = servo, publish, event

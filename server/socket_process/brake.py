@@ -17,11 +17,11 @@ SHORT: Final = 4096
 """Longest such request in bytes; longer requests are not decoded."""
 
 
-class _Named(msgspec.Struct):
+class _MethodName(msgspec.Struct):
     method: str
 
 
-_decoder: Final = msgspec.msgpack.Decoder(_Named)
+_decoder: Final = msgspec.msgpack.Decoder(_MethodName)
 
 
 def takes_force_off(body: bytes) -> bool:

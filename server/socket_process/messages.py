@@ -61,14 +61,14 @@ class Messages:
         self._state_topic, self._state_hz = ticks.state.encode(), ticks.state_hz
         self._encode = msgspec.msgpack.Encoder().encode
         in_lists = {name: [f for f in FIELDS if f.name.startswith(f"{name}.")] for name in _LISTS}
-        listed = {f.name for fields in in_lists.values() for f in fields}
+        list_fields = {f.name for fields in in_lists.values() for f in fields}
         head = {"schema": ticks.schema, "every": ticks.every}
-        self._contact = _Map(head, [(f.name, f) for f in FIELDS if f.name not in listed])
+        self._contact = _Map(head, [(f.name, f) for f in FIELDS if f.name not in list_fields])
         self._patches = [
             (NAMED[f"{name}.object"].at, _Map({}, [(f.name.partition(".")[2], f) for f in fields]))
             for name, fields in in_lists.items()
         ]
-        own = {
+        field_names = {
             "position": "probe.position",
             "velocity": "probe.velocity",
             "force": "force",
@@ -77,7 +77,7 @@ class Messages:
             "field_state.penetration": "contact.penetration",
         }
         content = {"timestamp": 0.0, "sequence": 0}
-        self._state = _Map(content, [(key, NAMED[name]) for key, name in own.items()])
+        self._state = _Map(content, [(key, NAMED[name]) for key, name in field_names.items()])
         self.set_state_info(state_info)
 
     def set_state_info(self, state_info: StateInfo) -> None:

@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
         if args.ask and claim is not None and diagnosis.state in OPENABLE_STATES:
             diagnosis, identification = identify_device(device, claim, rig)
         devices.append((device, claim, diagnosis, identification))
-    listed = {claim.driver for _, claim, *_ in devices if claim is not None}
-    if args.ask and rig is not None and rig.driver in UNLISTED and rig.driver not in listed:
+    attached_drivers = {claim.driver for _, claim, *_ in devices if claim is not None}
+    if args.ask and rig is not None and rig.driver in UNLISTED and rig.driver not in attached_drivers:
         devices.append(ask_rig(rig, str(args.rig)))
     if args.json:
         print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*row) for row in devices]}, indent=2))
@@ -122,7 +122,7 @@ def lines(devices: list[ListedDevice]) -> list[str]:
         if diagnosis.remedy:
             text.append(f"    remedy: {diagnosis.remedy}")
     if not any(claim for _, claim, *_ in devices):
-        where = "no device that a driver knows is attached" if devices else "no USB or HID device is attached"
+        message = "no device that a driver knows is attached" if devices else "no USB or HID device is attached"
         bus = "" if discovery.has_usb() else f"; this system has no USB bus ({Path('/') / discovery.USB} is not there)"
-        text.append(f"{where}{bus}. Without hardware: softfinger run, or softfinger run --rig simulated")
+        text.append(f"{message}{bus}. Without hardware: softfinger run, or softfinger run --rig simulated")
     return text

@@ -52,9 +52,11 @@ def run(args: argparse.Namespace) -> int:
             log.info("%s", record_live(job, Path(args.file)))
         return signals.stop_exit_code()
     files = {name: Path(file) for name, file in files_by_finger(args.poses or [args.file], "--poses").items()}
-    for (name, file), (other, another) in combinations(files.items(), 2):
-        if is_same_file(file, another):
-            raise ConfigError(f"--poses {name}={file} and --poses {other}={another} are the same file: use two names")
+    for (name, file), (second_name, second_file) in combinations(files.items(), 2):
+        if is_same_file(file, second_file):
+            raise ConfigError(
+                f"--poses {name}={file} and --poses {second_name}={second_file} are the same file: use two names"
+            )
     topics = CONTACT, FINGERS, EVENT
     with subscribe(addresses.telemetry, topics, keys=lock) as samples, signals.stop_on_signal(stop.request):
         recorded = record(samples, files, args.duration, args.timeout, stop)

@@ -73,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
         with name_warmup(args.scene), report_compilation("kernels of the scene"):
             is_cached = daemon.servo.compile()
         if not is_cached:
-            where = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
-            log.info("compiled in %.0f s; %s", time.monotonic() - start_s, where)
+            cache_text = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
+            log.info("compiled in %.0f s; %s", time.monotonic() - start_s, cache_text)
         with signals.stop_on_signal(daemon.stop, daemon.pause):
             daemon.start()
             show_progress(daemon, page)

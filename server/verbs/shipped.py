@@ -42,12 +42,12 @@ _SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")
 
 
 def run(args: argparse.Namespace) -> int:
-    listed = list_shipped(args.verb)
+    items = list_shipped(args.verb)
     if args.json:
-        print(json.dumps(listed, indent=1))
+        print(json.dumps(items, indent=1))
         return 0
-    width = max(len(item["name"]) for item in listed)
-    for shipped_file in listed:
+    width = max(len(item["name"]) for item in items)
+    for shipped_file in items:
         print(f"{shipped_file['name']:{width}}  {shipped_file['description']}")
     return 0
 
@@ -90,7 +90,7 @@ def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 
 
 def _completion(verb: str) -> dict[str, Any]:
-    listed = list(entries()) if verb == "materials" else [item["name"] for item in list_shipped(verb)]
-    names, function = " ".join(listed), f"_softfinger_{verb}"
+    items = list(entries()) if verb == "materials" else [item["name"] for item in list_shipped(verb)]
+    names, function = " ".join(items), f"_softfinger_{verb}"
     body = f'{function}() {{ compgen -W "{names}" -- $1; compgen -f -- $1; }}'
     return {"bash": function, "zsh": f"({names})", "tcsh": f"({names})", "preamble": {"bash": body}}

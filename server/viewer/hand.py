@@ -168,10 +168,10 @@ class HandControls:
                 self._pending_holds = set(self._fingers)
         if stale:
             for finger in tuple(self._fingers):
-                self._commands.hold(finger, partial(self._on_held, finger), self._on_hold_refused)
+                self._commands.hold(finger, partial(self._on_hold, finger), self._on_hold_refused)
         self._run_after_hold()
 
-    def _on_held(self, finger: str, target: Target) -> None:
+    def _on_hold(self, finger: str, target: Target) -> None:
         with self._lock:
             if finger not in self._pending_holds:  # a finger of a previous scene
                 return
@@ -279,10 +279,10 @@ class HandControls:
             self.send_target(finger, target)
             displacement = target.position - start.position
             rotation = product(target.orientation, inverse(start.orientation))
-            for other in starts.keys() & self._fingers.keys() - {finger}:
-                position, orientation = starts[other]
+            for follower in starts.keys() & self._fingers.keys() - {finger}:
+                position, orientation = starts[follower]
                 motion = mirror_motion(displacement, position - start.position) if mode == "pinch" else displacement
-                self.send_target(other, Target(position + motion, product(rotation, orientation)))
+                self.send_target(follower, Target(position + motion, product(rotation, orientation)))
             if finger == self._chosen_finger():
                 self._update_sliders()
         if event.phase == "end":

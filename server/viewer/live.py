@@ -225,7 +225,7 @@ class LivePage:
         self._send(f"hand {finger}", "hand", params)
 
     def _hold_hand(self, finger: str, on_pose: Callable[[Target], None], on_failure: Callable[[], None]) -> None:
-        def on_held(answer: Held) -> None:
+        def on_hold(answer: Held) -> None:
             on_pose(Target(np.array(answer.position_m), answer.orientation_wxyz))
 
         def on_refused(text: str) -> None:
@@ -233,7 +233,7 @@ class LivePage:
             self._show_refusal(text)
 
         params = {"finger": finger} if finger else {}
-        self._commands.submit(f"hold {finger}", QueuedCommand("hold", params, on_held, on_refused))
+        self._commands.submit(f"hold {finger}", QueuedCommand("hold", params, on_hold, on_refused))
 
     def _drive_object(self, scene_index: int, pose: PoseTuple) -> None:
         params = {"object": scene_index, "position_m": list(pose[0]), "orientation_wxyz": list(pose[1])}
@@ -277,10 +277,10 @@ def _visible_parts(scene: schema.Scene) -> dict[str, Any]:
     objects = [
         {
             key: value
-            for key, value in each.items()
+            for key, value in obj.items()
             if key not in (POSE_KEYS if scene_index in driven else ()) + ("material",)
         }
-        for scene_index, each in enumerate(plain["object"])
+        for scene_index, obj in enumerate(plain["object"])
     ]
     model = None if scene.world is None else scene.world.model
     return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects, "model": model}

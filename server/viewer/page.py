@@ -128,7 +128,7 @@ class Page:
         self.refusal = ""
         """Text of the latest notification."""
         self.preparing = ""
-        """Progress of what the daemon prepares, shown below the values of the tick."""
+        """Progress of preparations in the daemon, shown below the values of the tick."""
         self._state_text = gui.add_html("")
         self._paused = gui.add_checkbox("pause picture", False)
         self.tabs: Final = gui.add_tab_group()
@@ -208,11 +208,11 @@ class Page:
         """Place the camera of a new browser, again if its page applies the initial camera after that."""
         self._place_camera(client)
 
-        def place_again(camera: viser.CameraHandle) -> None:
+        def restore_camera(camera: viser.CameraHandle) -> None:
             if self._camera is not None and np.allclose(camera.position, self._camera.position):
                 self._place_camera(client)
 
-        client.camera.on_update(place_again)
+        client.camera.on_update(restore_camera)
 
     def _place_camera(self, client: viser.ClientHandle) -> None:
         """Place the camera of a browser; in a window higher than wide farther away, so that its sides cut nothing."""
@@ -321,12 +321,12 @@ def format_tick_html(name: str, row: Array, state: VisibleState, gap_m: float | 
     """
     row = np.round(row, 9) + 0.0  # avoids negative zeros
     is_off = row[AT.contact_normal_force] > 0.0 and not row[AT.force : AT.force + 3].any()
-    felt = 0.0 if is_off else 1.0
+    force_scale = 0.0 if is_off else 1.0
     figures = (
-        ("normal", f"{felt * row[AT.contact_normal_force]:.2f} N"),
-        ("tangential", f"{felt * row[AT.contact_tangential_force]:.2f} N"),
+        ("normal", f"{force_scale * row[AT.contact_normal_force]:.2f} N"),
+        ("tangential", f"{force_scale * row[AT.contact_tangential_force]:.2f} N"),
         ("depth", f"{1e3 * row[AT.contact_penetration]:.2f} mm"),
-        ("torsion", f"{felt * 1e3 * row[AT.contact_torsion]:.2f} mN m"),
+        ("torsion", f"{force_scale * 1e3 * row[AT.contact_torsion]:.2f} mN m"),
         ("spin", f"{np.degrees(row[AT.contact_spin]):.1f}°"),
         ("rolled", f"{np.degrees(row[AT.contact_rolled]):.1f}°"),
     )

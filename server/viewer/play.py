@@ -56,7 +56,7 @@ class Play:
         if scene != self._scene:  # otherwise its bodies were reset, possibly by the gesture itself
             self.stop()
         self._scene, self._bodies = scene, bodies
-        self._sensed_dof = {each["name"]: each["device"]["sensed_dof"] for each in description["fingers"]}
+        self._sensed_dof = {entry["name"]: entry["device"]["sensed_dof"] for entry in description["fingers"]}
         if self._gesture is None:
             self._rows.clear()
         self._queued = ""

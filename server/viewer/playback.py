@@ -98,7 +98,7 @@ def load(recording: str, scene: str | None) -> LoadedRecording:
         rendered_scene = build(schema.Scene, notes["scene"], f"{recording}: scene")
     else:
         rendered_scene = load_scene(scene or DEFAULT_SCENE)
-    names = {each.name for each in rendered_scene.fingers}
+    names = {scene_finger.name for scene_finger in rendered_scene.fingers}
     if names != set(fingers) and not (len(names) == 1 and set(fingers) == {""}):
         raise RecordingError(
             f"{recording}: has fingers {sorted(fingers)}, and the scene {sorted(names)}: give its --scene"

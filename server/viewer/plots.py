@@ -89,8 +89,8 @@ class Plots:
         columns = np.array(self._points).T
         seconds = columns[0] - columns[0, -1]
         depth, normal, tangential, torsion, spin, roll, late, step, *bands = columns[1:]
-        beside = ((*bands, depth), (*bands, normal, tangential), (*bands, torsion))
-        for plot, lines in zip(self._plots, (*beside, (spin, roll), (late, step)), strict=True):
+        contact_lines = ((*bands, depth), (*bands, normal, tangential), (*bands, torsion))
+        for plot, lines in zip(self._plots, (*contact_lines, (spin, roll), (late, step)), strict=True):
             plot.data = (seconds, *lines)
 
 

@@ -24,7 +24,7 @@ SWITCH: Final = (
 
 def run_script(gui: Any, name: str) -> None:
     """Run `NAME.js` in a hidden frame of the page."""
-    script = "".join((FOLDER / f"{each}.js").read_text("utf-8") for each in (SHARED_SCRIPT, name))
+    script = "".join((FOLDER / f"{script_name}.js").read_text("utf-8") for script_name in (SHARED_SCRIPT, name))
     frame = html.escape(f"<script>{script}</script>", quote=True)
     gui.add_html(f'<iframe hidden aria-hidden="true" tabindex="-1" srcdoc="{frame}"></iframe>')
 

@@ -99,7 +99,7 @@ class SocketProcess:
         self.restarts = 0
         """Number of restarts."""
         self._restart_reports: list[str] = []
-        """Restarts whose process is not ready yet; it would drop an event about them."""
+        """Texts about restarts, published when the process is ready: before that, it would drop the event."""
         self._delayed_events: list[tuple[float, str]] = []
         """Events about the process, with the time at which to send them."""
         self.failed = False

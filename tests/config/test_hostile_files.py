@@ -228,7 +228,7 @@ OUTPUTS: dict[str, Callable[[Path], object]] = {
     "o.mcap": lambda path: write_results(path, some_records(2)),
     "live.mcap": stream,
     "sweep.mcap": write_sweep,
-    "report.json": lambda path: report.write(path, {"a": 1}),
+    "report.json": lambda path: report.write(path, {"a": 1}, "--probe"),
 }
 
 

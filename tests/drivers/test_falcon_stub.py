@@ -51,7 +51,7 @@ class TestContract(DriverContract):
 
 def run(device: Falcon, ticks: int) -> tuple[s.LoopEnd, np.ndarray]:
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
-    servo = s.Servo([device], make_tuning(load_scene("paper-plane"), guard, [device.info]), RATE_HZ, ticks)
+    servo = s.ServoThread([device], make_tuning(load_scene("paper-plane"), guard, [device.info]), RATE_HZ, ticks)
     servo.compile()
     servo.start()
     ended = servo.join(60.0)

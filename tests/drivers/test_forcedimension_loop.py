@@ -42,7 +42,7 @@ PRESSING = {"type": 34, "wrist": 1, "z": 0.0115, "az": 0.0035, "ax": 0.006, "ay"
 """Once a second the hand moves 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and releases."""
 
 
-def records_of(servo: s.Servo) -> np.ndarray:
+def records_of(servo: s.ServoThread) -> np.ndarray:
     out = np.empty((8192, RECORD_SIZE))
     return out[: servo.records.take(out)]
 
@@ -108,7 +108,7 @@ def runs_with_its_watchdog(stub: Stub, late: Callable[[], Callable[[], None]]) -
     with forcedimension.open_device(options, RATE_HZ) as device:
         assert stub["force_on"] == 0
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-        servo = s.Servo([device], tuning, RATE_HZ, 300, late)
+        servo = s.ServoThread([device], tuning, RATE_HZ, 300, late)
         servo.compile()
         servo.start()
         ended = servo.join(60.0)
@@ -146,7 +146,7 @@ def test_an_invalid_pose_gives_zero_force_for_its_tick(stub: Stub, bench: OmegaB
     stub.update(**PRESSING, nan_at=480)  # in contact
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay", {"guard.ramp_s": 0.01}).guard, [device.info])
-        servo = s.Servo([device], tuning, RATE_HZ, 700)
+        servo = s.ServoThread([device], tuning, RATE_HZ, 700)
         servo.compile()
         servo.start()
         assert servo.join(60.0).ending == s.FINISHED
@@ -175,7 +175,7 @@ def test_stop_while_a_transfer_hangs(
     stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-        servo = s.Servo([device], tuning, RATE_HZ)
+        servo = s.ServoThread([device], tuning, RATE_HZ)
         servo.compile()
         servo.start()
         run_for(servo, 100)
@@ -199,7 +199,7 @@ def test_stop_waits_for_a_running_exchange(stub: Stub, bench: OmegaBench) -> Non
     stub["slow_s"] = 0.02  # long enough to call in, shorter than `stop` waits
     for _ in range(3):  # this thread might stall for a full reading, but not each time
         with bench.open() as device:
-            servo = s.Servo([device], tuning, RATE_HZ)
+            servo = s.ServoThread([device], tuning, RATE_HZ)
             servo.compile()
             servo.start()
             while servo.ticks < 3 or not stub.busy():

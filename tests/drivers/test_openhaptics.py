@@ -34,7 +34,7 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.rules import udev_rules
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo, make_pulling_tuning, run_for
-from softfinger.server.loop.servo_thread import Servo as Loop
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.verbs import devices
 
 __all__ = ["hd", "hd_library", "touch"]  # fixtures
@@ -351,7 +351,7 @@ def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, benc
 def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:
-        servo = Loop([device], make_pulling_tuning(), RATE_HZ)
+        servo = ServoThread([device], make_pulling_tuning(), RATE_HZ)
         servo.compile()
         servo.start()
         run_for(servo, 400)

@@ -303,7 +303,7 @@ def test_a_puck_touches_a_scene() -> None:
     fd, end = ends()
     options = build(Options, rig.device.options | {"start_m": [0.0, 0.0, 0.012]}, "rig")
     with end, SpaceMouse(options, fd, RATE_HZ) as device:
-        servo = s.Servo([device], make_tuning(scene, rig.guard, [device.info]), RATE_HZ, 900)
+        servo = s.ServoThread([device], make_tuning(scene, rig.guard, [device.info]), RATE_HZ, 900)
         servo.compile()
         end.send(emulated.combined(up=-60, right=100)[0])  # 9 mm/s: at the end 6 mm deep, which no guard clamps
         servo.start()

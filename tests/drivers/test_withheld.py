@@ -24,7 +24,7 @@ from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
 from softfinger.server.driver_contract import PULL, RATE_HZ
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
 
@@ -135,9 +135,9 @@ def pulling(ramp_s: float) -> Tuning:
 
 
 @contextmanager
-def running(line: Line, ramp_s: float) -> Iterator[Servo]:
+def running(line: Line, ramp_s: float) -> Iterator[ServoThread]:
     line.device.info = replace(line.device.info, own_clock=True)
-    servo = Servo([line.device], pulling(ramp_s), RATE_HZ)
+    servo = ServoThread([line.device], pulling(ramp_s), RATE_HZ)
     servo.compile()
     line.device.arm()
     servo.start()

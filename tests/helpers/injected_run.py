@@ -56,7 +56,7 @@ def run(
     never = [{"kind": "stale", "at_tick": ticks + 1}]
     injected = FaultInjector(device, build(Faults, {"fault": faults or never}, "faults"), rate_hz)
     guard = load_rig("replay", {"guard.ramp_s": RAMP_S, "guard.frozen_s": FROZEN_S}).guard
-    servo = s.Servo([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
+    servo = s.ServoThread([injected], make_tuning(load_scene("paper-plane"), guard, [injected.info]), rate_hz, ticks)
     servo.compile()
     names: list[str] = []
     failures: list[HapticError] = []
@@ -90,7 +90,7 @@ def run(
     return Seen(error, events + names, count, recorded, recorded[:, AT.timestamp] - epoch_s)
 
 
-def _hand_on(servo: s.Servo, take: Callable[[np.ndarray], None], after_tick: Callable[[int], object]) -> None:
+def _hand_on(servo: s.ServoThread, take: Callable[[np.ndarray], None], after_tick: Callable[[int], object]) -> None:
     out = np.empty((1024, RECORD_SIZE))
     running = True
     while running:

@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes import closest, curvature, is_hollow, transport
 from softfinger.proxy.record import FREE
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 
 Array = NDArray[np.float64]
@@ -312,7 +312,7 @@ def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Pat
 def test_a_servo_keeps_an_array_while_its_loop_may_read_it(beads: ModuleType, balls_file: Path) -> None:
     """A replaced array is released after two complete ticks, because the first may still have read it."""
     rig, config = load_rig("replay"), scene(beads_of(balls_file))
-    servo = Servo([FaultyDevice(Options())], make_tuning(config, rig.guard), 1000.0)
+    servo = ServoThread([FaultyDevice(Options())], make_tuning(config, rig.guard), 1000.0)
     array = [servo.tuning.scene.objects.body.shape.balls.array]
     references = []
     for ticks in (0, 1, 2, 3, 5):  # done by the loop, before each change

@@ -32,7 +32,7 @@ NOTHING = {"kind": "stale", "at_tick": 10}
 """Fault without effect."""
 
 
-def pressed(path: Path, fast_at_s: float | None = None) -> str:
+def write_press(path: Path, fast_at_s: float | None = None) -> str:
     times = np.arange(0.0, 3.005, 0.01)
     x = np.zeros_like(times) if fast_at_s is None else np.clip(4.0 * (times - fast_at_s), 0.0, 0.2)
     rest = np.tile([0.0, 0.009, 1.0, 0.0, 0.0, 0.0], (len(times), 1))
@@ -40,7 +40,7 @@ def pressed(path: Path, fast_at_s: float | None = None) -> str:
     return str(path)
 
 
-class Run:
+class ArmingRun:
     def __init__(
         self,
         tmp_path: Path,
@@ -77,45 +77,45 @@ class Run:
 
 
 def test_automatic_arming_gives_force_from_the_first_tick(tmp_path: Path) -> None:
-    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "automatic")
+    run = ArmingRun(tmp_path, write_press(tmp_path / "p.csv"), "automatic")
     assert [name for name, _ in run.states[:2]] == ["ready", "armed"] and run.state == "armed"
     assert run.forces[1] > 0.0 and run.forces[100] > TOUCH_N
 
 
 def test_a_button_pressed_before_the_start_does_not_arm(tmp_path: Path) -> None:
-    held = {"kind": "bounce", "buttons": 1, "at_tick": 0, "ticks": 1000, "every_ticks": 1}
-    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", held)
+    press = {"kind": "bounce", "buttons": 1, "at_tick": 0, "ticks": 1000, "every_ticks": 1}
+    run = ArmingRun(tmp_path, write_press(tmp_path / "p.csv"), "button", press)
     assert not run.forces.any() and run.state == "ready"
 
 
 def test_a_button_arms(tmp_path: Path) -> None:
     press = {"kind": "bounce", "buttons": 1, "at_tick": 800, "ticks": 50}
-    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "button", press)
+    run = ArmingRun(tmp_path, write_press(tmp_path / "p.csv"), "button", press)
     assert not run.forces[:800].any()
     assert run.forces[2000] > TOUCH_N
     assert [name for name, _ in run.states[:2]] == ["ready", "armed"]
 
 
 def test_a_command_arms_if_the_rig_requires_one(tmp_path: Path) -> None:
-    seen: list[str] = []
+    states: list[str] = []
     armed_at: list[int] = []
 
     def during(control: Control, tick: int) -> None:
         if tick >= 0:
-            seen.append(control.ask("describe")["state"])
+            states.append(control.ask("describe")["state"])
         if tick > 1000 and not armed_at:
             control.arm()
             armed_at.append(tick)
 
     press = {"kind": "bounce", "buttons": 1, "at_tick": 300, "ticks": 50}
-    run = Run(tmp_path, pressed(tmp_path / "p.csv"), "command", press, during)
+    run = ArmingRun(tmp_path, write_press(tmp_path / "p.csv"), "command", press, during)
     assert armed_at and not run.forces[: armed_at[0]].any()
     assert run.forces[-10] > TOUCH_N and run.state == "armed"
-    assert seen[0] == "ready" and seen[-1] == "armed"
+    assert states[0] == "ready" and states[-1] == "armed"
 
 
 def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path) -> None:
-    run = Run(tmp_path, pressed(tmp_path / "p.csv", 0.5), "automatic")
+    run = ArmingRun(tmp_path, write_press(tmp_path / "p.csv", 0.5), "automatic")
     assert run.forces[495] > TOUCH_N
     off = np.flatnonzero(run.forces[500:] == 0.0) + 500
     assert off[0] < 550
@@ -139,7 +139,7 @@ def test_a_handle_that_is_too_fast_waits_for_whoever_arms(tmp_path: Path) -> Non
             control.arm()
             armed_at.append(tick)
 
-    run = Run(tmp_path, pressed(tmp_path / "p.csv", 0.5), "command", during=during)
+    run = ArmingRun(tmp_path, write_press(tmp_path / "p.csv", 0.5), "command", during=during)
     off = np.flatnonzero(run.forces[500:] == 0.0)[0] + 500
     assert off < 550 and len(armed_at) == 2
     assert not run.forces[off : armed_at[1]].any()

@@ -16,7 +16,7 @@ from softfinger.server.states import FAST, UNARMED, DaemonState, States
 pytestmark = pytest.mark.plain
 
 
-class Asked:
+class DaemonStub:
     """Rendering that records the calls of `Arming` in order; `armed_at` is the first armed tick."""
 
     def __init__(self, arm: str, fingers: int = 1, armed_at: int = 0) -> None:
@@ -25,7 +25,7 @@ class Asked:
         self.acts: list[Any] = []
         self.force = SimpleNamespace(
             switched_on_tick=armed_at,
-            note_guard=lambda reason, there: self.acts.append((reason, there)),
+            note_guard=lambda reason, tick: self.acts.append((reason, tick)),
             update_state=lambda: self.acts.append("update_state"),
         )
 
@@ -45,38 +45,38 @@ def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
     return out
 
 
-def taken(asked: Asked, *batches: np.ndarray) -> list[Any]:
-    arming = Arming(cast(Any, asked), States())
+def process_batches(daemon: DaemonStub, *batches: np.ndarray) -> list[Any]:
+    arming = Arming(cast(Any, daemon), States())
     for records in batches:
         arming.take(records, 0)
-    return [act for act in asked.acts if act != "update_state"]
+    return [act for act in daemon.acts if act != "update_state"]
 
 
 def test_the_first_batch_makes_ready() -> None:
-    asked, states = Asked("command"), States()
-    arming = Arming(cast(Any, asked), states)
+    daemon, states = DaemonStub("command"), States()
+    arming = Arming(cast(Any, daemon), states)
     assert arming.sink.name == "arming"
     arming.take(batch((0, [(0, 0)])), 0)
-    assert asked.acts == ["update_state"] and states.now is DaemonState.READY
+    assert daemon.acts == ["update_state"] and states.now is DaemonState.READY
 
 
 @pytest.mark.parametrize("fingers", [1, 2])
 def test_automatic_arming_reports_if_the_last_tick_was_too_fast(fingers: int) -> None:
     slow, fast = [(RAMPING, 0.0)] * fingers, [(0.0, 0.0)] * (fingers - 1) + [(TOO_FAST | RAMPING, 0.0)]
-    assert taken(Asked("automatic", fingers), batch((1, slow), (2, fast))) == [(FAST, True)]
-    assert taken(Asked("automatic", fingers), batch((1, fast), (2, slow))) == [(FAST, False)]
+    assert process_batches(DaemonStub("automatic", fingers), batch((1, slow), (2, fast))) == [(FAST, True)]
+    assert process_batches(DaemonStub("automatic", fingers), batch((1, fast), (2, slow))) == [(FAST, False)]
 
 
 def test_a_disarmed_guard_is_not_too_fast() -> None:
-    assert taken(Asked("automatic"), batch((1, [(TOO_FAST | DISARMED, 0)]))) == [(FAST, False)]
-    assert taken(Asked("automatic", armed_at=8), batch((7, [(TOO_FAST, 0)]))) == [(FAST, False)]
-    assert taken(Asked("automatic", armed_at=8), batch((8, [(TOO_FAST, 0)]))) == [(FAST, True)]
+    assert process_batches(DaemonStub("automatic"), batch((1, [(TOO_FAST | DISARMED, 0)]))) == [(FAST, False)]
+    assert process_batches(DaemonStub("automatic", armed_at=8), batch((7, [(TOO_FAST, 0)]))) == [(FAST, False)]
+    assert process_batches(DaemonStub("automatic", armed_at=8), batch((8, [(TOO_FAST, 0)]))) == [(FAST, True)]
 
 
 @pytest.mark.parametrize("arm", ["command", "button"])
 def test_too_fast_disarms_with_arming_by_command_or_button(arm: str) -> None:
-    assert taken(Asked(arm), batch((1, [(TOO_FAST, 0)]), (2, [(0, 0)]))) == [("disarm", FAST)]
-    assert taken(Asked(arm), batch((1, [(0, 0)]))) == []
+    assert process_batches(DaemonStub(arm), batch((1, [(TOO_FAST, 0)]), (2, [(0, 0)]))) == [("disarm", FAST)]
+    assert process_batches(DaemonStub(arm), batch((1, [(0, 0)]))) == []
 
 
 ARMED = [("arm", UNARMED, FAST)]
@@ -84,8 +84,8 @@ ARMED = [("arm", UNARMED, FAST)]
 
 def test_a_press_arms_if_the_rig_arms_by_button() -> None:
     press = batch((1, [(0, 0)]), (2, [(0, 1)]), (3, [(0, 1)]))
-    assert taken(Asked("button"), press) == ARMED
-    assert taken(Asked("command"), press) == []
+    assert process_batches(DaemonStub("button"), press) == ARMED
+    assert process_batches(DaemonStub("command"), press) == []
 
 
 @pytest.mark.parametrize(
@@ -105,10 +105,10 @@ def test_a_press_arms_if_the_rig_arms_by_button() -> None:
 )
 def test_a_press_is_a_button_that_was_up(words: list[float], armed: bool) -> None:
     ticks = [(number, [(0.0, word)]) for number, word in enumerate(words)]
-    assert taken(Asked("button"), batch(*ticks)) == (ARMED if armed else [])
-    assert taken(Asked("button"), *[batch(tick) for tick in ticks]) == (ARMED if armed else [])
+    assert process_batches(DaemonStub("button"), batch(*ticks)) == (ARMED if armed else [])
+    assert process_batches(DaemonStub("button"), *[batch(tick) for tick in ticks]) == (ARMED if armed else [])
 
 
 def test_any_finger_may_press() -> None:
-    assert taken(Asked("button", 2), batch((1, [(0, 0), (0, 0)]), (2, [(0, 0), (0, 2)]))) == ARMED
-    assert taken(Asked("button", 2), batch((1, [(0, 1), (0, 0)]), (2, [(0, 0), (0, 1)]))) == []
+    assert process_batches(DaemonStub("button", 2), batch((1, [(0, 0), (0, 0)]), (2, [(0, 0), (0, 2)]))) == ARMED
+    assert process_batches(DaemonStub("button", 2), batch((1, [(0, 1), (0, 0)]), (2, [(0, 0), (0, 1)]))) == []

@@ -38,7 +38,7 @@ def records(first: int, count: int) -> np.ndarray:
     return made
 
 
-def ticks_in(path: Path) -> list[int]:
+def read_ticks(path: Path) -> list[int]:
     parts = [part.records() for part in read_contents(path) if isinstance(part, TickBlock)]
     return [int(tick) for part in parts for tick in part[:, AT.tick]]
 
@@ -51,7 +51,7 @@ def test_the_last_ticks_are_written_in_order(batches: tuple[int, ...], tmp_path:
         box.take(records(first, count))
         first += count
     box.write(tmp_path / "box.mcap", {})
-    assert ticks_in(tmp_path / "box.mcap") == list(range(max(0, first - round(100.0 * HISTORY_S)), first))
+    assert read_ticks(tmp_path / "box.mcap") == list(range(max(0, first - round(100.0 * HISTORY_S)), first))
 
 
 @pytest.mark.plain
@@ -61,10 +61,10 @@ def test_old_events_take_no_memory() -> None:
     try:
         for number in range(1000):
             box.event({"timestamp": old, "kind": "mark", "name": f"{number:010000d}"})
-        held, _ = tracemalloc.get_traced_memory()
+        allocated, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert held < 10 * 10_000  # bytes of ten names; a thousand would need a hundred times as much
+    assert allocated < 10 * 10_000  # bytes of ten names; a thousand would need a hundred times as much
 
 
 @pytest.mark.plain
@@ -79,14 +79,14 @@ def test_old_events_and_log_lines_are_not_written(tmp_path: Path) -> None:
         box.log.handle(record)
     box.write(tmp_path / "box.mcap", {"scene_name": "s"})
     with (tmp_path / "box.mcap").open("rb") as file:
-        found = [
+        messages = [
             (channel.topic, message)
             for _, channel, _, message in make_reader(
                 file, decoder_factories=[DecoderFactory()]
             ).iter_decoded_messages()
         ]
-    assert [message.name for topic, message in found if topic == "event"] == ["1 s ago"]
-    ((level, name, text),) = [(m.level, m.name, m.message) for topic, m in found if topic == "log"]
+    assert [message.name for topic, message in messages if topic == "event"] == ["1 s ago"]
+    ((level, name, text),) = [(m.level, m.name, m.message) for topic, m in messages if topic == "log"]
     assert (level, name, text) == (4, "softfinger.test", "1 s ago")  # 4: ERROR in Foxglove's schema
 
 
@@ -131,7 +131,7 @@ def running(faults: list[dict[str, Any]] | None = None) -> Iterator[Daemon]:
         yield daemon
 
 
-def named_in(path: Path) -> dict[str, dict[str, Any]]:
+def read_faults(path: Path) -> dict[str, dict[str, Any]]:
     events = [part.event for part in read_contents(path) if isinstance(part, Event)]
     return {event["name"]: event for event in events if event["kind"] == "fault"}
 
@@ -142,8 +142,8 @@ def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
         daemon.wait(WAIT_S)
     path = files(blackbox.folder())[-1]
     assert path.stat().st_mode & 0o777 == 0o600
-    assert ticks_in(path) == list(range(700))
-    event = named_in(path)["device_lost"]
+    assert read_ticks(path) == list(range(700))
+    event = read_faults(path)["device_lost"]
     assert event["message"] == str(lost.value) and event["blackbox"] == str(path)
     assert event["tick"] == 699
 
@@ -157,12 +157,12 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
             next(iter(samples))  # a publisher killed before it is ready is not restarted
         killed_at = daemon.servo.ticks
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
-        found = eventually(lambda: list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
+        paths = eventually(lambda: list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
         assert daemon.publisher.restarts == 1 and daemon.servo.is_running
-    (path,) = found
-    ticks = ticks_in(path)
+    (path,) = paths
+    ticks = read_ticks(path)
     assert ticks == list(range(ticks[0], ticks[-1] + 1)) and ticks[0] < killed_at < ticks[-1]
-    event = named_in(path)["publisher"]
+    event = read_faults(path)["publisher"]
     assert "was started again" in event["message"] and event["blackbox"] == str(path)
 
 

@@ -29,18 +29,18 @@ WHY = "not installed by `make setup`: it is bigger than this program"
 
 
 @pytest.fixture
-def pressed() -> Records:
+def sample() -> Records:
     records = Records(run())
     return records[np.argmax(records["force"][:, 2])]
 
 
-def forced(record: Records, force: Any) -> Records:
+def set_force(record: Records, force: Any) -> Records:
     changed = record.copy()
     changed["force"][:] = force
     return changed
 
 
-def arrow_of(data: bytes) -> tuple[Any, np.ndarray]:
+def read_arrow(data: bytes) -> tuple[Any, np.ndarray]:
     """Return the arrow of a SceneUpdate and its direction: Foxglove draws arrows along x."""
     (entity,) = message_class(SCENE).FromString(data).entities
     (arrow,) = entity.arrows
@@ -49,15 +49,17 @@ def arrow_of(data: bytes) -> tuple[Any, np.ndarray]:
     return arrow, np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
 
 
-@pytest.mark.parametrize("way", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (-0.6, 0.0, 0.8), (0.36, -0.48, 0.8)])
-def test_the_arrow_of_a_force(way: tuple[float, ...], pressed: Records) -> None:
-    arrow, points = arrow_of(picture.force_message(forced(pressed, 1.5 * np.array(way)), 0, ""))
-    np.testing.assert_allclose(points, way, atol=1e-9)  # rounding
+@pytest.mark.parametrize(
+    "direction", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (-0.6, 0.0, 0.8), (0.36, -0.48, 0.8)]
+)
+def test_the_arrow_of_a_force(direction: tuple[float, ...], sample: Records) -> None:
+    arrow, points = read_arrow(picture.force_message(set_force(sample, 1.5 * np.array(direction)), 0, ""))
+    np.testing.assert_allclose(points, direction, atol=1e-9)  # rounding
     assert arrow.shaft_length + arrow.head_length == pytest.approx(0.03, rel=1e-12)
     place = arrow.pose.position
-    assert (place.x, place.y, place.z) == tuple(pressed["proxy.position"])
-    (gone,) = message_class(SCENE).FromString(picture.force_message(forced(pressed, 0.0), 0, "")).deletions
-    assert gone.id == "fingertip/force"
+    assert (place.x, place.y, place.z) == tuple(sample["proxy.position"])
+    (deletion,) = message_class(SCENE).FromString(picture.force_message(set_force(sample, 0.0), 0, "")).deletions
+    assert deletion.id == "fingertip/force"
 
 
 @pytest.mark.parametrize(("viewer", "library"), [("rerun", "rerun"), ("foxglove", "foxglove")])
@@ -80,12 +82,12 @@ def test_invalid_options_are_refused(capsys: pytest.CaptureFixture[str]) -> None
 # --- Rerun ------------------------------------------------------------------------------------------
 
 
-def columns(file: Path) -> dict[str, list[Any]]:
+def read_batches(file: Path) -> dict[str, list[Any]]:
     chunk = pytest.importorskip("rerun.chunk", reason=WHY)
-    found: dict[str, list[Any]] = {}
+    batches: dict[str, list[Any]] = {}
     for part in chunk.RrdReader(str(file)).stream():
-        found.setdefault(part.entity_path, []).append(part.to_record_batch())
-    return found
+        batches.setdefault(part.entity_path, []).append(part.to_record_batch())
+    return batches
 
 
 def values(batches: list[Any], ending: str) -> np.ndarray:
@@ -98,18 +100,18 @@ def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path, capsys: pytest.Ca
     mark = event("mark", "mark", 100, message="now")
     trial, out = recorded(tmp_path / "trial.mcap", run(), [mark]), tmp_path / "trial.rrd"
     assert main(["bridge", "rerun", str(trial), "--save", str(out)]) == 0
-    found, records = columns(out), Records(run())
-    assert {"/world/fingertip", "/world/proxy", "/world/force", "/events", "/plots/contact.mode"} <= set(found)
-    assert any(path.startswith("/world/objects/table/") for path in found)
-    force = values(found["/plots/force"], "Scalars:scalars")
+    batches, records = read_batches(out), Records(run())
+    assert {"/world/fingertip", "/world/proxy", "/world/force", "/events", "/plots/contact.mode"} <= set(batches)
+    assert any(path.startswith("/world/objects/table/") for path in batches)
+    force = values(batches["/plots/force"], "Scalars:scalars")
     np.testing.assert_array_equal(force, records["force"])
-    ticks = values(found["/plots/force"], "tick")
+    ticks = values(batches["/plots/force"], "tick")
     np.testing.assert_array_equal(ticks, records["tick"])
     shown, _ = picture.select_displayed(run(), np.nan)
-    arrows = values(found["/world/force"], "Arrows3D:vectors")[:, 0]
+    arrows = values(batches["/world/force"], "Arrows3D:vectors")[:, 0]
     # Rerun stores geometry in single precision.
     np.testing.assert_allclose(arrows, 0.02 * records[shown]["force"], rtol=1e-6, atol=1e-9)
-    turns = values(found["/world/fingertip"], "Transform3D:quaternion")[:, 0]
+    turns = values(batches["/world/fingertip"], "Transform3D:quaternion")[:, 0]
     np.testing.assert_allclose(turns[:, [3, 0, 1, 2]], records[shown]["probe.orientation"], atol=1e-6)
 
 
@@ -125,9 +127,9 @@ def test_rerun_shows_a_running_daemon(tmp_path: Path, endpoints: tuple[str, str]
     out = tmp_path / "live.rrd"
     words = ["--endpoint", endpoints[0], "--commands", endpoints[1], "--timeout", "60"]
     assert main(["bridge", "rerun", *words, "--save", str(out), "--duration", "0.5"]) == 0
-    found = columns(out)
-    assert any(path.startswith("/world/objects/table/") for path in found)
-    ticks = values(found["/plots/force"], "tick")
+    batches = read_batches(out)
+    assert any(path.startswith("/world/objects/table/") for path in batches)
+    ticks = values(batches["/plots/force"], "tick")
     assert len(ticks) > 100 and (np.diff(ticks) > 0).all()
 
 
@@ -142,7 +144,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
         with Viewer(int(server.url.rpartition(":")[2])) as viewer:
             shown.event(event("lifecycle", "started", 0))
             came: dict[str, tuple[int, bytes]] = {}
-            with sent_again_and_again(shown, records[:300]):
+            with send_repeatedly(shown, records[:300]):
                 for topic, time_ns, data in viewer.messages():
                     came[topic] = time_ns, data
                     if {"contact", "pose", "tf", "forces", "scene"} <= set(came):
@@ -157,7 +159,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
     assert list(tick.force) == row["force"].tolist() and time_ns == round(tick.timestamp * 1e9)
 
 
-def sent_again_and_again(shown: foxglove.FoxgloveSink, records: np.ndarray) -> AbstractContextManager[None]:
+def send_repeatedly(shown: foxglove.FoxgloveSink, records: np.ndarray) -> AbstractContextManager[None]:
     """Send from another thread repeatedly, because a subscription takes effect with a delay."""
     later = records.copy()
 
@@ -187,15 +189,15 @@ def test_each_finger_has_named_entities(tmp_path: Path) -> None:
         shown.take(run()[:100], place)
     stream.flush()
     stream.disconnect()
-    found = columns(tmp_path / "two.rrd")
+    batches = read_batches(tmp_path / "two.rrd")
     for finger in scene.fingers:
-        assert {f"/world/{finger.name}/force", f"/plots/{finger.name}/force"} <= set(found)
+        assert {f"/world/{finger.name}/force", f"/plots/{finger.name}/force"} <= set(batches)
 
 
 # --- bodies of a [world] -----------------------------------------------------------------------------
 
 
-def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
+def record_lift(path: Path) -> tuple[Path, dict[str, Any]]:
     box = {"name": "box", "position": [0.0, 0.0, 0.12], "orientation": [0.0, 0.0, 0.0, 1.0]}
     world = {"schema": 1, "timestamp": 1.7e9, "tick": 7, "bodies": [box | {"velocity": [0.0] * 3, "rate": [0.0] * 3}]}
     row = np.zeros((1, RECORD_SIZE))
@@ -210,7 +212,7 @@ def lifted(path: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: Path) -> None:
-    path, world = lifted(tmp_path / "lift.mcap")
+    path, world = record_lift(tmp_path / "lift.mcap")
     assert [part.world for part in read_contents(path) if isinstance(part, RecordedWorld)] == [world]
     frames, entities = {}, {}
     with path.open("rb") as file:
@@ -228,10 +230,10 @@ def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: P
 
 def test_rerun_moves_objects_with_their_body(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason=WHY)
-    path, _ = lifted(tmp_path / "lift.mcap")
+    path, _ = record_lift(tmp_path / "lift.mcap")
     assert main(["bridge", "rerun", str(path), "--save", str(tmp_path / "lift.rrd")]) == 0
-    found = columns(tmp_path / "lift.rrd")
-    place = values(found["/world/bodies/box"], "Transform3D:translation")
+    batches = read_batches(tmp_path / "lift.rrd")
+    place = values(batches["/world/bodies/box"], "Transform3D:translation")
     np.testing.assert_allclose(place.reshape(-1), [0.0, 0.0, 0.12], rtol=1e-6)  # single precision
-    assert any(name.startswith("/world/bodies/box/box/") for name in found)
-    assert any(name.startswith("/world/objects/floor/") for name in found)
+    assert any(name.startswith("/world/bodies/box/box/") for name in batches)
+    assert any(name.startswith("/world/objects/floor/") for name in batches)

@@ -122,8 +122,12 @@ def test_check_as_json() -> None:
 def test_explain_prints_measured_costs() -> None:
     result = called("check", "--explain", "frictionless-plane", "replay")
     assert result.returncode == 0, result.stderr
-    for said in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", r"1000 N/m; passive at 1000 Hz .* more than 0\.5"):
-        assert len(re.findall(said, result.stdout)) == 1, result.stdout
+    for pattern in (
+        r"cost of a tick.*\d+ ns",
+        r"bare contact.*\d+ ns",
+        r"1000 N/m; passive at 1000 Hz .* more than 0\.5",
+    ):
+        assert len(re.findall(pattern, result.stdout)) == 1, result.stdout
 
 
 @pytest.mark.plain

@@ -23,22 +23,22 @@ STEP_M = 1e-3
 """Spacing of the points on a drawn sphere, and the error of its chords."""
 
 
-def scene(**ball: object) -> Scene:
+def make_scene(**ball: object) -> Scene:
     table = {"name": "ball", "shape": "sphere", "radius_m": 0.01, **ball}
     return build(Scene, paper_mapping(table=table, material={"torsion": None}), "test scene")
 
 
 @pytest.mark.parametrize(
-    ("place", "said"),
+    ("place", "description"),
     [
         ((0.01, 0.0, 0.02), "inside"),
         ((0.05, 0.0, 0.02), "inside and outside"),
         ((0.08, 0.0, 0.02), "outside: its nearest point is 20 mm behind the wall"),  # 70 mm away, less 40 and 10
     ],
 )
-def test_objects_are_described_relative_to_the_wall(place: tuple[float, float, float], said: str) -> None:
-    objects = workspace.place_objects(SPHERE, scene(position_m=list(place)))
-    assert workspace.rows(SPHERE, objects) == [("1 'ball'", said)]
+def test_objects_are_described_relative_to_the_wall(place: tuple[float, float, float], description: str) -> None:
+    objects = workspace.place_objects(SPHERE, make_scene(position_m=list(place)))
+    assert workspace.rows(SPHERE, objects) == [("1 'ball'", description)]
     away = workspace.signed_distance(SPHERE, objects[0].points)
     apart = float(np.linalg.norm(np.array(place) - np.array(SPHERE.center_m)))
     assert away.max() == pytest.approx(apart + 0.01 - 0.04, abs=STEP_M)
@@ -51,7 +51,7 @@ def test_signed_distance_of_a_box() -> None:
 
 
 def test_text_draws_wall_and_objects_to_scale() -> None:
-    turned = scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
+    turned = make_scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
     lines = workspace.text(SPHERE, workspace.place_objects(SPHERE, turned))
     assert lines[0].startswith("from the front: x to the right, z up; 100 mm wide")
     middle = lines[1 + workspace.ROWS // 2].ljust(2 * workspace.COLUMNS + 3)
@@ -60,17 +60,17 @@ def test_text_draws_wall_and_objects_to_scale() -> None:
     assert len(front.strip()) == 2 * int(40.0 / cell) + 1
     # From the front the ball is in the middle; from the right 20 to 40 mm to the right of it.
     assert [k - workspace.COLUMNS // 2 for k, c in enumerate(front) if c == "1"] == [*range(-5, 0), *range(1, 6)]
-    seen = [cell * (k - workspace.COLUMNS // 2) for k, c in enumerate(right) if c == "1"]
-    assert min(seen) == pytest.approx(20.0, abs=cell) and max(seen) == pytest.approx(40.0, abs=cell)
+    positions_mm = [cell * (k - workspace.COLUMNS // 2) for k, c in enumerate(right) if c == "1"]
+    assert min(positions_mm) == pytest.approx(20.0, abs=cell) and max(positions_mm) == pytest.approx(40.0, abs=cell)
 
 
 def test_the_command_line_draws_each_rig_in_each_scene(tmp_path: Path) -> None:
     picture = tmp_path / "wall.svg"
-    done = called("check", "falcon", "paper-plane", "--plot", str(picture))
-    assert done.returncode == 0, done.stderr
-    said = done.stdout
-    assert "the soft wall of falcon in paper-plane\n  1 'table'  inside and outside\n" in said
-    assert "1" * (workspace.COLUMNS // 2) + "+" + "1" * (workspace.COLUMNS // 2) in said
+    completed = called("check", "falcon", "paper-plane", "--plot", str(picture))
+    assert completed.returncode == 0, completed.stderr
+    output = completed.stdout
+    assert "the soft wall of falcon in paper-plane\n  1 'table'  inside and outside\n" in output
+    assert "1" * (workspace.COLUMNS // 2) + "+" + "1" * (workspace.COLUMNS // 2) in output
     drawing = picture.read_text()
     assert "soft wall" in drawing and "table" in drawing and "from the right" in drawing
     assert "the soft wall of" not in called("check", "falcon").stdout
@@ -96,10 +96,10 @@ def test_reachable_curve_is_the_arc_or_plane_inside_the_workspace() -> None:
 
 
 def test_the_plane_of_a_device_is_drawn() -> None:
-    done = called("check", "haply-2diy", "paper-plane")
-    assert "edge of the plane in which the handle moves; other forces are shown, not displayed" in done.stdout
+    completed = called("check", "haply-2diy", "paper-plane")
+    assert "edge of the plane in which the handle moves; other forces are shown, not displayed" in completed.stdout
     begins = 2 + workspace.COLUMNS + 3
-    drawn = done.stdout.partition("the soft wall of")[2].splitlines()
+    drawn = completed.stdout.partition("the soft wall of")[2].splitlines()
     views = [line for line in drawn if workspace.CURVE_MARK in line and "handle" not in line]
     assert views
     assert {k for line in views for k, c in enumerate(line[begins:]) if c == workspace.CURVE_MARK} == {
@@ -109,6 +109,6 @@ def test_the_plane_of_a_device_is_drawn() -> None:
 
 
 def test_a_plot_without_a_wall_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    done = called("check", "simulated", "paper-plane", "--plot", str(tmp_path / "wall.png"))
-    assert done.returncode == ConfigError.exit_code
-    assert "there are 0 and 1: name one of each" in done.stderr + caplog.text
+    completed = called("check", "simulated", "paper-plane", "--plot", str(tmp_path / "wall.png"))
+    assert completed.returncode == ConfigError.exit_code
+    assert "there are 0 and 1: name one of each" in completed.stderr + caplog.text

@@ -60,7 +60,7 @@ def test_unknown_verb_lists_the_verbs():
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("simulat --poses tap", "(did you mean 'simulate'?)\n"),
         ("bench stp", "(did you mean 'step'?)\n"),
@@ -70,9 +70,9 @@ def test_unknown_verb_lists_the_verbs():
         ("check paper-plane --qxz", "unrecognized arguments: --qxz\n"),
     ],
 )
-def test_a_similar_name_is_suggested(line, said):
+def test_a_similar_name_is_suggested(line, message):
     outcome = called(*line.split())
-    assert outcome.returncode == 2 and said in outcome.stderr and outcome.stdout == ""
+    assert outcome.returncode == 2 and message in outcome.stderr and outcome.stdout == ""
 
 
 @pytest.mark.parametrize("line", ["{} scenes", "scenes {}", "bench step {}", "bench {} step"])
@@ -100,16 +100,16 @@ def test_completion_lists_every_verb(shell):
 def test_completion_lists_shipped_names(tmp_path):
     (tmp_path / "spherical.toml").touch()
     script = called("--print-completion", "bash").stdout
-    asked = {
+    completions = {
         "run --scene sph": ["sphere", "spherical.toml"],
         "materials sili": ["silicone", "silicone-tip"],
         "experiment weight": ["weight-of-a-box"],
         "info press-a-b": ["press-a-button"],
     }
-    for words, wanted in asked.items():
+    for words, wanted in completions.items():
         at = len(words.split())
-        ask = f"COMP_WORDS=(softfinger {words}); COMP_CWORD={at}; _shtab_softfinger; echo ${{COMPREPLY[@]}}"
-        outcome = run_program(["bash", "-c", f"{script}\n{ask}"], cwd=tmp_path, check=True)
+        script_end = f"COMP_WORDS=(softfinger {words}); COMP_CWORD={at}; _shtab_softfinger; echo ${{COMPREPLY[@]}}"
+        outcome = run_program(["bash", "-c", f"{script}\n{script_end}"], cwd=tmp_path, check=True)
         assert outcome.stdout.split() == wanted
 
 
@@ -127,7 +127,7 @@ for words in [["--help"], *([verb, "--help"] for verb in VERBS), *(["bench", kin
 def test_help_imports_no_compiler():
     outcome = run_program([sys.executable, "-c", HELP], check=True)
     words = ["", *(f"{verb} " for verb in VERBS), *(f"bench {kind} " for kind in KINDS)]
-    assert outcome.stdout.splitlines() == [f"{each}--help set()" for each in words]
+    assert outcome.stdout.splitlines() == [f"{prefix}--help set()" for prefix in words]
 
 
 def test_run_for_a_duration_logs_plain_lines():
@@ -263,7 +263,7 @@ LONG = "x" * 300
 
 
 @pytest.mark.parametrize(
-    ("line", "code", "said"),
+    ("line", "code", "message"),
     [
         ("check paper-plane >&-", 0, ""),
         ("check paper-plane 2>&-", 0, ""),
@@ -276,11 +276,11 @@ LONG = "x" * 300
         (f"record --poses {LONG}.csv --timeout 0.1 --endpoint ipc:///nowhere/x", 9, "no telemetry"),
     ],
 )
-def test_streams_and_names_that_cannot_be_used(line, code, said):
+def test_streams_and_names_that_cannot_be_used(line, code, message):
     words = ["bash", "-c", f"set -o pipefail; {shlex.join(COMMAND)} {line}"]
     outcome = run_program(words)
     assert outcome.returncode == code, outcome.stderr
-    assert "Traceback" not in outcome.stderr and said in outcome.stdout + outcome.stderr
+    assert "Traceback" not in outcome.stderr and message in outcome.stdout + outcome.stderr
     assert len([row for row in outcome.stderr.splitlines() if row.startswith("softfinger:")]) <= 1
 
 

@@ -26,7 +26,7 @@ def publisher():
         yield made
 
 
-def joined(publisher, topics=("contact",), timeout_s=30.0):
+def join_subscription(publisher, topics=("contact",), timeout_s=30.0):
     """Return a subscription that already receives; a late one would miss earlier messages."""
     subscription = subscribe(publisher.endpoint, (*topics, "event"), timeout_s)
     while (sample := subscription.receive(0.02)) is None or sample.topic != "event":
@@ -39,7 +39,7 @@ def joined(publisher, topics=("contact",), timeout_s=30.0):
 
 def test_iterator_gives_typed_samples_in_order(publisher):
     records = synthetic(300)
-    with joined(publisher) as samples:
+    with join_subscription(publisher) as samples:
         publisher.publish(records)
         for record, sample in zip(records, samples, strict=False):
             assert sample.topic == "contact"
@@ -57,7 +57,7 @@ def test_iterator_gives_typed_samples_in_order(publisher):
 
 
 def test_other_topics_and_plain_maps(publisher):
-    with joined(publisher, ("contact", "health")) as samples:
+    with join_subscription(publisher, ("contact", "health")) as samples:
         publisher.publish(synthetic(1001))
         publisher.event("fault", "device lost", message="unplugged", detail={"code": -1})
         got = [next(samples) for _ in range(1003)]
@@ -73,7 +73,7 @@ def test_other_topics_and_plain_maps(publisher):
 
 
 def test_unknown_key_is_an_error_of_the_usual_type(publisher):
-    with joined(publisher) as samples:
+    with join_subscription(publisher) as samples:
         publisher.publish(synthetic(1))
         sample = next(samples)
     with pytest.raises(KeyError, match=r"contact\.colour"):
@@ -83,7 +83,7 @@ def test_unknown_key_is_an_error_of_the_usual_type(publisher):
 
 
 def test_sample_can_be_copied(publisher):
-    with joined(publisher) as samples:
+    with join_subscription(publisher) as samples:
         publisher.publish(synthetic(1))
         sample = next(samples)
     assert copy.deepcopy(sample) == sample
@@ -91,16 +91,16 @@ def test_sample_can_be_copied(publisher):
 
 def test_lost_counts_the_gap_before_a_sample(publisher):
     records = synthetic(30)
-    kept = np.delete(records, [10, 11, 12, 13, 14, 20], axis=0)
-    with joined(publisher) as samples:
-        publisher.publish(kept)
-        lost = {sample.tick: sample.lost for _, sample in zip(kept, samples, strict=False)}
+    remaining = np.delete(records, [10, 11, 12, 13, 14, 20], axis=0)
+    with join_subscription(publisher) as samples:
+        publisher.publish(remaining)
+        lost = {sample.tick: sample.lost for _, sample in zip(remaining, samples, strict=False)}
     assert {tick: n for tick, n in lost.items() if n} == {15: 5, 21: 1}
 
 
 def test_lost_counts_published_ticks_only():
     records = synthetic(101)
-    with Publisher("tcp://127.0.0.1:*", every=5) as publisher, joined(publisher) as samples:
+    with Publisher("tcp://127.0.0.1:*", every=5) as publisher, join_subscription(publisher) as samples:
         publisher.publish(records[:41])
         publisher.publish(records[56:])
         got = [next(samples) for _ in range(18)]
@@ -108,7 +108,7 @@ def test_lost_counts_published_ticks_only():
 
 
 def test_a_restarted_server_counts_no_losses(publisher):
-    with joined(publisher) as samples:
+    with join_subscription(publisher) as samples:
         publisher.publish(synthetic(5, first_tick=1000))
         publisher.publish(synthetic(5))
         assert [next(samples).lost for _ in range(10)] == [0] * 10
@@ -118,8 +118,8 @@ def test_lost_counts_all_messages_a_stalled_client_missed(tmp_path):
     count = 60_000  # more than publisher, kernel and client buffer together
     with (
         Publisher(f"ipc://{tmp_path}/telemetry", backlog=1000) as publisher,
-        joined(publisher) as samples,
-        joined(publisher, ("event",)) as events,
+        join_subscription(publisher) as samples,
+        join_subscription(publisher, ("event",)) as events,
     ):
         records = synthetic(5000)
         for first in range(0, count, len(records)):
@@ -151,7 +151,7 @@ def test_missing_telemetry_raises_with_endpoint_and_remedy(publisher):
 def test_receive_returns_none_without_a_message(publisher):
     with subscribe(publisher.endpoint) as samples:
         assert samples.receive(0.0) is None
-    with joined(publisher) as samples:
+    with join_subscription(publisher) as samples:
         for wait_s in (1e9, None, 30.0):
             publisher.event("test", "here")
             assert samples.receive(wait_s)["name"] == "here"
@@ -159,20 +159,20 @@ def test_receive_returns_none_without_a_message(publisher):
             assert samples.receive(-1.0) is None
 
 
-class Rung(Exception):
+class SignalReceived(Exception):
     """Raised by the signal handler."""
 
 
 @pytest.mark.parametrize("wait_s", [None, 60.0])
 def test_a_signal_ends_the_wait(publisher, wait_s):
     def ring(number, frame):
-        raise Rung
+        raise SignalReceived
 
     before = signal.signal(signal.SIGALRM, ring)
     try:
-        with joined(publisher) as samples:
+        with join_subscription(publisher) as samples:
             signal.setitimer(signal.ITIMER_REAL, 0.2)
-            with pytest.raises(Rung):
+            with pytest.raises(SignalReceived):
                 samples.receive(wait_s)
             publisher.event("test", "after")
             assert samples.receive(5.0)["name"] == "after"
@@ -190,7 +190,7 @@ def test_closed_subscription_ends_the_loop(publisher):
 
 def test_a_deleted_subscription_closes_its_socket(publisher):
     """A deleted subscription closes its socket; a warning of an unclosed socket would fail this test."""
-    samples = joined(publisher)
+    samples = join_subscription(publisher)
     publisher.publish(synthetic(2))
     for _ in samples:
         break
@@ -214,7 +214,7 @@ GOOD = contact_map(synthetic(1)[0])
 EVENT = {"schema": 1, "timestamp": 1.0, "tick": 1, "kind": "test", "name": "x"}
 
 
-def without(key):
+def drop_key(key):
     return {k: v for k, v in GOOD.items() if k != key}
 
 
@@ -232,7 +232,7 @@ def without(key):
         ([b"contact", encode(GOOD) + b"\x00"], "trailing"),
         ([b"contact", b"\xdf\xff\xff\xff\xff"], "truncated"),
         ([b"contact", b"\x81\xa1x" + b"\x91" * 60000], "recursion"),
-        ([b"contact", msgpack.packb(without("timestamp"))], "timestamp"),
+        ([b"contact", msgpack.packb(drop_key("timestamp"))], "timestamp"),
         ([b"contact", msgpack.packb(GOOD | {"force": [1.0, 2.0]})], "force"),
         ([b"contact", msgpack.packb(GOOD | {"force": [1.0, 2.0, "3"]})], "force"),
         ([b"contact", msgpack.packb(GOOD | {"tick": 1.5})], "tick"),
@@ -274,7 +274,7 @@ def test_integers_and_unknown_keys_are_accepted():
     assert type(sample.force[2]) is float
 
 
-def filled(publisher, window):
+def fill_window(publisher, window):
     """Publish tick 0 until the window receives it: a window subscribes to contact messages only."""
     while not window.update(0.02):
         publisher.publish(synthetic(1))
@@ -287,7 +287,7 @@ def test_window_has_all_ticks_until_it_is_full(publisher):
     with Window(publisher.endpoint, 100) as window:
         assert len(window) == 0
         assert window["force"].shape == (0, 3)
-        filled(publisher, window)
+        fill_window(publisher, window)
         publisher.publish(records[1:])
         while len(window) < 40:
             assert window.update(5.0) > 0
@@ -303,7 +303,7 @@ def test_window_has_all_ticks_until_it_is_full(publisher):
 def test_window_has_the_last_ticks_in_order(publisher):
     records = synthetic(1000)
     with Window(publisher.endpoint, 64) as window:
-        filled(publisher, window)
+        fill_window(publisher, window)
         last = 0
         for at in range(1, 1000, 37):
             batch = records[at : at + 37]
@@ -320,7 +320,7 @@ def test_window_has_the_last_ticks_in_order(publisher):
 def test_window_counts_losses_and_resets_with_the_server(publisher):
     records = synthetic(50)
     with Window(publisher.endpoint, 100) as window:
-        filled(publisher, window)
+        fill_window(publisher, window)
         publisher.publish(records[11:20])
         publisher.publish(records[25:])
         while len(window) < 35:

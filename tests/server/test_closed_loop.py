@@ -33,7 +33,7 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 from softfinger.server import cli
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.servo_thread import FINISHED, Servo
+from softfinger.server.loop.servo_thread import FINISHED, ServoThread
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import FIGURES, close_many, run_closed_loop
@@ -45,13 +45,13 @@ FORCE = slice(AT.force, AT.force + 3)
 POSITION = slice(AT.probe_position, AT.probe_position + 3)
 
 
-def ice(stiffness: float = 1000.0, damping: float = 0.0, time_constant: float = 0.0) -> Tuning:
+def tune_ice(stiffness: float = 1000.0, damping: float = 0.0, time_constant: float = 0.0) -> Tuning:
     material = {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping, "friction": None, "torsion": None}
     mapping = paper_mapping(material=material, rolling=None, probe={"velocity_time_constant_s": time_constant})
     return Tuning(build_scene(build(Scene, mapping, "test scene")), (OPEN_GUARD,))
 
 
-def resting_at(z: float) -> np.ndarray:
+def make_rest_pose(z: float) -> np.ndarray:
     return np.array([0.0, 0.0, z, 1.0, 0.0, 0.0, 0.0])
 
 
@@ -60,7 +60,7 @@ def test_servo_and_closed_loop_are_bit_identical() -> None:
     options = Options(preset="omega.6", delay_ticks=2, sway_m=(0.0, 0.0, 1e-4), sway_hz=7.0)
     with open_device(options, 1000.0) as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-        servo = Servo([device], tuning, 1000.0, ticks)
+        servo = ServoThread([device], tuning, 1000.0, ticks)
         servo.compile()
         servo.start()
         assert servo.join(60.0).ending == FINISHED
@@ -120,25 +120,25 @@ def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
 def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -> None:
     """m x'' + b x' = F, F = -K x[k-d] - B (x[k-d] - x[k-d-1]) / T constant over a tick: the same x at every tick."""
     m, b, k, period, count = 0.2, 1.0, 1000.0, 0.001, 18
-    tuning = ice(k, damping)
+    tuning = tune_ice(k, damping)
     plant = make_plant(period, Handle((m,) * 3, (b,) * 3, delay=delay))
-    device = Simulation(plant, make_rest_state((0.0, 0.0, 0.008)), ALOFT, resting_at(0.008))
+    device = Simulation(plant, make_rest_state((0.0, 0.0, 0.008)), ALOFT, make_rest_pose(0.008))
     records = whole(run_closed_loop(tuning, [device], 1.0 / period, count))
 
     a, g, *_ = cont2discrete(
         (np.array([[0.0, 1.0], [0.0, -b / m]]), np.array([[0.0], [1.0 / m]]), np.eye(2), 0), period
     )
-    x, seen, under_way, expected = np.array([-0.002, 0.0]), -0.002, [0.0] * delay, []
+    x, previous_x, under_way, expected = np.array([-0.002, 0.0]), -0.002, [0.0] * delay, []
     for _ in range(count):
         expected.append(x[0])
-        under_way.append(-k * x[0] - damping * (x[0] - seen) / period)
-        seen, x = x[0], a @ x + g[:, 0] * under_way.pop(0)
+        under_way.append(-k * x[0] - damping * (x[0] - previous_x) / period)
+        previous_x, x = x[0], a @ x + g[:, 0] * under_way.pop(0)
     assert min(expected) < -0.001 and max(expected) < 0.0  # always in contact, and moving
     # Positions are of 10 mm and forces of 2 N: a few roundings of 1e-18 m in each of 18 ticks.
     np.testing.assert_allclose(records[:, POSITION][:, 2] - 0.01, expected, atol=1e-15)
 
 
-def figures_of(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks: int, bound: float) -> np.ndarray:
+def compute_figures(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks: int, bound: float) -> np.ndarray:
     figures = np.zeros((len(tunings.values), len(FIGURES)))
     drive = PlantInputs(ALOFT, pose, np.zeros(DELAY_LINE_SIZE))
     tables = (Packed(plant, flatten(plant)[None]), Packed(state, flatten(state)[None]))
@@ -147,13 +147,13 @@ def figures_of(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks:
 
 
 def test_figures_equal_those_computed_from_records() -> None:
-    tuning, ticks = ice(2000.0, 1.0, 0.002), 2000
+    tuning, ticks = tune_ice(2000.0, 1.0, 0.002), 2000
     plant = make_plant(0.001, Handle((0.2,) * 3, (1.0,) * 3), Impedance(mass=0.1, damping=2.0, stiffness=300.0))
-    pose = resting_at(0.008)
+    pose = make_rest_pose(0.008)
     device = Simulation(plant, make_rest_state((0.0, 0.0, 0.02))._replace(goal=(0.0, 0.0, 0.008)), ALOFT, pose)
     records = whole(run_closed_loop(tuning, [device], 1000.0, ticks + 1))
     tunings = Packed(tuning, flatten(tuning)[None])
-    (row,) = figures_of(tunings, plant, device.state, pose, ticks, inf)
+    (row,) = compute_figures(tunings, plant, device.state, pose, ticks, inf)
     end = dict(zip(FIGURES, row, strict=True))
     x, force = records[:, POSITION], records[:-1, FORCE]
     assert (end["ticks"], end["exit_tick"]) == (ticks, -1.0)
@@ -165,13 +165,13 @@ def test_figures_equal_those_computed_from_records() -> None:
 
 def test_cases_do_not_affect_each_other() -> None:
     stiffness = np.array([500.0, 40000.0, 1000.0, 40000.0, 500.0])
-    tuning = ice()
+    tuning = tune_ice()
     plant = make_plant(0.001, Handle((0.1,) * 3, (1.0,) * 3), Impedance(damping=1.0, stiffness=100.0))
     state = make_rest_state((0.0, 0.0, 0.009))
-    tunings = Packed(tuning, np.array([flatten(ice(k)) for k in stiffness]))
-    figures = figures_of(tunings, plant, state, resting_at(0.009), 5000, 0.005)
-    left = figures[:, FIGURES.index("exit_tick")]
-    assert (left[[0, 2, 4]] == -1.0).all() and (left[[1, 3]] > 0.0).all()
+    tunings = Packed(tuning, np.array([flatten(tune_ice(k)) for k in stiffness]))
+    figures = compute_figures(tunings, plant, state, make_rest_pose(0.009), 5000, 0.005)
+    exit_ticks = figures[:, FIGURES.index("exit_tick")]
+    assert (exit_ticks[[0, 2, 4]] == -1.0).all() and (exit_ticks[[1, 3]] > 0.0).all()
     assert figures[0].tolist() == figures[4].tolist() and figures[1].tolist() == figures[3].tolist()
     assert (figures[[0, 2], FIGURES.index("ticks")] == 5000.0).all()
     assert figures[1, FIGURES.index("ticks")] == figures[1, FIGURES.index("exit_tick")]

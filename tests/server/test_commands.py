@@ -70,7 +70,7 @@ STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 PUSH = "effect.0.force_n"
 
 
-class Kept:
+class RecordSink:
     def __init__(self) -> None:
         self.rows: list[np.ndarray] = []
         self.sink = Sink("kept", lambda records, drops: self.rows.append(records.copy()))
@@ -104,9 +104,9 @@ def rig(monkeypatch):
 
 
 @contextlib.contextmanager
-def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, Kept]]:
+def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, RecordSink]]:
     """Run a daemon that presses with full force; yield it, a client, and the sink of records."""
-    recorder = Kept()
+    recorder = RecordSink()
     with Daemon(rig, scene or pressed_scene(), sinks=[recorder.sink], scene_name="pressed") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
@@ -124,15 +124,15 @@ def events(daemon: Daemon) -> Iterator[Any]:
         subscriber.connect(daemon.publisher.endpoint)
         assert eventually(lambda: daemon.publisher.subscribers == 1)
 
-        def following(kind: str) -> dict[str, Any]:
+        def next_event(kind: str) -> dict[str, Any]:
             while (event := msgpack.unpackb(subscriber.recv_multipart()[1]))["kind"] != kind:
                 pass
             return event
 
-        yield following
+        yield next_event
 
 
-def largest_rise(rows: np.ndarray) -> float:
+def find_largest_rise(rows: np.ndarray) -> float:
     """Return the largest rise of the force per tick, except where a stall made the guard start from zero."""
     rises = np.diff(np.linalg.norm(rows[:, AT.force : AT.force + 3], axis=1))
     return float(rises[rows[1:, AT.dt] <= PAUSE_MAX_S].max())
@@ -140,12 +140,12 @@ def largest_rise(rows: np.ndarray) -> float:
 
 def unchanged(rows: np.ndarray) -> bool:
     """Return True if contact force and device force are constant, ignoring ticks in which the guard was active."""
-    felt = rows[rows[:, AT.servo_guard] == 0.0, AT.force + 2]
-    return len(felt) > 0 and np.ptp(felt) == 0.0 and np.ptp(rows[:, AT.contact_normal_force]) == 0.0
+    device_force = rows[rows[:, AT.servo_guard] == 0.0, AT.force + 2]
+    return len(device_force) > 0 and np.ptp(device_force) == 0.0 and np.ptp(rows[:, AT.contact_normal_force]) == 0.0
 
 
 def test_every_method_answers(rig):
-    with running(rig()) as (daemon, control, recorder), events(daemon) as following:
+    with running(rig()) as (daemon, control, recorder), events(daemon) as next_event:
         state = control.get_state()
         assert state.active_field == "pressed" and state.position[2] == 0.009
         assert state.force[2] == pytest.approx(1000.0 * DEPTH_M + 1.0, rel=ROUNDING)
@@ -153,15 +153,15 @@ def test_every_method_answers(rig):
         assert control.heartbeat().timeout_ms == 0
         changed = control.set_params({STIFFNESS: 500.0, PUSH: [0.0, 0.0, 1.0]})
         assert {key: (c.before, c.after) for key, c in changed.changed.items()} == {STIFFNESS: (1000.0, 500.0)}
-        message = following("command")
+        message = next_event("command")
         assert message["name"] == "set_params" and message["what"] == {STIFFNESS: {"from": 1000.0, "to": 500.0}}
         assert control.mark("trial 7", {"hand": "left"}).tick > 0
-        message = following("mark")
+        message = next_event("mark")
         assert (message["label"], message["data"]) == ("trial 7", {"hand": "left"}) and message["command_id"]
-        assert control.disarm().armed is False and following("command")["name"] == "disarm"
-        assert control.arm().armed is True and following("command")["what"] == {"armed": True}
+        assert control.disarm().armed is False and next_event("command")["name"] == "disarm"
+        assert control.arm().armed is True and next_event("command")["what"] == {"armed": True}
         moved = control.drive("lid.top", (0.0, 0.0, 0.0005))
-        message = following("command")
+        message = next_event("command")
         assert message["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and message["name"] == "drive"
         assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > moved.tick)
         # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
@@ -171,14 +171,14 @@ def test_every_method_answers(rig):
             control.mesh("lid.top")
         with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
             control.mesh(7)
-        said = control.describe()
-        assert said["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and said["scene_name"] == "pressed"
-        assert said["rig"]["guard"]["force_slew_n_per_s"] == SLEW and set(said["commands"]["methods"]) == set(METHODS)
-        assert said["wire"]["schema"] == 1 and said["versions"]["numba"] and said["compiled"]["model"]
-        assert json.dumps(said)
+        reply = control.describe()
+        assert reply["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and reply["scene_name"] == "pressed"
+        assert reply["rig"]["guard"]["force_slew_n_per_s"] == SLEW and set(reply["commands"]["methods"]) == set(METHODS)
+        assert reply["wire"]["schema"] == 1 and reply["versions"]["numba"] and reply["compiled"]["model"]
+        assert json.dumps(reply)
         assert control.set_scene("frictionless-plane").active_field == "frictionless-plane"
-        assert following("lifecycle")["name"] == "replaced"
-        assert following("command")["what"]["scene"] == "frictionless-plane"
+        assert next_event("lifecycle")["name"] == "replaced"
+        assert next_event("command")["what"]["scene"] == "frictionless-plane"
         assert control.get_state().active_field == "frictionless-plane"
         assert control.stop().shutting_down is True
         assert daemon.wait(60.0)
@@ -199,63 +199,63 @@ def test_a_parameter_changes_along_its_ramp(rig):
 
 
 def test_events_of_every_command_are_recorded(rig, tmp_path):
-    message = []
+    published = []
     with (
         running(rig(**{"recording.directory": str(tmp_path)})) as (daemon, control, _),
-        subscribe(daemon.publisher.endpoint, ["event"]) as following,
+        subscribe(daemon.publisher.endpoint, ["event"]) as subscription,
     ):
         assert eventually(lambda: daemon.publisher.subscribers == 1)
         control.record_start("all.mcap")
 
-        def zeroed() -> bool:
+        def try_zero() -> bool:
             with contextlib.suppress(CommandRefused):  # while the force is fading out
                 control.zero((0.0, 0.0, 0.001))
                 return True
             return False
 
-        def refused(ask: Any) -> None:
+        def assert_refused(request: Any) -> None:
             with pytest.raises(CommandRefused):
-                ask()
+                request()
 
-        asked = {
+        requests = {
             "set_params": lambda: control.set_params({STIFFNESS: 500.0, PUSH: [0.0, 0.0, 1.0]}),
             "mark": lambda: control.mark("trial 7", {"hand": "left", "n": 1}),
             "set_prompt": lambda: control.set_prompt("trial 7", choices=("first", "second")),
             "get_prompt": control.get_prompt,
             "answer": lambda: control.answer("first"),
             "disarm": control.disarm,
-            "zero": lambda: eventually(zeroed),
+            "zero": lambda: eventually(try_zero),
             "arm": control.arm,
             "drive": lambda: control.drive("lid.top", (0.0, 0.0, 0.0005)),
             "set_scene": lambda: control.set_scene("frictionless-plane"),
             "get_state": control.get_state,
             "describe": control.describe,
             "heartbeat": control.heartbeat,
-            "reset_world": lambda: refused(control.reset_world),
-            "mesh": lambda: refused(lambda: control.mesh(7)),
-            "hand": lambda: refused(lambda: control.hand((0.0, 0.0, 0.1))),
-            "hold": lambda: refused(control.hold),
+            "reset_world": lambda: assert_refused(control.reset_world),
+            "mesh": lambda: assert_refused(lambda: control.mesh(7)),
+            "hand": lambda: assert_refused(lambda: control.hand((0.0, 0.0, 0.1))),
+            "hold": lambda: assert_refused(control.hold),
         }
-        for ask in asked.values():
-            ask()
-        assert set(METHODS) - set(asked) == {"record_start", "record_stop", "stop"}
+        for request in requests.values():
+            request()
+        assert set(METHODS) - set(requests) == {"record_start", "record_stop", "stop"}
         control.mark("the last")
-        while not message or message[-1].get("label") != "the last":
-            message.append(following.receive(60.0).as_map())
+        while not published or published[-1].get("label") != "the last":
+            published.append(subscription.receive(60.0).as_map())
         stopped = control.record_stop()
     assert stopped.error == "" and stopped.dropped == 0
     assert eventually(lambda: summary(tmp_path / "all.mcap")["whole"])
-    found = [part.event for part in read_contents(tmp_path / "all.mcap") if isinstance(part, Event)]
+    recorded = [part.event for part in read_contents(tmp_path / "all.mcap") if isinstance(part, Event)]
     own = {"schema", "timestamp", "tick"}  # time of writing differs
 
-    def essence(events):
+    def select_comparable(events):
         """Return the events of commands without time and order; contact and guard events follow from ticks."""
         kinds, recording = ("command", "mark", "lifecycle"), ("record_start", "record_stop")
-        recorder = [each for each in events if each["kind"] in kinds and each["name"] not in recording]
-        return sorted(json.dumps({key: each[key] for key in sorted(each.keys() - own)}) for each in recorder)
+        recorder = [entry for entry in events if entry["kind"] in kinds and entry["name"] not in recording]
+        return sorted(json.dumps({key: entry[key] for key in sorted(entry.keys() - own)}) for entry in recorder)
 
-    assert len(essence(message)) >= 8
-    assert essence(found) == essence(message)
+    assert len(select_comparable(published)) >= 8
+    assert select_comparable(recorded) == select_comparable(published)
 
 
 def test_a_telemetry_endpoint_selects_the_daemon_to_command(rig, tmp_path):
@@ -265,16 +265,16 @@ def test_a_telemetry_endpoint_selects_the_daemon_to_command(rig, tmp_path):
         own = {} if commands is None else {"commands.endpoint": f"ipc://{tmp_path}/{commands}"}
         return running(rig(**{"telemetry.endpoint": f"ipc://{tmp_path}/{telemetry}", **own}))
 
-    with on("one", "elsewhere") as (_, _, one), on("other", "one.commands") as (_, _, other):
+    with on("one", "elsewhere") as (_, _, first), on("other", "one.commands") as (_, _, second):
         with (
             RemoteClient(f"ipc://{tmp_path}/one", timeout_s=WAIT_S) as client,
             pytest.raises(ConfigError, match=r"telemetry on ipc://.*/other, not on .*/one: give its command endpoint"),
         ):
             client.arm()
-        assert one.force_n > 0.0 and other.force_n > 0.0
+        assert first.force_n > 0.0 and second.force_n > 0.0
         with RemoteClient(f"ipc://{tmp_path}/one", f"ipc://{tmp_path}/elsewhere", timeout_s=WAIT_S) as client:
             client.disarm()
-        assert eventually(lambda: one.force_n == 0.0) and other.force_n > 0.0
+        assert eventually(lambda: first.force_n == 0.0) and second.force_n > 0.0
     with on("usual") as (_, _, recorder), RemoteClient(f"ipc://{tmp_path}/usual", timeout_s=WAIT_S) as client:
         client.disarm()
         assert eventually(lambda: recorder.force_n == 0.0)
@@ -298,33 +298,33 @@ def test_several_fingers_are_commanded_together(rig):
     ]
     with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, recorder):
 
-        def felt(*wanted: float) -> bool:
+        def has_forces(*wanted: float) -> bool:
             return eventually(
                 lambda: recorder.rows[-1][-1].reshape(2, -1)[:, AT.force + 2] == pytest.approx(wanted, rel=ROUNDING)
             )
 
-        assert felt(2.0, 1.5)
+        assert has_forces(2.0, 1.5)
         assert control.get_state().force[2] == pytest.approx(2.0, rel=ROUNDING)
-        said = control.describe()
-        assert [finger["name"] for finger in said["fingers"]] == ["thumb", "index"]
-        assert all(finger["device"] == said["device"] for finger in said["fingers"]) and said["device"]["name"]
+        reply = control.describe()
+        assert [finger["name"] for finger in reply["fingers"]] == ["thumb", "index"]
+        assert all(finger["device"] == reply["device"] for finger in reply["fingers"]) and reply["device"]["name"]
         control.set_params({STIFFNESS: 500.0})
-        assert felt(1.5, 1.25)
+        assert has_forces(1.5, 1.25)
         assert set(control.set_params({"finger.index.radius_m": 0.0105}).changed) == {"finger.index.radius_m"}
-        assert felt(1.5, 1.75)
+        assert has_forces(1.5, 1.75)
         control.drive("lid.top", (0.0, 0.0, 0.0005))
-        assert felt(1.75, 2.0)
+        assert has_forces(1.75, 2.0)
         control.disarm()
-        assert felt(0.0, 0.0)
+        assert has_forces(0.0, 0.0)
         control.arm()
-        assert felt(1.75, 2.0)
+        assert has_forces(1.75, 2.0)
         for method, params, words in refused:
             with pytest.raises(CommandRefused, match=r"^bad_params: ") as answer:
                 control.ask(method, params)
             assert words in str(answer.value), answer.value
-        assert felt(1.75, 2.0)
+        assert has_forces(1.75, 2.0)
         control.set_scene(describe(scene))
-        assert felt(2.0, 1.5)
+        assert has_forces(2.0, 1.5)
 
 
 REFUSED = [
@@ -378,8 +378,8 @@ def test_parameters_set_together_are_never_torn(rig):
     """k d + f is the same in every tick while both change every other tick; each pair is active for many ticks."""
     pairs = [(1000.0, 1.0), (500.0, 1.5), (250.0, 1.75), (1500.0, 0.5)]
     with running(rig()) as (daemon, control, recorder):
-        first, asked = daemon.servo.ticks, 400
-        for number in range(asked):
+        first, requests = daemon.servo.ticks, 400
+        for number in range(requests):
             stiffness, push = pairs[number % 4]
             tick = daemon.servo.ticks
             control.set_params({STIFFNESS: stiffness, PUSH: [0.0, 0.0, push]})
@@ -390,7 +390,7 @@ def test_parameters_set_together_are_never_torn(rig):
     normal = rows[:, AT.contact_normal_force]
     np.testing.assert_allclose(rows[:, AT.force + 2], 2.0, rtol=ROUNDING)
     assert np.isin(np.round(normal, 9), [k * DEPTH_M for k, _ in pairs]).all()
-    assert np.count_nonzero(np.diff(normal)) > 0.5 * asked > 100
+    assert np.count_nonzero(np.diff(normal)) > 0.5 * requests > 100
 
 
 def test_changes_of_scene_cause_no_step_of_force(rig):
@@ -400,14 +400,15 @@ def test_changes_of_scene_cause_no_step_of_force(rig):
         first = daemon.servo.ticks
         for number in range(8):
             scene = "paper-plane" if number % 2 else own
-            done = control.set_scene(scene, {"object.0.material.stiffness_n_per_m": 900.0}, f"number {number}")
-            assert done.active_field == f"number {number}"
+            answer = control.set_scene(scene, {"object.0.material.stiffness_n_per_m": 900.0}, f"number {number}")
+            assert answer.active_field == f"number {number}"
             assert eventually(lambda: recorder.force_n > 0.85)
-            begun = recorder.since(done.tick - 1)
-            assert not begun[0, AT.force : AT.force + 3].any() and begun[1, AT.tick] == done.tick
+            begun = recorder.since(answer.tick - 1)
+            assert not begun[0, AT.force : AT.force + 3].any() and begun[1, AT.tick] == answer.tick
         rows = recorder.since(first)
     assert (np.diff(rows[:, AT.tick]) == 1.0).all()
-    assert largest_rise(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)  # without the last zero, of a stop in contact
+    # without the last zero, of a stop in contact
+    assert find_largest_rise(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)
 
 
 def test_disarm_fades_out_and_arm_fades_in(rig):
@@ -424,7 +425,7 @@ def test_disarm_fades_out_and_arm_fades_in(rig):
         assert control.arm().armed is True
         assert eventually(lambda: recorder.force_n > 0.99)
         rows = recorder.since(first)
-        assert largest_rise(rows) <= SLEW / 1000.0 * (1.0 + ROUNDING)
+        assert find_largest_rise(rows) <= SLEW / 1000.0 * (1.0 + ROUNDING)
         fading = rows[(rows[:, AT.tick] >= armed) & (rows[:, AT.force + 2] > 0.0) & (rows[:, AT.force + 2] < 0.999)]
         # The ramp's ticks; the last one has the full force.
         assert len(fading) >= RAMP_S * 1000.0 - 1
@@ -437,20 +438,20 @@ def test_disarm_and_arm_cause_no_step_of_force(rig):
             control.disarm()
             control.arm()
         assert eventually(lambda: recorder.force_n > 1.99)
-        assert largest_rise(recorder.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
+        assert find_largest_rise(recorder.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
 
 
 def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
-    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as following:
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as next_event:
         assert control.heartbeat().timeout_ms == 500
-        while (lost := following("command"))["name"] != "heartbeat_missed":  # on a busy machine one was missed before
+        while (lost := next_event("command"))["name"] != "heartbeat_missed":  # on a busy machine one was missed before
             pass
         assert lost["what"] == {"after_s": 0.5}
         assert eventually(lambda: recorder.force_n == 0.0)
         assert control.describe()["armed"] is False and recorder.force_n == 0.0
         control.heartbeat()
-        assert following("command")["what"] == {"armed": True}
-        with Control(daemon.commands_endpoint) as other, repeated(other.heartbeat, 0.05):
+        assert next_event("command")["what"] == {"armed": True}
+        with Control(daemon.commands_endpoint) as second, repeated(second.heartbeat, 0.05):
             assert eventually(lambda: recorder.force_n > 1.9)
             control.disarm()
             assert eventually(lambda: recorder.force_n == 0.0)
@@ -471,11 +472,11 @@ def test_a_late_request_does_not_hide_a_missed_heartbeat(rig, monkeypatch):
 
 
 def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
-    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as following:
+    with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as next_event:
         control.disarm()
         assert eventually(lambda: daemon.rendering.force.is_inhibited_by(SILENT))
         control.heartbeat()
-        while (message := following("command"))["name"] != "heartbeat":
+        while (message := next_event("command"))["name"] != "heartbeat":
             pass
         assert message["what"] == {"armed": False}
         tick = daemon.servo.ticks
@@ -496,9 +497,9 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
     )
     doing = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
-    other = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
+    unknown = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     alive = []
-    for body, too_much in ((b"\xc1", False), (None, False), (other, False), (good, True), (good, False)):
+    for body, too_much in ((b"\xc1", False), (None, False), (unknown, False), (good, True), (good, False)):
         commands = CommandService("ipc:///nowhere", rendering, doing, "none")  # no request received so far
         reasons.clear()
         assert commands._receive(b"client", body, too_much) is not None
@@ -528,8 +529,8 @@ def test_a_client_of_hapticores_protocol_works_unchanged(rig):
 def test_each_client_gets_its_answers(rig):
     with running(rig()) as (daemon, control, _):
         for number in range(50):
-            with Control(daemon.commands_endpoint) as other:
-                assert other.set_params({STIFFNESS: 600.0 + number}).changed[STIFFNESS].after == 600.0 + number
+            with Control(daemon.commands_endpoint) as second:
+                assert second.set_params({STIFFNESS: 600.0 + number}).changed[STIFFNESS].after == 600.0 + number
                 assert control.describe()["scene"]["object"][0]["material"]["stiffness_n_per_m"] == 600.0 + number
         request = msgpack.packb({"command_id": "h", "method": "set_scene", "params": {"scene": "frictionless-plane"}})
         with zmq.Context() as context, context.socket(zmq.DEALER) as hasty:
@@ -546,8 +547,8 @@ def test_a_late_answer_is_not_assigned_to_the_next_request():
 
         def serve() -> None:
             for client, empty, body in [server.recv_multipart() for _ in range(2)]:
-                asked = msgpack.unpackb(body)
-                answer = {"command_id": asked["command_id"], "success": True, "result": {"of": asked["method"]}}
+                request = msgpack.unpackb(body)
+                answer = {"command_id": request["command_id"], "success": True, "result": {"of": request["method"]}}
                 server.send_multipart([client, empty, msgpack.packb(answer)])
 
         serving = threading.Thread(target=serve)
@@ -600,7 +601,7 @@ def slow_compiler(monkeypatch, tmp_path):
         return popen(words if link.MODULE in words else [*words[:1], program], **rest)
 
     monkeypatch.setattr(compilation.subprocess, "Popen", started)
-    monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(compilation.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
     return lambda: [int(path.name) for path in tmp_path.glob("[0-9]*")]
 
 
@@ -617,8 +618,8 @@ def test_a_scene_on_its_way_holds_up_nothing(rig, slow_compiler):
         Control(daemon.commands_endpoint) as second,
     ):
         assert any("set_scene: compiling kernel 3" in piece for piece in pieces)
-        with preparation.display("building the mesh of ball", 4) as done:
-            done(1)
+        with preparation.display("building the mesh of ball", 4) as report_progress:
+            report_progress(1)
             assert any("set_scene: building the mesh of ball 25%" in piece for piece in pieces)
         control.timeout_s = 5.0
         assert control.heartbeat().timeout_ms == 0
@@ -672,7 +673,7 @@ def test_endless_scene_requests_do_not_block_other_clients(rig, slow_compiler):
 
 def test_a_failed_compilation_is_reported(rig, monkeypatch):
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
-    monkeypatch.setattr(compilation.Servo, "has_compiled", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(compilation.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
     with running(rig()) as (_, control, recorder):
         monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
         with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):
@@ -682,9 +683,9 @@ def test_a_failed_compilation_is_reported(rig, monkeypatch):
 
 def test_the_compiler_exits_when_its_input_is_closed():
     words = [sys.executable, "-P", "-m", "softfinger.server.services.compilation"]
-    given = json.dumps(describe(pressed_scene())) + "\n"
-    done = run_program(words, input=given)
-    assert done.returncode == 1 and "Traceback" not in done.stderr
+    scene = json.dumps(describe(pressed_scene())) + "\n"
+    completed = run_program(words, input=scene)
+    assert completed.returncode == 1 and "Traceback" not in completed.stderr
 
 
 def test_command_endpoints_in_use_off_and_ipc(rig, tmp_path):
@@ -781,7 +782,7 @@ def request_bytes(random: np.random.Generator) -> list[bytes]:
 
 @pytest.mark.scaled
 def test_bad_messages_change_nothing(rig, cases):
-    clients, each = cases(4, 20), cases(500, 5000)
+    clients, per_client = cases(4, 20), cases(500, 5000)
     with running(rig(**QUIET)) as (daemon, control, recorder), zmq.Context() as context:
         before, first = control.describe()["scene"], daemon.servo.ticks
         # The clients' threads are in this process; measure once all of them run.
@@ -794,11 +795,11 @@ def test_bad_messages_change_nothing(rig, cases):
                 dealer.linger = 0
                 dealer.connect(daemon.commands_endpoint)
                 answers = 0
-                for number in range(each):
-                    if number == each // 10:
+                for number in range(per_client):
+                    if number == per_client // 10:
                         at_work.wait()
                     dealer.send_multipart(request_bytes(random))
-                    while number - answers > 50 or (number == each - 1 and answers < each):
+                    while number - answers > 50 or (number == per_client - 1 and answers < per_client):
                         if not dealer.poll(60_000):
                             failures.append(f"{seed}: {answers} answers to {number} messages")
                             return
@@ -837,13 +838,13 @@ def test_raw_peers_do_not_affect_memory_or_ticks(rig):
             assert peers.stdout.readline() == b"at work\n"
             answered = 0
             while peers.poll() is None:
-                with Control(daemon.commands_endpoint, WAIT_S) as other:
-                    assert other.describe()["rig"] == wanted == control.describe()["rig"]
+                with Control(daemon.commands_endpoint, WAIT_S) as second:
+                    assert second.describe()["rig"] == wanted == control.describe()["rig"]
                 answered += 1
                 gc.collect()  # Python does not collect during timed tests: helpers/stalls.py
         assert peers.returncode == 0 and answered > 0
-        with Control(daemon.commands_endpoint) as other:
-            assert other.describe()["rig"] == wanted == control.describe()["rig"]
+        with Control(daemon.commands_endpoint) as second:
+            assert second.describe()["rig"] == wanted == control.describe()["rig"]
         grown_mb = resident_mb() - memory_mb - (recorder.megabytes - recorded_mb)
         assert unchanged(recorder.since(first))
     # For each peer a frame, an answer of 40 KB and the bytes of one read.
@@ -859,15 +860,15 @@ def test_stop_ends_a_daemon_process(tmp_path):
                 lines.append(daemon.stderr.readline())
                 assert lines[-1]
 
-            def ctl(*given: str) -> VerbResult:
-                return called("ctl", *given, "--endpoint", f"ipc://{tmp_path}/c", "--timeout", "240")
+            def ctl(*arguments: str) -> VerbResult:
+                return called("ctl", *arguments, "--endpoint", f"ipc://{tmp_path}/c", "--timeout", "240")
 
             state = ctl("get_state", "--json")
             while "no tick yet" in state.stderr:
                 state = ctl("get_state", "--json")
             assert json.loads(state.stdout)["active_field"] == "paper-plane", state.stderr
-            done = ctl("set_params", "object.table.material.stiffness_n_per_m=800")
-            assert done.returncode == 0 and '"to": 800' in done.stdout
+            changed = ctl("set_params", "object.table.material.stiffness_n_per_m=800")
+            assert changed.returncode == 0 and '"to": 800' in changed.stdout
             refused = ctl("set_params", "object.table.material.stiffness_n_per_m=hard")
             assert refused.returncode == 12 and "bad_params: " in refused.stderr
             (tmp_path / "mine.toml").write_text(

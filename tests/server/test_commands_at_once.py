@@ -54,13 +54,13 @@ def running(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> It
         assert daemon.wait(WAIT_S)
 
 
-def forced(device: FaultyDevice) -> bool:
+def has_force(device: FaultyDevice) -> bool:
     """Return True if the last wrench of the device is a force."""
     wrenches = device.wrenches
     return len(wrenches) > 0 and bool(wrenches[-1].any())
 
 
-class Asking:
+class QueueingClient:
     """Client that sends without waiting for answers."""
 
     def __init__(self, endpoint: str) -> None:
@@ -81,7 +81,7 @@ class Asking:
         self._socket.close()
 
 
-def many_bodies(folder: Path) -> str:
+def write_bodies(folder: Path) -> str:
     """Write a model that MuJoCo loads in tenths of a second, with more geoms than a scene may have."""
     body = '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>'
     path = folder / "many.xml"
@@ -92,14 +92,14 @@ def many_bodies(folder: Path) -> str:
     return str(path)
 
 
-def requests_of_all(folder: Path) -> dict[str, Any]:
+def make_requests(folder: Path) -> dict[str, Any]:
     """Return parameters of each method that another client sends, large ones where possible."""
     long = "x" * 2 * SHORT
     rubber = {"stiffness_n_per_m": 1000.0}
     return {
         "set_params": {f"object.{number}.{long[:200]}": 1.0 for number in range(1000)},
         "set_scene": {
-            "scene": {"fingertip": {"radius_m": 0.01}, "world": {"model": many_bodies(folder), "material": rubber}}
+            "scene": {"fingertip": {"radius_m": 0.01}, "world": {"model": write_bodies(folder), "material": rubber}}
         },
         "reset_world": {},
         "drive": {"object": "lid.top", "position_m": [0.0, 0.0, 0.0], "more": long},
@@ -118,36 +118,36 @@ def requests_of_all(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.real_time
 def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path):
-    asked = requests_of_all(tmp_path)
-    assert set(asked) == METHODS.keys() - AT_ONCE
+    requests = make_requests(tmp_path)
+    assert set(requests) == METHODS.keys() - AT_ONCE
     with running(monkeypatch, tmp_path) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
-            for method, params in asked.items():
-                assert eventually(lambda: forced(device)), method
-                other = Asking(endpoint)
+            for method, params in requests.items():
+                assert eventually(lambda: has_force(device)), method
+                second = QueueingClient(endpoint)
                 for number in range(BEFORE):
-                    other.send("describe", {}, f"before {number}")
-                other.send(method, params, "last")
-                answered = [next(other.answers(WAIT_S))]  # so that all have arrived
+                    second.send("describe", {}, f"before {number}")
+                second.send(method, params, "last")
+                answered = [next(second.answers(WAIT_S))]  # so that all have arrived
                 assert control.disarm().armed is False
-                assert eventually(lambda: not forced(device)), method
-                answered += other.answers()
+                assert eventually(lambda: not has_force(device)), method
+                answered += second.answers()
                 assert "last" not in answered, method
                 assert len(answered) < BEFORE, method
                 while "last" not in answered:
-                    answered.append(next(other.answers(WAIT_S)))
-                other.close()
-                assert not forced(device)
+                    answered.append(next(second.answers(WAIT_S)))
+                second.close()
+                assert not has_force(device)
                 control.arm()
-            other = Asking(endpoint)
+            second = QueueingClient(endpoint)
             for number in range(WAITING_MAX):
-                other.send("describe", {}, str(number))
-            assert next(other.answers(WAIT_S)) == "0"
+                second.send("describe", {}, str(number))
+            assert next(second.answers(WAIT_S)) == "0"
             assert control.stop().shutting_down
-            assert len(list(other.answers())) < WAITING_MAX - 1
+            assert len(list(second.answers())) < WAITING_MAX - 1
             assert daemon.wait(WAIT_S)
-            other.close()
+            second.close()
 
 
 @pytest.mark.real_time
@@ -161,7 +161,7 @@ def test_a_lost_disarm_is_repeated(client, monkeypatch, tmp_path):
 
     with running(monkeypatch, tmp_path) as (daemon, device):
         endpoint, pid = str(daemon.commands_endpoint), daemon.publisher.pids["commands"]
-        assert eventually(lambda: forced(device))
+        assert eventually(lambda: has_force(device))
         if client == "asyncio":
             armed = asyncio.run(disarm_in_task())
         else:
@@ -170,20 +170,20 @@ def test_a_lost_disarm_is_repeated(client, monkeypatch, tmp_path):
                 os.kill(pid, signal.SIGSTOP)
                 armed = control.disarm()
         assert armed.armed is False and daemon.publisher.pids["commands"] != pid
-        assert eventually(lambda: not forced(device))
+        assert eventually(lambda: not has_force(device))
         with Control(endpoint, WAIT_S) as control:  # the request that was lost does not count any more
             control.arm()
-            assert eventually(lambda: forced(device))
+            assert eventually(lambda: has_force(device))
 
 
 @pytest.mark.real_time
 def test_subscribers_do_not_delay_disarm(monkeypatch, tmp_path):
     with running(monkeypatch, tmp_path) as (daemon, device), Control(str(daemon.commands_endpoint), WAIT_S) as control:
-        assert eventually(lambda: forced(device))
+        assert eventually(lambda: has_force(device))
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGSTOP)
         try:
             assert control.disarm().armed is False
-            assert eventually(lambda: not forced(device))
+            assert eventually(lambda: not has_force(device))
         finally:
             os.kill(daemon.publisher.pids["telemetry"], signal.SIGCONT)
 
@@ -192,7 +192,7 @@ HOLD = ctypes.PyDLL(None).usleep
 """Sleep for a number of us with the GIL, so that no Python thread runs."""
 
 
-def share_without(device: FaultyDevice) -> float:
+def measure_zero_share(device: FaultyDevice) -> float:
     """Hold the GIL for 1 s; return the share of the wrenches of that time that are zero and follow the last force."""
     count = len(device.wrenches)
     HOLD(1_000_000)
@@ -205,31 +205,31 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
     with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 0.3}) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
-            while not forced(device):
+            while not has_force(device):
                 control.heartbeat()
                 time.sleep(0.005)  # more than 100 requests in 0.1 s are refused
-            assert share_without(device) > 0.5
-            assert control.describe()["armed"] is False and not forced(device)
+            assert measure_zero_share(device) > 0.5
+            assert control.describe()["armed"] is False and not has_force(device)
             control.heartbeat()
-            assert eventually(lambda: forced(device))
+            assert eventually(lambda: has_force(device))
     with running(monkeypatch, tmp_path) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
-            other = Asking(endpoint)
-            other.send("get_state", {}, "connected")
-            assert next(other.answers(WAIT_S)) == "connected"
-            assert eventually(lambda: forced(device))
+            second = QueueingClient(endpoint)
+            second.send("get_state", {}, "connected")
+            assert next(second.answers(WAIT_S)) == "connected"
+            assert eventually(lambda: has_force(device))
             for number in range(BURST + 1):
-                other.send("arm", {}, str(number))
-            other.send("disarm", {}, "off")
-            assert share_without(device) > 0.45
-            assert "off" in other.answers(WAIT_S) and not forced(device)
-            other.send("disarm", {"now": True}, "declined")  # switches the force off until it is declined
-            assert next(other.answers(WAIT_S)) == "declined"
-            other.close()
+                second.send("arm", {}, str(number))
+            second.send("disarm", {}, "off")
+            assert measure_zero_share(device) > 0.45
+            assert "off" in second.answers(WAIT_S) and not has_force(device)
+            second.send("disarm", {"now": True}, "declined")  # switches the force off until it is declined
+            assert next(second.answers(WAIT_S)) == "declined"
+            second.close()
             assert control.describe()["armed"] is False
             control.arm()
-            assert eventually(lambda: forced(device))
+            assert eventually(lambda: has_force(device))
 
 
 @pytest.mark.plain

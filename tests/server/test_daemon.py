@@ -63,7 +63,7 @@ def subscribed(endpoint: str, *topics: str) -> Iterator[zmq.Socket[bytes]]:
         yield socket
 
 
-def saved_forces(path: Path) -> np.ndarray:
+def load_forces(path: Path) -> np.ndarray:
     with np.load(path) as saved:
         return np.hstack([saved["force"], saved["torque"]])
 
@@ -77,7 +77,7 @@ def test_two_replays_and_simulate_are_bit_identical(tmp_path):
         daemon(*words, "--forces", str(files[1])) as (second, _),
     ):
         assert first.wait(180) == second.wait(180) == 0
-    runs = [saved_forces(file) for file in files]
+    runs = [load_forces(file) for file in files]
     assert runs[0].tobytes() == runs[1].tobytes()
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("tap"), 1000.0), 1000.0)
@@ -96,7 +96,7 @@ def test_signal_stops_in_order_with_zero_force(number, tmp_path):
                 pass
         process.send_signal(number)
         assert process.wait(30) == 0
-    written = saved_forces(forces)
+    written = load_forces(forces)
     assert np.linalg.norm(written[-20:-2, :3], axis=1).max() > 0.1
     assert not written[-1].any()
 
@@ -105,7 +105,7 @@ def test_plain_client_gets_every_tick_all_modes_and_every_transition():
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), 250.0), 250.0)
     expected = [int(row[AT.tick]) for row in records if row[AT.contact_cause]]
-    seen, ticks, modes = [], [], set()
+    transitions, ticks, modes = [], [], set()
     with daemon("--once", "--rate", "250") as (process, endpoint), subscribed(endpoint, "event", "contact") as socket:
         while True:
             frames = socket.recv_multipart()
@@ -115,15 +115,15 @@ def test_plain_client_gets_every_tick_all_modes_and_every_transition():
                 ticks.append(message["tick"])
                 modes.add(message["contact"]["mode"])
             elif message["kind"] == "contact":
-                seen.append(message)
+                transitions.append(message)
             elif message["kind"] == "lifecycle" and message["name"] == "stopped":
                 break
         assert process.wait(30) == 0
     assert len(ticks) > 1000 and modes == {0, 1, 2}
     assert np.array_equal(np.diff(ticks), np.ones(len(ticks) - 1))
-    assert [event["tick"] for event in seen] == expected
-    assert seen[0]["cause"] == "touch" and seen[-1]["cause"] == "release"
-    assert all(len(event["force"]) == 3 and event["normal_force"] >= 0.0 for event in seen)
+    assert [event["tick"] for event in transitions] == expected
+    assert transitions[0]["cause"] == "touch" and transitions[-1]["cause"] == "release"
+    assert all(len(event["force"]) == 3 and event["normal_force"] >= 0.0 for event in transitions)
 
 
 def test_stopped_is_sent_after_a_late_close():
@@ -219,7 +219,7 @@ def faulty(monkeypatch):
     return registered(monkeypatch)
 
 
-def faulty_rig(realtime="off", **options):
+def make_faulty_rig(realtime="off", **options):
     changes = {"device.driver": "faulty", "telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": realtime}
     return load_rig("replay", changes | {f"device.{key}": value for key, value in options.items()})
 
@@ -229,7 +229,7 @@ def faulty_rig(realtime="off", **options):
     [("lost", DeviceLost), ("timeout", DeviceTimeout), ("protocol", DeviceLost), ("write_lost", DeviceLost)],
 )
 def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
-    with Daemon(faulty_rig(fault=fault, at=200), load_scene("paper-plane"), 1000) as running:
+    with Daemon(make_faulty_rig(fault=fault, at=200), load_scene("paper-plane"), 1000) as running:
         running.start()
         with pytest.raises(error, match="faulty"):
             running.wait(60.0)
@@ -237,7 +237,7 @@ def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
 
 
 def test_stalled_servo_is_stopped_and_zeroed(faulty):
-    with Daemon(faulty_rig(fault="stall", at=200, stall_us=900_000), load_scene("paper-plane")) as running:
+    with Daemon(make_faulty_rig(fault="stall", at=200, stall_us=900_000), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(SafetyStop, match="no tick for"):
             running.wait(60.0)
@@ -246,7 +246,7 @@ def test_stalled_servo_is_stopped_and_zeroed(faulty):
 
 def test_a_stall_does_not_end_a_run_without_a_hand(faulty):
     """If reads are computed, as for a recording, a stall of the machine does not end the run."""
-    rig = faulty_rig(fault="stall", at=200, stall_us=900_000, own_clock=True)
+    rig = make_faulty_rig(fault="stall", at=200, stall_us=900_000, own_clock=True)
     with Daemon(rig, load_scene("paper-plane"), 400) as running:
         running.start()
         assert running.wait(60.0)
@@ -255,18 +255,18 @@ def test_a_stall_does_not_end_a_run_without_a_hand(faulty):
 
 def test_a_signal_to_any_thread_does_not_end_it():
     """The system may deliver a signal to any thread, so each one gets many, including those of libraries."""
-    given, number = ctypes.CDLL(None).syscall, SYS_TGKILL[os.uname().machine]
+    syscall, number = ctypes.CDLL(None).syscall, SYS_TGKILL[os.uname().machine]
     before = signal.signal(signal.SIGUSR1, lambda *_: None)
     try:
         with Daemon(
             load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*"}), load_scene("paper-plane")
         ) as running:
             running.start()
-            threads = [int(each) for each in os.listdir("/proc/self/task")]
+            threads = [int(entry) for entry in os.listdir("/proc/self/task")]
             assert len(threads) > 5
             for _ in range(50):
                 for thread in threads:
-                    given(number, os.getpid(), thread, signal.SIGUSR1)
+                    syscall(number, os.getpid(), thread, signal.SIGUSR1)
                 time.sleep(0.005)
             ticks = running.servo.ticks
             assert eventually(lambda: running.servo.ticks > ticks + 100)
@@ -279,7 +279,7 @@ def test_a_signal_to_any_thread_does_not_end_it():
 # test_fingers_daemon.py tests a successful stop with two devices.
 @pytest.mark.parametrize("stop_fails", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog):
-    rig = faulty_rig(fault="hang", at=700, stop_fails=stop_fails)
+    rig = make_faulty_rig(fault="hang", at=700, stop_fails=stop_fails)
     running = Daemon(rig, load_scene("paper-plane"))
     try:
         running.start()
@@ -296,7 +296,7 @@ def test_a_hung_exchange_is_zeroed_by_the_supervisor(stop_fails, faulty, caplog)
 
 
 def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
-    running = Daemon(faulty_rig(stop_fails=True), load_scene("paper-plane"), 300)
+    running = Daemon(make_faulty_rig(stop_fails=True), load_scene("paper-plane"), 300)
     running.start()
     with (
         pytest.raises(DeviceError, match=r"could not be stopped \(OSError: the port has gone\).*switch it off"),
@@ -311,21 +311,21 @@ def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
 
 
 def test_the_device_is_armed_after_all_services_run(faulty):
-    seen = []
+    reports = []
 
     def report(settings):
-        seen.append((len(faulty.device.acts), {thread.name for thread in threading.enumerate()}))
+        reports.append((len(faulty.device.acts), {thread.name for thread in threading.enumerate()}))
 
-    with Daemon(faulty_rig(), load_scene("paper-plane"), 50, report) as running:
+    with Daemon(make_faulty_rig(), load_scene("paper-plane"), 50, report) as running:
         running.start()
         running.wait(60.0)
-    assert seen[0][0] == 0 and {"records", "supervisor", "hotplug", "servo"} <= seen[0][1]
+    assert reports[0][0] == 0 and {"records", "supervisor", "hotplug", "servo"} <= reports[0][1]
     assert faulty.device.acts[0][0] == "arm" and faulty.device.acts[0][2] == 0
 
 
 def test_repeated_stalls_end_the_run(faulty):
     hang_s = 0.24
-    rig = faulty_rig(fault="stall", at=200, count=20, stall_us=round(1e6 * hang_s))
+    rig = make_faulty_rig(fault="stall", at=200, count=20, stall_us=round(1e6 * hang_s))
     with Daemon(rig, load_scene("paper-plane"), 5000) as running:
         running.start()
         with pytest.raises(SafetyStop, match=r"lost more than 50% .* in the device's exchange|no tick for"):
@@ -346,7 +346,7 @@ while time.monotonic() < until:
 """
 
 
-def cpu_seconds(pid: int) -> float:
+def read_cpu_seconds(pid: int) -> float:
     """Return the CPU time of a process so far, s."""
     user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
     return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
@@ -354,53 +354,53 @@ def cpu_seconds(pid: int) -> float:
 
 def granted_fifo() -> bool:
     """Return True if this process may use SCHED_FIFO; tested in a thread that ends afterwards."""
-    asked = []
-    thread = threading.Thread(target=lambda: asked.append(raise_priority("any", threading.get_native_id(), 80).ok))
+    granted = []
+    thread = threading.Thread(target=lambda: granted.append(raise_priority("any", threading.get_native_id(), 80).ok))
     thread.start()
     thread.join()
-    return asked[0]
+    return granted[0]
 
 
 @pytest.mark.skipif(not granted_fifo(), reason="needs the right to SCHED_FIFO")
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs a processor for the hog alone")
 def test_a_real_time_hog_does_not_delay_the_supervisor(faulty):
     """The supervisor reacts in time although a process with the servo's priority never sleeps on its processor."""
-    rig = faulty_rig(fault="hang", at=700, realtime="auto")
-    cpu, told = max(os.sched_getaffinity(0)), []
+    rig = make_faulty_rig(fault="hang", at=700, realtime="auto")
+    cpu, applied = max(os.sched_getaffinity(0)), []
     hog = subprocess.Popen([sys.executable, "-c", HOG, str(cpu), str(rig.servo.priority)], stdin=subprocess.PIPE)
-    with Daemon(rig, load_scene("paper-plane"), None, told.extend) as running:
+    with Daemon(rig, load_scene("paper-plane"), None, applied.extend) as running:
         try:
             running.start()
             os.sched_setaffinity(running.supervisor.native_id, {cpu})
             assert eventually(lambda: running.servo.ticks == 700)
-            started_s = cpu_seconds(hog.pid)
+            started_s = read_cpu_seconds(hog.pid)
             hog.stdin.close()  # it starts
             assert eventually(lambda: len(faulty.device.wrenches) == 701)
-            hogged_s = cpu_seconds(hog.pid) - started_s
+            hogged_s = read_cpu_seconds(hog.pid) - started_s
             with pytest.raises(SafetyStop, match="no tick for"):
                 running.wait(60.0)
         finally:
             faulty.device.release()
             hog.kill()
             hog.wait()
-    assert [(s.ok, s.detail) for s in told if s.name == "sched_fifo_supervisor"] == [(True, "priority 81")]
+    assert [(s.ok, s.detail) for s in applied if s.name == "sched_fifo_supervisor"] == [(True, "priority 81")]
     # The supervisor notices after 0.25 s. A thread of lower priority runs when the hog has used 0.95 s of CPU time:
     # Linux then throttles real-time processes (sched_rt_runtime_us).
     assert hogged_s < 0.9
 
 
 def test_real_time_off_does_not_change_the_supervisor(faulty):
-    told = []
-    with Daemon(faulty_rig(), load_scene("paper-plane"), 300, told.extend) as running:
+    applied = []
+    with Daemon(make_faulty_rig(), load_scene("paper-plane"), 300, applied.extend) as running:
         running.start()
-        assert eventually(lambda: bool(told))
+        assert eventually(lambda: bool(applied))
         assert os.sched_getscheduler(running.supervisor.native_id) == os.SCHED_OTHER
         running.wait(60.0)
-    assert [setting.name for setting in told] == ["off"]
+    assert [setting.name for setting in applied] == ["off"]
 
 
 def test_failing_publisher_stops_the_servo(faulty):
-    with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
+    with Daemon(make_faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
         running.publisher._link.failed = True  # as if the thread of the publisher had failed
         with pytest.raises(SafetyStop, match="telemetry"):
@@ -410,7 +410,7 @@ def test_failing_publisher_stops_the_servo(faulty):
 
 def test_failing_relay_stops_the_servo(faulty, monkeypatch):
     monkeypatch.setattr(Rings, "feeds", lambda self: iter([None]))  # no source of records
-    with Daemon(faulty_rig(), load_scene("paper-plane")) as running:
+    with Daemon(make_faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(SafetyStop, match="records cannot be taken"):
             running.wait(60.0)
@@ -421,7 +421,7 @@ LEFT_BEHIND = """
 import os, threading
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
 scene = load_scene("paper-plane")
 def once():
@@ -435,8 +435,8 @@ print(once() == once() == once())
 
 def test_threads_and_descriptors_are_closed():
     """After a daemon has closed, its threads and file descriptors are gone; counted in a separate process."""
-    done = run_program([sys.executable, "-c", LEFT_BEHIND])
-    assert done.stdout == "True\n", done.stderr
+    completed = run_program([sys.executable, "-c", LEFT_BEHIND])
+    assert completed.stdout == "True\n", completed.stderr
 
 
 def test_required_realtime_that_is_refused_does_not_start(tmp_path):
@@ -450,8 +450,8 @@ def test_required_realtime_that_is_refused_does_not_start(tmp_path):
         "sys.exit(cli.main(['run', '--endpoint', 'tcp://127.0.0.1:*', '--realtime', 'require', '--duration', '1',\n"
         "                   '--forces', sys.argv[1]]))\n"
     )
-    done = run_program([sys.executable, "-c", code, str(forces)])
-    assert done.returncode == RealtimeError.exit_code, done.stderr
-    assert "sched_fifo" in done.stderr and "rtprio" in done.stderr
+    completed = run_program([sys.executable, "-c", code, str(forces)])
+    assert completed.returncode == RealtimeError.exit_code, completed.stderr
+    assert "sched_fifo" in completed.stderr and "rtprio" in completed.stderr
     rows = np.loadtxt(forces, delimiter=",", skiprows=1, ndmin=2)
     assert len(rows) and not rows[:, 1:].any()

@@ -37,16 +37,16 @@ FADED_TICKS = 600
 """The ramp of the rig `replay` takes 0.5 s."""
 
 
-def received(socket: zmq.Socket[bytes], is_last: Any) -> list[Any]:
+def receive_until(socket: zmq.Socket[bytes], is_last: Any) -> list[Any]:
     """Return the messages of the topic `deformation` up to the first for which `is_last` is true."""
-    found: list[Any] = []
-    while not found or not is_last(found[-1]):
+    messages: list[Any] = []
+    while not messages or not is_last(messages[-1]):
         assert socket.poll(1000.0 * WAIT_S)
-        found.append(decode(*socket.recv_multipart()))
-    return found
+        messages.append(decode(*socket.recv_multipart()))
+    return messages
 
 
-def until_faded_in(daemon: Daemon) -> None:
+def wait_until_faded_in(daemon: Daemon) -> None:
     """Wait until the guard's ramp of the running scene has ended."""
     until(lambda: daemon.rendering.servo.ticks > daemon.rendering.since + FADED_TICKS, WAIT_S)
 
@@ -68,18 +68,18 @@ def test_scenes_change_while_the_finger_presses(monkeypatch: pytest.MonkeyPatch,
         socket.connect(daemon.publisher.endpoint)
         daemon.recordings.record(path, "press-a-pad")
         daemon.start()
-        sent, firsts = received(socket, lambda message: message.loads), []
-        until_faded_in(daemon)
+        sent, firsts = receive_until(socket, lambda message: message.loads), []
+        wait_until_faded_in(daemon)
         with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=WAIT_S) as client:
             client.set_scene(rigid)
             firsts.append(daemon.rendering.since)
-            sent += received(socket, lambda message: message.tick >= firsts[0])
-            until_faded_in(daemon)
+            sent += receive_until(socket, lambda message: message.tick >= firsts[0])
+            wait_until_faded_in(daemon)
             assert not sent[-1].loads and not socket.poll(0)
             client.set_scene(elastic)
             firsts.append(daemon.rendering.since)
-            sent += received(socket, lambda message: message.loads)
-            until_faded_in(daemon)
+            sent += receive_until(socket, lambda message: message.loads)
+            wait_until_faded_in(daemon)
         daemon.stop()
         assert daemon.wait(WAIT_S)
     rigid_first, elastic_first = firsts
@@ -94,10 +94,10 @@ def test_scenes_change_while_the_finger_presses(monkeypatch: pytest.MonkeyPatch,
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         recorded = [message for _, _, _, message in reader.iter_decoded_messages(topics=[DEFORMATION])]
-    assert [(each.tick, [tuple(load.force) for load in each.loads]) for each in recorded][: len(sent)] == [
-        (each.tick, [load.force for load in each.loads]) for each in sent
+    assert [(entry.tick, [tuple(load.force) for load in entry.loads]) for entry in recorded][: len(sent)] == [
+        (entry.tick, [load.force for load in entry.loads]) for entry in sent
     ]
     replay = [sys.executable, "-m", "softfinger.server.cli", "replay", str(path), "--tolerance", "1e-12"]
     plain = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run(replay, capture_output=True, text=True, check=False, env=plain, timeout=WAIT_S)
-    assert done.returncode == 0 and " 0 differ" in done.stdout, done.stdout + done.stderr
+    completed = subprocess.run(replay, capture_output=True, text=True, check=False, env=plain, timeout=WAIT_S)
+    assert completed.returncode == 0 and " 0 differ" in completed.stdout, completed.stdout + completed.stderr

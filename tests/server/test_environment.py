@@ -28,7 +28,7 @@ HOME = (0.0, 0.0, 0.0105)
 """0.5 mm above the plane for the fingertip."""
 
 
-def played(env: Touch, actions: np.ndarray) -> Records:
+def play(env: Touch, actions: np.ndarray) -> Records:
     _, info = env.reset(seed=0)
     parts = [info["records"], *(env.step(action)[4]["records"] for action in actions)]
     return Records(np.concatenate(parts))
@@ -48,7 +48,7 @@ def test_gymnasium_checker_accepts_the_environment(scene: str) -> None:
 def test_contact_equals_that_of_the_engine() -> None:
     actions = np.zeros((60, 6))
     actions[:20, 2], actions[20:40, 0], actions[40:, 4:] = -0.06, 0.08, 0.5
-    records = played(Touch("paper-plane", home_m=HOME), actions)
+    records = play(Touch("paper-plane", home_m=HOME), actions)
     assert set(records["contact.mode"]) == {0, 1, 2}
     poses = np.hstack([records["probe.position"], records["probe.orientation"]])
     expected = Engine("paper-plane").run(poses)
@@ -65,7 +65,7 @@ def test_hand_and_plane_share_the_depth() -> None:
     """Springs of hand and plane have 1000 N/m each: half of 1 mm of intended depth remains."""
     actions = np.zeros((150, 6))
     actions[:30, 2] = -0.05  # 1.5 mm down, 0.5 mm of them in the air
-    records = played(Touch("paper-plane", home_m=HOME), actions)
+    records = play(Touch("paper-plane", home_m=HOME), actions)
     # The friction of the omega.6, at most 0.1 N on an axis, stops the handle anywhere within this range.
     assert records["force"][-1, 2] == pytest.approx(0.5, abs=0.11)
 
@@ -74,8 +74,10 @@ def test_the_goal_stays_within_reach() -> None:
     env = Touch("paper-plane", home_m=HOME, reach_m=0.01)
     env.reset()
     for _ in range(30):
-        seen = env.step(np.array([9.0, -9.0, 9.0, 0.0, 0.0, 0.0]))[0]
-    np.testing.assert_allclose(seen["goal.position"], [0.01, -0.01, HOME[2] + 0.01], atol=1e-12)  # rounding of a sum
+        observation = env.step(np.array([9.0, -9.0, 9.0, 0.0, 0.0, 0.0]))[0]
+    np.testing.assert_allclose(
+        observation["goal.position"], [0.01, -0.01, HOME[2] + 0.01], atol=1e-12
+    )  # rounding of a sum
 
 
 @pytest.mark.parametrize("action", [[np.nan] * 6, [0.0] * 5, [[0.0] * 6], "up", [np.inf] * 6])
@@ -92,11 +94,11 @@ def test_the_goal_turns_about_the_worlds_axes() -> None:
     env.reset()
     for axis in (5, 3):
         for _ in range(50):
-            seen = env.step(np.eye(6)[axis])[0]
+            observation = env.step(np.eye(6)[axis])[0]
     half = np.sqrt([0.5 + 0.5 * np.cos(1.0), 0.5 - 0.5 * np.cos(1.0)])  # cos and sin of 0.5
     about_z, about_x = half[0], half[1]
     expected = [half[0] * about_z, about_x * half[0], -about_x * half[1], half[0] * half[1]]
-    np.testing.assert_allclose(seen["goal.orientation"], expected, atol=1e-9)  # rounding of 100 products
+    np.testing.assert_allclose(observation["goal.orientation"], expected, atol=1e-9)  # rounding of 100 products
 
 
 def test_a_subclass_defines_reward_and_end() -> None:
@@ -122,8 +124,8 @@ def test_a_scene_of_two_fingers_is_refused() -> None:
 
 
 def test_docstring_examples_run() -> None:
-    found = doctest.testmod(environment)
-    assert found.attempted and not found.failed
+    results = doctest.testmod(environment)
+    assert results.attempted and not results.failed
 
 
 def test_the_example_of_the_docs_runs() -> None:
@@ -149,6 +151,6 @@ for name in ("environment", "lift_environment"):
 def test_without_gymnasium() -> None:
     command = [sys.executable, "-c", WITHOUT_GYMNASIUM]
     environ = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    done = run_program(command, env=environ, check=True)
-    lines = done.stdout.splitlines()
+    completed = run_program(command, env=environ, check=True)
+    lines = completed.stdout.splitlines()
     assert len(lines) == 2 and all("pip install 'softfinger[gymnasium]'" in line for line in lines)

@@ -76,7 +76,7 @@ timeout_s = 2.0
 """
 
 
-class Hand:
+class SwayingHand:
     """Hand that sways about a height set by a test; at 0 m the fingertip is as deep as its radius."""
 
     def __init__(self, number: int) -> None:
@@ -89,7 +89,7 @@ class Hand:
         return (side, self.reach * sin(5.0 * t), self.height + 0.002 * sin(17.0 * t))
 
 
-class Forceless:
+class ForcelessSpans:
     """Frame ranges of one board without force: from the answer to a command until force is allowed again."""
 
     def __init__(self, cable: Cable) -> None:
@@ -114,9 +114,9 @@ class Session:
 
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder, self.draw = folder, random.Random(seed)
-        self.hands = [Hand(number) for number in range(2)]
+        self.hands = [SwayingHand(number) for number in range(2)]
         self.cables = [Cable(Board(hand)) for hand in self.hands]
-        self.forceless = [Forceless(cable) for cable in self.cables]
+        self.forceless = [ForcelessSpans(cable) for cable in self.cables]
         self.resumed: list[list[int]] = [[], []]
         """First frames after a pause longer than the guard carries a force over."""
         self.starts = 0
@@ -282,8 +282,8 @@ class Session:
         time.sleep(0.3)  # the boards receive everything written before
         firsts = [len(cable.board.sent) for cable in self.cables]
         self.daemon.send_signal(signal.SIGCONT)
-        for found, first in zip(self.resumed, firsts, strict=True):
-            found.append(first)
+        for counts, first in zip(self.resumed, firsts, strict=True):
+            counts.append(first)
 
     def kill_publisher(self) -> None:
         for path in Path(f"/proc/{self.daemon.pid}/task").glob("*/children"):

@@ -31,12 +31,12 @@ TURN = 5
 """Ticks that a thread of a far end may wait for the scheduler."""
 
 
-def functions(file):
+def list_functions(file):
     tree = ast.parse((ROOT / file).read_text("utf-8"))
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
 
 
-def faults_told():
+def list_fault_events():
     """Return the names of all events of kind `fault` that the server publishes."""
     names = set()
     for path in sorted((ROOT / "server").rglob("*.py")):
@@ -56,12 +56,12 @@ def test_each_row_has_an_existing_test():
         assert hazard.tests, hazard.name
         for test in hazard.tests:
             file, _, name = test.partition("::")
-            assert name in functions(file), test
+            assert name in list_functions(file), test
 
 
 def test_each_published_fault_has_a_row():
     rows = {event for hazard in HAZARDS for event in hazard.events}
-    faults = {f"fault {name}" for name in faults_told()}
+    faults = {f"fault {name}" for name in list_fault_events()}
     assert len(faults) >= 9
     assert {row for row in rows if row.startswith("fault ")} == faults
     assert {row for row in rows if row.startswith("guard ")} == {f"guard {name}" for name in {*GUARD_NAMES} - ORDINARY}
@@ -73,18 +73,18 @@ def test_each_published_fault_has_a_row():
 
 def test_measured_reactions_are_within_their_rows():
     content = json.loads(SEEN_IN.read_text("utf-8"))
-    assert all(each["passed"] == each["of"] for each in content if "test" in each)
+    assert all(row["passed"] == row["of"] for row in content if "test" in row)
     by_name = {hazard.name: hazard for hazard in HAZARDS}
     timed = set()
-    for each in (each for each in content if "driver" in each):
-        hazard = by_name[each["hazard"]]
-        assert each["event"] == "none" or each["event"] in hazard.events, each
-        assert each["state"] in set(DaemonState), each
-        if each["ticks"] is None:
-            assert hazard.within is None, each
+    for row in (row for row in content if "driver" in row):
+        hazard = by_name[row["hazard"]]
+        assert row["event"] == "none" or row["event"] in hazard.events, row
+        assert row["state"] in set(DaemonState), row
+        if row["ticks"] is None:
+            assert hazard.within is None, row
         else:
             timed.add(hazard.name)
-            assert each["ticks"] <= hazard.within + each.get("handover", 0) + TURN, each
+            assert row["ticks"] <= hazard.within + row.get("handover", 0) + TURN, row
     assert len(timed) >= 7
 
 
@@ -123,11 +123,11 @@ def test_numbers_of_a_row_follow_its_constants(name, owner, constant, monkeypatc
     value = getattr(owner, constant)
     monkeypatch.setattr(owner, constant, 1.5 * value if isinstance(value, float) else 2 * value)
     try:
-        other = {hazard.name: tuple(hazard) for hazard in importlib.reload(hazards).HAZARDS}[name]
+        changed = {hazard.name: tuple(hazard) for hazard in importlib.reload(hazards).HAZARDS}[name]
     finally:
         monkeypatch.undo()
         importlib.reload(hazards)
-    assert other != row
+    assert changed != row
 
 
 BY_HAND = {"0 ticks", "0 ticks, 1 of a write"}
@@ -141,11 +141,11 @@ def test_rows_contain_no_literal_numbers():
         if isinstance(node, ast.AnnAssign) and node.target.id == "HAZARDS"
     ]
     texts = [
-        each.value
+        literal.value
         for row in rows.elts
         for field in row.args[:5]
-        for each in ast.walk(field)
-        if isinstance(each, ast.Constant) and isinstance(each.value, str)
+        for literal in ast.walk(field)
+        if isinstance(literal, ast.Constant) and isinstance(literal.value, str)
     ]
     assert len(texts) > 5 * len(HAZARDS) // 2
     by_hand = {text for text in texts if re.search(r"\d|\b(twice|three|five|half)\b", text)}

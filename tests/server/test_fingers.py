@@ -40,11 +40,11 @@ CLOCKED = [AT.timestamp, AT.servo_late, AT.servo_exec, AT.servo_missed, AT.servo
 """Columns that depend on the machine."""
 
 
-def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.LoopEnd, np.ndarray]:
+def run_servo(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.LoopEnd, np.ndarray]:
     """Run a servo with two devices and changed guard limits; return its end and records (n, fingers, RECORD_SIZE)."""
     tuning = make_tuning(two_fingers(), GUARD)
     tuning = tuning._replace(guards=tuple(guard._replace(**limits) for guard in tuning.guards))
-    servo = s.Servo(devices, tuning, 1000.0, ticks)
+    servo = s.ServoThread(devices, tuning, 1000.0, ticks)
     servo.compile()
     servo.start()
     ended = servo.join(60.0)
@@ -55,12 +55,12 @@ def run(*devices: Any, ticks: int | None = None, **limits: float) -> tuple[s.Loo
     return ended, records
 
 
-def two(**of_index: Any) -> tuple[FaultyDevice, FaultyDevice]:
+def make_two_devices(**of_index: Any) -> tuple[FaultyDevice, FaultyDevice]:
     """Return two devices that press, the second with a fault; both have a nominal clock."""
     return FaultyDevice(Options(own_clock=True)), FaultyDevice(Options(own_clock=True, **of_index))
 
 
-def told(records: np.ndarray) -> np.ndarray:
+def drop_clocked(records: np.ndarray) -> np.ndarray:
     """Return records without the columns that depend on the machine."""
     return np.delete(records, CLOCKED, axis=-1)
 
@@ -68,12 +68,12 @@ def told(records: np.ndarray) -> np.ndarray:
 def test_two_replays_equal_simulate() -> None:
     recordings = ("press-roll-spin-drag", "tap")
     devices = [Replay(ReplayOptions(recording=name, loop=False), 1000.0) for name in recordings]
-    ended, records = run(*devices)
+    ended, records = run_servo(*devices)
     poses = [resample(load_poses(name), 1000.0) for name in recordings]
     count = min(map(len, poses))
     assert (ended.ending, ended.finger, len(records)) == (s.FINISHED, 1, count)
     simulated = simulate(make_tuning(two_fingers(), GUARD), np.stack([pose[:count] for pose in poses], axis=1), 1000.0)
-    np.testing.assert_array_equal(told(records), told(simulated))
+    np.testing.assert_array_equal(drop_clocked(records), drop_clocked(simulated))
     for place, device in enumerate(devices):
         assert np.linalg.norm(records[:, place, AT.force : AT.force + 3], axis=1).max() > 0.4
         np.testing.assert_array_equal(device.forces()[:count], records[:, place, AT.force : AT.force + 6])
@@ -92,7 +92,7 @@ def test_two_replays_equal_simulate() -> None:
 )
 def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, status: int) -> None:
     devices = [FaultyDevice(Options(fault=fault if k == place else "none", at=300)) for k in range(2)]
-    ended, _ = run(*devices, ticks=400)
+    ended, _ = run_servo(*devices, ticks=400)
     assert (ended.ending, ended.status, ended.finger) == (ending, status, place)
     for device in devices:
         assert np.abs(device.wrenches[-10:-2]).max() > 0.1 and not device.wrenches[-1].any()
@@ -102,16 +102,16 @@ def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, 
 
 
 def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
-    devices = two()
-    run(*devices, ticks=20)
+    devices = make_two_devices()
+    run_servo(*devices, ticks=20)
     threads = {thread for device in devices for act, thread, _ in device.acts if act == "arm"}
     assert len(threads) == 1
     assert [device.acts[0][::2] for device in devices] == [("arm", 0)] * 2
 
 
 def test_a_refused_arming_leaves_the_first_device_at_zero() -> None:
-    first, second = two(refuses_to_arm=True)
-    ended, records = run(first, second, ticks=100)
+    first, second = make_two_devices(refuses_to_arm=True)
+    ended, records = run_servo(first, second, ticks=100)
     assert ended.ending == s.CRASHED and "force button" in str(ended.error) and len(records) == 0
     assert [act for act, *_ in first.acts] == ["arm", "stop"] and not first.wrenches.any()
 
@@ -119,7 +119,7 @@ def test_a_refused_arming_leaves_the_first_device_at_zero() -> None:
 @pytest.mark.parametrize("place", [0, 1])
 def test_a_failed_stop_does_not_prevent_zero_on_the_other_device(place: int) -> None:
     devices = [FaultyDevice(Options(stop_fails=k == place)) for k in range(2)]
-    ended, _ = run(*devices, ticks=200)
+    ended, _ = run_servo(*devices, ticks=200)
     assert ended.ending == s.CRASHED and "could not be stopped" in str(ended.error)
     for device in devices:
         assert device.acts[-1][0] == "stop"
@@ -127,20 +127,20 @@ def test_a_failed_stop_does_not_prevent_zero_on_the_other_device(place: int) -> 
 
 
 @pytest.fixture(scope="module")
-def undisturbed() -> np.ndarray:
-    return run(*two(), ticks=600)[1]
+def undisturbed_records() -> np.ndarray:
+    return run_servo(*make_two_devices(), ticks=600)[1]
 
 
 @pytest.mark.parametrize("fault", ["nan", "withheld_read", "withheld_write", "held"])
-def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: np.ndarray) -> None:
-    devices = two(fault=fault, at=300, count=20)
-    ended, records = run(*devices, ticks=600)
+def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed_records: np.ndarray) -> None:
+    devices = make_two_devices(fault=fault, at=300, count=20)
+    ended, records = run_servo(*devices, ticks=600)
     assert ended.ending == s.FINISHED
-    np.testing.assert_array_equal(told(records[:, 0]), told(undisturbed[:, 0]))
+    np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed_records[:, 0]))
     index = records[:, 1]
-    np.testing.assert_array_equal(told(index[:300]), told(undisturbed[:300, 1]))
+    np.testing.assert_array_equal(drop_clocked(index[:300]), drop_clocked(undisturbed_records[:300, 1]))
     force, during = AT.force + 2, slice(300, 320)
-    assert undisturbed[during, 1, force].min() > 0.4
+    assert undisturbed_records[during, 1, force].min() > 0.4
     if fault == "nan":
         assert (index[during, AT.servo_guard] == POSE_REFUSED).all() and (index[during, AT.contact_mode] == FREE).all()
     else:
@@ -149,20 +149,21 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed: 
     if fault == "held":
         assert (index[during, force] == index[299, force]).all()
     elif fault == "withheld_read":  # the read leaves the first tick of the ramp, a tenth, to the write
-        assert index[during, force].max() <= 0.1 * undisturbed[during, 1, force].max() * (1.0 + 1e-12)  # rounding
+        largest = undisturbed_records[during, 1, force].max()
+        assert index[during, force].max() <= 0.1 * largest * (1.0 + 1e-12)  # rounding
     else:
         assert not index[during, force].any()
     np.testing.assert_array_equal(devices[1].wrenches[:600], index[:, AT.force : AT.force + 6])
     if fault != "held":  # that device has moved deeper by then
-        assert index[-1, force] == undisturbed[-1, 1, force]
+        assert index[-1, force] == undisturbed_records[-1, 1, force]
 
 
 @pytest.mark.parametrize(("fault", "bit"), [("jump", POSE_JUMPED), ("frozen", POSE_FROZEN)])
-def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, undisturbed: np.ndarray) -> None:
-    devices = two(fault=fault, at=300, count=100)
-    ended, records = run(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
+def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, undisturbed_records: np.ndarray) -> None:
+    devices = make_two_devices(fault=fault, at=300, count=100)
+    ended, records = run_servo(*devices, ticks=600, speed_max=10.0, turn_max=100.0, frozen=0.0505)
     assert ended.ending == s.FINISHED
-    np.testing.assert_array_equal(told(records[:, 0]), told(undisturbed[:, 0]))
+    np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed_records[:, 0]))
     doubted = (records[:, 1, AT.servo_guard].astype(int) == bit).nonzero()[0]
     assert doubted.tolist() == ([300, 400] if fault == "jump" else list(range(351, 400)))
     assert not devices[1].wrenches[doubted].any()
@@ -170,8 +171,8 @@ def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, u
 
 @pytest.mark.parametrize(("fault", "ending"), [("jumps", JUMPING), ("nan", NO_POSE)])
 def test_unusable_poses_end_the_run_and_name_the_finger(fault: Any, ending: int) -> None:
-    devices = two(fault=fault, at=100, count=100_000)
-    ended, _ = run(*devices, ticks=3000, speed_max=10.0)
+    devices = make_two_devices(fault=fault, at=100, count=100_000)
+    ended, _ = run_servo(*devices, ticks=3000, speed_max=10.0)
     assert (ended.ending, ended.finger) == (ending, 1)
     assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any()
 
@@ -182,7 +183,7 @@ def test_time_is_nominal_if_all_devices_have_a_nominal_clock(both: bool) -> None
         FaultyDevice(Options(own_clock=True, fault="stall", at=100, stall_us=5_500)),
         FaultyDevice(Options(own_clock=both)),
     ]
-    _, records = run(*devices, ticks=200)
+    _, records = run_servo(*devices, ticks=200)
     dt = records[:, :, AT.dt]
     assert (dt[:, 0] == dt[:, 1]).all()
     assert (dt == 0.001).all() if both else dt.max() >= 0.005  # a stall of 5.5 periods skips five deadlines
@@ -219,16 +220,16 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
     out = tmp_path / f"out{ending}"
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(out), "--plot", str(tmp_path / "p.png")]
     assert cli.main([*words, "--poses", "thumb=press-roll-spin-drag", "--poses", "index=tap"]) == 0
-    assert "thumb: 2281 ticks" in (said := capsys.readouterr().out) and "index: 2281 ticks" in said
+    assert "thumb: 2281 ticks" in (output := capsys.readouterr().out) and "index: 2281 ticks" in output
     names = ("press-roll-spin-drag", "tap")
     poses = np.stack([resample(load_poses(name), 1000.0)[:2281] for name in names], axis=1)
     records = simulate(make_tuning(two_fingers(), load_rig("replay").guard), poses, 1000.0)
     for place, name in enumerate(NAMES):
         np.testing.assert_array_equal(read_results(out, name), records[:, place])
         assert (tmp_path / f"p-{name}.png").stat().st_size > 1000
-    for other in ("", "ring"):
+    for unknown in ("", "ring"):
         with pytest.raises(RecordingError):
-            read_results(out, other)
+            read_results(out, unknown)
     if ending == ".csv":
         header = out.read_text("ascii").partition("\n")[0].split(",")
         assert header == [f"{name}.{column}" for name in NAMES for column in columns()]
@@ -238,7 +239,7 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
 
 
 @pytest.mark.parametrize(
-    ("poses", "said"),
+    ("poses", "message"),
     [
         (["tap"], "not the scene's fingers: give poses of thumb, index"),
         (["thumb=tap"], "poses of thumb: not the scene's fingers"),
@@ -247,12 +248,12 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
     ],
 )
 def test_simulate_refuses_recordings_that_do_not_match(
-    poses: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    poses: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o.csv")]
     assert cli.main([*words, *(word for pose in poses for word in ("--poses", pose))]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 AUDIT = """
@@ -261,10 +262,10 @@ from helpers.faulty_device import FaultyDevice, Options
 from helpers.two_fingers import two_fingers
 from softfinger.config.load import load_rig
 from softfinger.server.loop.servo import servo_loop
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 devices = [FaultyDevice(Options()), FaultyDevice(Options())]
-Servo(devices, make_tuning(two_fingers(), load_rig("replay").guard), 1000.0).compile()
+ServoThread(devices, make_tuning(two_fingers(), load_rig("replay").guard), 1000.0).compile()
 print(*servo_loop.inspect_llvm().values())
 """
 
@@ -274,8 +275,8 @@ def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
     environment = os.environ | {
         "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
     }  # fmt: skip
-    done = run_program([sys.executable, "-c", AUDIT], env=environment, check=True)
-    bodies = functions(done.stdout)
+    completed = run_program([sys.executable, "-c", AUDIT], env=environment, check=True)
+    bodies = functions(completed.stdout)
     called = {name for body in bodies.values() for name in called_in(body)}
     outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
     assert outside <= {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"}

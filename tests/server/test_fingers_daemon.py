@@ -91,16 +91,16 @@ def test_a_pause_zeroes_both_devices(driver: Driver) -> None:
 
 
 def test_fingers_are_replaced_together(driver: Driver) -> None:
-    rig, kept = two_devices(FAULTY, FAULTY), list[int]()
-    sink = Sink("kept", lambda records, drops: kept.extend(records[:, AT.tick].astype(int)))
+    rig, ticks = two_devices(FAULTY, FAULTY), list[int]()
+    sink = Sink("kept", lambda records, drops: ticks.extend(records[:, AT.tick].astype(int)))
     with Daemon(rig, two_fingers(), sinks=[sink]) as running:
         running.start()
         until(lambda: len(driver.devices) == 2 and driver.pressed)
         running.replace(two_fingers())
         assert [acts(device) for device in driver.devices] == [["arm"]] * 2
         until(lambda: driver.pressed)
-        other = two_devices(FAULTY, FAULTY | {"at": 7}, telemetry={"endpoint": rig.telemetry.endpoint})
-        running.replace(rig=other)
+        other_rig = two_devices(FAULTY, FAULTY | {"at": 7}, telemetry={"endpoint": rig.telemetry.endpoint})
+        running.replace(rig=other_rig)
         assert [acts(device)[:3] for device in driver.devices[:2]] == [["arm", "stop", "close"]] * 2
         assert not any(device.wrenches[-1].any() for device in driver.devices[:2])
         until(lambda: len(driver.devices) == 4 and driver.pressed)
@@ -108,7 +108,7 @@ def test_fingers_are_replaced_together(driver: Driver) -> None:
             running.replace(two_fingers(finger=[{"name": name, "radius_m": 0.01} for name in reversed(NAMES)]))
         running.stop()
         assert running.wait(WAIT_S)
-    assert kept == list(range(len(kept))) and not any(device.wrenches[-1].any() for device in driver.devices)
+    assert ticks == list(range(len(ticks))) and not any(device.wrenches[-1].any() for device in driver.devices)
 
 
 def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
     assert recorded[0]["thumb"].first_tick == recorded[0]["index"].first_tick
 
 
-def two_records(count: int, first: int = 0) -> np.ndarray:
+def make_records(count: int, first: int = 0) -> np.ndarray:
     """Return rows (count, 2 x RECORD_SIZE) of a sliding thumb and a free index finger."""
     thumb, index = synthetic(count, first), synthetic(count, first, seed=2)
     put(thumb, "contact.mode", 2)
@@ -189,14 +189,14 @@ def test_clients_separate_the_fingers() -> None:
             plain.connect(publisher.endpoint)
             until(lambda: publisher.subscribers == 3)
             join(publisher, plain)
-            publisher.publish(two_records(1001))
-            publisher.publish(two_records(10, 1011))
-            lost, guards, seen = dict.fromkeys(NAMES, 0), [], 0
-            while seen < 2 * 1011 or not guards or board.health is None:  # these arrive after their ticks
+            publisher.publish(make_records(1001))
+            publisher.publish(make_records(10, 1011))
+            lost, guards, count = dict.fromkeys(NAMES, 0), [], 0
+            while count < 2 * 1011 or not guards or board.health is None:  # these arrive after their ticks
                 sample = next(samples)
                 board.update(sample)
                 if sample.topic.startswith("finger/"):
-                    seen += 1
+                    count += 1
                     lost[sample.topic.removeprefix("finger/")] += sample.lost
                 elif sample.topic == "event" and sample.kind == "guard":
                     guards.append((sample.finger, sample.name))
@@ -214,8 +214,9 @@ def test_clients_separate_the_fingers() -> None:
     console.print(monitor.render(board, 100, 60))
     drawn = console.export_text()
     assert re.search(r"finger +index(.|\n)*mode +free(.|\n)*finger +thumb(.|\n)*mode +sliding", drawn)
-    told = board.summary()
-    assert told["contact"] is None and [each["mode"] for each in told["fingers"].values()] == ["sliding", "free"]
+    content = board.summary()
+    assert content["contact"] is None
+    assert [finger["mode"] for finger in content["fingers"].values()] == ["sliding", "free"]
 
 
 def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
@@ -223,7 +224,7 @@ def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
     with (
         Publisher("tcp://127.0.0.1:*", fingers=NAMES) as publisher,
         subscribe(publisher.endpoint, ("contact", "finger/", "event")) as wire,
-        repeated(lambda: publisher.publish(two_records(10, next(firsts))), 0.01),
+        repeated(lambda: publisher.publish(make_records(10, next(firsts))), 0.01),
         pytest.raises(ConfigError, match=r"several fingers, such as \w+: --poses \w+=FILE"),
     ):
         record(wire, {"": tmp_path / "one.csv"})
@@ -253,8 +254,8 @@ def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Ca
 def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
     with pressing(tmp_path) as (boards, _, process):
         process.send_signal(signal.SIGTERM)
-        said = process.communicate(timeout=END_S)[1]
-        assert process.returncode == 0 and "force is zero" in said, said
+        stderr = process.communicate(timeout=END_S)[1]
+        assert process.returncode == 0 and "force is zero" in stderr, stderr
         for board in boards:
             until(lambda board=board: board.force == ZERO, 1.0)
             assert board.faults == []
@@ -264,16 +265,16 @@ def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
 def test_a_silent_board_zeroes_the_other(place: int, tmp_path: Path) -> None:
     with pressing(tmp_path) as (boards, cables, process):
         cables[place].hush()
-        said = process.communicate(timeout=END_S)[1]
-        assert process.returncode == 4, said
-        assert f"finger '{NAMES[place]}'" in said and "Traceback" not in said
+        stderr = process.communicate(timeout=END_S)[1]
+        assert process.returncode == 4, stderr
+        assert f"finger '{NAMES[place]}'" in stderr and "Traceback" not in stderr
         until(lambda: boards[1 - place].force == ZERO, 1.0)
 
 
 def test_watchers_zero_both_boards_of_a_killed_daemon(tmp_path: Path) -> None:
     with pressing(tmp_path, "--watcher") as (boards, _, process):
         process.kill()
-        said = process.communicate(timeout=END_S)[1]
-        assert said.count("the daemon has died: zero force was written to /dev/pts/") == 2
+        stderr = process.communicate(timeout=END_S)[1]
+        assert stderr.count("the daemon has died: zero force was written to /dev/pts/") == 2
         for board in boards:
             until(lambda board=board: board.force == ZERO, 1.0)

@@ -71,13 +71,13 @@ def test_a_suspended_force_returns_unless_inhibited(at: int) -> None:
     assert loop.switch[IS_REQUESTED] == 0
 
 
-def within(span: limits.Range) -> st.SearchStrategy[float]:
+def floats_within(span: limits.Range) -> st.SearchStrategy[float]:
     return st.floats(span.low, span.high)
 
 
 @given(
-    within(limits.FORCE_MAX_N), within(limits.TORQUE_MAX_NM), within(limits.FORCE_SLEW_N_PER_S),
-    within(limits.TORQUE_SLEW_NM_PER_S), within(limits.RATE_HZ),
+    floats_within(limits.FORCE_MAX_N), floats_within(limits.TORQUE_MAX_NM), floats_within(limits.FORCE_SLEW_N_PER_S),
+    floats_within(limits.TORQUE_SLEW_NM_PER_S), floats_within(limits.RATE_HZ),
 )  # fmt: skip
 def test_no_rig_delays_the_end_of_the_force(
     force: float, torque: float, force_slew: float, torque_slew: float, rate_hz: float

@@ -41,7 +41,7 @@ WAIT_S = 60.0
 """Generous bound: a compilation on a busy machine."""
 
 
-class Ring:
+class KeyRing:
     """Keys of a server, a reader, a commander and a stranger, and the folders of authorized keys."""
 
     def __init__(self, folder: Path) -> None:
@@ -71,8 +71,8 @@ class Ring:
 
 
 @pytest.fixture
-def ring(tmp_path: Path) -> Ring:
-    return Ring(tmp_path)
+def key_ring(tmp_path: Path) -> KeyRing:
+    return KeyRing(tmp_path)
 
 
 _AWAY = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
@@ -111,9 +111,9 @@ class Listener:
 
 
 @contextlib.contextmanager
-def serving(ring: Ring) -> Iterator[tuple[Daemon, zmq.Context]]:
+def serving(key_ring: KeyRing) -> Iterator[tuple[Daemon, zmq.Context]]:
     """Run a daemon open to other machines; yield it and a context for clients."""
-    with Daemon(load_rig(ring.rig), load_scene("paper-plane")) as daemon, zmq.Context() as context:
+    with Daemon(load_rig(key_ring.rig), load_scene("paper-plane")) as daemon, zmq.Context() as context:
         try:
             daemon.start()
             yield daemon, context
@@ -121,34 +121,34 @@ def serving(ring: Ring) -> Iterator[tuple[Daemon, zmq.Context]]:
             context.destroy(0)
 
 
-def test_clients_need_a_key_to_read_or_command(ring: Ring) -> None:
-    with serving(ring) as (daemon, context):
+def test_clients_need_a_key_to_read_or_command(key_ring: KeyRing) -> None:
+    with serving(key_ring) as (daemon, context):
         telemetry, commands = daemon.public["telemetry"], daemon.public["commands"]
         assert telemetry.startswith("tcp://0.0.0.0:") and not commands.endswith(":0")
         nobodies = [
             Listener(context, endpoint, keys, asks)
             for endpoint, asks, wrong in ((telemetry, False, "commander"), (commands, True, "reader"))
-            for keys in (None, ring.of("stranger"), ring.of(wrong))
+            for keys in (None, key_ring.of("stranger"), key_ring.of(wrong))
         ]
-        reader = Listener(context, telemetry, ring.of("reader"))
+        reader = Listener(context, telemetry, key_ring.of("reader"))
         assert eventually(lambda: reader.look().messages > 500)
         assert eventually(lambda: all(nobody.look().away for nobody in nobodies))
         assert not any(nobody.messages or nobody.let_in for nobody in nobodies)
-        with Control(commands.replace("0.0.0.0", "127.0.0.1"), WAIT_S, ring.of("commander")) as control:
+        with Control(commands.replace("0.0.0.0", "127.0.0.1"), WAIT_S, key_ring.of("commander")) as control:
             assert control.get_state().active_field == "unnamed" and control.mark("a").tick > 0
         for words in (
             ["monitor", "--once", "--json", "--endpoint", telemetry.replace("0.0.0.0", "127.0.0.1")],
             ["ctl", "heartbeat", "--json", "--endpoint", commands.replace("0.0.0.0", "127.0.0.1")],
         ):
             who = "reader" if words[0] == "monitor" else "commander"
-            whole = [*COMMAND, *words, *ring.options(who)]
+            whole = [*COMMAND, *words, *key_ring.options(who)]
             assert json.loads(subprocess.run(whole, capture_output=True, check=True, timeout=WAIT_S).stdout)
         # The key of a second reader is removed later.
-        public, _ = make_pair(ring.folder / "keys", "second")
-        (ring.folder / "readers" / "second.key").write_bytes(public.read_bytes())
-        second = Listener(context, telemetry, ring.of("second"))
+        public, _ = make_pair(key_ring.folder / "keys", "second")
+        (key_ring.folder / "readers" / "second.key").write_bytes(public.read_bytes())
+        second = Listener(context, telemetry, key_ring.of("second"))
         assert eventually(lambda: second.look().messages > 100)
-        (ring.folder / "readers" / "second.key").unlink()
+        (key_ring.folder / "readers" / "second.key").unlink()
         before = second.look().let_in
         assert eventually(lambda: second.look().away)
         heard, reader_heard = second.messages, reader.look().messages
@@ -161,31 +161,31 @@ def test_clients_need_a_key_to_read_or_command(ring: Ring) -> None:
         assert any(event["kind"] == "mark" for event in reader.events)
 
 
-def test_a_restarted_publisher_requires_keys(ring: Ring) -> None:
-    with serving(ring) as (daemon, context):
+def test_a_restarted_publisher_requires_keys(key_ring: KeyRing) -> None:
+    with serving(key_ring) as (daemon, context):
         own = Listener(context, daemon.publisher.endpoint)
-        reader = Listener(context, daemon.public["telemetry"], ring.of("reader"))
+        reader = Listener(context, daemon.public["telemetry"], key_ring.of("reader"))
         assert eventually(lambda: own.look().messages > 10 and reader.look().messages > 10)
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
         assert eventually(lambda: daemon.publisher.restarts == 1)
         heard = reader.look().messages
         assert eventually(lambda: reader.look().messages > heard + 500)
-        stranger = Listener(context, daemon.public["telemetry"], ring.of("stranger"))
+        stranger = Listener(context, daemon.public["telemetry"], key_ring.of("stranger"))
         assert eventually(lambda: stranger.look().away) and not stranger.messages
         assert eventually(lambda: own.look().let_in == 2)
 
 
-def test_the_publisher_ends_with_a_daemon_that_is_killed(ring: Ring) -> None:
-    words = [*COMMAND, "run", "--rig", str(ring.rig)]
+def test_the_publisher_ends_with_a_daemon_that_is_killed(key_ring: KeyRing) -> None:
+    words = [*COMMAND, "run", "--rig", str(key_ring.rig)]
     with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         try:
             assert next(line for line in daemon.stderr if "telemetry for other machines on" in line)
             children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
-            its = next(each for each in children if b"socket_process" in Path(f"/proc/{each}/cmdline").read_bytes())
+            pid = next(child for child in children if b"socket_process" in Path(f"/proc/{child}/cmdline").read_bytes())
         finally:
             daemon.kill()
         daemon.stderr.close()
-    assert eventually(lambda: not Path(f"/proc/{its}/cmdline").exists())
+    assert eventually(lambda: not Path(f"/proc/{pid}/cmdline").exists())
 
 
 @contextlib.contextmanager
@@ -193,8 +193,8 @@ def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
     """Run `softfinger forward`; yield it and its endpoint."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "kill_at_end": True}
     with Program([*COMMAND, "forward", "--json", *words], **pipes) as process:
-        said = next((line for line in process.stderr if "forwarded on" in line), "")
-        yield process, said.partition("forwarded on ")[2].partition(",")[0]
+        message = next((line for line in process.stderr if "forwarded on" in line), "")
+        yield process, message.partition("forwarded on ")[2].partition(",")[0]
 
 
 BATCH = 50
@@ -233,7 +233,7 @@ def test_forwarded_messages_equal_published_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ([], "add --to, --commands-to or --lsl"),
         (["--to", "tcp://0.0.0.0:*"], "is open to the network: set the allowed clients"),
@@ -245,11 +245,11 @@ def test_forwarded_messages_equal_published_ones() -> None:
     ],
 )  # fmt: skip
 def test_invalid_forwarding_options_are_refused(
-    ring: Ring, words: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+    key_ring: KeyRing, words: list[str], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(ring.folder)
-    done = called("forward", *words)
-    assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    monkeypatch.chdir(key_ring.folder)
+    result = called("forward", *words)
+    assert result.returncode == 2 and message in result.stderr and result.stderr.count("\n") == 1, result.stderr
 
 
 def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() -> None:
@@ -284,14 +284,15 @@ def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() ->
         assert ask(1) != names[1]
 
 
-def test_a_key_that_floods_is_barred(ring: Ring) -> None:
-    other, _ = make_pair(ring.folder / "keys", "second")
-    (ring.folder / "readers" / "second.key").write_bytes(other.read_bytes())
-    locked = ["--keys", str(ring.folder / "keys" / "server.key_secret"), "--readers", str(ring.folder / "readers")]
+def test_a_key_that_floods_is_barred(key_ring: KeyRing) -> None:
+    keys, readers = key_ring.folder / "keys", key_ring.folder / "readers"
+    second_key, _ = make_pair(keys, "second")
+    (readers / "second.key").write_bytes(second_key.read_bytes())
+    locked = ["--keys", str(keys / "server.key_secret"), "--readers", str(readers)]
     with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context, ticking(publisher):
         with forwarding("--from", publisher.endpoint, "--to", "tcp://0.0.0.0:*", *locked) as (process, endpoint):
-            reader = Listener(context, endpoint, ring.of("reader"))
-            flood = Listener(context, endpoint, ring.of("second"))
+            reader = Listener(context, endpoint, key_ring.of("reader"))
+            flood = Listener(context, endpoint, key_ring.of("second"))
             assert eventually(lambda: reader.look().messages > 100 and flood.look().messages > 100)
             topics = itertools.count()
 
@@ -339,13 +340,13 @@ def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
     ):
         try:
             source = f"softfinger {publisher.endpoint}"
-            done = run_program([sys.executable, "-c", INLET, source], env=env, timeout=WAIT_S)
-            assert done.returncode == 0, done.stderr
+            completed = run_program([sys.executable, "-c", INLET, source], env=env, timeout=WAIT_S)
+            assert completed.returncode == 0, completed.stderr
             process.send_signal(signal.SIGINT)
             assert json.loads(process.stdout.read())["lsl"]["streams"] == ["softfinger"]
         finally:
             process.kill()
-    name, rate, names, units, values, _ = json.loads(done.stdout.splitlines()[-1])
+    name, rate, names, units, values, _ = json.loads(completed.stdout.splitlines()[-1])
     assert (name, rate, names) == ("softfinger", 0.0, columns())
     assert units == [field.unit for field in FIELDS for _ in range(field.size)]
     tick = int(values[AT.tick])

@@ -49,10 +49,10 @@ def test_the_hand_presses_after_the_client_disconnects(daemon: Daemon, client: C
     client.hand((0.0, 0.0, 0.005), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: client.get_state().force[2] > 0.5)
     client.close()
-    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=WAIT_S) as other:
-        ticks = other.get_state().sequence
-        assert eventually(lambda: other.get_state().sequence > ticks + 500)
-        assert other.get_state().force[2] > 0.5
+    with Client(daemon.publisher.endpoint, str(daemon.commands_endpoint), timeout_s=WAIT_S) as second:
+        ticks = second.get_state().sequence
+        assert eventually(lambda: second.get_state().sequence > ticks + 500)
+        assert second.get_state().force[2] > 0.5
 
 
 def test_a_held_hand_still_presses(client: Client) -> None:
@@ -61,9 +61,9 @@ def test_a_held_hand_still_presses(client: Client) -> None:
     before = client.get_state()
     assert eventually(lambda: client.get_state().sequence > before.sequence + 500)  # 16 time constants of the motion
     rests = client.get_state()
-    held = client.hold()
-    assert held.position_m == pytest.approx((0.0, 0.0, 0.005), abs=1e-6) and rests.position[2] > 0.0055
-    client.hand(held.position_m, held.orientation_wxyz)
+    target = client.hold()
+    assert target.position_m == pytest.approx((0.0, 0.0, 0.005), abs=1e-6) and rests.position[2] > 0.0055
+    client.hand(target.position_m, target.orientation_wxyz)
     assert eventually(lambda: client.get_state().sequence > rests.sequence + 500)
     assert client.get_state().force[2] == pytest.approx(rests.force[2], abs=1e-3)
 
@@ -76,15 +76,15 @@ def test_events_report_only_start_and_end_of_a_lead(daemon: Daemon, client: Clie
             client.hand((0.001 * k, 0.0, 0.02))
         client.hand(release=True)
         client.mark("end")
-        told = []
+        commands = []
         while (event := next(events).data)["kind"] != "mark" or event["label"] != "end":
             if event["kind"] == "command":
-                told.append((event["name"], event["what"]))
-    assert told == [("hand", {"finger": "", "led": True}), ("hand", {"finger": "", "led": False})]
+                commands.append((event["name"], event["what"]))
+    assert commands == [("hand", {"finger": "", "led": True}), ("hand", {"finger": "", "led": False})]
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("parameters", "message"),
     [
         ({}, "bad_params: give either position_m"),
         ({"position_m": [0, 0, 0.01], "release": True}, "bad_params: give either position_m"),
@@ -93,9 +93,9 @@ def test_events_report_only_start_and_end_of_a_lead(daemon: Daemon, client: Clie
         ({"position_m": [0, 0, 0.02], "finger": "toe"}, "bad_params: no finger is 'toe'"),
     ],
 )
-def test_bad_requests_move_nothing(client: Client, asked: dict[str, object], said: str) -> None:
-    with pytest.raises(CommandRefused, match=said):
-        client.ask("hand", asked)
+def test_bad_requests_move_nothing(client: Client, parameters: dict[str, object], message: str) -> None:
+    with pytest.raises(CommandRefused, match=message):
+        client.ask("hand", parameters)
 
 
 def test_a_replay_has_no_hand_to_lead(endpoints: tuple[str, str]) -> None:

@@ -179,7 +179,7 @@ def memory_bytes(pid: int, field: str) -> int:
     return int(line.split()[1]) * 1024
 
 
-def answer(process: subprocess.Popen[str]) -> Any:
+def read_report(process: subprocess.Popen[str]) -> Any:
     assert process.stdout is not None
     line = process.stdout.readline()
     assert line, "the publisher has ended"
@@ -194,21 +194,21 @@ def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subproce
         [*words, str(BACKLOG)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
         try:
-            yield process, answer(process)
+            yield process, read_report(process)
         finally:
             process.kill()
 
 
-def told_to_end(process: subprocess.Popen[str]) -> Any:
+def end_publisher(process: subprocess.Popen[str]) -> Any:
     assert process.stdin is not None
     process.stdin.write("\n")
     process.stdin.flush()
-    found = answer(process)
+    report = read_report(process)
     assert process.wait(60.0) == 0
-    return found
+    return report
 
 
-def read_on(local: Local, healthy: Subscription, seconds: float) -> int:
+def count_missing(local: Local, healthy: Subscription, seconds: float) -> int:
     """Read for `seconds`. No tick in memory may be missing; return the number of ticks the subscriber missed."""
     missing, end = 0, time.monotonic() + seconds
     before: float | None = None
@@ -224,7 +224,7 @@ def read_on(local: Local, healthy: Subscription, seconds: float) -> int:
     return missing
 
 
-def endpoint_of(transport: str, folder: Path) -> str:
+def make_endpoint(transport: str, folder: Path) -> str:
     return "tcp://127.0.0.1:*" if transport == "tcp" else f"ipc://{folder}/telemetry"
 
 
@@ -240,7 +240,7 @@ OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and 
 
 @pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
 def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ...]) -> None:
-    attacked(names, "tcp://127.0.0.1:*", SECONDS)
+    attack(names, "tcp://127.0.0.1:*", SECONDS)
 
 
 @pytest.mark.exhaustive
@@ -248,14 +248,14 @@ def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ..
     ("name", "transport"), [*((name, "tcp") for name in ATTACKS), *((name, "ipc") for name in OVER_IPC)]
 )
 def test_one_malicious_peer_does_not_affect_the_daemon(name: str, transport: str, tmp_path: Path) -> None:
-    found = attacked((name,), endpoint_of(transport, tmp_path), ALONE_S)
+    report = attack((name,), make_endpoint(transport, tmp_path), ALONE_S)
     # At its limit of files libzmq's ipc listener ends the process, where its tcp listener waits: `errno_assert` of
     # `ipc_listener_t::accept` has no EMFILE.
     if name not in COSTLY and (name, transport) != ("connections that say nothing", "ipc"):
-        assert (found["missing"], found["restarts"]) == (0, 0)
+        assert (report["missing"], report["restarts"]) == (0, 0)
 
 
-def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
+def attack(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
     """Attack a publisher for `seconds`; return its final report with the ticks a subscriber missed."""
     with publishing(endpoint) as (process, (bound, ring, pid)):
         with Subscription(bound, ("contact",)) as healthy, Local(ring) as local:
@@ -271,20 +271,20 @@ def attacked(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
                 for peer in peers:  # at once, because running attacks would slow the start of others
                     peer.stdin.close()
                 local.take(0.0)
-                missing = read_on(local, healthy, seconds)
+                missing = count_missing(local, healthy, seconds)
                 assert all(peer.poll() is None for peer in peers), "an attack was over"
                 with contextlib.suppress(FileNotFoundError):  # the process has ended
                     assert memory_bytes(pid, "VmHWM") < 1.5 * MEMORY_MAX
-            missing += read_on(local, healthy, 0.2)
-            assert served(bound)
+            missing += count_missing(local, healthy, 0.2)
+            assert is_served(bound)
             while healthy.receive(60.0) is None:
                 raise AssertionError("a healthy subscriber is not served again")
             grown = memory_bytes(process.pid, "VmHWM") - before
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
-        found = told_to_end(process)
+        report = end_publisher(process)
     assert grown < GROWN_BYTES
     assert files < 64  # files of the interpreter and the listener
-    return found | {"missing": missing}
+    return report | {"missing": missing}
 
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\0NULL" + bytes(48)
@@ -296,7 +296,7 @@ CUT_S = 20.0
 """Ten times the allowed duration of a handshake."""
 
 
-def cut_off(peer: socket.socket) -> None:
+def wait_until_closed(peer: socket.socket) -> None:
     """Wait until the server has closed a connection; raises TimeoutError otherwise."""
     peer.settimeout(CUT_S)
     with contextlib.suppress(ConnectionError):  # closed with unread bytes
@@ -313,7 +313,7 @@ def test_unfinished_handshakes_are_disconnected() -> None:
         for peer, sent in zip(unfinished, (b"", GREETING[:20], GREETING), strict=True):
             peer.sendall(sent)
         for peer in unfinished:
-            cut_off(peer)
+            wait_until_closed(peer)
         assert eventually(lambda: publisher.figures.refused == 3)
         patient.sendall(SUBSCRIBE)
         assert eventually(lambda: publisher.subscribers == 1)
@@ -352,7 +352,7 @@ with subscribe(sys.argv[1], ("contact", "event", "health")) as samples:
 """
 
 
-def served(endpoint: str) -> bool:
+def is_served(endpoint: str) -> bool:
     """Return True if a new subscriber gets a message."""
     with Subscription(endpoint, ("contact",)) as late:
         return late.receive(60.0) is not None
@@ -377,7 +377,7 @@ def subscribers_that_do_not_read(endpoint: str) -> Iterator[None]:
 @pytest.mark.parametrize("transport", ["tcp", pytest.param("ipc", marks=pytest.mark.exhaustive)])
 def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Path) -> None:
     with (
-        publishing(endpoint_of(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)),
+        publishing(make_endpoint(transport, tmp_path), period_s=0.002) as (process, (bound, _, pid)),
         subscribers_that_do_not_read(bound),
         Subscription(bound, ("contact",)) as watching,
     ):
@@ -385,8 +385,8 @@ def test_subscribers_that_are_stopped_or_never_read(transport: str, tmp_path: Pa
         for _ in range(BACKLOG + 4096):  # more messages than that are in the system's buffers
             assert watching.receive(60.0) is not None
         grown = memory_bytes(pid, "VmHWM") - before
-        found = told_to_end(process)
-    assert found["lost"] > 0 and found["restarts"] == 0
+        report = end_publisher(process)
+    assert report["lost"] > 0 and report["restarts"] == 0
     assert grown < 1.5 * BACKLOG * (41 * 2 * 64 + MESSAGE_BYTES)
 
 

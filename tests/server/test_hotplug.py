@@ -30,58 +30,58 @@ OMEGA = SystemDevice("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/
 
 def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
     plug_usb(root, "1-1", "1451", "0402")
-    seen = Hotplug(root)
-    assert seen.present == [OMEGA]
-    assert seen.changes() == []
+    hotplug_state = Hotplug(root)
+    assert hotplug_state.present == [OMEGA]
+    assert hotplug_state.changes() == []
     name = plug_hid(root, 3, "0003:0000046D:0000C626")
-    assert seen.changes() == [("attached", PUCK)]
-    assert seen.changes() == []
+    assert hotplug_state.changes() == [("attached", PUCK)]
+    assert hotplug_state.changes() == []
     shutil.rmtree(root / name)
     shutil.rmtree(root / discovery.USB / "1-1")
-    assert seen.changes() == [("detached", OMEGA), ("detached", PUCK)]
+    assert hotplug_state.changes() == [("detached", OMEGA), ("detached", PUCK)]
     name = plug_serial(root, "ttyACM0", "16c0", "0483", "SN42")
-    assert seen.changes() == [("attached", TEENSY)]
+    assert hotplug_state.changes() == [("attached", TEENSY)]
     shutil.rmtree(root / name)
-    assert seen.changes() == [("detached", TEENSY)]
-    assert seen.changes() == []
+    assert hotplug_state.changes() == [("detached", TEENSY)]
+    assert hotplug_state.changes() == []
     plug_serial(root, "ttyACM5", "16c0", "0483", "SN42", product="Haply inverse3")
-    ((what, haply),) = seen.changes()
-    assert (what, hotplug.event_fields(haply)["driver"]) == ("attached", "haply")
+    ((change, haply),) = hotplug_state.changes()
+    assert (change, hotplug.event_fields(haply)["driver"]) == ("attached", "haply")
     assert hotplug.event_fields(TEENSY)["driver"] == "serial"
 
 
 def test_a_device_is_reported_when_its_ids_are_readable(root: Path) -> None:  # noqa: F811
-    seen = Hotplug(root)
+    usb = Hotplug(root)
     (root / discovery.USB / "1-1").mkdir()
     plug_usb(root, "1-2", "2109", "2813", bDeviceClass="09")
-    assert seen.changes() == []
+    assert usb.changes() == []
     plug_usb(root, "1-1", "1451", "0402")
-    assert seen.changes() == [("attached", OMEGA)]
+    assert usb.changes() == [("attached", OMEGA)]
 
 
 def test_a_device_not_readable_at_the_start_is_reported_later(root: Path) -> None:  # noqa: F811
     (root / discovery.USB / "1-1").mkdir()
-    seen = Hotplug(root)
-    assert seen.present == []
+    usb = Hotplug(root)
+    assert usb.present == []
     plug_usb(root, "1-1", "1451", "0402")
-    assert seen.changes() == [("attached", OMEGA)]
+    assert usb.changes() == [("attached", OMEGA)]
 
 
 def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> None:  # noqa: F811
     plug_usb(root, "1-1", "1451", "0402")
-    seen = Hotplug(root)
+    usb = Hotplug(root)
     plug_hid(root, 3, "0003:0000046D:0000C626")
-    told: list[tuple[str, Any]] = []
+    events: list[tuple[str, Any]] = []
 
     def event(kind: str, name: str, **fields: Any) -> None:
         assert kind == "device"
-        told.append((name, fields["device"]))
-        if len(told) == 2:
+        events.append((name, fields["device"]))
+        if len(events) == 2:
             watch.closing.set()
 
-    watch = HotplugWatch(seen, event)
+    watch = HotplugWatch(usb, event)
     watch.work()
-    assert told == [("present", OMEGA.name), ("attached", PUCK.name)]
+    assert events == [("present", OMEGA.name), ("attached", PUCK.name)]
 
 
 @pytest.fixture
@@ -112,8 +112,8 @@ def test_a_running_daemon_publishes_hotplug_events(quick: Path) -> None:
     attached, detached = events
     assert attached["name"] == "attached" and detached["name"] == "detached"
     for event in events:
-        told = {key: event[key] for key in ("device", "bus", "ids", "serial", "node", "driver")}
-        assert told == {
+        fields = {key: event[key] for key in ("device", "bus", "ids", "serial", "node", "driver")}
+        assert fields == {
             "device": "Puck", "bus": "hid", "ids": "046d:c626", "serial": "SN7", "node": "/dev/hidraw3",
             "driver": "spacemouse",
         }  # fmt: skip

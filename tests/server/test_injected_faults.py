@@ -92,39 +92,39 @@ CASES = {
 }  # fmt: skip
 
 
-def injected(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, FarEnd, np.ndarray]:
+def run_with_fault(driver: str, name: str, at: int, tmp_path: Path) -> tuple[Seen, FarEnd, np.ndarray]:
     """Run with a fault at a tick; return the far end, too, and its forces, each with its tick."""
     case = CASES[name]
     fault = case.fault | {"at_tick": at, "ticks": case.lasts}
     with FAR_ENDS[driver](tmp_path) as far:
         result = run(far.device, [fault], at + case.lasts + AFTER, RATE_HZ, tmp_path)
-        given = far.received()
-    return result, far, np.column_stack([ticks_of(given[:, 0], result), given[:, 1:]])
+        wrenches = far.received()
+    return result, far, np.column_stack([find_ticks(wrenches[:, 0], result), wrenches[:, 1:]])
 
 
-def ticks_of(times: np.ndarray, seen: Seen) -> np.ndarray:
+def find_ticks(times: np.ndarray, result: Seen) -> np.ndarray:
     """Return the tick of each time (n,), -1 before the first; ticks are counted on after the last one."""
     rows = np.arange(len(times), dtype=float)
-    if not seen.ticks:
+    if not result.ticks:
         return rows - 1.0  # no tick was finished: all wrenches are from the shutdown
-    late = np.maximum(times - seen.times[-1], 0.0) * RATE_HZ
-    found = np.searchsorted(seen.times, times, side="right") - 1.0
-    return np.where(np.isnan(times), rows, found + np.floor(late))
+    late = np.maximum(times - result.times[-1], 0.0) * RATE_HZ
+    ticks = np.searchsorted(result.times, times, side="right") - 1.0
+    return np.where(np.isnan(times), rows, ticks + np.floor(late))
 
 
-def check_end(name: str, at: int, seen: Seen, withholds: bool = False) -> None:
+def check_end(name: str, at: int, result: Seen, withholds: bool = False) -> None:
     """Check ending, events and recorded ticks; `withholds`: the driver gives zero before the guard does."""
     case = CASES[name]
     if case.ends is None:
-        assert seen.error is None, seen.error
-        assert seen.ticks == at + case.lasts + AFTER
+        assert result.error is None, result.error
+        assert result.ticks == at + case.lasts + AFTER
     else:
-        assert type(seen.error) is case.ends, seen.error
-        assert case.fault["kind"] in str(seen.error) or case.event == "stalled"
-        assert at <= seen.ticks <= at + case.within
+        assert type(result.error) is case.ends, result.error
+        assert case.fault["kind"] in str(result.error) or case.event == "stalled"
+        assert at <= result.ticks <= at + case.within
     if case.event:
-        assert case.event in seen.events or (withholds and name == "stale for long" and "ramping" in seen.events)
-    assert seen.recorded[:, AT.tick].tolist() == list(range(seen.ticks))
+        assert case.event in result.events or (withholds and name == "stale for long" and "ramping" in result.events)
+    assert result.recorded[:, AT.tick].tolist() == list(range(result.ticks))
 
 
 def check_limits(forces: np.ndarray) -> np.ndarray:
@@ -138,34 +138,35 @@ def check_limits(forces: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "moment", [pytest.param(each, marks=[pytest.mark.exhaustive] * (each == "first")) for each in MOMENTS]
+    "moment",
+    [pytest.param(when, marks=[pytest.mark.exhaustive] * (when == "first")) for when in MOMENTS],
 )
 @pytest.mark.parametrize("name", CASES)
 def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: str, tmp_path: Path) -> None:
     case, at = CASES[name], MOMENTS[moment]
-    seen, _, given = injected("replay", name, at, tmp_path)
-    check_end(name, at, seen)
-    norms = check_limits(given[:, 1:])
+    result, _, wrenches = run_with_fault("replay", name, at, tmp_path)
+    check_end(name, at, result)
+    norms = check_limits(wrenches[:, 1:])
     if case.zero is not None:
         # A first pose is never a jump, the next one is.
         late = int(at == 0 and case.event == "pose_jumped")
         assert norms[at : at + case.zero + late + 1].min() == 0.0
     if case.event == "pose_refused" or case.fault["kind"] == "withheld":
-        assert not norms[at : min(at + case.lasts, seen.ticks)].any()
+        assert not norms[at : min(at + case.lasts, result.ticks)].any()
     if case.ends is None:
         if case.zero is not None:
             assert norms[at + case.lasts] <= FULL_N * 2.0 / RAMP_TICKS
         assert norms[-AFTER // 2 : -2].min() > TOUCH_N  # the hand still presses
     else:
-        assert len(norms) <= seen.ticks + 2  # the failed tick may have been written, and the zero of the stop
+        assert len(norms) <= result.ticks + 2  # the failed tick may have been written, and the zero of the stop
 
 
 def test_wrenches_that_are_not_taken_count_from_the_last_one_that_was(tmp_path: Path) -> None:
-    held = HELD * 3 // 4
-    faults = [{"kind": "held", "at_tick": at, "ticks": held} for at in (50, 50 + held + 1)]
+    duration = HELD * 3 // 4
+    faults = [{"kind": "held", "at_tick": at, "ticks": duration} for at in (50, 50 + duration + 1)]
     with FAR_ENDS["replay"](tmp_path) as far:
-        result = run(far.device, faults, 100 + 2 * held, RATE_HZ, tmp_path)
-    assert result.error is None and result.ticks == 100 + 2 * held
+        result = run(far.device, faults, 100 + 2 * duration, RATE_HZ, tmp_path)
+    assert result.error is None and result.ticks == 100 + 2 * duration
 
 
 EVERYWHERE = {
@@ -201,41 +202,43 @@ def test_on_every_driver(
     driver: str, name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     case, at = CASES[name], 200
-    seen, far, given = injected(driver, name, at, tmp_path)
-    check_end(name, at, seen, far.withholds)
-    ticks, norms = given[:, 0], np.linalg.norm(given[:, 1:], axis=1)
+    result, far, wrenches = run_with_fault(driver, name, at, tmp_path)
+    check_end(name, at, result, far.withholds)
+    ticks, norms = wrenches[:, 0], np.linalg.norm(wrenches[:, 1:], axis=1)
     assert norms[-1] == 0.0
     before = norms[(ticks >= at - 50) & (ticks < at)].max()
     assert before > 0.0, "the hand did not press before the fault"
     assert norms.max() <= far.most
-    left = None
+    zero_after = None
     if case.zero is not None:
         late = far.handover + TURN
-        left = ticks_left(ticks, norms, at, case.zero == 0)
-        assert left <= case.zero + late
+        zero_after = measure_ticks_to_zero(ticks, norms, at, case.zero == 0)
+        assert zero_after <= case.zero + late
         assert norms[(ticks >= at) & (ticks <= at + case.zero + late)].max(initial=0.0) <= GROWS * before
         if case.event == "pose_refused":
             assert not norms[(ticks >= at + late) & (ticks < at + case.lasts)].any()
-    again = None
+    back_at = None
     if case.ends is None:
         back = np.flatnonzero((ticks >= at + case.lasts) & (norms > 0.5 * before))
         assert len(back), "the force did not come back"
-        again = int(ticks[back[0]]) - at - case.lasts
-    told = "state faulted" if case.ends else f"guard {case.event}" if case.zero is not None else f"servo {case.event}"
+        back_at = int(ticks[back[0]]) - at - case.lasts
+    outcome = (
+        "state faulted" if case.ends else f"guard {case.event}" if case.zero is not None else f"servo {case.event}"
+    )
     record_property(
         SEEN,
         {
-            "hazard": EVERYWHERE[name], "driver": driver, "fault": name, "ticks": left, "event": told,
+            "hazard": EVERYWHERE[name], "driver": driver, "fault": name, "ticks": zero_after, "event": outcome,
             "state": "faulted" if case.ends else "armed",
-            "recovery": "start again" if again is None else "the ramp", "back": again, "handover": far.handover,
+            "recovery": "start again" if back_at is None else "the ramp", "back": back_at, "handover": far.handover,
         },
     )  # fmt: skip
 
 
-def ticks_left(ticks: np.ndarray, norms: np.ndarray, at: int, at_once: bool) -> int:
+def measure_ticks_to_zero(ticks: np.ndarray, norms: np.ndarray, at: int, at_once: bool) -> int:
     """Return the ticks from `at` to the first zero at the far end; if due at once, at most the forces between."""
     behind = np.flatnonzero(ticks >= at)
     assert not norms[behind].all(), "the far end was given no zero"
     first = behind[np.flatnonzero(norms[behind] == 0.0)[0]]
-    left = int(ticks[first]) - at
-    return min(left, int(np.count_nonzero(behind < first))) if at_once else left
+    ticks_to_zero = int(ticks[first]) - at
+    return min(ticks_to_zero, int(np.count_nonzero(behind < first))) if at_once else ticks_to_zero

@@ -39,7 +39,7 @@ LOOPS = ("servo_loop", "step_many", "tick_many")
 SCENES = ["frictionless-plane", pytest.param("paper-plane", marks=pytest.mark.exhaustive)]
 
 
-def told_by_compiler(scene: str, cache: Path) -> str:
+def run_compiler(scene: str, cache: Path) -> str:
     """Return the output of the daemon's compiler for a scene and a cache directory, followed by the IR."""
     compiler = subprocess.Popen(
         [sys.executable, "-c", COMPILER],
@@ -53,31 +53,31 @@ def told_by_compiler(scene: str, cache: Path) -> str:
             assert compiler.stdin is not None and compiler.stdout is not None
             compiler.stdin.write(json.dumps(describe(load_scene(scene))) + "\n")
             compiler.stdin.flush()  # left open, because closing would end the compiler
-            told = compiler.stdout.read()
+            output = compiler.stdout.read()
         finally:
             compiler.stdin.close()  # type: ignore[union-attr]
     assert compiler.returncode == 0
-    return told
+    return output
 
 
 @pytest.fixture(scope="module", params=SCENES)
-def fresh(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str]:
+def fresh_loop(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str]:
     """Return a scene, a cache directory with its loop, and the compiler's output."""
     cache = tmp_path_factory.mktemp("kernels")
     if CACHE_DIR is not None and CACHE_DIR.is_dir():
         others = shutil.ignore_patterns(*(f"{name}-*" for name in LOOPS))
         shutil.copytree(CACHE_DIR, cache / CACHE_DIR.name, ignore=others)
-    return request.param, cache, told_by_compiler(request.param, cache)
+    return request.param, cache, run_compiler(request.param, cache)
 
 
-def kept(cache: Path) -> dict[str, int]:
+def list_kernels(cache: Path) -> dict[str, int]:
     """Return the kernels on disk by name, each with its time of modification, ns."""
     return {path.name: path.stat().st_mtime_ns for path in cache.rglob("*.kernel")}
 
 
-def test_loop_calls_only_what_is_listed(fresh: tuple[str, Path, str]) -> None:
-    scene, _, told = fresh
-    bodies = functions(told)
+def test_loop_calls_only_what_is_listed(fresh_loop: tuple[str, Path, str]) -> None:
+    scene, _, output = fresh_loop
+    bodies = functions(output)
     assert any("servo_loop" in name for name in bodies)
     called = {name for body in bodies.values() for name in called_in(body)}
     outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
@@ -90,35 +90,35 @@ def test_loop_calls_only_what_is_listed(fresh: tuple[str, Path, str]) -> None:
     assert through_pointers[next(name for name in bodies if "servo_loop" in name)] == 3
 
 
-def test_compiler_and_warmup_cache_all_kernels(fresh: tuple[str, Path, str]) -> None:
+def test_compiler_and_warmup_cache_all_kernels(fresh_loop: tuple[str, Path, str]) -> None:
     """`warmup` reuses the loop from a daemon's compiler; after it neither it nor a daemon compiles anything.
 
     `step_many`, which `Engine` calls, and the loop have the same kernels of contact: the second of them adds none.
     """
-    scene, cache, told = fresh
-    before = kept(cache)
+    scene, cache, output = fresh_loop
+    before = list_kernels(cache)
     loops = {name: written for name, written in before.items() if name.startswith("servo_loop-")}
     assert len(loops) == 1
-    assert told.startswith("compiling ") and re.search(r"^compiling kernel \d+ \(about \d+ ", told, re.MULTILINE)
-    assert not told_by_compiler(scene, cache).startswith("compiling ")  # cached kernels are only loaded
+    assert output.startswith("compiling ") and re.search(r"^compiling kernel \d+ \(about \d+ ", output, re.MULTILINE)
+    assert not run_compiler(scene, cache).startswith("compiling ")  # cached kernels are only loaded
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(cache)}
     words = [sys.executable, "-m", "softfinger.server.cli"]
     warm = [*words, "warmup", scene]
     first = run_program(warm, env=environment, check=True)
     assert str(cache) in first.stdout
-    after = kept(cache)
+    after = list_kernels(cache)
     assert loops.items() <= after.items()
     have, added = ({name.rpartition("-")[0] for name in names} for names in (before, after.keys() - before.keys()))
     assert {"step_many", "tick_many"} <= added
     assert added & have <= {"silence"}  # each driver has one
-    other, foreign = cache / "0123456789abcdef", cache / "notes"
-    other.mkdir()
+    old_version, foreign = cache / "0123456789abcdef", cache / "notes"
+    old_version.mkdir()
     foreign.mkdir()
     run_program([*warm, "--prune"], env=environment, check=True)
-    assert not other.exists() and foreign.exists()  # kernels of another version, and an unrelated folder
+    assert not old_version.exists() and foreign.exists()  # kernels of another version, and an unrelated folder
     brief = ["--duration", "0.2", "--realtime", "off", "--endpoint", "tcp://127.0.0.1:*", "--commands", "off"]
     run_program([*words, "run", "--scene", scene, *brief], env=environment, check=True)
-    assert kept(cache) == after
+    assert list_kernels(cache) == after
 
 
 def test_allocating_kernel_does_not_compile() -> None:

@@ -25,7 +25,7 @@ OTHER = 65534
 COMMAND = [sys.executable, "-m", "softfinger.server.cli"]
 
 
-def mode(path: Path) -> int:
+def read_mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
@@ -36,7 +36,7 @@ def test_the_secret_is_readable_by_its_owner_only(tmp_path: Path, mask: int) -> 
         public, secret = make_pair(tmp_path, "rig")
     finally:
         os.umask(before)
-    assert (mode(secret), mode(public)) == (0o600, 0o644)
+    assert (read_mode(secret), read_mode(public)) == (0o600, 0o644)
     assert zmq.auth.load_certificate(secret) == tuple(read_pair(secret))
     assert zmq.auth.load_certificate(public) == (read_public(public), None)
     assert zmq.curve_public(read_pair(secret).secret) == read_public(public)
@@ -44,13 +44,13 @@ def test_the_secret_is_readable_by_its_owner_only(tmp_path: Path, mask: int) -> 
 
 def test_no_key_is_overwritten(tmp_path: Path) -> None:
     public, secret = make_pair(tmp_path, "rig")
-    kept = public.read_bytes(), secret.read_bytes()
-    for gone in (None, public):
-        if gone is not None:
-            gone.unlink()
+    content = public.read_bytes(), secret.read_bytes()
+    for deleted in (None, public):
+        if deleted is not None:
+            deleted.unlink()
         with pytest.raises(ConfigError, match="keys are not overwritten"):
             make_pair(tmp_path, "rig")
-    assert secret.read_bytes() == kept[1] and not public.exists()
+    assert secret.read_bytes() == content[1] and not public.exists()
     (tmp_path / "link.key_secret").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(ConfigError, match="keys are not overwritten"):
         make_pair(tmp_path, "link")
@@ -61,27 +61,27 @@ def test_no_key_is_overwritten(tmp_path: Path) -> None:
 
 def test_the_verb_makes_pairs(tmp_path: Path) -> None:
     words = [*COMMAND, "keys", str(tmp_path / "new" / "keys"), "rig", "anna", "--json"]
-    done = run_program(words, check=True)
-    made = json.loads(done.stdout)
+    completed = run_program(words, check=True)
+    made = json.loads(completed.stdout)
     assert set(made) == {"rig", "anna"} and all(read_pair(files["secret"]) for files in made.values())
     assert subprocess.run(words, capture_output=True, check=False).returncode == 2
-    told = run_program([*words[:-3], "ben"], check=True).stdout
+    output = run_program([*words[:-3], "ben"], check=True).stdout
     assert (
-        f"{tmp_path}/new/keys/ben.key: public key: copy it to the other side" in told
-        and "ben.key_secret: secret key: do not share it" in told
+        f"{tmp_path}/new/keys/ben.key: public key: copy it to the other side" in output
+        and "ben.key_secret: secret key: do not share it" in output
     )
 
 
 def test_invalid_key_files_are_refused(tmp_path: Path) -> None:
     public, secret = make_pair(tmp_path, "rig")
-    _, other = make_pair(tmp_path, "other")
+    _, second_secret = make_pair(tmp_path, "other")
     public.chmod(0o600)
     with pytest.raises(ConfigError, match="a public key"):
         read_pair(public)
     text = secret.read_text()
     mixed = tmp_path / "mixed"
     mixed.touch(0o600)
-    mixed.write_text(text.replace(text.split('"')[3], other.read_text().split('"')[3]))
+    mixed.write_text(text.replace(text.split('"')[3], second_secret.read_text().split('"')[3]))
     with pytest.raises(ConfigError, match="does not belong to its secret key"):
         read_pair(mixed)
     with pytest.raises(ConfigError, match="no line public-key"):
@@ -136,9 +136,9 @@ def test_changes_of_the_key_folder_take_effect(tmp_path: Path) -> None:
     assert not allowed.refresh() and allowed.callback("", key) and allowed.name(key) == "anna"
     public.unlink()
     assert allowed.refresh() and not allowed.callback("", key)
-    other, _ = make_pair(tmp_path, "eve")
-    allowed.revoke(read_public(other))
-    assert not allowed.refresh() and not allowed.callback("", read_public(other))
+    eve, _ = make_pair(tmp_path, "eve")
+    allowed.revoke(read_public(eve))
+    assert not allowed.refresh() and not allowed.callback("", read_public(eve))
     make_pair(tmp_path, "bob")
     assert not allowed.refresh() and allowed.callback("", read_public(tmp_path / "bob.key"))
     bob = read_public(tmp_path / "bob.key")
@@ -210,5 +210,5 @@ def test_key_paths_are_relative_to_the_rig_file(tmp_path: Path) -> None:
 def test_a_client_needs_both_keys(tmp_path: Path) -> None:
     public, secret = make_pair(tmp_path, "rig")
     for words in (["--keys", str(secret)], ["--server-key", str(public)]):
-        done = run_program([*COMMAND, "ctl", "heartbeat", *words])
-        assert done.returncode == 2 and "requires --" in done.stderr
+        completed = run_program([*COMMAND, "ctl", "heartbeat", *words])
+        assert completed.returncode == 2 and "requires --" in completed.stderr

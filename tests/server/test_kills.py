@@ -45,25 +45,25 @@ MOMENT_S = 4.0
 """Latest time of a kill after the start: most hit the imports, the opening of the device, or the first ticks."""
 
 
-def children(pid: int) -> list[int]:
+def list_children(pid: int) -> list[int]:
     """Return child processes of all threads: the thread that supervises a process restarts it."""
-    found: list[int] = []
+    pids: list[int] = []
     for thread in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(FileNotFoundError, ProcessLookupError):
-            found += map(int, thread.read_text().split())
-    return found
+            pids += map(int, thread.read_text().split())
+    return pids
 
 
-def of_kind(kind: str, pid: int) -> int | None:
+def find_process(kind: str, pid: int) -> int | None:
     """Return the process of a run with this role, if it has started."""
-    for each in (pid, *children(pid)):
+    for candidate in (pid, *list_children(pid)):
         with suppress(FileNotFoundError, ProcessLookupError):
-            if VICTIMS[kind] in Path(f"/proc/{each}/cmdline").read_bytes():
-                return each
+            if VICTIMS[kind] in Path(f"/proc/{candidate}/cmdline").read_bytes():
+                return candidate
     return None
 
 
-def gone(pid: int) -> bool:
+def has_exited(pid: int) -> bool:
     """Return True if a process has exited, also as a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
@@ -71,7 +71,7 @@ def gone(pid: int) -> bool:
         return True
 
 
-def readable(path: Path) -> int:
+def count_readable(path: Path) -> int:
     """Return the number of consecutive ticks in a recording; 0 for a file that ends before its first tick."""
     try:
         parts = [part.records() for part in read_contents(path) if isinstance(part, TickBlock)]
@@ -83,30 +83,30 @@ def readable(path: Path) -> int:
     return len(ticks)
 
 
-def command(tmp_path: Path, rig: Path, *words: str) -> list[str]:
+def make_command(tmp_path: Path, rig: Path, *words: str) -> list[str]:
     run = [sys.executable, "-m", "softfinger.server.cli", "-q", "run", "--realtime", "off", "--rig", str(rig), "--view"]
     return [*run, "--scene", "paper-plane", "--endpoint", f"ipc://{tmp_path}/t", *words]
 
 
-def start_to_end(tmp_path: Path, rig: Path) -> None:
+def run_to_end(tmp_path: Path, rig: Path) -> None:
     """An undisturbed run exits with 0 and leaves no socket, not even one of a previous killed run."""
-    words = command(tmp_path, rig, "--duration", "0.3")
-    done = run_program(words, timeout=START_S)
-    assert done.returncode == 0, done.stderr
+    words = make_command(tmp_path, rig, "--duration", "0.3")
+    completed = run_program(words, timeout=START_S)
+    assert completed.returncode == 0, completed.stderr
     assert not [path for path in tmp_path.iterdir() if path.is_socket()]
 
 
-def kill(process: subprocess.Popen[bytes], kind: str, told: Path) -> list[int]:
+def kill(process: subprocess.Popen[bytes], kind: str, log_path: Path) -> list[int]:
     """Kill one process of a run, wait until its end is reported, and return all that the daemon had."""
-    until(lambda: of_kind(kind, process.pid) or process.poll() is not None, START_S, f"there is no {kind}")
-    begun, victim = children(process.pid), of_kind(kind, process.pid)
-    assert victim is not None, told.read_text()
+    until(lambda: find_process(kind, process.pid) or process.poll() is not None, START_S, f"there is no {kind}")
+    begun, victim = list_children(process.pid), find_process(kind, process.pid)
+    assert victim is not None, log_path.read_text()
     os.kill(victim, signal.SIGKILL)
     if kind != "daemon":
         words = f"the {kind} has ended"
-        until(lambda: words in told.read_text() or process.poll() is not None, START_S, f"{words}: not told")
-        assert words in told.read_text()
-    return begun + children(process.pid)
+        until(lambda: words in log_path.read_text() or process.poll() is not None, START_S, f"{words}: not told")
+        assert words in log_path.read_text()
+    return begun + list_children(process.pid)
 
 
 @pytest.mark.exhaustive
@@ -119,21 +119,21 @@ def test_a_kill_at_any_time_leaves_no_process(kills: int, tmp_path: Path) -> Non
         rig = tmp_path / "rig.toml"
         named = f'driver = "serial"\npath = "{cable.path}"\nquiet_s = 0.1\ntimeout_s = 2.0\n'
         rig.write_text(find(RIG, Rig).read_text().replace('driver = "serial"\n', named))
-        start_to_end(tmp_path, rig)  # with compiled kernels a run reaches its ticks before most kills
+        run_to_end(tmp_path, rig)  # with compiled kernels a run reaches its ticks before most kills
         for number, kind in zip(range(kills), itertools.cycle(VICTIMS)):
-            recording, told = tmp_path / f"{number}.mcap", tmp_path / f"{number}.log"
-            with told.open("wb") as log, Program(
-                command(tmp_path, rig, "--record", str(recording)), stderr=log
+            recording, log_path = tmp_path / f"{number}.mcap", tmp_path / f"{number}.log"
+            with log_path.open("wb") as log, Program(
+                make_command(tmp_path, rig, "--record", str(recording)), stderr=log
             ) as process:  # fmt: skip
                 try:
                     time.sleep(drawn.uniform(0.0, MOMENT_S))
-                    begun = kill(process, kind, told)
+                    begun = kill(process, kind, log_path)
                     time.sleep(drawn.uniform(0.0, 0.5))  # the daemon restarts the process, or ends with an error
-                    begun += children(process.pid)
+                    begun += list_children(process.pid)
                 finally:
                     process.kill()
-            until(lambda begun=begun: all(map(gone, begun)), END_S, f"kill {number}: a process is left")
+            until(lambda begun=begun: all(map(has_exited, begun)), END_S, f"kill {number}: a process is left")
             if recording.exists():
-                recorded += readable(recording)
-        start_to_end(tmp_path, rig)
+                recorded += count_readable(recording)
+        run_to_end(tmp_path, rig)
     assert recorded > 0 or kills == len(VICTIMS), "no kill came after the first tick"

@@ -19,7 +19,7 @@ from softfinger.server.bridges import lift_environment
 pytestmark = pytest.mark.plain
 
 
-def led(thumb: tuple[float, float, float], index: tuple[float, float, float]) -> np.ndarray:
+def move(thumb: tuple[float, float, float], index: tuple[float, float, float]) -> np.ndarray:
     return np.array([*thumb, *index])
 
 
@@ -39,18 +39,18 @@ def test_a_scene_without_a_grasp_is_refused(scene: str, why: str) -> None:
 @pytest.mark.exhaustive
 def test_a_script_lifts_the_box() -> None:
     env = gymnasium.make(lift_environment.NAME).unwrapped
-    squeeze, up, hold = led((1, 0, 0), (-1, 0, 0)), led((0, 0, 1), (0, 0, 1)), led((0, 0, 0), (0, 0, 0))
+    squeeze, up, hold = move((1, 0, 0), (-1, 0, 0)), move((0, 0, 1), (0, 0, 1)), move((0, 0, 0), (0, 0, 0))
     ends = []
     for _ in range(2):
         start, _ = env.reset(seed=0)
         for action in [squeeze] * 8 + [hold] * 5 + [up] * 50 + [hold] * 10:
-            seen, reward, terminated, _, info = env.step(action)
-        ends.append(seen)
-    height = seen["body.position"][2] - start["body.position"][2]
+            observation, reward, terminated, _, info = env.step(action)
+        ends.append(observation)
+    height = observation["body.position"][2] - start["body.position"][2]
     assert height == pytest.approx(0.1, abs=0.002)  # less the sag of contacts and hands
     assert reward == pytest.approx(-abs(height - 0.1), abs=1e-3) and not terminated
-    assert seen["thumb.force"][0] < -2.0 and seen["index.force"][0] > 2.0
-    assert abs(seen["body.orientation"][0]) > 0.999
+    assert observation["thumb.force"][0] < -2.0 and observation["index.force"][0] > 2.0
+    assert abs(observation["body.orientation"][0]) > 0.999
     assert len(info["records"]["thumb"]) == 20
     for name, value in ends[0].items():
         np.testing.assert_array_equal(value, ends[1][name])
@@ -62,27 +62,27 @@ def test_a_copy_continues_the_lift(duplicate: Callable[[Any], Any]) -> None:
     env = lift_environment.Lift(step_ticks=10)
     env.reset(seed=0)
     for _ in range(16):
-        env.step(led((1, 0, 0), (-1, 0, 0)))
-    other = duplicate(env)
-    assert other.world is not env.world
-    ahead = [env.step(led((0, 0, 1), (0, 0, 1))) for _ in range(3)]
-    for seen, reward, *_ in ahead:
-        seen_there, reward_there, *_ = other.step(led((0, 0, 1), (0, 0, 1)))
-        assert reward_there == reward
-        for name, value in seen.items():
-            np.testing.assert_array_equal(seen_there[name], value)
-    start, there = env.reset(seed=0)[0], other.reset(seed=0)[0]
-    np.testing.assert_array_equal(start["body.position"], there["body.position"])
+        env.step(move((1, 0, 0), (-1, 0, 0)))
+    copied = duplicate(env)
+    assert copied.world is not env.world
+    ahead = [env.step(move((0, 0, 1), (0, 0, 1))) for _ in range(3)]
+    for observation, reward, *_ in ahead:
+        copied_observation, copied_reward, *_ = copied.step(move((0, 0, 1), (0, 0, 1)))
+        assert copied_reward == reward
+        for name, value in observation.items():
+            np.testing.assert_array_equal(copied_observation[name], value)
+    start, copied_start = env.reset(seed=0)[0], copied.reset(seed=0)[0]
+    np.testing.assert_array_equal(start["body.position"], copied_start["body.position"])
 
 
 def test_vector_environments_run() -> None:
     make = functools.partial(gymnasium.make, lift_environment.NAME, step_ticks=5)
-    actions = np.stack([led((1, 0, 0), (-1, 0, 0)), led((0, 0, 0), (0, 0, 0))])
-    seen = []
+    actions = np.stack([move((1, 0, 0), (-1, 0, 0)), move((0, 0, 0), (0, 0, 0))])
+    observations = []
     for vector in (gymnasium.vector.SyncVectorEnv([make, make]), gymnasium.vector.AsyncVectorEnv([make, make])):
         vector.reset(seed=1)
-        seen.append([vector.step(actions)[0] for _ in range(20)][-1])
+        observations.append([vector.step(actions)[0] for _ in range(20)][-1])
         vector.close()
-    assert seen[0]["thumb.position"][0, 0] > seen[0]["thumb.position"][1, 0] + 0.005
-    for name, value in seen[0].items():
-        np.testing.assert_array_equal(seen[1][name], value)
+    assert observations[0]["thumb.position"][0, 0] > observations[0]["thumb.position"][1, 0] + 0.005
+    for name, value in observations[0].items():
+        np.testing.assert_array_equal(observations[1][name], value)

@@ -39,7 +39,7 @@ ARM = DeviceInfo("arm", 3, 3, 40.0, 2.0, 5000.0, 30.0, (-0.1,) * 3, (0.1,) * 3)
 """Device whose force a hand holds."""
 
 
-def limited(force_max=12.0, ramp=0.0, slew=1e9, **limits):
+def make_guard(force_max=12.0, ramp=0.0, slew=1e9, **limits):
     """Return a guard with the given limits; all remaining limits are off."""
     return g.Guard(force_max, 0.3, slew, slew, ramp, 1.0, limits=lim.UNLIMITED._replace(**limits))
 
@@ -54,7 +54,7 @@ def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE)
 @pytest.mark.parametrize("speed", [2.1, 3.0, 5.0])
 def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
     """A speed v is filtered to v (1 - r^n), r = tau / (tau + T); the force is zero from the first n above the limit."""
-    guard, passed, forces = limited(speed=2.0, slow_s=0.5), INITIAL_OUTPUT, []
+    guard, passed, forces = make_guard(speed=2.0, slow_s=0.5), INITIAL_OUTPUT, []
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (0.0, speed * T, 0.0))
         forces.append(passed.guard_state.force[0])
@@ -66,7 +66,7 @@ def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
 
 def test_one_displaced_pose_is_not_too_fast():
     """The largest step that is not a jump, once or back and forth, gives at most d / (tau + T) = 0.91 m/s."""
-    guard, passed = limited(speed=2.0, slow_s=0.5), INITIAL_OUTPUT
+    guard, passed = make_guard(speed=2.0, slow_s=0.5), INITIAL_OUTPUT
     step = 10.0 * T
     for moved in (step, 0.0, -step, step, 0.0):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (moved, 0.0, 0.0))
@@ -75,7 +75,7 @@ def test_one_displaced_pose_is_not_too_fast():
 
 
 def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
-    guard, passed = limited(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), INITIAL_OUTPUT
+    guard, passed = make_guard(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), INITIAL_OUTPUT
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
     assert bits & g.TOO_FAST
@@ -92,7 +92,7 @@ def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
 
 
 def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
-    guard, passed = limited(speed=2.0, slow_s=inf), INITIAL_OUTPUT
+    guard, passed = make_guard(speed=2.0, slow_s=inf), INITIAL_OUTPUT
     off = guard._replace(armed=0.0)
     for _ in range(100):
         passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
@@ -109,7 +109,7 @@ def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
 
 @pytest.mark.parametrize("slow_s", [lim.SLOW_S, inf])
 def test_a_tick_without_a_pose_ends_no_wait(slow_s):
-    guard, passed = limited(speed=2.0, slow_s=slow_s), INITIAL_OUTPUT
+    guard, passed = make_guard(speed=2.0, slow_s=slow_s), INITIAL_OUTPUT
     for _ in range(100):
         passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
     blind = cool_limits(guard, passed.limit_state, T)
@@ -120,7 +120,7 @@ def test_a_tick_without_a_pose_ends_no_wait(slow_s):
 
 def test_heat_follows_a_first_order_model():
     """Under F the heat is (F / F_c)^2 (1 - r^n), r = tau / (tau + T); without force or pose it falls by r."""
-    guard, passed = limited(continuous=4.0, heat_s=2.0), INITIAL_OUTPUT
+    guard, passed = make_guard(continuous=4.0, heat_s=2.0), INITIAL_OUTPUT
     ratio = 2.0 / (2.0 + T)
     for n in range(1, 1001):
         passed, bits = tick(guard, passed, (3.0, 0.0, 0.0))
@@ -136,7 +136,7 @@ def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
     """Under twice the continuous force, the force is unchanged until the heat is WARM, after -tau ln(1 - WARM / 4).
     Then dh/dt = (F^2 / F_c^2 - h) / tau, with F^2 falling by 3 / (1 - WARM) per unit of heat: 1 - h falls with the rate
     (1 + 3 / (1 - WARM)) / tau, and the force changes no faster than that."""
-    guard, passed, heats, forces = limited(force_max=8.0, continuous=4.0, heat_s=2.0), INITIAL_OUTPUT, [], []
+    guard, passed, heats, forces = make_guard(force_max=8.0, continuous=4.0, heat_s=2.0), INITIAL_OUTPUT, [], []
     for _ in range(4000):
         passed, bits = tick(guard, passed, (0.0, 8.0, 0.0))
         heats.append(passed.limit_state.heat)
@@ -145,9 +145,9 @@ def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
     whole_s = -2.0 * math.log(1.0 - lim.WARM / 4.0)
     assert first * T == pytest.approx(whole_s, abs=2 * T)  # a tick of delay, and discrete steps
     rate = (1.0 + 3.0 / (1.0 - lim.WARM)) / 2.0
-    left = (1.0 - heats[first - 1]) * np.exp(-rate * T * np.arange(1, 300))
+    expected = (1.0 - heats[first - 1]) * np.exp(-rate * T * np.arange(1, 300))
     # Discrete steps have a first-order error, rate T / 2 = 0.4 % over a time of 1 / rate.
-    np.testing.assert_allclose(1.0 - np.array(heats[first : first + 299]), left, rtol=0.03)
+    np.testing.assert_allclose(1.0 - np.array(heats[first : first + 299]), expected, rtol=0.03)
     assert bits & g.MOTOR_HOT and max(heats) <= 1.0
     assert forces[-1] == pytest.approx(4.0, rel=1e-9) and min(forces) >= 4.0
     assert max(-np.diff(forces)) < 8.0 * rate * T  # smoothly: below a hundredth of the slew limit
@@ -169,7 +169,7 @@ def test_a_tick_of_zero_length_keeps_the_velocity():
 
 
 def test_a_torque_fades_with_the_force():
-    guard = limited(energy=0.2)
+    guard = make_guard(energy=0.2)
     passed = INITIAL_OUTPUT._replace(
         limit_state=lim.INITIAL_LIMITS._replace(energy_given=0.3 * (lim.FORGET_S + T) / lim.FORGET_S)
     )
@@ -181,15 +181,15 @@ def test_a_torque_fades_with_the_force():
 
 def test_energy_given_in_a_contact_fades_the_force():
     """The energy is P tau (1 - r^n); above the limit E the force has the share s = 2 - given / E."""
-    guard, passed = limited(energy=0.1), INITIAL_OUTPUT
+    guard, passed = make_guard(energy=0.1), INITIAL_OUTPUT
     shares, ratio = [], lim.FORGET_S / (lim.FORGET_S + T)
     for n in range(8000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.1 * T, 0.0, 0.0), ROLLING)
         shares.append(passed.guard_state.force[0] / 4.0)
-        given = passed.limit_state.energy_given
+        energy = passed.limit_state.energy_given
         if not bits & g.ENERGY_SPENT:  # the first tick has no force before it
             expected = 0.4 * T * ratio * (1.0 - ratio**n) / (1.0 - ratio)
-            assert given == pytest.approx(expected, rel=1e-9) and given <= 0.1  # a thousand rounded steps
+            assert energy == pytest.approx(expected, rel=1e-9) and energy <= 0.1  # a thousand rounded steps
     whole = next(n for n, share in enumerate(shares) if share < 1.0)
     assert whole * T == pytest.approx(-math.log(1.0 - 0.1 / 0.4), abs=3 * T)
     # s P tau = E (2 - s): s = 2 E / (P tau + E) = 0.4; the work of a tick is forgotten a tick late, a thousandth.
@@ -205,7 +205,7 @@ def test_the_force_fades_between_once_and_twice_the_energy(spent, share):
 
 
 def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
-    guard, passed = limited(energy=0.1), INITIAL_OUTPUT
+    guard, passed = make_guard(energy=0.1), INITIAL_OUTPUT
     for moved in [-0.001] * 100 + [0.001] * 100:
         passed, bits = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, moved), ROLLING)
         assert bits == 0
@@ -218,7 +218,7 @@ def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
 
 
 def test_free_motion_under_an_effect_gives_no_energy():
-    guard, passed = limited(energy=0.01), INITIAL_OUTPUT
+    guard, passed = make_guard(energy=0.01), INITIAL_OUTPUT
     for _ in range(1000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.001, 0.0, 0.0))
         assert bits == 0 and passed.limit_state.work == 0.0
@@ -242,22 +242,22 @@ BALL = lim.Workspace((0.01, 0.0, 0.0), NONE, 0.07, 500.0, 4.0)
     ],
 )
 def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
-    found, out = lim.wall_force(wall, at)
-    np.testing.assert_allclose(found, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
+    pushed, out = lim.wall_force(wall, at)
+    np.testing.assert_allclose(pushed, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
     assert out == any(force)
-    passed, bits = tick(limited(workspace=wall), INITIAL_OUTPUT, at=at)
+    passed, bits = tick(make_guard(workspace=wall), INITIAL_OUTPUT, at=at)
     np.testing.assert_allclose(passed.guard_state.force, force, atol=1e-13)
     assert bits == (g.WORKSPACE_EDGE if out else 0)
 
 
 def test_the_wall_force_is_limited_by_the_guard():
     wall = BALL._replace(stiffness=2000.0, force_max=40.0)
-    passed, bits = tick(limited(workspace=wall, slew=2000.0), INITIAL_OUTPUT, (0.0, -40.0, 0.0), at=(0.01, 0.2, 0.0))
+    passed, bits = tick(make_guard(workspace=wall, slew=2000.0), INITIAL_OUTPUT, (0.0, -40.0, 0.0), at=(0.01, 0.2, 0.0))
     assert passed.guard_state.force == pytest.approx((0.0, -2.0, 0.0))
     assert bits == g.WORKSPACE_EDGE | g.FORCE_CLAMPED | g.SLEW_LIMITED
 
 
-def pressed_against_a_stiff_wall(energy, delay, ticks):
+def press_stiff_wall(energy, delay, ticks):
     """Return the records of a light hand on a stiff wall and a device with a delay, with a limit of energy (J)."""
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 5000.0})
     tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
@@ -270,17 +270,17 @@ def pressed_against_a_stiff_wall(energy, delay, ticks):
 
 @pytest.mark.parametrize("energy", [0.05, inf])
 def test_an_unstable_wall_fades(energy):
-    records = pressed_against_a_stiff_wall(energy, 1, 1500)
+    records = press_stiff_wall(energy, 1, 1500)
     late = np.linalg.norm(records[1000:, AT.force : AT.force + 3], axis=1).max()
     spent = bool((records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT).any())
-    given = records[:, AT.limits_energy].max()
+    generated = records[:, AT.limits_energy].max()
     if energy == inf:
         assert late == 12.0 and not spent
     else:
-        assert late < 0.8 * 12.0 and spent and energy < given < 2.0 * energy
+        assert late < 0.8 * 12.0 and spent and energy < generated < 2.0 * energy
 
 
-def forgetful(works):
+def sum_with_decay(works):
     """Return the sums of works (J) after each work; positive sums decay as in the limit."""
     total, sums = 0.0, []
     for work in works:
@@ -308,29 +308,29 @@ def test_energy_of_a_wall_per_cycle_follows_colgate(hz, late):
     continuous = np.pi * stiffness * amplitude**2 * math.sin(2.0 * np.pi * hz * (late + 0.5) * T)
     assert in_a_cycle(late) == pytest.approx(continuous, rel=1.0 / count)
     energy = 4.5 * in_a_cycle(0)
-    guard, passed, bits, spent = limited(force_max=40.0, energy=energy), INITIAL_OUTPUT, 0, -1
+    guard, passed, bits, spent = make_guard(force_max=40.0, energy=energy), INITIAL_OUTPUT, 0, -1
     while not bits & g.ENERGY_SPENT:  # there are more ticks than needed, or an IndexError is raised
         spent += 1
         passed, bits = tick(guard, passed, (0.0, 0.0, forces[spent]), (0.0, 0.0, moved[spent]), ROLLING)
     assert spent > 4 * count  # and some more, because a part is forgotten
     stored = 0.5 * stiffness * depths[spent] ** 2
-    made = forgetful(works)[spent] + stored
+    made = sum_with_decay(works)[spent] + stored
     assert made <= (2 * late + 1) * (passed.limit_state.energy_given + stored) * (1.0 + 1e-9)  # rounding, for late = 0
 
 
 @pytest.mark.parametrize("late", [1, 2, 4])
 def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
     energy = 0.05
-    records = pressed_against_a_stiff_wall(energy, late, 1000)
+    records = press_stiff_wall(energy, late, 1000)
     forces, places = (records[:, at : at + 3] for at in (AT.force, AT.probe_position))
     acting = np.concatenate([np.zeros((1 + late, 3)), forces])[: len(forces)]  # constant from each tick to the next
-    given = forgetful(np.sum(acting * np.diff(places, axis=0, prepend=places[:1]), axis=1))
+    generated = sum_with_decay(np.sum(acting * np.diff(places, axis=0, prepend=places[:1]), axis=1))
     first = int(np.argmax(records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT != 0))
-    assert first > 0 and energy < given[first] <= (2 * late + 1) * energy
-    assert given.max() <= 2.0 * (2 * late + 1) * energy
+    assert first > 0 and energy < generated[first] <= (2 * late + 1) * energy
+    assert generated.max() <= 2.0 * (2 * late + 1) * energy
 
 
-def slewed(size, allowed):
+def compute_slewed(size, allowed):
     """Return the largest norm (N) after 2 N from `size` along the tangent to the ball of radius `allowed`."""
     if size <= allowed:
         return allowed
@@ -346,7 +346,7 @@ any_way = st.tuples(*[st.floats(-0.01, 0.01)] * 3)
 @examples(60, 3000)
 def test_no_limit_is_exceeded(steps):
     wall = BALL._replace(force_max=40.0)
-    guard = limited(speed=2.0, slow_s=0.01, continuous=3.0, heat_s=0.02, energy=0.01, workspace=wall, slew=2000.0)
+    guard = make_guard(speed=2.0, slow_s=0.01, continuous=3.0, heat_s=0.02, energy=0.01, workspace=wall, slew=2000.0)
     passed, at = INITIAL_OUTPUT, NONE
     for force, torque, moved, mode in steps:
         before, at = passed, tuple(a + m for a, m in zip(at, moved, strict=True))
@@ -354,7 +354,9 @@ def test_no_limit_is_exceeded(steps):
         size = math.hypot(*passed.guard_state.force)
         assert all(map(math.isfinite, (*passed.guard_state.force, *passed.guard_state.torque)))
         allowed = lim.heat_limited_force(guard.limits, before.limit_state.heat, 12.0)
-        assert size <= min(12.0, max(allowed, slewed(math.hypot(*before.guard_state.force), allowed))) * (1 + 1e-9)
+        assert size <= min(12.0, max(allowed, compute_slewed(math.hypot(*before.guard_state.force), allowed))) * (
+            1 + 1e-9
+        )
         assert (size == 0.0) or not bits & g.TOO_FAST
         assert bool(bits & g.TOO_FAST) == (passed.limit_state.wait > 0.0)
         if before.limit_state.wait == 0.0 and math.hypot(*passed.limit_state.velocity) <= 2.0:
@@ -384,10 +386,10 @@ def test_the_workspace_moves_with_the_offset_of_its_device():
     assert with_offsets(moved, tuning.offsets).guards[0].limits.workspace.center == pytest.approx((0.0, 0.0, 0.01))
 
 
-@pytest.mark.parametrize("asked", [{}, {"radius_m": 0.07, "size_m": [0.1, 0.1, 0.1]}])
-def test_a_workspace_is_a_sphere_or_a_box(asked):
+@pytest.mark.parametrize("workspace", [{}, {"radius_m": 0.07, "size_m": [0.1, 0.1, 0.1]}])
+def test_a_workspace_is_a_sphere_or_a_box(workspace):
     with pytest.raises(ConfigError, match="radius_m"):
-        build(schema.Rig, {"device": {"driver": "x"}, "guard": {"workspace": asked}}, "rig.toml")
+        build(schema.Rig, {"device": {"driver": "x"}, "guard": {"workspace": workspace}}, "rig.toml")
 
 
 def test_a_scene_that_is_replaced_does_not_cool_the_motors():
@@ -395,9 +397,9 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
     row = np.zeros(2 * RECORD_SIZE)
     second = row[RECORD_SIZE:]
     second[AT.limits_heat], second[AT.limits_energy], second[AT.servo_guard] = 0.9, 0.2, g.TOO_FAST | g.RAMPING
-    first, other = continue_memory(begin(tuning.scene), tuning.guards, row).fingers
-    assert first.limit_state == lim.INITIAL_LIMITS
-    assert other.limit_state == lim.LimitState(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
+    first_state, second_state = continue_memory(begin(tuning.scene), tuning.guards, row).fingers
+    assert first_state.limit_state == lim.INITIAL_LIMITS
+    assert second_state.limit_state == lim.LimitState(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
 
 
 def test_a_shipped_recording_reaches_no_limit():
@@ -418,20 +420,20 @@ ALONE = ("press-roll-spin-drag", "roll-follow", "tap")
 """Recordings for one finger, except intentions of a simulated hand, which are deep in the objects open loop."""
 
 
-def fits(name):
+def has_recordings(name):
     """Return True if there is a recording for each finger of a scene."""
     scene = load_scene(name)
     return name in RECORDED or (len(scene.fingers) == 1 and scene.world is None)
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", [name for name in list_shipped(schema.Scene) if fits(name)])
+@pytest.mark.parametrize("name", [name for name in list_shipped(schema.Scene) if has_recordings(name)])
 def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
     scene = load_scene(name)
-    for recordings in [RECORDED[name]] if name in RECORDED else [(each,) for each in ALONE]:
-        poses = [resample(load_poses(each), 1000.0) for each in recordings]
+    for recordings in [RECORDED[name]] if name in RECORDED else [(recording,) for recording in ALONE]:
+        poses = [resample(load_poses(recording), 1000.0) for recording in recordings]
         count = min(map(len, poses))
         tuning = make_tuning(scene, load_rig("omega-6").guard, [ARM] * len(recordings))
-        records = simulate(tuning, np.stack([each[:count] for each in poses], axis=1), 1000.0)
+        records = simulate(tuning, np.stack([recording[:count] for recording in poses], axis=1), 1000.0)
         bits = records[:, :, AT.servo_guard].astype(int)
         assert not (bits & (g.TOO_FAST | g.ENERGY_SPENT | g.MOTOR_HOT)).any(), recordings

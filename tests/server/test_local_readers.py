@@ -70,14 +70,14 @@ def program(tmp_path_factory):
     return str(folder / "reader")
 
 
-def numbered(count, first=0):
+def make_numbered(count, first=0):
     """Return ticks; the last column shows if a row is complete."""
     records = synthetic(count, first)
     records[:, -1] = 0.5 * records[:, AT.tick]
     return records
 
 
-def opened(program, name, *more):
+def open_reader(program, name, *more):
     process = subprocess.Popen([program, name, *more], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "open\n"
     return process
@@ -88,12 +88,12 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
     with Publisher("tcp://127.0.0.1:*") as publisher:
         name = publisher.ring()["name"]
         assert (memory.FOLDER / name).stat().st_mode & 0o777 == 0o600
-        slow, killed, stopped = (opened(program, name, "slow") for _ in range(3))
+        slow, killed, stopped = (open_reader(program, name, "slow") for _ in range(3))
         stopped.send_signal(signal.SIGSTOP)
         with Local(name) as witness:
-            reading = opened(program, name)
+            reading = open_reader(program, name)
             for at in range(0, count, 1000):
-                publisher.publish(numbered(min(1000, count - at), at))
+                publisher.publish(make_numbered(min(1000, count - at), at))
                 if at == 3000:
                     killed.kill()
                 rows = 0
@@ -102,11 +102,11 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
             assert witness.lost == 0
             slow.stdin.write("\n")
             slow.stdin.flush()
-    said, _ = reading.communicate(timeout=WAIT_S)
-    rows, lost, wrong, last = map(int, said.split())
+    output, _ = reading.communicate(timeout=WAIT_S)
+    rows, lost, wrong, last = map(int, output.split())
     assert (rows + lost, wrong, last) == (count, 0, count - 1)
-    said, _ = slow.communicate(timeout=WAIT_S)
-    assert list(map(int, said.split())) == [CAPACITY_TICKS // 2, count - CAPACITY_TICKS // 2, 0, count - 1]
+    output, _ = slow.communicate(timeout=WAIT_S)
+    assert list(map(int, output.split())) == [CAPACITY_TICKS // 2, count - CAPACITY_TICKS // 2, 0, count - 1]
     killed.communicate()
     stopped.kill()
     stopped.communicate()
@@ -114,7 +114,7 @@ def test_readers_in_c_get_every_tick_and_count_gaps(program):
 
 def test_describe_returns_the_ring_of_ticks():
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    taken = []
+    batches = []
     with Daemon(rig, load_scene("paper-plane"), 500) as daemon:
         ring = daemon.publisher.ring()
         with Local(ring["name"]) as ticks:
@@ -125,15 +125,15 @@ def test_describe_returns_the_ring_of_ticks():
             daemon.close()
             assert not (memory.FOLDER / ring["name"]).exists()
             while len(rows := ticks.take(WAIT_S)):
-                taken.append(rows.copy())
+                batches.append(rows.copy())
             assert ticks.ended and ticks.lost == 0
-    found = np.concatenate(taken)
-    assert ring["columns"] == columns() and found.shape == (500, ring["records_in_a_row"] * RECORD_SIZE)
-    assert found[:, AT.tick].tolist() == list(range(500))
+    records = np.concatenate(batches)
+    assert ring["columns"] == columns() and records.shape == (500, ring["records_in_a_row"] * RECORD_SIZE)
+    assert records[:, AT.tick].tolist() == list(range(500))
 
 
 def test_program_on_the_page_runs():
-    (program,) = [each for each in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "Local" in each]
+    (program,) = [fence for fence in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "Local" in fence]
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         code = program.replace("Control()", f"Control({daemon.commands_endpoint!r})")
@@ -185,13 +185,13 @@ def test_files_of_a_killed_daemon_are_removed():
             process.kill()
             process.wait()
             assert len(ticks.take(WAIT_S)) == 0 and ticks.ended
-    left = memory.FOLDER / name
-    assert left.exists()
-    other = make_memory(16, 4)
-    assert not left.exists() and (memory.FOLDER / living.name).exists()
-    for each in (living, other):
-        remove(each)
-        assert not (memory.FOLDER / each.name).exists()
+    abandoned = memory.FOLDER / name
+    assert abandoned.exists()
+    second = make_memory(16, 4)
+    assert not abandoned.exists() and (memory.FOLDER / living.name).exists()
+    for shared in (living, second):
+        remove(shared)
+        assert not (memory.FOLDER / shared.name).exists()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give files away")

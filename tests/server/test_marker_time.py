@@ -50,14 +50,14 @@ print(json.dumps({"ticks": seen, "markers": told, "offset": pylsl.local_clock() 
 """
 
 
-class Told(NamedTuple):
+class MarkedRun(NamedTuple):
     published: list[dict[str, Any]]
     run: Run
     epoch_s: float
     lsl: dict[str, Any] | None
 
 
-def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None:
+def start_inlets(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None:
     try:
         import pylsl  # noqa: F401
     except (ImportError, RuntimeError):
@@ -75,7 +75,7 @@ def listening(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
+def marked_run(tmp_path_factory: pytest.TempPathFactory) -> MarkedRun:
     folder = tmp_path_factory.mktemp("marks")
     ends = {"telemetry.endpoint": f"ipc://{folder}/t", "commands.endpoint": f"ipc://{folder}/c"}
     rig = load_rig("simulated-hand", ends | {"servo.realtime": "off", "recording.directory": str(folder)})
@@ -86,7 +86,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
         with Daemon(rig, load_scene("paper-plane")) as daemon, Client(*ends.values(), timeout_s=WAIT_S) as client:
             daemon.start()
             try:
-                lsl = listening(started, folder, ends["telemetry.endpoint"])
+                lsl = start_inlets(started, folder, ends["telemetry.endpoint"])
                 client.record_start("run.mcap")
                 events = client.subscribe((EVENT,), timeout_s=WAIT_S)
                 published: list[dict[str, Any]] = []
@@ -101,48 +101,48 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
                 while client.get_state().sequence < published[-1]["tick"] + 10:  # ticks after the last mark
                     pass
                 client.record_stop()
-                found = None if lsl is None else json.loads(lsl[1].communicate(timeout=WAIT_S)[0])
+                lsl_data = None if lsl is None else json.loads(lsl[1].communicate(timeout=WAIT_S)[0])
             finally:
                 for process in started:
                     process.send_signal(signal.SIGINT)
                     process.communicate(timeout=WAIT_S)
             epoch_s = daemon.servo.epoch_s
     run = load_run(folder / "run.mcap", ("timestamp",))
-    return Told(published, run, epoch_s, found)
+    return MarkedRun(published, run, epoch_s, lsl_data)
 
 
-def marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def select_marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [event for event in events if event["kind"] == "mark" and event["label"].startswith("mark ")]
 
 
-def test_a_marker_is_between_its_tick_and_the_next(told: Told) -> None:
-    ticks, times = told.run.first["tick"], told.run.first["timestamp"]
-    assert len(marks(told.published)) == MARKS
-    for event in marks(told.published):
+def test_a_marker_is_between_its_tick_and_the_next(marked_run: MarkedRun) -> None:
+    ticks, times = marked_run.run.first["tick"], marked_run.run.first["timestamp"]
+    assert len(select_marks(marked_run.published)) == MARKS
+    for event in select_marks(marked_run.published):
         at = int(np.searchsorted(ticks, event["tick"]))
         assert ticks[at] == event["tick"]
         after = times[at + 2]  # this tick starts after the end of the next one
         assert times[at] <= event["timestamp"] <= after
 
 
-def test_recording_and_subscribers_have_equal_markers(told: Told) -> None:
-    recorded = marks(told.run.events)
+def test_recording_and_subscribers_have_equal_markers(marked_run: MarkedRun) -> None:
+    recorded = select_marks(marked_run.run.events)
     assert [(e["label"], e["tick"], e["timestamp"]) for e in recorded] == [
-        (e["label"], e["tick"], e["timestamp"]) for e in marks(told.published)
+        (e["label"], e["tick"], e["timestamp"]) for e in select_marks(marked_run.published)
     ]
 
 
-def test_lsl_has_the_time_of_the_tick(told: Told) -> None:
-    if told.lsl is None:
+def test_lsl_has_the_time_of_the_tick(marked_run: MarkedRun) -> None:
+    if marked_run.lsl is None:
         pytest.skip("pylsl is not installed: pip install 'softfinger[lsl]'")
-    stamps = dict(told.lsl["ticks"])
-    times = dict(zip(told.run.first["tick"].tolist(), told.run.first["timestamp"].tolist(), strict=True))
-    heard = [(json.loads(text), stamp) for text, stamp in told.lsl["markers"]]
-    found = [(event, stamp) for event, stamp in heard if event.get("label", "").startswith("mark ")]
-    assert len(found) == MARKS
-    for event, stamp in found:
-        told_here = next(mark for mark in marks(told.published) if mark["label"] == event["label"])
-        assert event["tick"] == told_here["tick"] and event["data"] == told_here["data"]
+    stamps = dict(marked_run.lsl["ticks"])
+    times = dict(zip(marked_run.run.first["tick"].tolist(), marked_run.run.first["timestamp"].tolist(), strict=True))
+    heard = [(json.loads(text), stamp) for text, stamp in marked_run.lsl["markers"]]
+    markers = [(event, stamp) for event, stamp in heard if event.get("label", "").startswith("mark ")]
+    assert len(markers) == MARKS
+    for event, stamp in markers:
+        published = next(mark for mark in select_marks(marked_run.published) if mark["label"] == event["label"])
+        assert event["tick"] == published["tick"] and event["data"] == published["data"]
         distance = stamp - stamps[event["tick"]]
-        assert distance == pytest.approx(told_here["timestamp"] - times[event["tick"]], abs=DIGIT_S)
-        assert stamp - told.lsl["offset"] == pytest.approx(told_here["timestamp"] - told.epoch_s, abs=LSL_S)
+        assert distance == pytest.approx(published["timestamp"] - times[event["tick"]], abs=DIGIT_S)
+        assert stamp - marked_run.lsl["offset"] == pytest.approx(published["timestamp"] - marked_run.epoch_s, abs=LSL_S)

@@ -77,8 +77,8 @@ def test_an_entry_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["materials", name, "--plot", str(file)]) == 0
     capsys.readouterr()
     text = " ".join(ET.fromstring(file.read_text("utf-8")).itertext())
-    for each in {**materials(), **fingertips()}[name].measured:
-        assert f"({each.paper})" in text
+    for measurement in {**materials(), **fingertips()}[name].measured:
+        assert f"({measurement.paper})" in text
 
 
 def test_the_drawn_patch_is_the_one_rendered() -> None:

@@ -42,14 +42,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def scene_of(*objects: dict[str, Any]) -> schema.Scene:
-    made = {"fingertip": {"radius_m": 0.01}, "object": [each | {"material": MATERIAL} for each in objects]}
+def make_scene(*objects: dict[str, Any]) -> schema.Scene:
+    made = {"fingertip": {"radius_m": 0.01}, "object": [table | {"material": MATERIAL} for table in objects]}
     return build(schema.Scene, made, "test scene")
 
 
 @pytest.fixture(scope="module")
 def commands(folder: Path) -> Iterator[str]:
-    scene = scene_of(
+    scene = make_scene(
         {"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")},
         {"name": "hills", "shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": 0.001, "level_m": 1.0},
         {"name": "large", "shape": "heightmap", "file": str(folder / "large.npy"), "pitch_m": 0.001, "level_m": 1.0},
@@ -85,19 +85,19 @@ def test_a_mesh_has_the_triangles_of_its_file(control: Control, commands: str) -
     assert sent == control.mesh(0) == asyncio.run(ask()) and sent.of == len(BALL.triangles) == 5120
     vertices, triangles = arrays(sent)
     corners, expected = vertices[triangles], BALL.vertices.astype("<f4")[BALL.triangles]
-    np.testing.assert_array_equal(in_order(corners), in_order(expected))
+    np.testing.assert_array_equal(order(corners), order(expected))
 
 
 @pytest.mark.real_time
 @pytest.mark.exhaustive
 def test_a_daemon_that_renders_a_mesh_answers(folder: Path) -> None:
-    scene = scene_of({"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")})
+    scene = make_scene({"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")})
     with running("replay", scene) as daemon, Control(str(daemon.commands_endpoint), timeout_s=WAIT_S) as control:
         vertices, triangles = arrays(control.mesh("ball"))
-    np.testing.assert_array_equal(in_order(vertices[triangles]), in_order(BALL.vertices.astype("<f4")[BALL.triangles]))
+    np.testing.assert_array_equal(order(vertices[triangles]), order(BALL.vertices.astype("<f4")[BALL.triangles]))
 
 
-def in_order(corners: np.ndarray) -> np.ndarray:
+def order(corners: np.ndarray) -> np.ndarray:
     rows = np.sort(corners.reshape(len(corners), -1), axis=1)
     return rows[np.lexsort(rows.T)]
 
@@ -118,7 +118,7 @@ def test_a_large_height_map_is_reduced(control: Control) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("object_name", "message"),
     [
         (4, "bad_params: no object is 4: there are ball, hills, large, table"),
         ("cube", "bad_params: no object is 'cube': there are ball, hills, large, table"),
@@ -126,10 +126,10 @@ def test_a_large_height_map_is_reduced(control: Control) -> None:
         ("table", "refused: object table is a plane and no mesh: its table describes it completely"),
     ],
 )
-def test_objects_without_triangles_are_refused(control: Control, asked: int | str, said: str) -> None:
+def test_objects_without_triangles_are_refused(control: Control, object_name: int | str, message: str) -> None:
     with pytest.raises(CommandRefused) as caught:
-        control.mesh(asked)
-    assert str(caught.value) == said
+        control.mesh(object_name)
+    assert str(caught.value) == message
 
 
 def test_a_map_with_a_missing_file_is_refused(control: Control, folder: Path) -> None:

@@ -42,7 +42,7 @@ UNITS = ("seconds", "newtons", "info", "total")
 COUNTED = re.compile(r"softfinger_[a-z_]+")
 
 
-def samples(families) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+def index_samples(families) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
     return {
         (sample.name, tuple(sorted(sample.labels.items()))): sample.value
         for family in families
@@ -57,7 +57,7 @@ def test_a_histogram_counts_as_prometheus_does() -> None:
         histogram.add(part)
     family = HistogramMetricFamily("h", "h")
     histogram.write_to(family)
-    stats = samples([family])
+    stats = index_samples([family])
     for end in (0.5, 1.0, 2.0):
         assert stats["h_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(values <= end)
     assert stats["h_bucket", (("le", "+Inf"),)] == stats["h_count", ()] == len(values)
@@ -85,7 +85,7 @@ def test_figures_equal_those_computed_from_records(batch: int) -> None:
     together = np.concatenate(fingers, axis=1)
     for start in range(0, count, batch):
         counts.add_records(together[start : start + batch], 9)
-    stats = samples(counts.collect())
+    stats = index_samples(counts.collect())
     assert stats["softfinger_ticks_total", ()] == count
     assert stats["softfinger_deadlines_missed_total", ()] == count - 1
     assert stats["softfinger_records_dropped_total", ()] == 9
@@ -113,9 +113,9 @@ def test_figures_equal_those_computed_from_records(batch: int) -> None:
             assert stats["softfinger_device_errors_total", (label, ("status", text))] == ticks
 
 
-def scraped(daemon: Daemon) -> dict:
+def scrape(daemon: Daemon) -> dict:
     with urllib.request.urlopen(f"{daemon.metrics_endpoint}/metrics", timeout=60.0) as answer:
-        return samples(text_string_to_metric_families(answer.read().decode()))
+        return index_samples(text_string_to_metric_families(answer.read().decode()))
 
 
 @pytest.fixture
@@ -127,11 +127,11 @@ def daemon() -> Iterator[Daemon]:
 def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
     host, port = daemon.metrics_endpoint.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port))):
-        until, stats = time.monotonic() + 60.0, scraped(daemon)
+        until, stats = time.monotonic() + 60.0, scrape(daemon)
         first = stats["softfinger_ticks_total", ()]
-        while scraped(daemon)["softfinger_ticks_total", ()] <= first:
+        while scrape(daemon)["softfinger_ticks_total", ()] <= first:
             assert time.monotonic() < until
-    stats = scraped(daemon)
+    stats = scrape(daemon)
     assert stats["softfinger_execution_seconds_count", ()] == stats["softfinger_ticks_total", ()]
     modes = sum(value for (name, _), value in stats.items() if name == "softfinger_mode_seconds_total")
     # Ticks of a recording are a period each; rounding of sums of thousands.
@@ -148,15 +148,15 @@ def test_recordings_add_up(tmp_path: Path) -> None:
     with running("replay", "paper-plane", **ends) as daemon:
         files = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
         for file in files:
-            before = scraped(daemon)["softfinger_recorded_ticks_total", ()]
+            before = scrape(daemon)["softfinger_recorded_ticks_total", ()]
             daemon.recordings.begin(file.name, "paper-plane")
             until = time.monotonic() + 60.0
-            while scraped(daemon)["softfinger_recorded_ticks_total", ()] <= before:
+            while scrape(daemon)["softfinger_recorded_ticks_total", ()] <= before:
                 assert time.monotonic() < until
             daemon.recordings.end()
         while (written := daemon.recordings.collect_totals()).bytes < sum(file.stat().st_size for file in files):
             assert time.monotonic() < until + 60.0
-        stats = scraped(daemon)
+        stats = scrape(daemon)
     assert stats["softfinger_recorded_bytes_total", ()] == written.bytes == sum(file.stat().st_size for file in files)
     assert stats["softfinger_recorded_ticks_total", ()] == sum(summary(file)["ticks"] for file in files)
     assert stats["softfinger_unrecorded_ticks_total", ()] == stats["softfinger_unrecorded_events_total", ()] == 0
@@ -168,11 +168,11 @@ def test_the_dashboard_uses_all_metrics(daemon: Daemon) -> None:
         board = json.load(answer)
     assert board == json.loads(DASHBOARD.read_text())
     queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
-    asked = {name for query in queries for name in COUNTED.findall(query)}
-    there = {name for name, _ in scraped(daemon)}
-    assert asked <= there
-    assert {re.sub("_(bucket|sum|count)$", "", name) for name in there} == {
-        re.sub("_(bucket|sum|count)$", "", name) for name in asked
+    queried = {name for query in queries for name in COUNTED.findall(query)}
+    published = {name for name, _ in scrape(daemon)}
+    assert queried <= published
+    assert {re.sub("_(bucket|sum|count)$", "", name) for name in published} == {
+        re.sub("_(bucket|sum|count)$", "", name) for name in queried
     }
 
 

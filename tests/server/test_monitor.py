@@ -56,12 +56,12 @@ def endpoint():
         yield publisher.endpoint
 
 
-def command(*arguments):
+def make_command(*arguments):
     return [sys.executable, "-W", "error", "-m", "softfinger.server.cli", "monitor", *arguments]
 
 
-def piped(*arguments):
-    return run_program(command(*arguments))
+def run_piped(*arguments):
+    return run_program(make_command(*arguments))
 
 
 def test_once_writes_one_line_with_everything(endpoint):
@@ -86,7 +86,7 @@ def test_once_writes_one_line_with_everything(endpoint):
 
 
 def test_json_writes_one_object_a_second(endpoint):
-    result = piped("--endpoint", endpoint, "--json", "--duration", "2.5")
+    result = run_piped("--endpoint", endpoint, "--json", "--duration", "2.5")
     assert result.returncode == 0, result.stderr
     objects = [json.loads(line) for line in result.stdout.splitlines()]
     assert len(objects) >= 2
@@ -121,7 +121,9 @@ def test_not_a_number_becomes_null():
 
 
 def test_a_closed_pipe_ends_the_monitor(endpoint):
-    with Program(command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with Program(
+        make_command("--endpoint", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         assert "sliding" in process.stdout.readline()
         process.stdout.close()
         assert process.stderr.read() == ""
@@ -130,7 +132,7 @@ def test_a_closed_pipe_ends_the_monitor(endpoint):
 
 def test_missing_telemetry_is_reported_with_the_endpoint(tmp_path):
     nowhere = f"ipc://{tmp_path}/nobody"
-    result = piped("--endpoint", nowhere, "--timeout", "0.2")
+    result = run_piped("--endpoint", nowhere, "--timeout", "0.2")
     assert result.returncode == NoTelemetry.exit_code
     assert result.stdout == ""
     assert result.stderr.strip() == (
@@ -144,7 +146,7 @@ def test_a_stopped_stream_is_reported():
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
         Program(
-            command("--endpoint", publisher.endpoint, "--timeout", "30"), stdout=pipe, stderr=pipe, text=True
+            make_command("--endpoint", publisher.endpoint, "--timeout", "30"), stdout=pipe, stderr=pipe, text=True
         ) as process,
     ):
         with repeated(lambda: publisher.publish(synthetic(1, first_tick=41))):
@@ -158,13 +160,17 @@ def test_a_stopped_stream_is_reported():
         assert process.wait(30) == 0
 
 
-def in_terminal(arguments, rows=40, columns=100):
+def run_in_terminal(arguments, rows=40, columns=100):
     """Run on a pseudo-terminal; return the exit code and the output."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")}
     with Program(
-        command(*arguments), stdin=theirs, stdout=theirs, stderr=theirs, env=environment | {"TERM": "xterm-256color"}
+        make_command(*arguments),
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        env=environment | {"TERM": "xterm-256color"},
     ) as process:
         os.close(theirs)
         written = b""
@@ -182,7 +188,7 @@ def in_terminal(arguments, rows=40, columns=100):
 
 
 def test_terminal_shows_the_dashboard(endpoint):
-    code, written = in_terminal(["--endpoint", endpoint, "--duration", "2.6"])
+    code, written = run_in_terminal(["--endpoint", endpoint, "--duration", "2.6"])
     assert code == 0, written
     assert re.search(r"\x1b\[1;31msliding", written)
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)
@@ -208,7 +214,7 @@ def test_terminal_shows_the_dashboard(endpoint):
 
 
 def test_a_small_terminal_causes_no_error(endpoint):
-    code, written = in_terminal(["--endpoint", endpoint, "--duration", "0.8"], rows=10, columns=30)
+    code, written = run_in_terminal(["--endpoint", endpoint, "--duration", "0.8"], rows=10, columns=30)
     assert code == 0, written
     assert "Traceback" not in written
 
@@ -221,7 +227,7 @@ def test_escape_sequences_are_shown_as_text():
     assert r"\x1b[2J" in monitor.line(board)
 
 
-def board_with(*records, preparing=""):
+def make_board(*records, preparing=""):
     with (
         Publisher("tcp://127.0.0.1:*") as publisher,
         subscribe(publisher.endpoint, (CONTACT, EVENT, HEALTH)) as samples,
@@ -237,14 +243,14 @@ def board_with(*records, preparing=""):
     return board
 
 
-def drawn(board, width=80, height=24):
+def render_text(board, width=80, height=24):
     console = Console(width=width, height=height, force_terminal=True, color_system=None, legacy_windows=False)
     with console.capture() as capture:
         console.print(monitor.render(board, width, height))
     return capture.get().splitlines()
 
 
-def pressed(count=1500):
+def make_press(count=1500):
     records = synthetic(count)
     put(records, "contact.mode", 2)
     put(records, "contact.object", 0)
@@ -258,7 +264,7 @@ def pressed(count=1500):
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (120, 30), (200, 60)])
 def test_the_dashboard_fits_the_terminal(width, height):
-    lines = drawn(board_with(pressed()), width, height)
+    lines = render_text(make_board(make_press()), width, height)
     text = "\n".join(lines)
     assert len(lines) < height and all(len(line) <= width for line in lines)
     assert "e-31" not in text and "-0.000" not in text and "…" not in text
@@ -270,23 +276,23 @@ def test_the_dashboard_fits_the_terminal(width, height):
 
 
 def test_what_the_daemon_prepares_is_shown():
-    board = board_with(pressed(), preparing="compiling kernel 12")
-    assert any("preparing" in line and "compiling kernel 12" in line for line in drawn(board))
+    board = make_board(make_press(), preparing="compiling kernel 12")
+    assert any("preparing" in line and "compiling kernel 12" in line for line in render_text(board))
     assert "preparing: compiling kernel 12;" in monitor.line(board)
 
 
 def test_bars_are_empty_after_the_server_stopped():
-    board = board_with(pressed())
-    assert any("█" in line for line in drawn(board))
+    board = make_board(make_press())
+    assert any("█" in line for line in render_text(board))
     stopped = {"schema": 1, "timestamp": 0.0, "tick": 1500, "kind": "lifecycle", "name": "stopped", "ticks": 1500}
     board.update(monitor.Sample("event", stopped))
-    lines = drawn(board)
+    lines = render_text(board)
     assert "the server has stopped" in lines[0] and not any("█" in line for line in lines)
     assert "the server has stopped;" in monitor.line(board)
     board.update(board.contact)
-    assert any("█" in line for line in drawn(board))
+    assert any("█" in line for line in render_text(board))
     board._arrived_s -= 2.0
-    lines = drawn(board)
+    lines = render_text(board)
     assert "no data for 2.0 s" in lines[0] and not any("█" in line for line in lines)
 
 

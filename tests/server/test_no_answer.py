@@ -224,14 +224,14 @@ def test_a_time_out_may_be_arbitrarily_long(wait_s: float, tmp_path: Path) -> No
 
 def test_an_invalid_request_is_refused_before_sending(tmp_path: Path) -> None:
     with Control(f"ipc://{tmp_path}/nobody", 0.0) as control:
-        for what, says in (
+        for data, message in (
             ({"a": "y" * 300_000}, "a request of 300... bytes: a daemon accepts at most 262144"),
             ({"a": 10**30}, "mark: cannot be sent: "),
             ({"a": "\udcff"}, "mark: cannot be sent: "),
             ({"a": object()}, "use numbers, texts, lists and mappings"),
         ):
-            with pytest.raises(ConfigError, match=says):
-                control.mark("x", what)
+            with pytest.raises(ConfigError, match=message):
+                control.mark("x", data)
         with pytest.raises(NoAnswer):
             control.mark("x", {"a": np.float64(1.0), "b": np.zeros(3)})
     with Control(f"ipc://{tmp_path}/nobody", math.nan) as control, pytest.raises(ConfigError, match="time-out of nan"):

@@ -35,7 +35,7 @@ class Manager:
         self._socket.bind(address.replace("@", "\0"))
         self.environment = {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
 
-    def told(self, seconds: float) -> list[str]:
+    def receive(self, seconds: float) -> list[str]:
         self._socket.settimeout(seconds)
         try:
             return self._socket.recv(4096).decode().splitlines()
@@ -44,16 +44,16 @@ class Manager:
 
     def until(self, line: str, before: Callable[[], None] = lambda: None) -> list[str]:
         before()
-        seen: list[str] = []
+        lines: list[str] = []
         end = time.monotonic() + WAIT_S
-        while line not in seen:
-            assert time.monotonic() < end, seen
-            seen += self.told(1.0)
-        return seen
+        while line not in lines:
+            assert time.monotonic() < end, lines
+            lines += self.receive(1.0)
+        return lines
 
     def falls_silent(self) -> bool:
         end = time.monotonic() + WAIT_S
-        while self.told(QUIET_S):
+        while self.receive(QUIET_S):
             if time.monotonic() > end:
                 return False
         return True
@@ -69,9 +69,9 @@ ABSTRACT = pytest.mark.parametrize("manager", ["abstract", pytest.param("path", 
 
 @pytest.fixture(params=["path", pytest.param("abstract", marks=REST)])
 def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
-    one = Manager(str(tmp_path / "notify") if request.param == "path" else f"@softfinger-test-{os.getpid()}")
-    yield one
-    one.close()
+    systemd = Manager(str(tmp_path / "notify") if request.param == "path" else f"@softfinger-test-{os.getpid()}")
+    yield systemd
+    systemd.close()
 
 
 def test_a_service_manager_that_reads_nothing_delays_no_end(manager: Manager) -> None:
@@ -85,9 +85,9 @@ def test_a_service_manager_that_reads_nothing_delays_no_end(manager: Manager) ->
 def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) -> None:
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
-    said = tmp_path / "stderr"
+    log_path = tmp_path / "stderr"
     environment = os.environ | manager.environment
-    with said.open("w") as stderr, Program(command, env=environment, stderr=stderr, kill_at_end=True) as process:
+    with log_path.open("w") as stderr, Program(command, env=environment, stderr=stderr, kill_at_end=True) as process:
         first = manager.until("READY=1")
         ticks = [int(line.split("=")[1].split()[0]) for line in first if line.startswith("STATUS=")]
         assert ticks and ticks[0] > 0
@@ -98,7 +98,7 @@ def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) ->
         manager.until("WATCHDOG=1")
         last = manager.until("STOPPING=1", process.terminate)
         assert "WATCHDOG_USEC=0" in last  # a slow shutdown is not mistaken for a hung servo
-        assert process.wait(60) == 0, said.read_text()
+        assert process.wait(60) == 0, log_path.read_text()
 
 
 @ABSTRACT
@@ -136,5 +136,5 @@ def test_a_missing_manager_does_not_end_the_daemon(manager: Manager, tmp_path: P
     environment = os.environ | manager.environment | {"NOTIFY_SOCKET": str(tmp_path / "gone")}
     words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--duration", "0.5"]
     command = [sys.executable, "-m", "softfinger.server.cli", "run", *words]
-    done = run_program(command, env=environment, timeout=WAIT_S)
-    assert done.returncode == 0, done.stderr
+    completed = run_program(command, env=environment, timeout=WAIT_S)
+    assert completed.returncode == 0, completed.stderr

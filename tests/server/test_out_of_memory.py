@@ -21,8 +21,8 @@ import pytest
 import zmq
 from emulators.serialboard import Board
 from helpers.waits import until
-from test_kills import gone, of_kind
-from test_process_faults import end, read
+from test_kills import find_process, has_exited
+from test_process_faults import read, stop_daemon
 from test_signals import END_S, START_S, ZERO, pressing
 from websockets.exceptions import WebSocketException
 
@@ -38,65 +38,65 @@ STALLED = 30
 """Subscribers that do not read: for each the publisher stores 64 bytes of a message, and the message once."""
 
 
-def take_memory(pid: int) -> None:
+def limit_memory(pid: int) -> None:
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[0])
     most = pages * resource.getpagesize()
     resource.prlimit(pid, resource.RLIMIT_AS, (most, most))
 
 
-def look_on(address: str, closing: ExitStack) -> None:
+def open_browser(address: str, closing: ExitStack) -> None:
     """Open another browser that reads the page; ignore a refusal by a page that has just ended."""
     with suppress(OSError, WebSocketException):
         closing.enter_context(connect_to_page(address))
 
 
-def process_of(process: subprocess.Popen[str], kind: str, other: int = 0) -> int:
+def wait_for_process(process: subprocess.Popen[str], kind: str, previous: int = 0) -> int:
     """Wait for the process of a daemon with this role, other than `other`, and return its id."""
-    found: list[int] = []
+    pids: list[int] = []
 
-    def there() -> bool:
-        found[:] = [each for each in [of_kind(kind, process.pid)] if each not in (None, other)]
-        return bool(found)
+    def is_running() -> bool:
+        pids[:] = [candidate for candidate in [find_process(kind, process.pid)] if candidate not in (None, previous)]
+        return bool(pids)
 
-    until(there, START_S, f"the {kind}")
-    return found[0]
+    until(is_running, START_S, f"the {kind}")
+    return pids[0]
 
 
-def zeroes_without_pause(board: Board, first: int) -> list[int]:
+def find_unexplained_zeroes(board: Board, first: int) -> list[int]:
     """Return the frames after frame `first` that remove the force although no pause of the machine explains it.
 
     After a pause the driver sends no force until it has a new sample, and the first steps of the ramp round to zero.
     """
-    found, resumed = [], first - SETTLE_FRAMES
+    frames, resumed = [], first - SETTLE_FRAMES
     for frame in range(first + 1, len(board.sent)):
         if board.sent_at[frame] - board.sent_at[frame - 1] > RESUME_NS * 1e-9:
             resumed = frame
         if board.sent[frame][2] <= 0 and frame - resumed >= SETTLE_FRAMES:
-            found.append(frame)
-    return found
+            frames.append(frame)
+    return frames
 
 
 def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         first_frame = len(board.sent)
-        publisher = process_of(process, "telemetry process")
+        publisher = wait_for_process(process, "telemetry process")
         with zmq.Context() as context, ExitStack() as closing:
             for _ in range(STALLED):
                 stalled = closing.enter_context(context.socket(zmq.SUB))
                 stalled.linger, stalled.rcvhwm, stalled.rcvbuf = 0, 1, 1024
                 stalled.subscribe(b"")
                 stalled.connect(f"ipc://{tmp_path}/t")
-            take_memory(publisher)
-            until(lambda: gone(publisher), START_S, "the end of the publisher")
-        process_of(process, "telemetry process", other=publisher)
+            limit_memory(publisher)
+            until(lambda: has_exited(publisher), START_S, "the end of the publisher")
+        wait_for_process(process, "telemetry process", previous=publisher)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             first = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > first + 1500)  # the event is delayed by 1 s
-        assert not zeroes_without_pause(board, first_frame)
-        said = end(process)
+        assert not find_unexplained_zeroes(board, first_frame)
+        stderr = stop_daemon(process)
         assert board.force == ZERO
-    assert "the telemetry process has ended with code" in said
+    assert "the telemetry process has ended with code" in stderr
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and "publisher" in [name for name, _ in events]
 
@@ -108,16 +108,16 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
         assert process.stderr is not None
         first_frame = len(board.sent)
         address = next(line for line in process.stderr if line.startswith("http://")).rstrip()
-        page = process_of(process, "page")
+        page = wait_for_process(process, "page")
         with ExitStack() as closing:
-            take_memory(page)
-            until(lambda: look_on(address, closing) or gone(page), START_S, "the end of the page")
+            limit_memory(page)
+            until(lambda: open_browser(address, closing) or has_exited(page), START_S, "the end of the page")
         ended = next(line for line in process.stderr if "the page has ended" in line)
         assert "started again, 1 of 3 times" in ended
-        assert process_of(process, "page", other=page)
+        assert wait_for_process(process, "page", previous=page)
         until(lambda: is_served(address), START_S, "an answer of the page")
-        assert not zeroes_without_pause(board, first_frame)
-        end(process)
+        assert not find_unexplained_zeroes(board, first_frame)
+        stop_daemon(process)
         assert board.force == ZERO
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and "page" in [name for name, _ in events]
@@ -130,7 +130,7 @@ def is_served(address: str) -> bool:
     return False
 
 
-def line_with(words: str, lines: IO[str]) -> str:
+def read_line_with(words: str, lines: IO[str]) -> str:
     """Return the next line with these words; no earlier line may report again that a process cannot be started."""
     for line in lines:
         if words in line:
@@ -146,23 +146,23 @@ def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_pa
         first_frame = len(board.sent)
         hard = resource.prlimit(process.pid, resource.RLIMIT_NOFILE)[1]
         for kind in ("telemetry process", "page"):
-            before = process_of(process, kind)
+            before = wait_for_process(process, kind)
             resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (3, hard))  # open files are not affected
             os.kill(before, signal.SIGKILL)
-            line_with(f"the {kind} cannot be started: [Errno 24]", process.stderr)
+            read_line_with(f"the {kind} cannot be started: [Errno 24]", process.stderr)
             first = len(board.sent)
             until(lambda first=first: len(board.sent) > first + 1000, END_S, "a thousand forces")
-            assert process.poll() is None and of_kind(kind, process.pid) in (None, before)
+            assert process.poll() is None and find_process(kind, process.pid) in (None, before)
             resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (hard, hard))
-            page = process_of(process, kind, other=before)
+            page = wait_for_process(process, kind, previous=before)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=START_S) as telemetry:
             tick = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > tick + 1500)  # the event is delayed by 1 s
         os.kill(page, signal.SIGTERM)
-        assert "the page has ended" in line_with("to see it again: ", process.stderr)
-        assert not zeroes_without_pause(board, first_frame)
-        said = end(process)
+        assert "the page has ended" in read_line_with("to see it again: ", process.stderr)
+        assert not find_unexplained_zeroes(board, first_frame)
+        stderr = stop_daemon(process)
         assert board.force == ZERO
-    assert said.count("cannot be started") == 0  # logged once each
+    assert stderr.count("cannot be started") == 0  # logged once each
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks))) and {"publisher", "page"} <= {name for name, _ in events}

@@ -29,7 +29,7 @@ STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 NORMAL = "object.0.material.normal"
 
 
-def soft_scene() -> Scene:
+def make_soft_scene() -> Scene:
     """Return a scene with f = K d (delta / d)^p and a fingertip whose patch has radius a = c (f / 1 N)^gamma."""
     described = describe(pressed_scene(normal={"exponent": 1.5, "depth_m": 4.0 * DEPTH_M}))
     described["fingertip"]["patch"] = {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.25}
@@ -37,13 +37,15 @@ def soft_scene() -> Scene:
 
 
 @pytest.fixture
-def tuned(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
-    given: list[Tuning] = []
-    monkeypatch.setattr("softfinger.server.loop.servo_thread.Servo.tune", lambda servo, tuning: given.append(tuning))
-    return given
+def applied_tunings(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
+    tunings: list[Tuning] = []
+    monkeypatch.setattr(
+        "softfinger.server.loop.servo_thread.ServoThread.tune", lambda servo, tuning: tunings.append(tuning)
+    )
+    return tunings
 
 
-class Absent(Device):
+class AbsentDevice(Device):
     """Device without reads and writes, because no loop runs."""
 
     info = DeviceInfo("absent", 6, 6, 1e3, 1e2, 1e6, 1e3, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
@@ -59,35 +61,35 @@ class Absent(Device):
 
 
 @pytest.fixture
-def rendering_of(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], Rendering]]:
+def make_rendering(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], Rendering]]:
     made: list[Rendering] = []
-    monkeypatch.setattr("softfinger.server.services.rendering.open_devices", lambda scene, rig: (Absent(),))
+    monkeypatch.setattr("softfinger.server.services.rendering.open_devices", lambda scene, rig: (AbsentDevice(),))
 
     def make(scene: Scene) -> Rendering:
         made.append(Rendering(load_rig("replay"), scene, None, lambda: lambda: None))
         return made[-1]
 
     yield make
-    for each in made:
-        each.servo.close()
+    for rendering in made:
+        rendering.servo.close()
 
 
-def pressed_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
+def press_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
     pose = [0.0, 0.0, 0.01 - depth_m, 1.0, 0.0, 0.0, 0.0]
     return simulate(tuning, np.array([[pose]] * RAMP_TICKS), 1000.0)[-1, 0]
 
 
 def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
-    tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering]
+    applied_tunings: list[Tuning], make_rendering: Callable[[Scene], Rendering]
 ) -> None:
-    rendering = rendering_of(soft_scene())
+    rendering = make_rendering(make_soft_scene())
     for changes, force, radius in (
         ({"effect.0.force_n": [0.0, 0.0, 0.5]}, 4.0 * 0.25**1.5, 0.004),
         ({f"{NORMAL}.exponent": 2.0, f"{NORMAL}.depth_m": 2.0 * DEPTH_M}, 2.0 * 0.5**2.0, 0.004),
         ({"fingertip.patch.radius_m": 0.003, STIFFNESS: 500.0}, 0.5 * 2.0 * 0.5**2.0, 0.003),
     ):
         rendering.set_parameters(changes, "set_params")
-        last = pressed_to_rest(tuned[-1])
+        last = press_to_rest(applied_tunings[-1])
         assert last[AT.contact_normal_force] == pytest.approx(force, rel=ROUNDING)
         assert last[AT.contact_patch_radius] == pytest.approx(radius * force**0.25, rel=ROUNDING)
         assert last[AT.force + 2] == pytest.approx(force + 0.5, rel=ROUNDING)
@@ -103,38 +105,38 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
     ],
 )
 def test_a_refused_change_changes_nothing(
-    changes: dict[str, Any], words: str, tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering]
+    changes: dict[str, Any], words: str, applied_tunings: list[Tuning], make_rendering: Callable[[Scene], Rendering]
 ) -> None:
-    rendering = rendering_of(soft_scene())
+    rendering = make_rendering(make_soft_scene())
     before = rendering.scene
     with pytest.raises(ConfigError) as refused:
         rendering.set_parameters(changes, "set_params")
     assert words in str(refused.value), refused.value
-    assert rendering.scene is before and not tuned
+    assert rendering.scene is before and not applied_tunings
 
 
 def test_a_change_waits_for_a_replacement_and_no_longer(
-    tuned: list[Tuning], rendering_of: Callable[[Scene], Rendering], monkeypatch: pytest.MonkeyPatch
+    applied_tunings: list[Tuning], make_rendering: Callable[[Scene], Rendering], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("softfinger.server.services.rendering.CHANGE_WAIT_S", 0.01)
     assert CHANGE_WAIT_S > 0.1  # a replacement in contact takes longer than the guard's ramp to zero
-    rendering = rendering_of(pressed_scene())
-    held, go_on = threading.Event(), threading.Event()
+    rendering = make_rendering(pressed_scene())
+    locked, go_on = threading.Event(), threading.Event()
 
     def hand_over() -> None:
         with rendering._tuning_lock:
-            held.set()
+            locked.set()
             go_on.wait(60.0)
 
     thread = threading.Thread(target=hand_over)
     thread.start()
-    assert held.wait(60.0)
+    assert locked.wait(60.0)
     try:
         with pytest.raises(Replacing, match="try again"):
             rendering.set_parameters({STIFFNESS: 500.0}, "set_params")
-        assert not tuned
+        assert not applied_tunings
     finally:
         go_on.set()
         thread.join()
     rendering.set_parameters({STIFFNESS: 500.0}, "set_params")
-    assert pressed_to_rest(tuned[-1])[AT.contact_normal_force] == pytest.approx(500.0 * DEPTH_M, rel=ROUNDING)
+    assert press_to_rest(applied_tunings[-1])[AT.contact_normal_force] == pytest.approx(500.0 * DEPTH_M, rel=ROUNDING)

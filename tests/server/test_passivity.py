@@ -32,12 +32,12 @@ NONE = (0.0, 0.0, 0.0)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
-def by(*way):
+def move(*displacement):
     """Return a motion without rotation."""
-    return HandMotion(Pose(NONE, LEVEL), Pose(way, LEVEL), None)
+    return HandMotion(Pose(NONE, LEVEL), Pose(displacement, LEVEL), None)
 
 
-def holding(force=NONE, torque=NONE):
+def hold(force=NONE, torque=NONE):
     return GuardState(force, torque, 1.0)
 
 
@@ -46,12 +46,12 @@ def column(records, name, size=1):
     return records[:, at : at + size] if size > 1 else records[:, at]
 
 
-def work_a_tick(records, turns=1.0):
+def compute_works(records, turns=1.0):
     """Return the work (n - 1,) J of the hand against the wrench of each tick; `turns` 0 omits the torque."""
     turned = Rotation.from_quat(column(records, "probe.orientation", 4), scalar_first=True)
     turn = (turned[1:] * turned[:-1].inv()).as_rotvec()
-    way = np.diff(column(records, "probe.position", 3), axis=0)
-    return -np.einsum("ni,ni->n", column(records, "force", 3)[:-1], way) - np.einsum(
+    steps = np.diff(column(records, "probe.position", 3), axis=0)
+    return -np.einsum("ni,ni->n", column(records, "force", 3)[:-1], steps) - np.einsum(
         "ni,ni->n", column(records, "torque", 3)[:-1], turns * turn
     )
 
@@ -63,10 +63,10 @@ def test_energy_is_the_work_against_the_commanded_wrench(mode):
     tuning = make_tuning(scene, load_rig("replay").guard)
     records = simulate(tuning, resample(load_poses("press-roll-spin-drag"), SLOW_HZ), SLOW_HZ)
     work, expected = 0.0, []
-    each = work_a_tick(records)
+    works = compute_works(records)
     for n, touching in enumerate(column(records, "contact.mode") != FREE):
         if n:
-            work += each[n - 1]
+            work += works[n - 1]
         if not touching:
             work = min(work, 0.0)
         expected.append(work)
@@ -79,12 +79,12 @@ def test_energy_is_the_work_against_the_commanded_wrench(mode):
 
 def test_a_scene_without_the_table_has_no_observer():
     assert make_tuning(load_scene("paper-plane"), load_rig("replay").guard).passivity is None
-    assert keep_passive(None, NO_ENERGY, holding(PUSH), by(1.0, 1.0, 1.0), float(ROLLING), PUSH, T) == (NO_ENERGY, PUSH)
+    assert keep_passive(None, NO_ENERGY, hold(PUSH), move(1.0, 1.0, 1.0), float(ROLLING), PUSH, T) == (NO_ENERGY, PUSH)
 
 
 def test_a_deficit_is_dissipated_in_one_tick_at_the_same_speed():
     moved, owed = (0.0, 3e-5, 4e-5), 2e-7
-    energy, force = keep_passive(Passivity(1e4), Energy(-owed, 0.0), holding(), by(*moved), float(ROLLING), NONE, T)
+    energy, force = keep_passive(Passivity(1e4), Energy(-owed, 0.0), hold(), move(*moved), float(ROLLING), NONE, T)
     assert energy.work == -owed
     # Three products and their sum.
     assert -np.dot(force, moved) == pytest.approx(owed, rel=1e-14)
@@ -94,7 +94,7 @@ def test_a_deficit_is_dissipated_in_one_tick_at_the_same_speed():
 def test_damping_is_bounded_for_a_slow_hand():
     for step in (0.0, 1e-300, 1e-160, 1e-9):
         energy, force = keep_passive(
-            Passivity(20.0), Energy(-1.0, 0.0), holding(), by(step, 0.0, 0.0), float(ROLLING), PUSH, T
+            Passivity(20.0), Energy(-1.0, 0.0), hold(), move(step, 0.0, 0.0), float(ROLLING), PUSH, T
         )
         assert energy.damping == 20.0
         assert force == (-20.0 / T * step, 0.0, 2.0)
@@ -107,8 +107,8 @@ def test_energy_of_a_sampled_torsional_spring():
     energy, works = NO_ENERGY, []
     for before, now in pairwise(angles):
         poses = [Pose(NONE, (np.cos(0.5 * a), *(np.sin(0.5 * a) * axis))) for a in (before, now)]
-        held = holding(torque=tuple(-k * before * axis))
-        energy, _ = keep_passive(Passivity(0.0), energy, held, HandMotion(*poses, None), float(ROLLING), NONE, T)
+        spring = hold(torque=tuple(-k * before * axis))
+        energy, _ = keep_passive(Passivity(0.0), energy, spring, HandMotion(*poses, None), float(ROLLING), NONE, T)
         works.append(energy.work)
     # Four hundred additions of terms around 1e-5 J, with angles rounded by 1e-16 / 1e-3.
     assert works[n - 1] == pytest.approx(0.5 * k * largest**2 * (1.0 - 1.0 / n), rel=1e-11)
@@ -120,21 +120,21 @@ def test_work_of_a_rotating_tool_is_equal_at_both_ends():
     tool = make_tool((0.03, 0.0, -0.1), LEVEL)
     poses = [Pose((0.1, 0.2, 0.3), (np.cos(0.5 * a), 0.0, np.sin(0.5 * a), 0.0)) for a in (0.2, 0.5)]
     motion = HandMotion(*(tip_of(tool, pose) for pose in poses), tool)
-    held = holding((3.0, 4.0, 5.0), (0.1, 0.2, 0.3))
-    assert work_on_hand(held, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # rounding of 0.1 m
-    assert work_on_hand(held, HandMotion(motion.now, motion.now, tool)) == 0.0
+    pulling = hold((3.0, 4.0, 5.0), (0.1, 0.2, 0.3))
+    assert work_on_hand(pulling, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # rounding of 0.1 m
+    assert work_on_hand(pulling, HandMotion(motion.now, motion.now, tool)) == 0.0
 
 
-def cycle(fingertip, height, n, turns=1.0, **tables):
+def run_cycle(fingertip, height, n, turns=1.0, **tables):
     """Return records and energy (J) of a closed path of 1 mm and 0.18 rad with sticking friction, in 4 n steps."""
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 5.0, "kinetic": 5.0}}
     table = {"fingertip": fingertip, "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 0.0}} | tables
     table |= {
         "object": [{"name": "a", "shape": "plane", "material": material}], "passivity": {"mode": "observe"},
     }  # fmt: skip
-    u, zero, one = np.arange(1, n + 1) / n, np.zeros(n), np.ones(n)
-    x = 0.001 * np.concatenate((np.zeros(50), u, one, 1.0 - u, zero))
-    tilt = 0.18 * np.concatenate((np.zeros(50), zero, u, one, 1.0 - u))
+    u, zero, ones = np.arange(1, n + 1) / n, np.zeros(n), np.ones(n)
+    x = 0.001 * np.concatenate((np.zeros(50), u, ones, 1.0 - u, zero))
+    tilt = 0.18 * np.concatenate((np.zeros(50), zero, u, ones, 1.0 - u))
     poses = np.column_stack((x, 0.0 * x, 0.0 * x + height, np.cos(0.5 * tilt), 0.0 * x, np.sin(0.5 * tilt), 0.0 * x))
     guard = schema.Guard(torque_max_nm=1.0, ramp_s=0.01)
     tuning = make_tuning(build(schema.Scene, table, "here"), guard)
@@ -142,22 +142,22 @@ def cycle(fingertip, height, n, turns=1.0, **tables):
     records = simulate(tuning, poses, 1000.0)
     energy = column(records, "passivity.energy")
     assert (column(records, "contact.mode") == ROLLING).all()
-    np.testing.assert_allclose(np.diff(energy), work_a_tick(records, turns), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(np.diff(energy), compute_works(records, turns), rtol=0, atol=1e-15)
     return records, energy[-1] - energy[49]
 
 
 def test_without_rolling_a_cycle_generates_the_work_of_the_torque():
     """The torque r K x turns without a spring: K r x theta = 1.8 mJ in a cycle, and K x^2 / n of sampling."""
     n = 100
-    records, energy = cycle({"radius_m": 0.01}, 0.009, n)
+    records, energy = run_cycle({"radius_m": 0.01}, 0.009, n)
     assert energy == pytest.approx(-(1000.0 * 0.01 * 0.001 * 0.18 + 1000.0 * 0.001**2 / n), rel=1e-9)
-    force, way = column(records, "force", 3)[49:-1], np.diff(column(records, "probe.position", 3)[49:], axis=0)
-    assert -np.sum(force * way) == pytest.approx(-1000.0 * 0.001**2 / n, rel=1e-9)
+    force, steps = column(records, "force", 3)[49:-1], np.diff(column(records, "probe.position", 3)[49:], axis=0)
+    assert -np.sum(force * steps) == pytest.approx(-1000.0 * 0.001**2 / n, rel=1e-9)
 
 
 def test_a_torque_that_is_not_displayed_does_no_work():
     """With a device that displays only forces, the measured rotation does no work."""
-    _, energy = cycle({"radius_m": 0.01}, 0.009, 100, turns=0.0)
+    _, energy = run_cycle({"radius_m": 0.01}, 0.009, 100, turns=0.0)
     assert energy == pytest.approx(-1000.0 * 0.001**2 / 100, rel=1e-9)
 
 
@@ -165,7 +165,7 @@ def test_a_torque_that_is_not_displayed_does_no_work():
 @pytest.mark.parametrize("fingertip", [{"radius_m": 0.01}, {"radii_m": [0.008, 0.007, 0.012]}])
 def test_with_rolling_a_cycle_generates_only_sampling_energy(fingertip):
     height = 0.009 if "radius_m" in fingertip else 0.011
-    (_, coarse), (_, fine) = (cycle(fingertip, height, n, rolling={"method": "midpoint"}) for n in (100, 200))
+    (_, coarse), (_, fine) = (run_cycle(fingertip, height, n, rolling={"method": "midpoint"}) for n in (100, 200))
     assert coarse / fine == pytest.approx(2.0, rel=0.01)  # first order in the step
     assert -1e-4 < coarse < 0.0
 
@@ -185,8 +185,8 @@ def test_energy_of_a_stiffness_that_rises_in_contact():
     poses[100:, 0, 2] -= depth * np.arange(1, n + 1) / n
     start, records = begin(tunings[0].scene), np.zeros((2, 100 + n, 1, RECORD_SIZE))
     memory = packed(start)
-    for tuning, way, rows in zip(tunings, (poses, poses[::-1]), records, strict=True):
-        tick_many(packed(tuning), memory, np.ascontiguousarray(way), np.full(len(way), T), T, 0, rows)
+    for tuning, path, rows in zip(tunings, (poses, poses[::-1]), records, strict=True):
+        tick_many(packed(tuning), memory, np.ascontiguousarray(path), np.full(len(path), T), T, 0, rows)
     energy = records[1, n - 1, 0, NAMED["passivity.energy"].at]  # one step before release
     # Sampling adds K d^2 / 2n in each direction.
     assert energy == pytest.approx(-0.5 * 500.0 * depth**2 * (1.0 + 3.0 / n), rel=0.01)
@@ -195,7 +195,7 @@ def test_energy_of_a_stiffness_that_rises_in_contact():
 def test_release_forgets_what_was_taken_and_keeps_what_is_owed():
     for before, after in ((0.5, 0.0), (-0.5, -0.5)):
         energy, _ = keep_passive(
-            Passivity(20.0), Energy(before, 0.0), holding(), by(1e-5, 0.0, 0.0), float(FREE), PUSH, T
+            Passivity(20.0), Energy(before, 0.0), hold(), move(1e-5, 0.0, 0.0), float(FREE), PUSH, T
         )
         assert energy.work == after
         assert (energy.damping > 0.0) == (after < 0.0)
@@ -203,7 +203,7 @@ def test_release_forgets_what_was_taken_and_keeps_what_is_owed():
 
 def test_a_tick_of_no_length_has_no_damping():
     owed = Energy(-1.0, 0.0)
-    assert keep_passive(Passivity(20.0), owed, holding(), by(1e-5, 0.0, 0.0), float(ROLLING), PUSH, 0.0) == (owed, PUSH)
+    assert keep_passive(Passivity(20.0), owed, hold(), move(1e-5, 0.0, 0.0), float(ROLLING), PUSH, 0.0) == (owed, PUSH)
 
 
 def test_largest_damping_is_only_for_control():

@@ -70,7 +70,7 @@ ZMTP = {"telemetry": b"SUB", "commands": b"DEALER", "forwarded telemetry": b"SUB
 """Sockets of ZeroMQ with the socket type of their peers."""
 
 
-def child_of(parent: int, word: bytes) -> int:
+def find_child(parent: int, word: bytes) -> int:
     """Return the process id of the child with `word` in its command line."""
     until = time.monotonic() + CUT_S
     while time.monotonic() < until:
@@ -83,7 +83,7 @@ def child_of(parent: int, word: bytes) -> int:
     raise AssertionError(f"no child with {word!r}")
 
 
-def after(program: Program, words: str) -> str:
+def read_after(program: Program, words: str) -> str:
     """Return the text up to a space after `words` in the stderr of a program, on the same line or the next."""
     assert program.stderr is not None
     for line in program.stderr:
@@ -102,34 +102,34 @@ def peers() -> Iterator[Peers]:
     )
     with daemon:
         try:
-            addresses = {"page": after(daemon, "the page; to stop it: Ctrl-C")}
+            addresses = {"page": read_after(daemon, "the page; to stop it: Ctrl-C")}
             for name, words in (
                 ("telemetry", "telemetry on "),
                 ("commands", "commands on "),
                 ("metrics", "metrics on "),
             ):
-                addresses[name] = after(daemon, words)
-            after(daemon, "real time: ")  # it is compiled and ticks
+                addresses[name] = read_after(daemon, words)
+            read_after(daemon, "real time: ")  # it is compiled and ticks
             words = ["forward", "--from", addresses["telemetry"], "--commands-from", addresses["commands"]]
             with socket.create_server(("127.0.0.1", 0)) as unused:
                 addresses["forwarded telemetry"] = f"tcp://127.0.0.1:{unused.getsockname()[1]}"
             words += ["--to", addresses["forwarded telemetry"], "--commands-to", "tcp://127.0.0.1:*"]
             with Program([*COMMAND, *words], stderr=subprocess.PIPE, text=True) as gateway:
-                addresses["forwarded commands"] = after(gateway, "commands forwarded on ")
+                addresses["forwarded commands"] = read_after(gateway, "commands forwarded on ")
                 owners = {
                     "daemon": daemon.pid,
                     "gateway": gateway.pid,
-                    "gateway's telemetry": child_of(gateway.pid, b"\0--until-eof\0"),
-                    "publisher": child_of(daemon.pid, b"socket_process\0telemetry"),
-                    "receiver": child_of(daemon.pid, b"socket_process\0commands"),
-                    "page": child_of(daemon.pid, b"\0view\0"),
+                    "gateway's telemetry": find_child(gateway.pid, b"\0--until-eof\0"),
+                    "publisher": find_child(daemon.pid, b"socket_process\0telemetry"),
+                    "receiver": find_child(daemon.pid, b"socket_process\0commands"),
+                    "page": find_child(daemon.pid, b"\0view\0"),
                 }
                 try:
                     yield Peers(addresses, owners)
                     assert (daemon.poll(), gateway.poll()) == (None, None)
-                    assert owners["publisher"] == child_of(daemon.pid, b"socket_process\0telemetry")
-                    assert owners["receiver"] == child_of(daemon.pid, b"socket_process\0commands")
-                    assert owners["page"] == child_of(daemon.pid, b"\0view\0")
+                    assert owners["publisher"] == find_child(daemon.pid, b"socket_process\0telemetry")
+                    assert owners["receiver"] == find_child(daemon.pid, b"socket_process\0commands")
+                    assert owners["page"] == find_child(daemon.pid, b"\0view\0")
                 finally:
                     gateway.terminate()
                     gateway.communicate(timeout=60.0)
@@ -139,14 +139,14 @@ def peers() -> Iterator[Peers]:
     assert (daemon.returncode, gateway.returncode) == (0, 0)
 
 
-def dialled(address: str) -> socket.socket:
+def dial(address: str) -> socket.socket:
     made = socket.create_connection(("127.0.0.1", urlsplit(address).port or 0), CUT_S)
     made.settimeout(CUT_S)
     return made
 
 
-def greeted(address: str, kind: bytes) -> socket.socket:
-    made = dialled(address)
+def greet(address: str, kind: bytes) -> socket.socket:
+    made = dial(address)
     made.sendall(GREETING + frame(b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind, 4))
     heard = b""
     while b"Socket-Type" not in heard:
@@ -164,54 +164,54 @@ def browser(address: str) -> ClientConnection:
     )  # fmt: skip
 
 
-def refused(peer: socket.socket) -> None:
+def wait_until_closed(peer: socket.socket) -> None:
     """Wait until the server has closed a connection; TimeoutError if it does not."""
     with contextlib.suppress(ConnectionError):  # connections with unread bytes are reset
         while peer.recv(1 << 16):
             pass
 
 
-def too_large(name: str, address: str) -> None:
+def send_too_large(name: str, address: str) -> None:
     """Send a message of LARGE bytes, announced by its header."""
-    with greeted(address, ZMTP[name]) if name in ZMTP else dialled(address) as peer:
+    with greet(address, ZMTP[name]) if name in ZMTP else dial(address) as peer:
         with contextlib.suppress(ConnectionError):
             if name in ZMTP:
                 peer.sendall(b"\2" + struct.pack(">Q", LARGE) + bytes(LARGE))
             else:
                 peer.sendall(b"GET / HTTP/1.1\r\nX: " + b"x" * LARGE)
-        refused(peer)
+        wait_until_closed(peer)
 
 
-def one_byte_too_large(name: str, address: str) -> None:
+def send_one_byte_too_large(name: str, address: str) -> None:
     """Send a frame of the largest documented size, which is accepted, and one a byte longer, refused."""
     most = 512 if name.endswith("telemetry") else 262144
-    with greeted(address, ZMTP[name]) as peer:
+    with greet(address, ZMTP[name]) as peer:
         peer.sendall(frame(bytes(most)))
         peer.settimeout(0.2)
         with contextlib.suppress(TimeoutError):
             assert peer.recv(1000), "a frame of the largest size is refused"
         peer.settimeout(CUT_S)
         peer.sendall(frame(bytes(most + 1)))
-        refused(peer)
+        wait_until_closed(peer)
 
 
-def malformed(name: str, address: str) -> None:
+def send_malformed(name: str, address: str) -> None:
     """Send random bytes, before and after a handshake."""
     chance = random.Random(name)
-    for begin in (dialled, *([lambda address: greeted(address, ZMTP[name])] if name in ZMTP else [])):
+    for begin in (dial, *([lambda address: greet(address, ZMTP[name])] if name in ZMTP else [])):
         with begin(address) as peer:
             with contextlib.suppress(ConnectionError):
                 peer.sendall(b"\x06" + chance.randbytes(100_000) + b"\r\n\r\n")  # not a valid start of a ZMTP frame
-            refused(peer)
+            wait_until_closed(peer)
 
 
-def slow(name: str, address: str) -> None:
+def send_slowly(name: str, address: str) -> None:
     """Send a byte every 0.1 s: each byte is in time, but the whole request is not."""
-    said = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
-    with dialled(address) as peer, contextlib.suppress(ConnectionError):
+    request = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
+    with dial(address) as peer, contextlib.suppress(ConnectionError):
         peer.settimeout(0.1)
         until = time.monotonic() + CUT_S
-        for byte in said * 10:
+        for byte in request * 10:
             assert time.monotonic() < until, "it is not cut off"
             peer.sendall(bytes((byte,)))
             with contextlib.suppress(TimeoutError):
@@ -222,18 +222,18 @@ def slow(name: str, address: str) -> None:
 
 
 ATTACKS: dict[str, Callable[[str, str], None]] = {
-    "too large": too_large, "one byte too large": one_byte_too_large, "malformed": malformed,
+    "too large": send_too_large, "one byte too large": send_one_byte_too_large, "malformed": send_malformed,
 }  # fmt: skip
 
 
-def high_water(pid: int) -> int:
+def read_peak_memory(pid: int) -> int:
     """Return the peak memory (bytes) of a process since the last call, and reset it."""
     (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmHWM")]
     Path(f"/proc/{pid}/clear_refs").write_text("5")
     return 1024 * int(line.split()[1])
 
 
-def serves(name: str, address: str) -> bool:
+def is_serving(name: str, address: str) -> bool:
     if name.endswith("telemetry"):
         with Subscription(address, ("contact",)) as reader:
             return reader.receive(CUT_S) is not None
@@ -248,12 +248,12 @@ def serves(name: str, address: str) -> bool:
 def unharmed(peers: Peers, name: str) -> Iterator[None]:
     """Assert that the owner of a socket does not grow during the block, and serves afterwards."""
     pid = peers.owners[OWNERS[name]]
-    assert serves(name, peers.addresses[name])
-    high_water(pid)
-    before = high_water(pid)
+    assert is_serving(name, peers.addresses[name])
+    read_peak_memory(pid)
+    before = read_peak_memory(pid)
     yield
-    assert high_water(pid) - before < GROWN_MAX
-    assert serves(name, peers.addresses[name])
+    assert read_peak_memory(pid) - before < GROWN_MAX
+    assert is_serving(name, peers.addresses[name])
 
 
 @pytest.mark.parametrize(
@@ -273,10 +273,10 @@ def test_slow_peers_are_cut_off(names: list[str], peers: Peers) -> None:
     with ThreadPoolExecutor() as threads, contextlib.ExitStack() as owners:
         for name in names:
             owners.enter_context(unharmed(peers, name))
-        cut = [threads.submit(slow, name, peers.addresses[name]) for name in names]
-        assert all(serves(name, peers.addresses[name]) for name in names)
-        for each in cut:
-            each.result()
+        cut = [threads.submit(send_slowly, name, peers.addresses[name]) for name in names]
+        assert all(is_serving(name, peers.addresses[name]) for name in names)
+        for future in cut:
+            future.result()
 
 
 @pytest.mark.parametrize("message", [bytes(LARGE), [bytes(32768)] * 1300, bytes(65537)],
@@ -299,14 +299,14 @@ def test_the_page_has_a_bounded_number_of_browsers(peers: Peers) -> None:
         first.recv(timeout=CUT_S)
         for _ in range(BROWSERS_MAX - 1):
             opened.enter_context(browser(address)).recv(timeout=CUT_S)
-        assert refused_browser(address) == CloseCode.TRY_AGAIN_LATER
+        assert get_refusal_code(address) == CloseCode.TRY_AGAIN_LATER
         first.close()
         until = time.monotonic() + CUT_S
-        while refused_browser(address) is not None:  # until the page has noticed
+        while get_refusal_code(address) is not None:  # until the page has noticed
             assert time.monotonic() < until, "none is accepted after one has closed"
 
 
-def refused_browser(address: str) -> int | None:
+def get_refusal_code(address: str) -> int | None:
     """Return the code with which the page closes another browser, or None if it is accepted."""
     with browser(address) as late, contextlib.suppress(ConnectionClosed):
         late.recv(timeout=CUT_S)
@@ -317,19 +317,19 @@ def refused_browser(address: str) -> int | None:
 def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
     pid = peers.owners["gateway's telemetry"]
     os.kill(pid, signal.SIGSTOP)
-    assert serves("forwarded commands", peers.addresses["forwarded commands"])
+    assert is_serving("forwarded commands", peers.addresses["forwarded commands"])
     os.kill(pid, signal.SIGKILL)
-    assert serves("forwarded telemetry", peers.addresses["forwarded telemetry"])
-    assert serves("forwarded commands", peers.addresses["forwarded commands"])
-    peers.owners["gateway's telemetry"] = child_of(peers.owners["gateway"], b"\0--until-eof\0")
+    assert is_serving("forwarded telemetry", peers.addresses["forwarded telemetry"])
+    assert is_serving("forwarded commands", peers.addresses["forwarded commands"])
+    peers.owners["gateway's telemetry"] = find_child(peers.owners["gateway"], b"\0--until-eof\0")
     assert peers.owners["gateway's telemetry"] != pid
 
 
 def test_subscribers_are_the_connections_that_subscribe() -> None:
-    chance, asked = random.Random(7), list[bytes]()
+    chance, topics_read = random.Random(7), list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:
-        readers = Readers(SocketContext(context, None), bound, None, 1000, asked.append)
+        readers = Readers(SocketContext(context, None), bound, None, 1000, topics_read.append)
         ends.callback(readers.peers.close)
         had: dict[socket.socket, dict[bytes, int]] = {}
 
@@ -342,7 +342,7 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
 
         for number in range(120):
             if len(had) < 4 and chance.random() < 0.5:
-                had[ends.enter_context(greeted(bound.endpoint, b"SUB"))] = {}
+                had[ends.enter_context(greet(bound.endpoint, b"SUB"))] = {}
             if not had:
                 continue
             peer, topic = chance.choice([*had]), chance.choice([b"", b"a", b"ab"])
@@ -354,24 +354,24 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
                 had[peer][topic] = max(count - 1, 0) if ends_it else count + 1
                 sync = b"sync%d" % number
                 peer.sendall(frame((b"\0" if ends_it else b"\1") + topic) + frame(b"\1" + sync))
-                until(lambda sync=sync: sync in asked)
-                with_sync = sum(other is peer or any(topics.values()) for other, topics in had.items())
+                until(lambda sync=sync: sync in topics_read)
+                with_sync = sum(subscriber is peer or any(topics.values()) for subscriber, topics in had.items())
                 assert readers.subscribers == with_sync
                 peer.sendall(frame(b"\0" + sync))
             until(lambda: readers.subscribers == sum(any(topics.values()) for topics in had.values()))
-        assert len(asked) > 60
+        assert len(topics_read) > 60
 
 
 def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
-    asked = list[bytes]()
+    topics_read = list[bytes]()
     bound = listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files:
-        readers = Readers(SocketContext(context, None), bound, None, 1000, asked.append)
-        with greeted(bound.endpoint, b"SUB") as peer:
+        readers = Readers(SocketContext(context, None), bound, None, 1000, topics_read.append)
+        with greet(bound.endpoint, b"SUB") as peer:
             for number in range(2 * TOPICS_MAX):
                 peer.sendall(frame(b"\1%d" % number))
             end = time.monotonic() + CUT_S
-            while len(asked) < 2 * TOPICS_MAX and time.monotonic() < end:
+            while len(topics_read) < 2 * TOPICS_MAX and time.monotonic() < end:
                 readers.take()
             assert readers.subscribers == 1
             (topics,) = readers._topics.values()

@@ -20,8 +20,8 @@ from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.faults_seen import SEEN
 from helpers.programs import run_program
 from helpers.waits import until
-from test_kills import children
-from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, state
+from test_kills import list_children
+from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, read_state
 
 from softfinger.proxy.record import AT
 from softfinger.server.loop.guard import RAMPING
@@ -46,22 +46,24 @@ def read(path: Path) -> tuple[list[int], list[tuple[str, float]]]:
     return ticks, [(part.event["name"], part.event["timestamp"]) for part in parts if isinstance(part, Event)]
 
 
-def end(process: subprocess.Popen[str]) -> str:
+def stop_daemon(process: subprocess.Popen[str]) -> str:
     """Stop a daemon by SIGINT; return its stderr."""
     process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=END_S)[1]
-    assert process.returncode == 0, said
-    return said
+    stderr = process.communicate(timeout=END_S)[1]
+    assert process.returncode == 0, stderr
+    return stderr
 
 
-def process_of(pid: int, name: str) -> int:
+def find_child(pid: int, name: str) -> int:
     """Return the daemon's child process that has the endpoints `name`."""
     words = f"socket_process\0{name}".encode()
-    (found,) = [each for each in children(pid) if words in Path(f"/proc/{each}/cmdline").read_bytes()]
-    return found
+    (child,) = [
+        candidate for candidate in list_children(pid) if words in Path(f"/proc/{candidate}/cmdline").read_bytes()
+    ]
+    return child
 
 
-def fill(process: subprocess.Popen[str]) -> None:
+def fill_stderr(process: subprocess.Popen[str]) -> None:
     """Fill the pipe of a program's standard error, which the test reads no more."""
     pipe = os.open(f"/proc/{process.pid}/fd/2", os.O_WRONLY | os.O_NONBLOCK)
     with contextlib.suppress(BlockingIOError):
@@ -73,45 +75,45 @@ def fill(process: subprocess.Popen[str]) -> None:
 def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_property: Note) -> None:
     recording = tmp_path / "slept.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
-        everyone = [*children(process.pid), process.pid]
-        for each in everyone:
-            os.kill(each, signal.SIGSTOP)
-        until(lambda: all(state(each) == "T" for each in everyone), END_S, "the stop")
+        everyone = [*list_children(process.pid), process.pid]
+        for member in everyone:
+            os.kill(member, signal.SIGSTOP)
+        until(lambda: all(read_state(member) == "T" for member in everyone), END_S, "the stop")
         time.sleep(0.05)  # frames in transit have arrived
         count = len(board.sent)
         time.sleep(SLEPT_S)
         assert len(board.sent) == count
-        for each in everyone:
-            os.kill(each, signal.SIGCONT)
+        for member in everyone:
+            os.kill(member, signal.SIGCONT)
         until(lambda: len(board.sent) > count + RAMP_TICKS // 5, END_S, "forces anew")
         before, forces = board.sent[count - 1][2], [frame[2] for frame in board.sent[count:]]
         first = next(place for place, force in enumerate(forces) if force <= before * 2 / RAMP_TICKS)
         assert first <= 1, "more than the tick that was under way had a force"
         # Without a wall the hand gets 4 mm deep, and overshoots to at most twice that, a fiftieth of 8 N.
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2
-        end(process)
+        stop_daemon(process)
     ticks, events = read(recording)
     assert ticks == list(range(len(ticks)))
     assert "ramping" in [name for name, _ in events]
-    seen = {"driver": "serial", "fault": "every process is stopped for 0.6 s", "ticks": first, "event": "guard ramping"}
-    record_property(SEEN, seen | {"state": "armed", "recovery": "the ramp"})
+    reaction = {"driver": "serial", "fault": "every process is stopped for 0.6 s", "ticks": first}
+    record_property(SEEN, reaction | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
 
 
 def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_property: Note) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
-        publisher = process_of(process.pid, "telemetry")
+        publisher = find_child(process.pid, "telemetry")
         os.kill(publisher, signal.SIGSTOP)
-        until(lambda: state(publisher) == "T", END_S, "the stop")
+        until(lambda: read_state(publisher) == "T", END_S, "the stop")
         count = len(board.sent)
         until(lambda: len(board.sent) > count + 1000, END_S, "a thousand forces")
-        felt = [frame[2] for frame in board.sent[count : count + 1000]]
+        forces = [frame[2] for frame in board.sent[count : count + 1000]]
         os.kill(publisher, signal.SIGCONT)
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=END_S) as telemetry:
             first = next(iter(telemetry)).tick
             assert next(sample for sample in telemetry if sample.tick > first + 100)
-        fill(process)
-        os.kill(process_of(process.pid, "commands"), signal.SIGKILL)
+        fill_stderr(process)
+        os.kill(find_child(process.pid, "commands"), signal.SIGKILL)
         with Control(f"ipc://{tmp_path}/t.commands", END_S) as control:
             assert control.disarm().armed is False
             until(lambda: board.force == ZERO, END_S, "the zero")
@@ -120,24 +122,24 @@ def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_p
         process.send_signal(signal.SIGTERM)
         assert process.wait(END_S) == 0
         until(lambda: board.force == ZERO, END_S, "the zero")
-    assert min(felt) > 0.0
+    assert min(forces) > 0.0
     ticks, _ = read(recording)
     assert ticks == list(range(len(ticks)))
-    seen = {"driver": "serial", "fault": "the publisher is stopped for a second", "ticks": None, "event": "none"}
+    reaction = {"driver": "serial", "fault": "the publisher is stopped for a second", "ticks": None, "event": "none"}
     hazard = {"hazard": "a publisher that hangs, a lost network"}  # it is a test of another one, too
-    record_property(SEEN, hazard | seen | {"state": "armed", "recovery": "none needed"})
+    record_property(SEEN, hazard | reaction | {"state": "armed", "recovery": "none needed"})
 
 
-def clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
+def make_clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
     """Return the environment with clocks from tests/stubs/clock.c, and a function that sets both."""
     library, file = compile_stub(CLOCK, folder / "clock.so"), folder / "clocks"
     file.write_bytes(bytes(16))
 
-    def put(ahead_s: int, suspended_s: int) -> None:
+    def set_clocks(ahead_s: int, suspended_s: int) -> None:
         with file.open("r+b") as numbers:
             numbers.write(struct.pack("=qq", ahead_s, suspended_s))
 
-    return {"LD_PRELOAD": str(library), "SET_CLOCK": str(file)}, put
+    return {"LD_PRELOAD": str(library), "SET_CLOCK": str(file)}, set_clocks
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
@@ -147,24 +149,24 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
 ) -> None:
     """Time stops during a suspension, so there is no gap, but the force ramps from zero in the tick that wakes."""
     recording = tmp_path / "slept.mcap"
-    environment, put = clocks(tmp_path)
+    environment, set_clocks = make_clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
         time.sleep(RAMP_TICKS / 1000.0)  # the initial ramp is over
         count = len(board.sent)
         before = max(frame[2] for frame in board.sent[count - RAMP_TICKS : count])  # some are in a ramp after a stall
-        put(0, slept_s)
+        set_clocks(0, slept_s)
         until(lambda: len(board.sent) > count + RAMP_TICKS // 5, END_S, "forces after it")
         forces = [frame[2] for frame in board.sent[count:]]
         first = next((place for place, force in enumerate(forces) if force <= before * 2 / RAMP_TICKS), None)
         assert first is not None, "the force was carried over"
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2  # as above
-        end(process)
+        stop_daemon(process)
     rows = [row for part in read_contents(recording) if isinstance(part, TickBlock) for row in part.records()]
     assert [int(row[AT.tick]) for row in rows] == list(range(len(rows)))
     long = [row for row in rows if row[AT.dt] > 0.9]
     assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a suspension counts as one second
-    seen = {"driver": "serial", "fault": f"the machine is suspended for {slept_s} s", "ticks": 0}
-    record_property(SEEN, seen | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
+    reaction = {"driver": "serial", "fault": f"the machine is suspended for {slept_s} s", "ticks": 0}
+    record_property(SEEN, reaction | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
@@ -172,17 +174,17 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
 @pytest.mark.parametrize("jump_s", [-3600, 3600])
 def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Path, record_property: Note) -> None:
     recording = tmp_path / "set.mcap"
-    environment, put = clocks(tmp_path)
+    environment, set_clocks = make_clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
         with Control(f"ipc://{tmp_path}/t.commands", START_S) as control:
             control.mark("before")
             count = len(board.sent)
-            put(jump_s, 0)
+            set_clocks(jump_s, 0)
             until(lambda: len(board.sent) > count + 500, END_S, "forces after it")
             control.mark("after")
-        felt = [frame[2] for frame in board.sent[count : count + 500]]
-        end(process)
-    assert min(felt) > 0.0
+        forces = [frame[2] for frame in board.sent[count : count + 500]]
+        stop_daemon(process)
+    assert min(forces) > 0.0
     parts = list(read_contents(recording))
     rows = [row for part in parts if isinstance(part, TickBlock) for row in part.records()]
     times = {int(row[AT.tick]): row[AT.timestamp] for row in rows}
@@ -195,8 +197,8 @@ def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Pa
         # An event arrives within a few ticks; the limit excludes an hour between them.
         assert abs(mark["timestamp"] - times[mark["tick"]]) < 5.0
     assert marks["before"]["timestamp"] < marks["after"]["timestamp"]
-    seen = {"driver": "serial", "fault": f"the clock is set by {jump_s} s", "ticks": None, "event": "none"}
-    record_property(SEEN, seen | {"state": "armed", "recovery": "none needed"})
+    reaction = {"driver": "serial", "fault": f"the clock is set by {jump_s} s", "ticks": None, "event": "none"}
+    record_property(SEEN, reaction | {"state": "armed", "recovery": "none needed"})
 
 
 NETWORK = """
@@ -246,8 +248,8 @@ def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -
     if not has_network():
         pytest.skip("no network of its own: it needs iproute2, and root")
     words = ["unshare", "--net", sys.executable, "-c", NETWORK]
-    done = run_program(words, timeout=START_S)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout.splitlines()[-1]) == {"whole": True, "lost": 0, "heard": True, "state": "armed"}
-    seen = {"driver": "replay", "fault": "the link is down for 1000 ticks", "ticks": None, "event": "none"}
-    record_property(SEEN, seen | {"state": "armed", "recovery": "subscribers reconnect by themselves"})
+    completed = run_program(words, timeout=START_S)
+    assert completed.returncode == 0, completed.stderr
+    assert json.loads(completed.stdout.splitlines()[-1]) == {"whole": True, "lost": 0, "heard": True, "state": "armed"}
+    reaction = {"driver": "replay", "fault": "the link is down for 1000 ticks", "ticks": None, "event": "none"}
+    record_property(SEEN, reaction | {"state": "armed", "recovery": "subscribers reconnect by themselves"})

@@ -103,7 +103,7 @@ def test_stability_shows_its_share() -> None:
         for piece in pieces:
             screen.feed(piece)
             shares += [
-                int(found[1]) for line in screen.lines if (found := re.search(r"finding limits .* (\d+)%", line))
+                int(match[1]) for line in screen.lines if (match := re.search(r"finding limits .* (\d+)%", line))
             ]
         assert process.wait(30) == 0
     assert len(set(shares)) > 2 and shares == sorted(shares)
@@ -114,9 +114,9 @@ def test_lines_without_a_terminal_show_the_share(
 ) -> None:
     monkeypatch.setattr(display, "QUIET_S", 1e-3)
     monkeypatch.setattr(display, "PLAIN_PERIOD_S", 1e-3)
-    with display.progress("work", 4) as done:
+    with display.progress("work", 4) as report_progress:
         for number in range(1, 4):
-            done(number)
+            report_progress(number)
             line = re.compile(rf"^work {25 * number}% \.\.\. \d+ s$", re.MULTILINE)
             until(lambda line=line: line.search(capsys.readouterr().err))
 
@@ -144,20 +144,20 @@ def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pyte
     """The share of an operation is added to the current step of the outer one, also over several levels, and never
     decreases."""
     shown = collect_shares(monkeypatch)
-    with display.progress("outer", 2) as done:
-        with display.progress("inner", 4) as inner_done:
-            inner_done(1)
-            with display.progress("innermost", 2) as innermost_done:
-                innermost_done(1)
-            inner_done(4)
-        with display.progress("second inner", 2) as inner_done:
-            inner_done(1)
-        done(1)
+    with display.progress("outer", 2) as report_outer:
+        with display.progress("inner", 4) as report_inner:
+            report_inner(1)
+            with display.progress("innermost", 2) as report_innermost:
+                report_innermost(1)
+            report_inner(4)
+        with display.progress("second inner", 2) as report_inner:
+            report_inner(1)
+        report_outer(1)
         with display.progress("without a share"):
             pass
-        done(2)
-    with display.progress("next", 4) as done:
-        done(1)
+        report_outer(2)
+    with display.progress("next", 4) as report_outer:
+        report_outer(1)
     assert shown == {"outer": [0.125, 0.1875, 0.5, 0.5, 0.5, 1.0], "next": [0.25]}
 
 
@@ -176,7 +176,7 @@ def test_check_reports_the_compilation_of_a_driver(monkeypatch: pytest.MonkeyPat
     assert reported == ["kernels that call the device", "summary", "end"]
 
 
-class Looking(Folder):
+class ProgressFolder(Folder):
     """Folder of cached kernels that stores the progress text while a kernel is loaded."""
 
     def __init__(self, path: Path) -> None:
@@ -201,7 +201,7 @@ def test_a_wait_says_whether_it_compiles_or_loads(tmp_path: Path) -> None:
     def doubled(number: float) -> float:
         return 2.0 * number
 
-    folder = Looking(tmp_path / "kernels")
+    folder = ProgressFolder(tmp_path / "kernels")
     for _ in range(2):  # the second one finds the cached kernel
         kernel: Any = numba.njit(**OPTIONS)(doubled)
         kernel._cache = KernelCache(doubled, folder)

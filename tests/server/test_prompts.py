@@ -22,33 +22,33 @@ WAIT_S = 60.0
 daemon = daemon_of("simulated-hand", "paper-plane")
 
 
-def subscribed(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:
+def subscribe_events(client: Client) -> tuple[Subscription, list[dict[str, Any]]]:
     events = client.subscribe((EVENT,), timeout_s=WAIT_S)
-    told: list[dict[str, Any]] = []
+    received: list[dict[str, Any]] = []
     until = time.monotonic() + WAIT_S
-    while not told and time.monotonic() < until:
+    while not received and time.monotonic() < until:
         client.mark("begin")
         if (sample := events.receive(0.1)) is not None:
-            told.append(sample.data)
-    return events, told
+            received.append(sample.data)
+    return events, received
 
 
 def test_a_question_is_shown_and_answered_once(client: Client) -> None:
-    events, told = subscribed(client)
+    events, received = subscribe_events(client)
     screen = {"colour": "#3366cc", "image": "data:image/png;base64,AAAA", "masking_noise": "pink", "volume": 0.5}
-    asked = client.set_prompt("trial 3", "Which?", (2, 40), choices=("first", "second"), **screen)
-    assert client.get_prompt() == asked and asked.open and asked.answer is None
-    assert asked.prompt == Prompt("trial 3", "Which?", 2, 40, ("first", "second"), **screen)
+    question = client.set_prompt("trial 3", "Which?", (2, 40), choices=("first", "second"), **screen)
+    assert client.get_prompt() == question and question.open and question.answer is None
+    assert question.prompt == Prompt("trial 3", "Which?", 2, 40, ("first", "second"), **screen)
     assert PromptScreen.__annotations__.keys() == screen.keys() and Prompt.__struct_fields__[-4:] == tuple(screen)
-    client.answer("second", asked.number)
-    found = client.get_prompt()
-    assert not found.open and found.answer == "second" and 0.0 < found.after_s < WAIT_S
+    client.answer("second", question.number)
+    answered = client.get_prompt()
+    assert not answered.open and answered.answer == "second" and 0.0 < answered.after_s < WAIT_S
     with pytest.raises(CommandRefused, match="not open, or not any more"):
-        client.answer("first", asked.number)
-    while told[-1]["name"] != "answer":
-        told.append(next(events).data)
-    assert [event["name"] for event in told if event["kind"] == "command"] == ["set_prompt", "answer"]
-    assert told[-1]["what"] == {"prompt": asked.number, "value": "second"}
+        client.answer("first", question.number)
+    while received[-1]["name"] != "answer":
+        received.append(next(events).data)
+    assert [event["name"] for event in received if event["kind"] == "command"] == ["set_prompt", "answer"]
+    assert received[-1]["what"] == {"prompt": question.number, "value": "second"}
 
 
 def test_an_answer_to_an_earlier_question_is_refused(client: Client) -> None:
@@ -63,25 +63,25 @@ def test_an_answer_to_an_earlier_question_is_refused(client: Client) -> None:
     "value", ["neither", "", 1.0, True, None, ["first"], {"first": 1}, "x" * 100_000, float("nan")]
 )
 def test_an_answer_that_is_not_a_choice_is_refused(client: Client, value: Any) -> None:
-    asked = client.set_prompt(choices=("first", "second"))
+    question = client.set_prompt(choices=("first", "second"))
     with pytest.raises(CommandRefused, match="bad_params"):
-        client.ask("answer", {"value": value, "prompt": asked.number})
+        client.ask("answer", {"value": value, "prompt": question.number})
     assert client.get_prompt().open
 
 
 def test_a_text_answer_is_stored_and_not_published(client: Client) -> None:
     """Its length is limited and it is not in the event, because a text in a recording may be personal."""
-    events, told = subscribed(client)
-    asked = client.set_prompt("remarks", "Any?", text_length=12)
-    assert asked.prompt == Prompt("remarks", "Any?", text_length=12)
+    events, received = subscribe_events(client)
+    question = client.set_prompt("remarks", "Any?", text_length=12)
+    assert question.prompt == Prompt("remarks", "Any?", text_length=12)
     for value in ("", "   ", "x" * 13, 1.0):
         with pytest.raises(CommandRefused, match="bad_params"):
             client.ask("answer", {"value": value})
-    client.answer("<b>none</b>", asked.number)
+    client.answer("<b>none</b>", question.number)
     assert client.get_prompt().answer == "<b>none</b>"
-    while told[-1]["name"] != "answer":
-        told.append(next(events).data)
-    assert told[-1]["what"] == {"prompt": asked.number}
+    while received[-1]["name"] != "answer":
+        received.append(next(events).data)
+    assert received[-1]["what"] == {"prompt": question.number}
 
 
 @pytest.mark.parametrize("value", [0.5, 7.01, float("nan"), float("inf"), -float("inf"), "3", True])
@@ -93,7 +93,7 @@ def test_a_number_outside_the_range_is_refused(client: Client, value: Any) -> No
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("prompt", "message"),
     [
         ({"choices": ["a"], "number": [0.0, 1.0]}, "either choices or number"),
         ({"choices": ["a"], "text_length": 9}, "either choices or number or text_length"),
@@ -109,8 +109,8 @@ def test_a_number_outside_the_range_is_refused(client: Client, value: Any) -> No
         ({"html": "<script>"}, "html"),
     ],
 )
-def test_an_invalid_prompt_is_refused(client: Client, asked: dict[str, Any], said: str) -> None:
+def test_an_invalid_prompt_is_refused(client: Client, prompt: dict[str, Any], message: str) -> None:
     before = client.get_prompt()
-    with pytest.raises(CommandRefused, match=said):
-        client.ask("set_prompt", asked)
+    with pytest.raises(CommandRefused, match=message):
+        client.ask("set_prompt", prompt)
     assert client.get_prompt() == before

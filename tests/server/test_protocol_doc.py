@@ -70,37 +70,37 @@ CODE_TABLES = {
 }
 
 
-def cells(line):
+def split_cells(line):
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def rows_below(text, heading):
+def read_tables(text, heading):
     tables, head = {}, None
     for line in text.split(f"{heading}\n", 1)[1].split("\n## ", 1)[0].splitlines():
         if not line.startswith("|"):
             head = None
         elif head is None:
-            head = tuple(cells(line))
+            head = tuple(split_cells(line))
             tables[head] = []
         elif "---" not in line:
-            tables[head].append(cells(line))
+            tables[head].append(split_cells(line))
     return tables
 
 
 def doc_tables():
     """Return the types by key for `contact`, `event`, ... in the reference; ticks have the record's keys."""
-    found = {}
+    tables = {}
     for topic in re.findall(r"^## `(\w+)`$", TELEMETRY, re.MULTILINE):
-        below = rows_below(TELEMETRY, f"## `{topic}`")
-        found[topic] = {} if topic == "state" else {"`schema`": "int"}  # defined at the top of the page
-        found[topic] |= {key: kind.partition(",")[0] for key, kind, _ in below.pop(HEADER)}
+        below = read_tables(TELEMETRY, f"## `{topic}`")
+        tables[topic] = {} if topic == "state" else {"`schema`": "int"}  # defined at the top of the page
+        tables[topic] |= {key: kind.partition(",")[0] for key, kind, _ in below.pop(HEADER)}
         for kinds, key, kind, _ in below.pop(KINDS, []):
             for word in kinds.split(", "):
-                found.setdefault(f"{topic} {word.strip('`')}", {})[key] = kind.partition(",")[0]
+                tables.setdefault(f"{topic} {word.strip('`')}", {})[key] = kind.partition(",")[0]
         assert not below
-    (record,) = [rows for head, rows in rows_below(RECORD, "# The record of a tick").items() if head == HEADER]
-    found["contact"] |= {key.replace("contacts0", "contacts[]"): kind.partition(",")[0] for key, kind, _ in record}
-    return {title: {key.strip("`"): kind for key, kind in keys.items()} for title, keys in found.items()}
+    (record,) = [rows for head, rows in read_tables(RECORD, "# The record of a tick").items() if head == HEADER]
+    tables["contact"] |= {key.replace("contacts0", "contacts[]"): kind.partition(",")[0] for key, kind, _ in record}
+    return {title: {key.strip("`"): kind for key, kind in keys.items()} for title, keys in tables.items()}
 
 
 def test_tables_list_the_keys_of_the_code():
@@ -137,7 +137,7 @@ def real_messages():
     put(records[20:], "servo.guard", 1)
     put(records[25:], "contact.nonlinear", 4)
     put(records[30:], "servo.missed", 2)
-    found = []
+    messages = []
     context = zmq.Context.instance()
     with (
         Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES, extra=SCENE_TOPICS) as publisher,
@@ -160,24 +160,24 @@ def real_messages():
         publisher.event("mark", "mark", command_id="a2", label="x", data={"a": {"b": 1}})
         publisher.event("state", "armed", before="ready", cause="the force may be switched on")
         publisher.event("lifecycle", "stopped")
-        while not {"schema", "event lifecycle"} <= {title for title, _ in found}:
+        while not {"schema", "event lifecycle"} <= {title for title, _ in messages}:
             assert socket.poll(5000)
             topic, body = socket.recv_multipart()
             message = msgpack.unpackb(body)
-            found.append((f"event {message['kind']}" if topic == b"event" else topic.decode(), message))
-    return found
+            messages.append((f"event {message['kind']}" if topic == b"event" else topic.decode(), message))
+    return messages
 
 
 @pytest.mark.real_time
 def test_real_messages_have_the_documented_keys_and_types():
     tables = doc_tables()
-    seen = set()
+    titles = set()
     for title, message in real_messages():
         documented = tables["event"] | tables.get(title, {}) if title.startswith("event") else tables[title]
         maps = [key for key, kind in documented.items() if kind == "map"]
         assert {key: type_name(value) for key, value in flatten(message, maps).items()} == documented
-        seen.add(title)
-    assert seen >= set(CODE_TABLES) - {"event"}
+        titles.add(title)
+    assert titles >= set(CODE_TABLES) - {"event"}
 
 
 def test_numbers_in_the_text_equal_those_of_the_code():
@@ -213,21 +213,23 @@ def test_schema_of_the_commands_has_every_method():
 
 def test_both_clients_have_every_method():
     for name in commands.METHODS:
-        one, other = getattr(Control, name), getattr(AsyncControl, name)
-        assert inspect.signature(one) == inspect.signature(other) and inspect.iscoroutinefunction(other), name
+        blocking, asynchronous = getattr(Control, name), getattr(AsyncControl, name)
+        assert inspect.signature(blocking) == inspect.signature(asynchronous) and inspect.iscoroutinefunction(
+            asynchronous
+        ), name
 
 
 @pytest.mark.real_time
 def test_command_program_on_the_page_runs():
-    (program,) = [each for each in re.findall(r"```python\n(.*?)```", DOC, re.DOTALL) if "set_params" in each]
+    (program,) = [fence for fence in re.findall(r"```python\n(.*?)```", DOC, re.DOTALL) if "set_params" in fence]
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
         daemon.start()
         assert "tcp://127.0.0.1:5556" in program
         code = program.replace("tcp://127.0.0.1:5556", daemon.commands_endpoint)
-        done = run_program([sys.executable, "-c", code])
-        assert daemon.rendering.scene.object[0].material.stiffness_n_per_m == 800.0, done.stderr
-    assert "'success': True" in done.stdout
+        completed = run_program([sys.executable, "-c", code])
+        assert daemon.rendering.scene.object[0].material.stiffness_n_per_m == 800.0, completed.stderr
+    assert "'success': True" in completed.stdout
 
 
 def test_wire_schema_holds_every_table():
@@ -247,9 +249,9 @@ def test_program_on_the_page_runs():
         repeated(lambda: publisher.publish(synthetic(50, first_tick=next(firsts))), 0.01),
     ):
         program = program.replace("tcp://127.0.0.1:5555", publisher.endpoint)
-        done = run_program([sys.executable, "-W", "error", "-c", program])
-    assert done.returncode == 0, done.stderr
-    ticks = [int(line.split()[0]) for line in done.stdout.splitlines()]
+        completed = run_program([sys.executable, "-W", "error", "-c", program])
+    assert completed.returncode == 0, completed.stderr
+    ticks = [int(line.split()[0]) for line in completed.stdout.splitlines()]
     assert len(ticks) > 0
     assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
 

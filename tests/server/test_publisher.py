@@ -57,34 +57,34 @@ def sockets():
             socket.close()
 
 
-def until_event(socket, name):
+def receive_until(socket, name):
     """Return the frames of all messages before the event of that name."""
-    found = []
+    messages = []
     while True:
         frames = socket.recv_multipart()
         if frames[0] == b"event" and msgpack.unpackb(frames[1])["name"] == name:
-            return found
-        found.append(frames)
+            return messages
+        messages.append(frames)
 
 
-def same(a, b):
+def is_same(a, b):
     """Return True if values and types are equal at every depth, with nan equal to nan."""
     if type(a) is not type(b):
         return False
     if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+        return a.keys() == b.keys() and all(is_same(a[key], b[key]) for key in a)
     if isinstance(a, list):
-        return len(a) == len(b) and all(map(same, a, b))
+        return len(a) == len(b) and all(map(is_same, a, b))
     return a == b or (a != a and b != b)
 
 
-def with_every_set_of_patches(records):
+def insert_patch_sets(records):
     for i in range(PATCHES):
         put(records, f"contacts{i}.object", np.where(np.arange(len(records)) >> i & 1, i + 3, -1))
     return records
 
 
-def odd(records):
+def insert_odd_values(records):
     """Insert values that have broken an encoder: nan, infinities, and the limits of integers and floats."""
     put(records[1:2], "buttons", np.nan)
     put(records[2:3], "buttons", -np.inf)
@@ -98,8 +98,8 @@ def odd(records):
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_messages_equal_those_of_the_encoder(sockets, every):
-    rows = odd(with_every_set_of_patches(synthetic(40, seed=4)))
-    other = with_every_set_of_patches(synthetic(40, seed=5))[:, :]
+    rows = insert_odd_values(insert_patch_sets(synthetic(40, seed=4)))
+    second_rows = insert_patch_sets(synthetic(40, seed=5))[:, :]
     with (
         Publisher("tcp://127.0.0.1:*", every) as single,
         Publisher("tcp://127.0.0.1:*", every, fingers=FINGERS) as both,
@@ -107,18 +107,18 @@ def test_messages_equal_those_of_the_encoder(sockets, every):
         both.set_state_info(StateInfo("pinch", 1000.0, 1.69e9))
         for publisher, records, epoch_s, scene in (
             (single, {b"contact": rows}, 0.0, "unnamed"),
-            (both, {b"finger/index": rows, b"finger/thumb": other}, 1.69e9, "pinch"),
+            (both, {b"finger/index": rows, b"finger/thumb": second_rows}, 1.69e9, "pinch"),
         ):
             socket = sockets(publisher.endpoint, *records, b"state", b"event")
             join(publisher, socket)
             publisher.publish(np.hstack(list(records.values())))
             publisher.event("test", "end")
-            found = until_event(socket, "end")
+            messages = receive_until(socket, "end")
             for topic, of_finger in records.items():
-                got = [msgpack.unpackb(body) for name, body in found if name == topic]
-                assert same(got, [contact_map(record, every) for record in of_finger[::every]])
-            states = [msgpack.unpackb(body) for name, body in found if name == b"state"]
-            assert same(states, [state_map(record, scene, epoch_s) for record in rows[::5]])
+                got = [msgpack.unpackb(body) for name, body in messages if name == topic]
+                assert is_same(got, [contact_map(record, every) for record in of_finger[::every]])
+            states = [msgpack.unpackb(body) for name, body in messages if name == b"state"]
+            assert is_same(states, [state_map(record, scene, epoch_s) for record in rows[::5]])
 
 
 def test_state_has_its_rate_and_the_name_of_the_scene(sockets):
@@ -128,10 +128,10 @@ def test_state_has_its_rate_and_the_name_of_the_scene(sockets):
         for name, first in (("a", 0), ("b" * 300, 400)):
             publisher.set_state_info(StateInfo(name, 8000.0))
             publisher.event("test", "shown")
-            until_event(socket, "shown")
+            receive_until(socket, "shown")
             publisher.publish(synthetic(400, first_tick=first))
             publisher.event("test", name)
-            states = [msgpack.unpackb(body) for topic, body in until_event(socket, name) if topic == b"state"]
+            states = [msgpack.unpackb(body) for topic, body in receive_until(socket, name) if topic == b"state"]
             assert [state["sequence"] for state in states] == list(range(first, first + 400, 40))
             assert {state["active_field"] for state in states} == {name}
 
@@ -143,16 +143,16 @@ def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
         records = synthetic(1103)
         publisher.publish(records)
         publisher.event("test", "before")
-        until_event(early, "before")
+        receive_until(early, "before")
         time.sleep(2.0 * QUIET_S)
         socket = sockets(publisher.endpoint, b"")
-        found = {topic: msgpack.unpackb(body) for topic, body in (socket.recv_multipart() for _ in range(4))}
-        assert found.keys() == {b"schema", b"contact", b"state", b"health"}
-        assert found[b"contact"] == contact_map(records[-1])
-        assert found[b"state"] == state_map(records[1100], "unnamed")
-        assert found[b"health"]["tick"] == 1000
-        assert found[b"schema"]["topics"] == ["contact", "state", "event", "health", "schema"]
-        assert {key["name"] for key in found[b"schema"]["messages"]["state"]} >= {"position", "field_state.mode"}
+        messages = {topic: msgpack.unpackb(body) for topic, body in (socket.recv_multipart() for _ in range(4))}
+        assert messages.keys() == {b"schema", b"contact", b"state", b"health"}
+        assert messages[b"contact"] == contact_map(records[-1])
+        assert messages[b"state"] == state_map(records[1100], "unnamed")
+        assert messages[b"health"]["tick"] == 1000
+        assert messages[b"schema"]["topics"] == ["contact", "state", "event", "health", "schema"]
+        assert {key["name"] for key in messages[b"schema"]["messages"]["state"]} >= {"position", "field_state.mode"}
 
         later = sockets(publisher.endpoint, b"schema")
         assert later.recv_multipart()[0] == b"schema"
@@ -165,8 +165,8 @@ def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
             later.unsubscribe(b"health")
         publisher.event("test", "after")
         # A subscriber to all topics receives them once more, and nothing else.
-        again = [topic for topic, _ in until_event(socket, "after")]
-        assert sorted(again) == [b"health", b"health", b"schema", b"state", b"state"]
+        topics = [topic for topic, _ in receive_until(socket, "after")]
+        assert sorted(topics) == [b"health", b"health", b"schema", b"state", b"state"]
 
 
 def test_the_schema_is_sent_before_any_other_message(sockets):
@@ -184,7 +184,7 @@ def test_no_tick_is_sent_twice_while_others_subscribe(sockets):
                 sockets(publisher.endpoint, b"contact")
             time.sleep(0.0005)
         publisher.event("test", "end")
-        ticks = [msgpack.unpackb(body)["tick"] for topic, body in until_event(socket, "end") if topic == b"contact"]
+        ticks = [msgpack.unpackb(body)["tick"] for topic, body in receive_until(socket, "end") if topic == b"contact"]
     assert ticks == list(range(2000))
 
 
@@ -193,20 +193,20 @@ def test_plotjugglers_rules_hold_for_every_topic(sockets):
         publisher.set_state_info(StateInfo(epoch_s=1.69e9))
         socket = sockets(publisher.endpoint, b"")
         join(publisher, socket)
-        records = [with_every_set_of_patches(synthetic(1200, seed=seed)) for seed in range(2)]
+        records = [insert_patch_sets(synthetic(1200, seed=seed)) for seed in range(2)]
         put(records[0][700:701], "contact.cause", 1)
         publisher.publish(np.hstack(records))
         publisher.event("command", "set_params", command_id="1", what={"a": {"from": 1.0, "to": 2.0}})
         publisher.event("test", "end")
-        found = until_event(socket, "end")
+        messages = receive_until(socket, "end")
     late = {b"schema", b"finger/index", b"finger/thumb", b"state", b"health", b"event"}
-    assert {frames[0] for frames in found} | {b"schema"} == late
-    assert [each for frames in found if (each := complaints(frames, ("state",)))] == []
+    assert {frames[0] for frames in messages} | {b"schema"} == late
+    assert [faults for frames in messages if (faults := complaints(frames, ("state",)))] == []
     assert prefix_complaints([topic.decode() for topic in late]) == []
 
     good = {"timestamp": 1.7e9, "a": {"b": [1.0, True, "text"]}}
     assert complaints([b"contact", msgpack.packb(good)]) == []
-    for wrong, says in (
+    for wrong, expected in (
         ({"a": 1.0}, "no timestamp"),
         (good | {"timestamp": 17}, "no timestamp"),
         (good | {"timestamp": 17.0}, "another clock"),
@@ -217,7 +217,7 @@ def test_plotjugglers_rules_hold_for_every_topic(sockets):
         (good | {"c": b"1"}, "bytes"),
     ):
         (complaint,) = complaints([b"contact", msgpack.packb(wrong)])
-        assert says in complaint
+        assert expected in complaint
     assert "3 frames" in complaints([b"contact", b"", msgpack.packb(good)])[0]
     assert prefix_complaints(["event", "events"]) == [("event", "events")]
 
@@ -234,10 +234,10 @@ def test_the_client_of_hapticore_reads_state_and_commands(sockets):
             topic, body = socket.recv_multipart()
             assert topic == b"state"
             states.append(HapticState(**msgpack.unpackb(body, raw=False)))
-        asked = client.state()
+        state_reply = client.state()
         refused = client.command("no_such_method")
         client.close()
-    assert asked.sequence >= states[0].sequence and asked.active_field == "paper-plane"
+    assert state_reply.sequence >= states[0].sequence and state_reply.active_field == "paper-plane"
     assert not refused.success and refused.error and client.beats and all(beat.success for beat in client.beats)
     times = [state.timestamp for state in states]
     assert before < times[0] and times[-1] < time.monotonic()
@@ -273,8 +273,8 @@ def test_a_thread_that_holds_the_interpreter_lock_does_not_delay_ticks(sockets):
             socket.rcvtimeo = 120_000  # kernels may have to be compiled
             while socket.recv_multipart()[0] != b"state":
                 pass
-            times, told = [], []
-            reader = threading.Thread(target=lambda: told.append(process.stdout.readline()))
+            times, lines = [], []
+            reader = threading.Thread(target=lambda: lines.append(process.stdout.readline()))
             reader.start()
             process.stdin.write("\n")
             process.stdin.flush()
@@ -284,10 +284,10 @@ def test_a_thread_that_holds_the_interpreter_lock_does_not_delay_ticks(sockets):
                     times.append((topic, time.monotonic()))
         finally:
             process.kill()
-    begun, ended = map(float, told[0].split())
-    held = [topic for topic, at in times if begun < at < ended]
+    begun, ended = map(float, lines[0].split())
+    topics = [topic for topic, at in times if begun < at < ended]
     # 900 and 180 were sent; a machine that stalls delivers fewer within that time
-    assert held.count(b"contact") > 100 and held.count(b"state") > 20
+    assert topics.count(b"contact") > 100 and topics.count(b"state") > 20
 
 
 def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
@@ -298,7 +298,7 @@ def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
         socket = sockets(publisher.endpoint, b"contact", b"event", b"health")
         socket.rcvtimeo = 120_000
         local = Local(publisher.ring()["name"])
-        rows, found = [], []
+        rows, messages = [], []
         daemon.start()
         with Control(daemon.commands_endpoint, 120.0) as control:
             control.heartbeat()
@@ -308,19 +308,19 @@ def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
                 while not (publisher.restarts == killed and publisher.subscribers == 1):
                     rows.append(local.take(1.0).copy())
                     while socket.poll(0):  # a subscriber that does not read does not resubscribe either
-                        found.append(socket.recv_multipart())
+                        messages.append(socket.recv_multipart())
                 assert control.mark("again").tick > 0
             named, restarts = set(), 0
             while not {"publisher", "mark"} <= named or restarts != 2:
-                topic, body = found.pop(0) if found else socket.recv_multipart()
+                topic, body = messages.pop(0) if messages else socket.recv_multipart()
                 message = msgpack.unpackb(body)
                 named |= {message["name"]} if topic == b"event" else set()
                 restarts = message["restarts"] if topic == b"health" else restarts
         daemon.stop()
         assert daemon.wait(60.0)
         ticks = daemon.servo.ticks
-        while len(taken := local.take(1.0)):
-            rows.append(taken.copy())
+        while len(batch := local.take(1.0)):
+            rows.append(batch.copy())
         local.close()
     assert np.concatenate(rows)[:, AT.tick].tolist() == list(range(ticks))
     assert summary(tmp_path / "all.mcap")["ticks"] == ticks
@@ -353,7 +353,7 @@ def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
         assert read_rows(broadcast, place, out) == 0
     writer = threading.Thread(target=write_numbered, args=(broadcast, np.zeros((1, 24)), count))
     writer.start()
-    taken, last = [0, 0], [-1.0, -1.0]
+    row_counts, last = [0, 0], [-1.0, -1.0]
     while any(place.next[0] < count for place in places):
         for i, place in enumerate(places):
             n = read_rows(broadcast, place, out)
@@ -361,9 +361,9 @@ def test_readers_of_a_broadcast_get_no_torn_row_and_count_losses():
             assert (rows == rows[:, :1]).all()
             assert (np.diff(rows[:, 0], prepend=last[i]) > 0.0).all()
             last[i] = rows[-1, 0] if n else last[i]
-            taken[i] += n
+            row_counts[i] += n
     writer.join()
-    assert [taken[i] + int(place.lost[0]) for i, place in enumerate(places)] == [count, count]
+    assert [row_counts[i] + int(place.lost[0]) for i, place in enumerate(places)] == [count, count]
     assert all(place.lost[0] > 0 for place in places)  # the writer did overtake the readers
 
 

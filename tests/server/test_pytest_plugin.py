@@ -42,7 +42,7 @@ def test_is_not_commanded(softfinger_daemon):
 """
 
 
-def pytest_in(folder: Path) -> subprocess.CompletedProcess[str]:
+def run_pytest(folder: Path) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rA", str(folder)]
     with TemporaryDirectory(prefix="with spaces ") as runtime:  # commands use a socket in it
         environment = os.environ | {"XDG_RUNTIME_DIR": runtime}
@@ -51,25 +51,25 @@ def pytest_in(folder: Path) -> subprocess.CompletedProcess[str]:
 
 def test_the_plugin_imports_no_large_modules() -> None:
     """Every pytest in the environment loads the plugin, so it imports neither a compiler nor NumPy."""
-    done = run_program([sys.executable, "-c", LIGHT])
-    assert done.returncode == 0, done.stderr
+    completed = run_program([sys.executable, "-c", LIGHT])
+    assert completed.returncode == 0, completed.stderr
 
 
 @pytest.mark.exhaustive  # four daemons; `make test` has the fixture's passes and failures below
 def test_the_example_project_passes(tmp_path: Path) -> None:
     project = tmp_path / "project"
     shutil.copytree(EXAMPLE, project, ignore=shutil.ignore_patterns("__pycache__"))
-    done = pytest_in(project)
-    assert done.returncode == 0, done.stdout
-    assert "4 passed" in done.stdout
+    completed = run_pytest(project)
+    assert completed.returncode == 0, completed.stdout
+    assert "4 passed" in completed.stdout
 
 
 def test_a_failed_daemon_fails_the_test_with_its_log(tmp_path: Path) -> None:
     (tmp_path / "test_bad.py").write_text(DIES)
-    done = pytest_in(tmp_path)
-    assert done.returncode == 1
-    assert "ended with exit code 3" in done.stdout and "'no-such-recording' is neither a file" in done.stdout
-    assert "ERROR test_bad.py::test_is_killed - Failed: the daemon ended with exit code -9" in done.stdout
-    assert "FAILED test_bad.py::test_asserts" in done.stdout
-    assert "PASSED test_bad.py::test_is_not_commanded" in done.stdout
-    assert "softfinger's log" in done.stdout and "INFO scene frictionless-plane" in done.stdout
+    completed = run_pytest(tmp_path)
+    assert completed.returncode == 1
+    assert "ended with exit code 3" in completed.stdout and "'no-such-recording' is neither a file" in completed.stdout
+    assert "ERROR test_bad.py::test_is_killed - Failed: the daemon ended with exit code -9" in completed.stdout
+    assert "FAILED test_bad.py::test_asserts" in completed.stdout
+    assert "PASSED test_bad.py::test_is_not_commanded" in completed.stdout
+    assert "softfinger's log" in completed.stdout and "INFO scene frictionless-plane" in completed.stdout

@@ -15,7 +15,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.scene import build_scene
 from softfinger.server.driver_contract import run_for
 from softfinger.server.loop.inputs import ramp
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 
 TICKS = 100
@@ -25,15 +25,15 @@ MATERIAL = "object.table.material"
 ROUNDING = 1e-9  # of forces around 1 N that change by 5 mN per tick
 
 
-def scene(**changes):
+def make_scene(**changes):
     return load_scene("paper-plane", {f"{MATERIAL}.{key}": value for key, value in changes.items()})
 
 
-def way_from(tree, ticks=TICKS):
+def start_ramp(tree, ticks=TICKS):
     return ramp.make_ramp(tree, ticks)
 
 
-def gone(ramp_state, tree, ticks):
+def advance(ramp_state, tree, ticks):
     for _ in range(ticks):
         if ramp_state.ticks_left[0] > 0:
             ramp.advance(ramp_state)
@@ -42,40 +42,40 @@ def gone(ramp_state, tree, ticks):
 
 @pytest.mark.plain
 def test_all_values_that_affect_the_force_are_ramped_together():
-    old = build_scene(scene())
-    new = build_scene(scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
-    ramp_state = way_from(old)
+    old = build_scene(make_scene())
+    new = build_scene(make_scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
+    ramp_state = start_ramp(old)
     ramp.set_target(ramp_state, flatten(new))
-    half = gone(ramp_state, old, TICKS // 2)
+    half = advance(ramp_state, old, TICKS // 2)
     np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
     assert half.objects.body.material.friction.kinetic < half.objects.body.material.friction.static
-    assert flatten(gone(ramp_state, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
+    assert flatten(advance(ramp_state, old, TICKS // 2)).tobytes() == flatten(new).tobytes()
     assert ramp_state.ticks_left[0] == -1
 
 
 @pytest.mark.plain
 def test_positions_and_limits_change_immediately():
     guard = load_rig("replay").guard
-    old = make_tuning(scene(), guard)
-    softer = old._replace(scene=build_scene(scene(stiffness_n_per_m=500.0)))
-    ramp_state = way_from(old)
+    old = make_tuning(make_scene(), guard)
+    softer = old._replace(scene=build_scene(make_scene(stiffness_n_per_m=500.0)))
+    ramp_state = start_ramp(old)
     ramp.set_target(ramp_state, flatten(softer))
-    assert gone(ramp_state, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
+    assert advance(ramp_state, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
     table = softer.scene.objects.body
     lifted = softer.scene._replace(objects=model.Single(table._replace(shape=table.shape._replace(offset=0.001))))
     weak = softer._replace(guards=(old.guards[0]._replace(force_max=0.0),), scene=lifted)
     ramp.set_target(ramp_state, flatten(weak))
-    now = gone(ramp_state, old, 1)
+    now = advance(ramp_state, old, 1)
     assert now.guards[0].force_max == 0.0 and now.scene.objects.body.shape.offset == 0.001
     assert now.scene.objects.body.material.normal.stiffness == pytest.approx(695.0, rel=1e-12)
-    assert gone(ramp_state, old, 39) == weak
+    assert advance(ramp_state, old, 39) == weak
 
 
 @pytest.mark.plain
 def test_an_array_changes_immediately():
     """Laws of other packages refer to arrays by address, which cannot be interpolated."""
     old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
-    ramp_state = way_from(old)
+    ramp_state = start_ramp(old)
     ramp.set_target(ramp_state, flatten(new))
     ramp.advance(ramp_state)
     assert ramp_state.now.tobytes() == flatten(new).tobytes()
@@ -88,15 +88,15 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
     ]
     old, new = (model.Object(None, None, None, material, 0.0) for material in ends)
-    ramp_state = way_from(old)
+    ramp_state = start_ramp(old)
     ramp.set_target(ramp_state, flatten(new))
     for _ in range(TICKS):
-        law = gone(ramp_state, old, 1).material.normal
+        law = advance(ramp_state, old, 1).material.normal
         assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # one power per tick
 
 
 @entry
-def stiffness_of(like, values, index):
+def read_stiffness(like, values, index):
     body = object_at(unpack(like, values).objects, index)
     return body.material.normal.stiffness, body.material.friction.static
 
@@ -110,13 +110,13 @@ def test_many_objects_are_ramped():
         return build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": tables}, "here"))
 
     old, new = tiles(1000.0), tiles(500.0)
-    ramp_state = way_from(old)
+    ramp_state = start_ramp(old)
     ramp.set_now(ramp_state, ramp.flatten_tuning(old))
     ramp.set_target(ramp_state, ramp.flatten_tuning(new))
     for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
         for _ in range(ticks):
             ramp.advance(ramp_state)
-        stiffness, friction = np.transpose([stiffness_of(old, ramp_state.now, float(k)) for k in range(9)])
+        stiffness, friction = np.transpose([read_stiffness(old, ramp_state.now, float(k)) for k in range(9)])
         assert stiffness == pytest.approx([*[1000.0] * 3, expected, *[1000.0] * 5], rel=1e-12)  # fifty additions
         assert friction == pytest.approx(8e-4 * stiffness, rel=1e-12)
     assert old.objects.entries[3].normal.stiffness == 1000.0 and ramp_state.ticks_left[0] == -1
@@ -124,17 +124,17 @@ def test_many_objects_are_ramped():
 
 @pytest.mark.plain
 def test_a_ramp_without_ticks_is_immediate():
-    old, new = (build_scene(scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
-    ramp_state = way_from(old, 0)
+    old, new = (build_scene(make_scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
+    ramp_state = start_ramp(old, 0)
     ramp.set_target(ramp_state, flatten(new))
-    assert gone(ramp_state, old, 1) == new
+    assert advance(ramp_state, old, 1) == new
 
 
 @pytest.mark.real_time
 def test_a_stiffness_change_in_contact_is_no_step_of_the_force():
     guard = load_rig("replay", {"guard.ramp_s": 0.01}).guard
-    tunings = {k: make_tuning(scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
-    servo = Servo([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)
+    tunings = {k: make_tuning(make_scene(stiffness_n_per_m=k), guard) for k in (1000.0, 500.0, 2000.0)}
+    servo = ServoThread([FaultyDevice(Options(own_clock=True))], tunings[1000.0], 1000.0, ramp_s=0.1)
     servo.compile()
     servo.start()
     run_for(servo, 200)
@@ -148,8 +148,8 @@ def test_a_stiffness_change_in_contact_is_no_step_of_the_force():
     out = np.empty((16384, RECORD_SIZE))
     records = out[: servo.records.take(out)]
     servo.close()
-    normal, felt = records[:, AT.contact_normal_force], records[:, AT.force + 2]
-    assert (normal[50:] == felt[50:]).all()
+    normal, device_force = records[:, AT.contact_normal_force], records[:, AT.force + 2]
+    assert (normal[50:] == device_force[50:]).all()
     assert normal[199] == 1000.0 * DEPTH_M and normal[changed[1] - 1] == 500.0 * DEPTH_M
     assert normal[-1] == pytest.approx(1000.0 * DEPTH_M, rel=1e-15)  # again a product of two numbers
     halved, raised = slice(199, changed[1]), slice(changed[1] - 1, changed[2])

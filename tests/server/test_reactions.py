@@ -49,7 +49,7 @@ MATERIAL = {
 RISE = 0.05
 
 
-def smooth(ticks: NDArray[np.int64], first: int, length: int) -> NDArray[np.float64]:
+def make_transition(ticks: NDArray[np.int64], first: int, length: int) -> NDArray[np.float64]:
     """Return a transition from 0 to 1 with continuous acceleration."""
     u = np.clip((ticks - first) / length, 0.0, 1.0)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
@@ -60,10 +60,10 @@ def test_lowering_a_box_and_a_closed_cycle_generate_no_contact_energy(tmp_path: 
     scene = load_scene(SCENE | {"world": {"model": str(tmp_path / "box.xml"), "material": MATERIAL}})
     ticks = np.arange(1200)
     poses = np.zeros((len(ticks), 2, 7))
-    depth = PRESS / STIFFNESS * (smooth(ticks, 0, 100) - smooth(ticks, 1000, 100))
+    depth = PRESS / STIFFNESS * (make_transition(ticks, 0, 100) - make_transition(ticks, 1000, 100))
     for finger, side in enumerate((-1.0, 1.0)):
         poses[:, finger, 0], poses[:, finger, 3] = side * (HALF + R + 1e-3 - depth * (1.0 + 1e-3 / depth.max())), 1.0
-        poses[:, finger, 2] = HALF + RISE * (smooth(ticks, 200, 300) - smooth(ticks, 600, 300))
+        poses[:, finger, 2] = HALF + RISE * (make_transition(ticks, 200, 300) - make_transition(ticks, 600, 300))
     records = simulate(make_tuning(scene, load_rig("replay", {"guard.ramp_s": 0.01}).guard), poses, 1000.0)
     observed, force = records[:, :, AT.passivity_energy], records[:, :, AT.force : AT.force + 3]
     by_hands = -np.einsum("tfi,tfi->tf", force[:-1], np.diff(poses[:, :, :3], axis=0)).cumsum(axis=0)

@@ -108,7 +108,7 @@ print(json.dumps(told))
 UNPRIVILEGED = {"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 65536}
 
 
-def child(
+def run_child(
     mode: str = "auto",
     priority: int = 80,
     cpu: int | None = None,
@@ -118,7 +118,7 @@ def child(
 ) -> dict[str, Any]:
     """Return the settings' effect in a new process with `limits`, without root if `drop`, but what to `keep`."""
     wish = {"mode": mode, "priority": priority, "cpu": cpu, "limits": limits or {}}
-    wish |= {"drop": drop, "root": capable(SETUID), "keep": keep}
+    wish |= {"drop": drop, "root": has_capabilities(SETUID), "keep": keep}
     process = run_program([sys.executable, "-c", CHILD, json.dumps(wish)])
     assert process.returncode == 0, process.stderr
     report: dict[str, Any] = json.loads(process.stdout)
@@ -126,7 +126,7 @@ def child(
     return report
 
 
-def capable(*bits: int) -> bool:
+def has_capabilities(*bits: int) -> bool:
     """Return True if this process has these capabilities."""
     if sys.platform != "linux":
         return False
@@ -137,15 +137,16 @@ def capable(*bits: int) -> bool:
 
 SETUID, IPC_LOCK, SYS_NICE, SYS_RESOURCE = 7, 14, 23, 24
 privileged = pytest.mark.skipif(
-    not capable(SETUID, IPC_LOCK, SYS_NICE), reason="needs root with SETUID, SYS_NICE and IPC_LOCK"
+    not has_capabilities(SETUID, IPC_LOCK, SYS_NICE), reason="needs root with SETUID, SYS_NICE and IPC_LOCK"
 )
 raises_limits = pytest.mark.skipif(
-    not capable(SETUID, SYS_RESOURCE), reason="needs root with SYS_RESOURCE and SETUID, to give a user higher limits"
+    not has_capabilities(SETUID, SYS_RESOURCE),
+    reason="needs root with SYS_RESOURCE and SETUID, to give a user higher limits",
 )
 
 
 def test_off_changes_nothing() -> None:
-    report = child("off", cpu=0)
+    report = run_child("off", cpu=0)
     assert [s["name"] for s in report["settings"]] == ["off"]
     assert report["by_name"]["off"]["ok"]
     assert report["during"] == report["before"]
@@ -154,7 +155,7 @@ def test_off_changes_nothing() -> None:
 @privileged
 def test_everything_is_granted_to_root() -> None:
     cpu = max(os.sched_getaffinity(0))
-    report = child(priority=71, cpu=cpu)
+    report = run_child(priority=71, cpu=cpu)
     refused = {s["name"] for s in report["settings"] if not s["ok"]}
     assert refused == (set() if report["latency_device"] else {"cpu_dma_latency"})
     assert [s["name"] for s in report["settings"]] == [
@@ -173,7 +174,7 @@ def test_everything_is_granted_to_root() -> None:
 @privileged
 @pytest.mark.parametrize("drop", [False, True])
 def test_undo_restores_everything(drop: bool) -> None:
-    report = child(cpu=max(os.sched_getaffinity(0)), drop=drop, keep=(SYS_NICE, IPC_LOCK))
+    report = run_child(cpu=max(os.sched_getaffinity(0)), drop=drop, keep=(SYS_NICE, IPC_LOCK))
     assert report["by_name"]["sched_fifo"]["ok"]
     assert report["during"] != report["before"]
     assert report["after"] == report["before"]
@@ -181,7 +182,7 @@ def test_undo_restores_everything(drop: bool) -> None:
 
 @privileged
 def test_memory_of_a_tick_is_loaded_and_the_rest_locked_on_touch() -> None:
-    report, free = child(), child("off")
+    report, free = run_child(), run_child("off")
     # 2 MB are 512 pages, fewer with huge pages, hence the comparison with an unlocked child.
     assert report["early_faults"] == 0 < free["early_faults"]
     assert report["stack_faults"] == 0 < free["stack_faults"]
@@ -239,7 +240,7 @@ def test_a_mapped_file_may_have_any_name(tmp_path: Path) -> None:
 @raises_limits
 def test_under_a_finite_limit_later_pages_are_not_locked() -> None:
     """Without privilege later pages are not locked, because they could not be mapped."""
-    report = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 30})
+    report = run_child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 8 << 30})
     assert report["by_name"]["mlockall"]["ok"]
     assert "later is not" in report["by_name"]["mlockall"]["detail"]
     assert report["early_faults"] == 0
@@ -249,17 +250,17 @@ def test_under_a_finite_limit_later_pages_are_not_locked() -> None:
 @raises_limits
 def test_limits_grant_without_root() -> None:
     limits = {"RLIMIT_RTPRIO": 50, "RLIMIT_MEMLOCK": -1}
-    granted = child(priority=50, drop=True, limits=limits)
+    granted = run_child(priority=50, drop=True, limits=limits)
     assert granted["by_name"]["sched_fifo"]["ok"]
     assert (granted["during"]["policy"], granted["during"]["priority"]) == (os.SCHED_FIFO, 50)
     assert granted["late_locked"] == 64 * 1024
-    refused = child(priority=80, drop=True, limits=limits)["by_name"]["sched_fifo"]
+    refused = run_child(priority=80, drop=True, limits=limits)["by_name"]["sched_fifo"]
     assert not refused["ok"]
     assert "priority is 50" in refused["advice"]
 
 
 def test_refusals_have_reason_and_remedy() -> None:
-    report = child(drop=True, limits=UNPRIVILEGED)
+    report = run_child(drop=True, limits=UNPRIVILEGED)
     by_name = report["by_name"]
     fifo, memory = by_name["sched_fifo"], by_name["mlockall"]
     assert (fifo["ok"], memory["ok"]) == (False, False)
@@ -282,13 +283,13 @@ def test_refusals_have_reason_and_remedy() -> None:
 
 
 def test_a_limit_of_zero_is_reported_as_not_permitted() -> None:
-    memory = child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 0})["by_name"]["mlockall"]
+    memory = run_child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 0})["by_name"]["mlockall"]
     assert not memory["ok"]
     assert "EPERM" in memory["detail"]
 
 
 def test_require_refuses_to_start_and_restores_everything() -> None:
-    report = child("require", cpu=1023, drop=True, limits=UNPRIVILEGED)
+    report = run_child("require", cpu=1023, drop=True, limits=UNPRIVILEGED)
     for name in REQUIRED:
         assert f"\n  {name}: " in report["error"]
     assert "--realtime auto" in report["error"]
@@ -299,14 +300,14 @@ def test_require_refuses_to_start_and_restores_everything() -> None:
 
 @privileged
 def test_require_starts_without_optional_settings() -> None:
-    report = child("require", drop=True, keep=(SYS_NICE, IPC_LOCK))
+    report = run_child("require", drop=True, keep=(SYS_NICE, IPC_LOCK))
     assert "error" not in report
     assert [s["name"] for s in report["settings"] if s["ok"] and s["name"] in REQUIRED] == ["sched_fifo", "mlockall"]
     assert report["by_name"]["cpu_dma_latency"]["ok"] == report["latency_device"]
 
 
 def test_a_missing_processor_is_refused() -> None:
-    setting = child(cpu=1023)["by_name"]["affinity"]
+    setting = run_child(cpu=1023)["by_name"]["affinity"]
     assert not setting["ok"]
     assert "1023" in setting["detail"]
     assert str(min(os.sched_getaffinity(0))) in setting["advice"]

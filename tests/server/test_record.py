@@ -34,12 +34,12 @@ __all__ = ["stub", "stub_library"]  # fixtures
 RATE_HZ = 1000.0
 
 
-def follow(daemon: Daemon, path: Path) -> RecordingStats:
-    done: list[RecordingStats] = []
+def record_run(daemon: Daemon, path: Path) -> RecordingStats:
+    stats: list[RecordingStats] = []
 
     def take() -> None:
         with subscribe(daemon.publisher.endpoint, ("contact", "event")) as wire:
-            done.append(record(wire, {"": path}, timeout_s=60.0)[""])
+            stats.append(record(wire, {"": path}, timeout_s=60.0)[""])
 
     thread = threading.Thread(target=take)
     thread.start()
@@ -47,34 +47,34 @@ def follow(daemon: Daemon, path: Path) -> RecordingStats:
     daemon.wait(60.0)
     daemon.close()
     thread.join(30.0)
-    return done[0]
+    return stats[0]
 
 
-def recorded_daemon(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStats, np.ndarray]:
+def record_replay(path: Path, rate_hz: float = RATE_HZ) -> tuple[RecordingStats, np.ndarray]:
     changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off", "servo.rate_hz": rate_hz}
     changes |= {"device.recording": "tap", "device.loop": False}
     with Daemon(load_rig("replay", changes), load_scene("paper-plane")) as daemon:
-        return follow(daemon, path), daemon.devices[0].samples
+        return record_run(daemon, path), daemon.devices[0].samples
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("rate_hz", [1000.0, 700.0])
 def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) -> None:
     file = tmp_path / "again.csv"
-    totals, played = recorded_daemon(file, rate_hz)
+    totals, played = record_replay(file, rate_hz)
     assert totals.end_reason == "the server stopped"
     assert totals.lost == 0
     assert totals.poses > len(played) - 500, "the recorder was too late for most of it"
-    again = Replay(Options(recording=str(file), loop=False), rate_hz).samples
-    assert len(again) == totals.poses
+    samples = Replay(Options(recording=str(file), loop=False), rate_hz).samples
+    assert len(samples) == totals.poses
     # after the end of the recording its last sample is read again
     expected = played[np.minimum(np.arange(totals.first_tick, totals.last_tick + 1), len(played) - 1)]
-    assert again.tobytes() == expected.tobytes()
+    assert samples.tobytes() == expected.tobytes()
 
 
 def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
     file = tmp_path / "again.mcap"
-    totals, played = recorded_daemon(file)
+    totals, played = record_replay(file)
     records = read_results(file)
     assert len(records) == totals.poses
     np.testing.assert_array_equal(records[:, AT.tick], np.arange(totals.first_tick, totals.last_tick + 1))
@@ -92,20 +92,20 @@ def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path
         Daemon(fd_rig(stub), load_scene("paper-plane"), 1500) as daemon,
         subscribe(daemon.publisher.endpoint, ("contact",)) as wire,
     ):
-        totals = follow(daemon, file)
+        totals = record_run(daemon, file)
         sensed = np.array([record_of(sample) for sample in iter(lambda: wire.receive(0.5), None)])
     assert totals.lost == 0 and totals.poses > 1000
     sensed = sensed[(sensed[:, AT.tick] >= totals.first_tick) & (sensed[:, AT.tick] <= totals.last_tick)]
-    again = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
+    samples = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
     # The time step of a pose includes deadlines missed before it.
     periods = np.rint(sensed[:, AT.dt] * RATE_HZ).astype(int)
-    at = np.cumsum(periods) - periods[0] + len(again) - 1 - (np.sum(periods) - periods[0])
+    at = np.cumsum(periods) - periods[0] + len(samples) - 1 - (np.sum(periods) - periods[0])
     pose = slice(AT.probe_position, AT.probe_position + 7)
     assert len(sensed) > 1000 and np.ptp(sensed[:, AT.probe_position]) > 0.005
-    assert again[at].tobytes() == np.ascontiguousarray(sensed[:, pose]).tobytes()
+    assert samples[at].tobytes() == np.ascontiguousarray(sensed[:, pose]).tobytes()
 
 
-def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[RecordingStats, Path]:
+def record_rows(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[RecordingStats, Path]:
     file = tmp_path / "poses.csv"
     with (
         Publisher("tcp://127.0.0.1:*", every=every) as publisher,
@@ -117,7 +117,7 @@ def published(tmp_path: Path, records: np.ndarray, every: int = 1, **options: An
         return record(wire, {"": file}, **options)[""], file
 
 
-def moving(count: int) -> np.ndarray:
+def make_moving(count: int) -> np.ndarray:
     records = synthetic(count)
     put(records, "dt", 0.001)
     put(records, "probe.orientation", (1.0, 0.0, 0.0, 0.0))
@@ -126,7 +126,7 @@ def moving(count: int) -> np.ndarray:
 
 
 def test_gaps_are_reported_and_keep_their_time(tmp_path: Path) -> None:
-    totals, file = published(tmp_path, np.delete(moving(400), [50, 51, 52, 300], axis=0))
+    totals, file = record_rows(tmp_path, np.delete(make_moving(400), [50, 51, 52, 300], axis=0))
     assert (totals.poses, totals.lost, totals.gap_count, totals.worst) == (396, 4, 2, (49, 3))
     assert "4 ticks in 2 gaps did not arrive, the longest 3 after tick 49" in totals.gaps()
     poses = load_poses(file)
@@ -134,10 +134,10 @@ def test_gaps_are_reported_and_keep_their_time(tmp_path: Path) -> None:
 
 
 def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
-    records = moving(250)
+    records = make_moving(250)
     put(records[100:101], "dt", 0.003)
     put(records[0:1], "dt", 0.002)  # late when the recording starts: not the period
-    _, file = published(tmp_path, records)
+    _, file = record_rows(tmp_path, records)
     t = load_poses(file).t
     steps = np.diff(t)
     assert steps[99] == pytest.approx(0.003, abs=1e-12)  # rounding of differences of times below 1 s
@@ -145,28 +145,28 @@ def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
 
 
 def test_one_tick_in_five_is_no_gap(tmp_path: Path) -> None:
-    totals, file = published(tmp_path, moving(501), every=5)
+    totals, file = record_rows(tmp_path, make_moving(501), every=5)
     assert (totals.poses, totals.lost, totals.every) == (101, 0, 5)
     np.testing.assert_allclose(load_poses(file).t, np.arange(101) * 0.005, atol=1e-12)
 
 
 def test_duration_ends_the_recording(tmp_path: Path) -> None:
-    totals, file = published(tmp_path, moving(400), duration_s=0.3)
+    totals, file = record_rows(tmp_path, make_moving(400), duration_s=0.3)
     assert totals.end_reason == "0.3 s are over"
     assert len(load_poses(file).t) == 300
 
 
 def test_a_server_that_starts_again_ends_the_recording(tmp_path: Path) -> None:
     """Decreasing tick numbers belong to another run, so the file ends before them."""
-    totals, file = published(tmp_path, np.vstack([moving(100), moving(50)]))
+    totals, file = record_rows(tmp_path, np.vstack([make_moving(100), make_moving(50)]))
     assert totals.end_reason == "the server started again"
     assert len(load_poses(file).t) == 100
 
 
 def test_an_invalid_pose_is_left_out(tmp_path: Path) -> None:
-    records = moving(100)
+    records = make_moving(100)
     put(records[30:31], "probe.position", np.nan)
-    totals, file = published(tmp_path, records)
+    totals, file = record_rows(tmp_path, records)
     assert (totals.poses, totals.unusable) == (99, 1)
     assert "1 left out" in str(totals)
     assert len(load_poses(file).t) == 99
@@ -174,18 +174,18 @@ def test_an_invalid_pose_is_left_out(tmp_path: Path) -> None:
 
 def test_bad_files_and_a_missing_server_raise_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match=r"poses\.txt: poses are recorded as \.csv or \.mcap"):
-        cli_record(tmp_path / "poses.txt")
+        record_by_cli(tmp_path / "poses.txt")
     with pytest.raises(RecordingError, match=r"no/poses\.csv: cannot be written: No such file"):
-        cli_record(tmp_path / "no" / "poses.csv")
+        record_by_cli(tmp_path / "no" / "poses.csv")
     with subscribe("tcp://127.0.0.1:9") as wire, pytest.raises(NoTelemetry, match="softfinger run"):
         record(wire, {"": tmp_path / "poses.csv"}, timeout_s=0.2)
     assert not (tmp_path / "poses.csv").exists(), "no empty file is left behind"
 
 
-def cli_record(path: Path) -> None:
+def record_by_cli(path: Path) -> None:
     with Publisher("tcp://127.0.0.1:*") as publisher, subscribe(publisher.endpoint, ("contact", "event")) as wire:
         join(publisher, wire._socket)
-        publisher.publish(moving(10))
+        publisher.publish(make_moving(10))
         record(wire, {"": path})
 
 
@@ -195,7 +195,7 @@ def test_the_verb_reports_ticks_time_and_losses(tmp_path: Path, caplog: pytest.L
     with Publisher("tcp://127.0.0.1:*") as publisher:
 
         def send() -> None:
-            records = moving(20_000)
+            records = make_moving(20_000)
             for first in range(0, 20_000, 100):
                 publisher.publish(records[first : first + 100])
                 if stop.wait(0.01):
@@ -219,4 +219,4 @@ def test_a_stream_without_a_period_is_refused(dt: float, tmp_path: Path) -> None
     records = synthetic(300)
     put(records, "dt", dt)
     with pytest.raises(ProtocolError, match=r"tick \d+ has dt = "):
-        published(tmp_path, records)
+        record_rows(tmp_path, records)

@@ -37,7 +37,7 @@ torsion = {{ stiffness_nm_per_rad = 0.05, friction_length_m = 0.004 }}
 
 
 @pytest.fixture(scope="module")
-def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
+def scan_records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     folder = tmp_path_factory.mktemp("scan")
     vertices, triangles = meshes.bumpy_sphere(64, BALL, height=BUMPS, waves=80.0)
     up = np.array([0.6, 0.48, 0.64])  # where the bumps are high: they are 0 on the axes
@@ -53,38 +53,38 @@ def visited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Array]:
     (folder / "scan.toml").write_text(SCENE)
     words = ["simulate", "--scene", "scan.toml", "--poses", "hand.csv", "--out", "out.npz"]
     command = [sys.executable, "-m", "softfinger.server.cli", *words]
-    done = run_program(command, cwd=folder, timeout=550)
-    assert done.returncode == 0, done.stderr
-    with np.load(folder / "out.npz") as found:
-        return dict(found)
+    completed = run_program(command, cwd=folder, timeout=550)
+    assert completed.returncode == 0, completed.stderr
+    with np.load(folder / "out.npz") as results:
+        return dict(results)
 
 
-def step(values: Array) -> Array:
+def compute_steps(values: Array) -> Array:
     return np.linalg.norm(np.diff(values, axis=0), axis=1)
 
 
-def tangential(visited: dict[str, Array]) -> Array:
-    total = np.zeros_like(visited["force"])
+def compute_tangential(scan_records: dict[str, Array]) -> Array:
+    total = np.zeros_like(scan_records["force"])
     for patch in range(3):
-        force, normal = visited[f"contacts{patch}.force"], visited[f"contacts{patch}.normal"]
+        force, normal = scan_records[f"contacts{patch}.force"], scan_records[f"contacts{patch}.normal"]
         total += force - np.einsum("ij,ij->i", force, normal)[:, None] * normal
     return total
 
 
-def test_the_recording_covers_all_kinds_of_contact(visited: dict[str, Array]) -> None:
-    depth = np.linalg.norm(visited["proxy.position"] - visited["probe.position"], axis=1)
+def test_the_recording_covers_all_kinds_of_contact(scan_records: dict[str, Array]) -> None:
+    depth = np.linalg.norm(scan_records["proxy.position"] - scan_records["probe.position"], axis=1)
     assert 2e-3 < depth.max() < 6e-3
-    assert set(visited["contact.mode"].astype(int)) == {0, 1, 2}
-    assert (visited["contacts2.object"] >= 0).sum() > 100
-    assert len(np.unique(visited["contact.normal"].round(6), axis=0)) > 1000
+    assert set(scan_records["contact.mode"].astype(int)) == {0, 1, 2}
+    assert (scan_records["contacts2.object"] >= 0).sum() > 100
+    assert len(np.unique(scan_records["contact.normal"].round(6), axis=0)) > 1000
 
 
-def test_all_is_finite_and_no_search_was_truncated(visited: dict[str, Array]) -> None:
-    assert all(np.isfinite(values).all() for values in visited.values())
-    assert not visited["contact.budget"].any()
+def test_all_is_finite_and_no_search_was_truncated(scan_records: dict[str, Array]) -> None:
+    assert all(np.isfinite(values).all() for values in scan_records.values())
+    assert not scan_records["contact.budget"].any()
 
 
-def test_force_steps_are_explained_by_depth_and_slip(visited: dict[str, Array]) -> None:
+def test_force_steps_are_explained_by_depth_and_slip(scan_records: dict[str, Array]) -> None:
     """The change of the force per tick is bounded by the motion.
 
     The pressing force is K times the distance from the probe to the frictionless proxy. That proxy is not recorded, but
@@ -92,12 +92,12 @@ def test_force_steps_are_explained_by_depth_and_slip(visited: dict[str, Array]) 
     friction. The friction spring is loaded by the same displacements and by r d(theta) of rolling, and changes by depth
     times the rotation of the normal. When sticking ends, friction falls from the static to the kinetic cone.
     """
-    probe, proxy = step(visited["probe.position"]), step(visited["proxy.position"])
-    rolled = 2.0 * R * step(visited["probe.orientation"])  # a quaternion changes by half the angle
-    farther = visited["contact.normal_force"][:-1] * step(visited["contact.normal"])
-    let_go = (visited["contact.cause"][:-1] != 0.0) & (visited["contact.mode"][:-1] == SLIDING)
-    falls = (FRICTION["static"] - FRICTION["kinetic"]) * visited["contact.normal_force"][:-1] * let_go
-    friction = step(tangential(visited))
-    assert step(visited["force"]).max() > 0.1  # a slip starts, so there are large steps
-    assert (step(visited["force"]) <= STIFFNESS * (probe + proxy) + friction + ROUNDING).all()
+    probe, proxy = compute_steps(scan_records["probe.position"]), compute_steps(scan_records["proxy.position"])
+    rolled = 2.0 * R * compute_steps(scan_records["probe.orientation"])  # a quaternion changes by half the angle
+    farther = scan_records["contact.normal_force"][:-1] * compute_steps(scan_records["contact.normal"])
+    let_go = (scan_records["contact.cause"][:-1] != 0.0) & (scan_records["contact.mode"][:-1] == SLIDING)
+    falls = (FRICTION["static"] - FRICTION["kinetic"]) * scan_records["contact.normal_force"][:-1] * let_go
+    friction = compute_steps(compute_tangential(scan_records))
+    assert compute_steps(scan_records["force"]).max() > 0.1  # a slip starts, so there are large steps
+    assert (compute_steps(scan_records["force"]) <= STIFFNESS * (probe + proxy) + friction + ROUNDING).all()
     assert (friction <= STIFFNESS * (probe + proxy + rolled) + farther + falls + ROUNDING).all()

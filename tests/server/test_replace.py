@@ -34,7 +34,7 @@ WAIT_S = 120.0
 """Generous limit: a compilation on a busy machine."""
 
 
-class Kept:
+class RecordSink:
     def __init__(self) -> None:
         self.rows: list[np.ndarray] = []
         self.sink = Sink("kept", self._take)
@@ -51,7 +51,7 @@ class Kept:
         return bool(self.rows) and float(np.linalg.norm(self.rows[-1][-1, 3:])) > 0.2
 
 
-def scenes():
+def load_scenes():
     return load_scene("paper-plane"), load_scene("frictionless-plane")
 
 
@@ -66,7 +66,7 @@ def started(rig, scene, *sinks):
         assert running.wait(WAIT_S)
 
 
-def left_open() -> tuple[int, int]:
+def count_resources() -> tuple[int, int]:
     return threading.active_count(), len(os.listdir("/proc/self/fd"))
 
 
@@ -74,7 +74,7 @@ def left_open() -> tuple[int, int]:
 def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
     # At a low slew limit a force close to its largest takes MAX_OFF_S to fade, six ticks.
     low = {"guard.force_max_n": 0.4, "guard.force_slew_n_per_s": 20.0}
-    rig, recorder, (first, second) = load_rig(rig_name, QUIET | low), Kept(), scenes()
+    rig, recorder, (first, second) = load_rig(rig_name, QUIET | low), RecordSink(), load_scenes()
     begun, missed, loops, open_before = [], [], [], None
     with Daemon(rig, first, sinks=[recorder.sink]) as running:
         running.start()
@@ -84,10 +84,10 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
             begun.append(running.rendering.replace(first if time_number % 2 else second))
             missed.append(running.servo.missed_before)
             if time_number == 1:  # both are compiled
-                open_before = left_open()
+                open_before = count_resources()
             assert eventually(lambda: running.servo.ticks > begun[-1] + 5)
         # Fewer are fine too: a file of cached kernels may have been open during the first count.
-        assert all(now <= before for now, before in zip(left_open(), open_before, strict=True))
+        assert all(now <= before for now, before in zip(count_resources(), open_before, strict=True))
         assert not running.wait(0.0)  # it continues
         assert len(running.servo.records._rings) == 1
         gc.collect()
@@ -111,7 +111,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
 
 def test_a_new_rig_cannot_exceed_the_force_of_the_device():
     most, device = 0.3, {"device.force_max_n": 0.3}
-    recorder, rig = Kept(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
+    recorder, rig = RecordSink(), load_rig("simulated", {**QUIET, **device, "guard.force_max_n": 0.2})
     with Daemon(rig, load_scene("paper-plane"), sinks=[recorder.sink]) as running:
         running.start()
         assert eventually(lambda: bool(recorder.rows) and np.linalg.norm(recorder.rows[-1][-1, 3:]) > 0.19)
@@ -127,7 +127,7 @@ def test_a_new_rig_cannot_exceed_the_force_of_the_device():
 
 
 def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
-    rig, recorder = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), Kept()
+    rig, recorder = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), RecordSink()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})
     with started(rig, load_scene("frictionless-plane"), recorder.sink) as running:
         assert eventually(recorder.pressed)
@@ -140,7 +140,7 @@ def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
 
 
 def test_subscribers_stay_connected_and_get_an_event():
-    rig, (first, second) = load_rig("replay", QUIET), scenes()
+    rig, (first, second) = load_rig("replay", QUIET), load_scenes()
     with Daemon(rig, first) as running, zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.linger, socket.rcvhwm, socket.rcvtimeo = 0, 0, 60_000
         socket.subscribe("contact")
@@ -150,21 +150,21 @@ def test_subscribers_stay_connected_and_get_an_event():
         running.start()
         assert eventually(lambda: running.servo.ticks > 50)
         running.replace(second)
-        ticks, told = [], None
-        while told is None or ticks[-1] < told["first"] + 50:
+        ticks, replaced = [], None
+        while replaced is None or ticks[-1] < replaced["first"] + 50:
             topic, body = socket.recv_multipart()
             message = msgpack.unpackb(body)
             if topic == b"contact":
                 ticks.append(message["tick"])
             elif message["name"] == "replaced":
-                told = message
+                replaced = message
     assert ticks == list(range(len(ticks)))
-    assert (told["kind"], told["device"]) == ("lifecycle", running.devices[0].info.name)
-    assert 50 < told["first"] <= ticks[-1]
+    assert (replaced["kind"], replaced["device"]) == ("lifecycle", running.devices[0].info.name)
+    assert 50 < replaced["first"] <= ticks[-1]
 
 
 def test_what_cannot_be_built_changes_nothing(monkeypatch):
-    rig, recorder, (first, second) = load_rig("replay", QUIET), Kept(), scenes()
+    rig, recorder, (first, second) = load_rig("replay", QUIET), RecordSink(), load_scenes()
     refused = [
         (ConfigError, "forcse", {"rig": load_rig("replay", QUIET | {"device.forcse": "x.csv"})}),
         (ConfigError, "another", {"rig": load_rig("replay", QUIET | {"telemetry.every": 10})}),
@@ -173,9 +173,9 @@ def test_what_cannot_be_built_changes_nothing(monkeypatch):
     ]
     with started(rig, first, recorder.sink) as running:
         shared, devices = running.servo.shared, running.devices
-        for error, words, given in refused:
+        for error, words, arguments in refused:
             with pytest.raises(error, match=words):
-                running.replace(second, **given)
+                running.replace(second, **arguments)
         monkeypatch.setattr(rendering, "make_tuning", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             running.replace(second)
@@ -188,16 +188,16 @@ def driver(monkeypatch):
     return registered(monkeypatch)
 
 
-def faulty_rig(**changes):
+def make_faulty_rig(**changes):
     # Slew limit below the force of this device: a step to or from zero in one tick would exceed it.
     return load_rig("replay", QUIET | {"device.driver": "faulty", "guard.force_slew_n_per_s": SLEW} | changes)
 
 
 def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver):
-    recorder, (first, second) = Kept(), scenes()
-    with started(faulty_rig(), first, recorder.sink) as running:
+    recorder, (first, second) = RecordSink(), load_scenes()
+    with started(make_faulty_rig(), first, recorder.sink) as running:
         assert eventually(recorder.pressed)
-        running.replace(second, faulty_rig(**{"servo.rate_hz": 4000.0}))
+        running.replace(second, make_faulty_rig(**{"servo.rate_hz": 4000.0}))
         assert eventually(
             lambda: len(driver.devices) == 2 and np.abs(driver.devices[1].wrenches).max(initial=0.0) > 0.2
         )
@@ -212,8 +212,8 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
 
 
 def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
-    newest, (first, second) = [], scenes()
-    rig = faulty_rig(**{"guard.arm": "command"})
+    newest, (first, second) = [], load_scenes()
+    rig = make_faulty_rig(**{"guard.arm": "command"})
     with started(rig, first, Sink("newest", lambda records, drops: newest.append(records[-1].copy()))) as running:
         rendering, devices = running.rendering, driver.devices
 
@@ -238,7 +238,7 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
         assert eventually(pressed)
         for changes in ({"device.at": 7}, {"device.at": 7, "servo.rate_hz": 500.0}):
             count = len(devices)
-            running.replace(second, faulty_rig(**{"guard.arm": "command"} | changes))
+            running.replace(second, make_faulty_rig(**{"guard.arm": "command"} | changes))
             assert len(devices) == count + 1 and not rendering.force.is_requested
             assert rendering.offsets == ((0.0, 0.0, 0.0),)
             assert idle() and not devices[-1].wrenches.any()
@@ -247,21 +247,21 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
 
 
 def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
-    first, second = scenes()
-    with Daemon(faulty_rig(), first) as running:
+    first, second = load_scenes()
+    with Daemon(make_faulty_rig(), first) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 100)
         driver.refuses = 1
         with pytest.raises(DeviceNotFound, match="plug it in"):
-            running.replace(second, faulty_rig(**{"device.at": 7}))
+            running.replace(second, make_faulty_rig(**{"device.at": 7}))
         with pytest.raises(DeviceNotFound, match="plug it in"):
             running.wait(60.0)
     assert "close" in acts(driver.devices[0]) and not driver.devices[0].wrenches[-1].any()
 
 
 def test_a_stop_during_a_replacement_arms_nothing(driver):
-    first, second = scenes()
-    with started(faulty_rig(), first) as running:
+    first, second = load_scenes()
+    with started(make_faulty_rig(), first) as running:
         opening = driver.open_device
 
         def stopped_meanwhile(options, rate_hz):
@@ -269,7 +269,7 @@ def test_a_stop_during_a_replacement_arms_nothing(driver):
             return opening(options, rate_hz)
 
         driver.open_device = stopped_meanwhile
-        running.replace(second, faulty_rig(**{"device.at": 7}))
+        running.replace(second, make_faulty_rig(**{"device.at": 7}))
         assert running.wait(60.0)
     assert "arm" not in acts(driver.devices[1]) and "close" in acts(driver.devices[1])
     assert "close" in acts(driver.devices[0])
@@ -277,8 +277,8 @@ def test_a_stop_during_a_replacement_arms_nothing(driver):
 
 def test_a_pause_during_a_replacement_ends_the_run(driver):
     """While a loop is replaced, Ctrl-Z cannot ramp the force down, so the servo stops at zero."""
-    first, _ = scenes()
-    with started(faulty_rig(), first) as running:
+    first, _ = load_scenes()
+    with started(make_faulty_rig(), first) as running:
         with running.rendering._tuning_lock:
             running.pause()()
         assert running.wait(60.0)
@@ -286,8 +286,8 @@ def test_a_pause_during_a_replacement_ends_the_run(driver):
 
 
 def test_replacing_requires_a_running_daemon(driver):
-    first, second = scenes()
-    with Daemon(faulty_rig(), first, 50) as running:
+    first, second = load_scenes()
+    with Daemon(make_faulty_rig(), first, 50) as running:
         with pytest.raises(SafetyStop, match="does not run"):
             running.replace(second)
         running.start()
@@ -297,8 +297,8 @@ def test_replacing_requires_a_running_daemon(driver):
 
 
 def test_the_number_of_ticks_is_counted_over_all_loops(driver):
-    recorder, (first, second) = Kept(), scenes()
-    rig = faulty_rig(**{"servo.rate_hz": 200.0})  # slow, so that a busy machine can follow
+    recorder, (first, second) = RecordSink(), load_scenes()
+    rig = make_faulty_rig(**{"servo.rate_hz": 200.0})  # slow, so that a busy machine can follow
     with Daemon(rig, first, 1_000, sinks=[recorder.sink]) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 20)
@@ -309,8 +309,8 @@ def test_the_number_of_ticks_is_counted_over_all_loops(driver):
 
 
 def test_two_pauses_are_one_pause(driver):
-    first, _ = scenes()
-    with started(faulty_rig(), first) as running:
+    first, _ = load_scenes()
+    with started(make_faulty_rig(), first) as running:
         device = driver.devices[0]
         pressed = lambda: np.linalg.norm(device.wrenches[-1]) > 0.2  # noqa: E731
         assert eventually(pressed)
@@ -325,12 +325,12 @@ def test_two_pauses_are_one_pause(driver):
 
 
 def test_a_device_that_refuses_arming_raises_its_error(driver):
-    first, second = scenes()
-    with Daemon(faulty_rig(), first) as running:
+    first, second = load_scenes()
+    with Daemon(make_faulty_rig(), first) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 100)
         with pytest.raises(DeviceError, match="force button"):
-            running.replace(second, faulty_rig(**{"device.refuses_to_arm": True}))
+            running.replace(second, make_faulty_rig(**{"device.refuses_to_arm": True}))
         with pytest.raises(DeviceError, match="force button"):
             running.wait(60.0)
     assert all("close" in acts(device) for device in driver.devices) and len(driver.devices) == 2

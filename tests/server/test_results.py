@@ -17,7 +17,7 @@ from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
 from softfinger.server.recording.results import SUFFIXES, McapResults, read_results, write_results
 
 
-def some_records(count: int, seed: int = 11) -> np.ndarray:
+def make_records(count: int, seed: int = 11) -> np.ndarray:
     rng = np.random.default_rng(seed)
     records = rng.standard_normal((count, RECORD_SIZE)) * 10.0 ** rng.integers(-300, 300, (count, RECORD_SIZE))
     for field in FIELDS:
@@ -33,7 +33,7 @@ def some_records(count: int, seed: int = 11) -> np.ndarray:
 @pytest.mark.parametrize("count", [1, 2500])
 def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
     path = tmp_path / f"out{ending.upper()}"
-    records = some_records(count)
+    records = make_records(count)
     write_results(path, records)
     assert read_results(path).tobytes() == records.tobytes()
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
@@ -41,13 +41,13 @@ def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
 def test_no_records_is_a_valid_file(tmp_path: Path, ending: str) -> None:
-    write_results(tmp_path / f"o{ending}", some_records(0))
+    write_results(tmp_path / f"o{ending}", make_records(0))
     assert read_results(tmp_path / f"o{ending}").shape == (0, RECORD_SIZE)
 
 
 @pytest.mark.parametrize("count", [1, 7, 1100])
 def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
-    records = some_records(count)
+    records = make_records(count)
     records[np.isinf(records) | np.isnan(records)] = 0.0
     records[:, 10] = 0.1
     records[::3, 11] = np.arange(len(records[::3])) * -1.0
@@ -60,7 +60,7 @@ def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 9000])
 def test_npz_equals_that_of_numpy(tmp_path: Path, count: int) -> None:
-    records = some_records(count)
+    records = make_records(count)
     records[:, [AT.buttons, AT.force + 1]] = 0.0
     records[5000:, AT.buttons], records[8500:, AT.force + 1] = -0.0, 1.0
     write_results(tmp_path / "o.npz", records)
@@ -76,7 +76,7 @@ def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
     records[:, AT.tick], records[-1, AT.buttons] = np.arange(2500), 1.0
     write_results(tmp_path / "o.npz", records)
     with ZipFile(tmp_path / "o.npz") as archive:
-        stored = {each.filename for each in archive.infolist() if each.compress_type == ZIP_STORED}
+        stored = {entry.filename for entry in archive.infolist() if entry.compress_type == ZIP_STORED}
     assert stored == {"records.npy", "tick.npy", "buttons.npy"}
 
 
@@ -84,7 +84,7 @@ def test_mcap_is_readable_with_only_the_library(tmp_path: Path) -> None:
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
 
-    records = some_records(1500)
+    records = make_records(1500)
     write_results(tmp_path / "o.mcap", records)
     with (tmp_path / "o.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -110,7 +110,7 @@ def test_mcap_is_readable_with_only_the_library(tmp_path: Path) -> None:
 
 
 def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    records = some_records(3000)
+    records = make_records(3000)
     path = tmp_path / "live.mcap"
     stream = McapResults(path)
     for row in records:
@@ -127,7 +127,7 @@ def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.L
 
 
 def test_unusable_requests_are_refused(tmp_path: Path) -> None:
-    records = some_records(3)
+    records = make_records(3)
     for name in ("o.txt", "o"):
         with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):
             write_results(tmp_path / name, records)
@@ -162,7 +162,7 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
     os.dup2(full, stream._recording._file.fileno())
     os.close(full)
     with pytest.raises(RecordingError, match="No space left"):
-        stream.append(some_records(5000))
+        stream.append(make_records(5000))
     with pytest.raises(RecordingError, match="No space left"):
         stream.close()
     stream.close()
@@ -171,6 +171,6 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
 def test_a_link_still_points_at_its_file(tmp_path: Path) -> None:
     (tmp_path / "real.csv").write_text("old")
     (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
-    write_results(tmp_path / "link.csv", some_records(2))
+    write_results(tmp_path / "link.csv", make_records(2))
     assert (tmp_path / "link.csv").is_symlink()
     assert len(read_results(tmp_path / "real.csv")) == 2

@@ -67,13 +67,13 @@ def test_records_arrive_complete_and_in_order(cases):
     push_numbered(ring, np.zeros(WIDTH), 0, 0)  # compiled before the thread starts
     producer = threading.Thread(target=push_numbered, args=(ring, np.zeros(WIDTH), 0, records))
     producer.start()
-    out, seen, wrong = np.empty((1024, WIDTH)), 0, 0
-    while seen < records:
+    out, total, wrong = np.empty((1024, WIDTH)), 0, 0
+    while total < records:
         count = take(ring, out)
-        wrong += check_numbered(out, count, seen)
-        seen += count
+        wrong += check_numbered(out, count, total)
+        total += count
     producer.join()
-    assert (seen, wrong) == (records, 0)
+    assert (total, wrong) == (records, 0)
 
 
 def test_without_the_ring_records_are_torn():

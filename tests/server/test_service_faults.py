@@ -26,21 +26,21 @@ pytestmark = pytest.mark.plain
 WAIT_S = 20.0
 
 
-class Broken:
+class BrokenSource:
     def __getattr__(self, name: str) -> Any:
         raise OSError(f"{name} is gone")
 
 
 @pytest.mark.parametrize("name", ["hotplug", "metrics", "world"])
 def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
-    told: list[tuple[str, str, str]] = []
+    events: list[tuple[str, str, str]] = []
     came = threading.Event()
 
-    def event(kind: str, what: str, message: str) -> None:
-        told.append((kind, what, message))
+    def event(kind: str, fault_name: str, message: str) -> None:
+        events.append((kind, fault_name, message))
         came.set()
 
-    broken = cast(Any, Broken())
+    broken = cast(Any, BrokenSource())
     if name == "metrics":
         counts = MetricsCollector(
             [""],
@@ -57,12 +57,12 @@ def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
     service.start()
     assert came.wait(WAIT_S)
     service.stop()
-    ((kind, what, message),) = told
-    assert (kind, what) == ("fault", name) and "is gone" in message
+    ((kind, fault_name, message),) = events
+    assert (kind, fault_name) == ("fault", name) and "is gone" in message
 
 
 def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
-    told: list[Any] = []
+    events: list[Any] = []
     ended: list[Exception] = []
     served: list[Any] = []
 
@@ -79,13 +79,13 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
         report=print,
         serve=served.append,
         fail=ended.append,
-        event=lambda *words, **more: told.append((words, more)),
+        event=lambda *words, **more: events.append((words, more)),
     )
     commands = CommandService("ipc:///nowhere", cast(Any, rendering), cast(Any, doing), "a scene")
     commands.start()
     served[0].each_period()
     commands.stop()
-    assert told == [(("fault", "commands"), {"message": "no memory"})]
+    assert events == [(("fault", "commands"), {"message": "no memory"})]
     assert served[1] is None
     assert all(isinstance(error, SafetyStop) and "no memory" in str(error) for error in ended) and len(ended) == 1
 
@@ -100,8 +100,8 @@ def test_a_clock_that_is_set_back_loses_no_event_and_no_second(jump_s: float) ->
     records[touches, AT.contact_cause] = CAUSE_TOUCH
     records[touches, AT.contact_mode] = ROLLING
     events, health = RecordEvents(), HealthSummary()
-    told = [event for event in events.observe(records) if event["name"] == "touch"]
-    assert [event["tick"] for event in told] == touches
+    touch_events = [event for event in events.observe(records) if event["name"] == "touch"]
+    assert [event["tick"] for event in touch_events] == touches
     seconds = health.add(records, 0)
-    counted = sum(sum(each["modes"].values()) for each in seconds)
+    counted = sum(sum(second["modes"].values()) for second in seconds)
     assert counted == seconds[-1]["tick"] and counted >= 4000  # the last second may not be over

@@ -37,17 +37,17 @@ def make_servo(
     prepare: Callable[[], Callable[[], None]] | None = None,
     rate: float = 1000.0,
     doubting: bool = False,
-) -> tuple[FaultyDevice, s.Servo]:
+) -> tuple[FaultyDevice, s.ServoThread]:
     device = FaultyDevice(options)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
     if doubting:  # of a device with its own clock, so that no stall of the machine affects the time of a pose
         tuning = tuning._replace(guards=(tuning.guards[0]._replace(speed_max=10.0, turn_max=100.0, frozen=0.2005),))
-    servo = s.Servo([device], tuning, rate, ticks, prepare)
+    servo = s.ServoThread([device], tuning, rate, ticks, prepare)
     servo.compile()
     return device, servo
 
 
-def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
+def finish(servo: s.ServoThread) -> tuple[s.LoopEnd, np.ndarray]:
     """Start, wait for the end, and return the end and the remaining records."""
     servo.start()
     ended = servo.join(30.0)
@@ -58,7 +58,7 @@ def finish(servo: s.Servo) -> tuple[s.LoopEnd, np.ndarray]:
     return ended, records
 
 
-def stop(servo: s.Servo) -> None:
+def stop(servo: s.ServoThread) -> None:
     servo.stop()
     assert servo.join(30.0) == s.LoopEnd(s.STOPPED, 0)
     servo.close()
@@ -140,9 +140,9 @@ def test_a_device_whose_stop_fails_gets_zero(ticks, caplog):
     device, servo = make_servo(Options(stop_fails=True, fault="lost", at=100), ticks, lambda: lambda: undone.append(1))
     ended, _ = finish(servo)
     assert undone == [1] and not device.wrenches[-1].any() and device.wrenches[:-1].any()
-    said = str(ended.error) if ticks else caplog.text  # if the device was lost first, that is the error
+    message = str(ended.error) if ticks else caplog.text  # if the device was lost first, that is the error
     assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (shutdown.READ_FAILED, LOST))
-    assert "could not be stopped" in said and "the port has gone" in said and "switch it off" in said
+    assert "could not be stopped" in message and "the port has gone" in message and "switch it off" in message
 
 
 @pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
@@ -157,7 +157,7 @@ def test_an_unusable_pose_means_zero_force_immediately(fault):
     assert records[700, AT.contact_mode] == 0
 
 
-def named(records):
+def list_guard_events(records):
     return [event["name"] for event in RecordEvents(GUARD_NAMES).observe(records) if event["kind"] == "guard"]
 
 
@@ -169,7 +169,7 @@ def test_a_pose_that_jumps_is_not_rendered(jump_m):
     ended, records = finish(servo)
     guard, wrenches = records[:, AT.servo_guard].astype(int), device.wrenches
     assert ended.ending == s.FINISHED
-    assert (guard & POSE_JUMPED).nonzero()[0].tolist() == [700, 900] and "pose_jumped" in named(records)
+    assert (guard & POSE_JUMPED).nonzero()[0].tolist() == [700, 900] and "pose_jumped" in list_guard_events(records)
     for tick in (700, 900):
         assert guard[tick] == POSE_JUMPED and records[tick, AT.contact_mode] == 0
         assert wrenches[tick - 1, 2] > 0.3 and not wrenches[tick].any() and 0.0 < wrenches[tick + 1, 2] < 0.01
@@ -190,7 +190,7 @@ def test_a_frozen_pose_removes_the_force_until_it_changes():
     device, servo = make_servo(Options(fault="frozen", at=700, count=1000, own_clock=True), 2000, doubting=True)
     ended, records = finish(servo)
     frozen = ((records[:, AT.servo_guard].astype(int) & POSE_FROZEN) != 0).nonzero()[0]
-    assert ended.ending == s.FINISHED and "pose_frozen" in named(records)
+    assert ended.ending == s.FINISHED and "pose_frozen" in list_guard_events(records)
     assert frozen.tolist() == list(range(901, 1700))
     assert device.wrenches[700:901, 2].min() > 0.9
     assert not device.wrenches[901:1700].any() and 0.0 < device.wrenches[1700, 2] < 0.01
@@ -206,11 +206,11 @@ def test_recorded_or_computed_poses_may_jump_and_stand_still(fault):
     assert records[601:, FORCE + 2].min() > 0.9
 
 
-@pytest.mark.parametrize("way", ["withheld_read", "withheld_write"])
-def test_a_force_withheld_by_the_driver_ramps_up_again(way):
+@pytest.mark.parametrize("fault", ["withheld_read", "withheld_write"])
+def test_a_force_withheld_by_the_driver_ramps_up_again(fault):
     _, servo = make_servo(Options(own_clock=True), 900)
     undisturbed = finish(servo)[1][:, FORCE : FORCE + 6]
-    device, servo = make_servo(Options(fault=way, at=700, count=20, own_clock=True), 900)
+    device, servo = make_servo(Options(fault=fault, at=700, count=20, own_clock=True), 900)
     _, records = finish(servo)
     force = records[:, FORCE : FORCE + 6]
     withheld = records[:, AT.servo_device] == WITHHELD
@@ -219,7 +219,7 @@ def test_a_force_withheld_by_the_driver_ramps_up_again(way):
     assert np.linalg.norm(force[699, :3]) > 0.9
     # If the read reports it, the write already uses the first tick of the ramp; otherwise the ramp starts one tick
     # later.
-    gain = np.full(200, 0.002) if way == "withheld_read" else np.zeros(200)
+    gain = np.full(200, 0.002) if fault == "withheld_read" else np.zeros(200)
     gain[20:] = gain[0] + 0.002 * np.arange(1, 181)
     np.testing.assert_allclose(force[700:], gain[:, None] * undisturbed[700:], rtol=1e-12, atol=1e-15)  # sums of 0.002
     assert (device.wrenches[:900] == force).all()
@@ -247,9 +247,9 @@ def test_a_device_that_never_accepts_a_force_ends_the_loop():
     assert isinstance(error, DeviceTimeout) and "no answer to a write in time" in str(error)
 
 
-@pytest.mark.parametrize("way", ["read", "write"])
-def test_an_unknown_status_is_a_fault(way):
-    _, servo = make_servo(Options(fault=f"unknown_{way}", at=700), 2000)
+@pytest.mark.parametrize("direction", ["read", "write"])
+def test_an_unknown_status_is_a_fault(direction):
+    _, servo = make_servo(Options(fault=f"unknown_{direction}", at=700), 2000)
     ended, records = finish(servo)
     assert ended.status == PROTOCOL and len(records) == 700
 
@@ -342,24 +342,24 @@ def test_loop_runs_while_python_holds_the_interpreter_lock():
 
 
 def test_no_page_fault_in_the_loop():
-    def faults_of(ticks: int) -> int:
-        seen = []
+    def count_page_faults(ticks: int) -> int:
+        fault_counts = []
 
-        def note() -> None:
-            seen.append(resource.getrusage(resource.RUSAGE_THREAD).ru_minflt)
+        def count_faults() -> None:
+            fault_counts.append(resource.getrusage(resource.RUSAGE_THREAD).ru_minflt)
 
         def prepare() -> Callable[[], None]:
-            note()
-            return note
+            count_faults()
+            return count_faults
 
         _, servo = make_servo(Options(), ticks, prepare, rate=8000.0)
         finish(servo)
-        return seen[1] - seen[0]
+        return fault_counts[1] - fault_counts[0]
 
-    faults_of(50)
+    count_page_faults(50)
     # The device stores its wrenches in new memory: 48 bytes per tick, a page every 85 ticks.
     kept_by_device = 5000 * 48 // 4096 + 1
-    assert faults_of(5000) - faults_of(50) <= kept_by_device + 2
+    assert count_page_faults(5000) - count_page_faults(50) <= kept_by_device + 2
 
 
 COUNT = """
@@ -392,9 +392,9 @@ def test_loop_never_calls_malloc(tmp_path):
 def test_parameters_change_without_stopping():
     device, servo = make_servo(Options(), None)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
-    thing = tuning.scene.objects.body
-    friction = thing.material.friction._replace(static=0.1, kinetic=0.1)
-    slippery = thing._replace(material=thing.material._replace(friction=friction))
+    table = tuning.scene.objects.body
+    friction = table.material.friction._replace(static=0.1, kinetic=0.1)
+    slippery = table._replace(material=table.material._replace(friction=friction))
     servo.start()
     run_for(servo, 1000)
     changed_at = servo.ticks

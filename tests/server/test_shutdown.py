@@ -32,9 +32,9 @@ FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctype
 class Motor:
     """Device that records its wrenches; `stop` and `close` can fail or hang."""
 
-    def __init__(self, fails: BaseException | None = None, hangs: bool = False, said: str = "") -> None:
+    def __init__(self, fails: BaseException | None = None, hangs: bool = False, reply: str = "") -> None:
         self.info = SimpleNamespace(name="Motor")
-        self.fails, self.hangs, self.said = fails, hangs, said
+        self.fails, self.hangs, self.reply = fails, hangs, reply
         self.wrenches: list[list[float]] = []
         self.handles: list[int] = []
         self.closed = 0
@@ -52,7 +52,7 @@ class Motor:
         return DeviceIO(address, address, 77)
 
     def reason(self) -> str:
-        return self.said
+        return self.reply
 
     def stop(self) -> None:
         if self.hangs:
@@ -71,11 +71,11 @@ def device(motor: Motor) -> Device:
 
 
 @pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
 
 
-def fails(error: BaseException) -> Any:
+def make_failing(error: BaseException) -> Any:
     def act(*_: object) -> None:
         raise error
 
@@ -83,12 +83,17 @@ def fails(error: BaseException) -> Any:
 
 
 def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptureFixture) -> None:
-    done: list[int] = []
+    steps_run: list[int] = []
     first = ValueError("one")
     with caplog.at_level(logging.ERROR):
-        steps = (fails(first), lambda: done.append(1), fails(KeyboardInterrupt()), lambda: done.append(2))
+        steps = (
+            make_failing(first),
+            lambda: steps_run.append(1),
+            make_failing(KeyboardInterrupt()),
+            lambda: steps_run.append(2),
+        )
         assert shutdown.run_all_steps(*steps) is first
-    assert done == [1, 2]
+    assert steps_run == [1, 2]
     assert [record.getMessage() for record in caplog.records] == ["during shutdown, besides: KeyboardInterrupt"]
     assert shutdown.run_all_steps(lambda: None) is None
 
@@ -96,7 +101,7 @@ def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptu
 def test_an_earlier_error_remains_the_first(caplog: pytest.LogCaptureFixture) -> None:
     before = SafetyStop("stalled")
     with caplog.at_level(logging.ERROR):
-        assert shutdown.run_all_steps(fails(OSError("gone")), first=before) is before
+        assert shutdown.run_all_steps(make_failing(OSError("gone")), first=before) is before
     assert "besides: gone" in caplog.text
 
 
@@ -155,7 +160,7 @@ def test_an_error_without_a_message_is_reported_by_its_class() -> None:
         shutdown.close(device(Motor(RuntimeError())))
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("short_timeout")
 def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not returned for 0\.2 s"):
@@ -165,7 +170,7 @@ def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureF
     hangs.free.set()
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("short_timeout")
 def test_hanging_devices_share_one_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
     waits, daemons = list[float](), list[bool]()
     join = threading.Thread.join
@@ -196,7 +201,7 @@ def test_devices_are_called_simultaneously() -> None:
     assert open_devices.call_all(lambda _: both.wait() and None, [Motor(), Motor()]) == []
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("short_timeout")
 def test_all_devices_are_closed_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"be closed \(it has not .* 0\.2 s.*switch"):
@@ -220,12 +225,12 @@ def test_a_zero_overwrites_all_components() -> None:
     motor = Motor()
     io, scratch = motor.io(), np.full(6, nan)
     write_zero: Any = getattr(shutdown.write_zero, "py_func", shutdown.write_zero)
-    given: list[Any] = []
+    calls: list[Any] = []
     globals_of = write_zero.__globals__
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(globals_of, "call_device", lambda address, handle, v: given.append([address, handle, v.tolist()]))
+        patch.setitem(globals_of, "call_device", lambda address, handle, v: calls.append([address, handle, v.tolist()]))
         write_zero(io.write, io.handle, scratch)
-    assert given == [[io.write, 77, [0.0] * 6]]
+    assert calls == [[io.write, 77, [0.0] * 6]]
 
 
 SAID = "its driver said why"
@@ -247,7 +252,7 @@ def test_a_device_failure_is_reported_with_a_remedy(
     ending: int, status: int, kind: type[HapticError], words: list[str]
 ) -> None:
     ended = LoopEnd(ending, status)
-    error = shutdown.device_failure(device(Motor(said=SAID)), ended, "thumb")
+    error = shutdown.device_failure(device(Motor(reply=SAID)), ended, "thumb")
     assert type(error) is kind
     assert all(word in str(error) for word in [*words, "Motor, finger 'thumb'", f"({SAID})", "start again"])
     plain = str(shutdown.device_failure(device(Motor()), ended))

@@ -78,8 +78,8 @@ for number in sorted(signal.valid_signals()):
 
 
 def test_every_signal_that_ends_a_process_is_handled() -> None:
-    asked = run_program([sys.executable, "-S", "-c", FATAL], check=True)
-    fatal = set(map(int, asked.stdout.split()))
+    completed = run_program([sys.executable, "-S", "-c", FATAL], check=True)
+    fatal = set(map(int, completed.stdout.split()))
     helpless = {signal.SIGKILL, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP}
     assert fatal - helpless == signals.ENDING
 
@@ -88,29 +88,29 @@ def test_every_signal_that_ends_a_process_is_handled() -> None:
 OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT, signal.SIGRTMIN + 3)
 
 
-def watcher_of(process: subprocess.Popen[str]) -> int:
+def find_watcher(process: subprocess.Popen[str]) -> int:
     """Return the process id of a daemon's watcher, its only child except the publisher."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
 
     def watchers() -> list[int]:
-        found = map(int, children.read_text().split())
-        return [each for each in found if b"socket_process" not in Path(f"/proc/{each}/cmdline").read_bytes()]
+        pids = map(int, children.read_text().split())
+        return [child for child in pids if b"socket_process" not in Path(f"/proc/{child}/cmdline").read_bytes()]
 
     until(lambda: bool(watchers()), END_S, "the watcher")
     (watcher,) = watchers()
     return watcher
 
 
-def end_by(process: subprocess.Popen[str], board: Board, number: int) -> None:
+def end_by_signal(process: subprocess.Popen[str], board: Board, number: int) -> None:
     """End a daemon by a signal; other signals during its shutdown have no effect."""
     process.send_signal(number)
     time.sleep(0.1)  # of pending signals Python takes the lowest number first
     for another in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, number):
         time.sleep(0.01)
         process.send_signal(another)
-    said = process.communicate(timeout=END_S)[1]
-    assert process.returncode == 128 + number, said
-    assert "force is zero" in said and "Traceback" not in said and "has died" not in said
+    stderr = process.communicate(timeout=END_S)[1]
+    assert process.returncode == 128 + number, stderr
+    assert "force is zero" in stderr and "Traceback" not in stderr and "has died" not in stderr
     until(lambda: board.force == ZERO, 1.0, "the zero")
     assert board.faults == []
 
@@ -119,14 +119,14 @@ def end_by(process: subprocess.Popen[str], board: Board, number: int) -> None:
 @pytest.mark.parametrize("number", OTHERS)
 def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> None:
     with pressing(tmp_path) as (board, process):
-        end_by(process, board, number)
+        end_by_signal(process, board, number)
 
 
 def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
     with pressing(tmp_path, "--watcher") as (board, process):
-        watcher = watcher_of(process)
+        watcher = find_watcher(process)
         process.send_signal(signal.SIGTSTP)
-        until(lambda: state(process.pid) == "T" or process.poll() is not None, END_S, "the stop")
+        until(lambda: read_state(process.pid) == "T" or process.poll() is not None, END_S, "the stop")
         assert process.poll() is None, process.communicate()[1]
         time.sleep(0.05)  # frames in transit have arrived
         assert board.force == ZERO
@@ -138,21 +138,21 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
         forces = [frame[2] for frame in board.sent[count:]]
         first = next(force for force in forces if force > 0)
         assert first < 0.1 * 1e3 * FORCE_N  # start of a ramp
-        end_by(process, board, signal.SIGHUP)
+        end_by_signal(process, board, signal.SIGHUP)
         assert not Path(f"/proc/{watcher}").exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
 def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path) -> None:
     with pressing(tmp_path, "--watcher") as (board, process):
-        watcher = watcher_of(process)
+        watcher = find_watcher(process)
         os.kill(watcher, signal.SIGTERM)
         time.sleep(0.1)
-        assert state(watcher) == "S"
+        assert read_state(watcher) == "S"
         process.send_signal(number)
-        said = process.communicate(timeout=END_S)[1]
+        stderr = process.communicate(timeout=END_S)[1]
         assert process.returncode == -number
-        assert "the daemon has died: zero force was written to /dev/pts/" in said
+        assert "the daemon has died: zero force was written to /dev/pts/" in stderr
         until(lambda: board.force == ZERO, 1.0, "the zero")
         assert board.sent[-1] == (0, 0, 0, 2, 0, 0, 0)
     refused = called("run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t")
@@ -192,9 +192,11 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
             if "compiling kernel" in line:  # logged after half a second
                 break
         process.send_signal(number)
-        said = process.communicate(timeout=END_S)[1]
-    assert process.returncode == 128 + number, said
-    assert said.splitlines()[-1] == f"softfinger: ended by {signal.Signals(number).name}" and "Traceback" not in said
+        output = process.communicate(timeout=END_S)[1]
+    assert process.returncode == 128 + number, output
+    assert (
+        output.splitlines()[-1] == f"softfinger: ended by {signal.Signals(number).name}" and "Traceback" not in output
+    )
     assert not list((tmp_path / "cache").rglob(f"{last_kernel}-*.kernel")), "it ended after the compilation"
 
 
@@ -235,9 +237,9 @@ with signals.handle_signals():
 @pytest.mark.parametrize("where", ["python", "native", "callback"])
 def test_a_signal_ends_the_process_wherever_the_main_thread_is(where: str) -> None:
     """In Python, in native code and in a callback that cannot raise, the device is closed and the process ends."""
-    done = run_program([sys.executable, "-c", STUCK, where], timeout=END_S)
-    assert done.returncode == 128 + signal.SIGTERM, done.stderr
-    assert done.stdout == "closed\n" and "Traceback" not in done.stderr
+    completed = run_program([sys.executable, "-c", STUCK, where], timeout=END_S)
+    assert completed.returncode == 128 + signal.SIGTERM, completed.stderr
+    assert completed.stdout == "closed\n" and "Traceback" not in completed.stderr
 
 
 REFUSING = """
@@ -267,10 +269,10 @@ sys.exit(cli.main())
     ("words", "code"), [(["scenes"], 0), (["check", "no-such.toml"], 2), (["TSTP"], 128 + signal.SIGTSTP)]
 )
 def test_a_device_that_cannot_be_stopped_is_reported(words: list[str], code: int) -> None:
-    done = run_program([sys.executable, "-c", REFUSING, *words], timeout=END_S, start_new_session=words != ["TSTP"])
-    assert done.returncode == code, done.stderr
-    assert "could not be stopped (OSError: the port has gone): it may still push" in done.stderr
-    assert "Traceback" not in done.stderr
+    result = run_program([sys.executable, "-c", REFUSING, *words], timeout=END_S, start_new_session=words != ["TSTP"])
+    assert result.returncode == code, result.stderr
+    assert "could not be stopped (OSError: the port has gone): it may still push" in result.stderr
+    assert "Traceback" not in result.stderr
 
 
 SWALLOWED = """
@@ -289,8 +291,8 @@ with signals.handle_signals():
 
 
 def test_a_swallowed_signal_is_not_lost() -> None:
-    done = run_program([sys.executable, "-c", SWALLOWED], timeout=END_S)
-    assert done.returncode == 0, done.stderr
+    completed = run_program([sys.executable, "-c", SWALLOWED], timeout=END_S)
+    assert completed.returncode == 0, completed.stderr
 
 
 def test_a_second_signal_raises_nothing() -> None:
@@ -350,20 +352,20 @@ print("left with", os.waitstatus_to_exitcode(status), flush=True)
 
 def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
     ours, theirs = pty.openpty()
-    words, said = [sys.executable, "-c", SHELL, JOB], b""
+    words, output = [sys.executable, "-c", SHELL, JOB], b""
     with Program(words, stdin=theirs, stdout=theirs, stderr=theirs, kill_at_end=True), open(ours, "r+b", 0) as terminal:
         os.close(theirs)
-        while b"ready\r\n" not in said:
-            said += terminal.read(4096)
+        while b"ready\r\n" not in output:
+            output += terminal.read(4096)
         terminal.write(b"\x1a")
-        while not said.endswith(b"\n") or b"left with" not in said:
-            said += terminal.read(4096)
-    lines = said.decode().split("\r\n")
-    assert lines[:4] == ["ready", "zero", "stopped", "closed"], said
-    assert lines[-2:] == [f"left with {128 + signal.SIGTSTP}", ""], said
+        while not output.endswith(b"\n") or b"left with" not in output:
+            output += terminal.read(4096)
+    lines = output.decode().split("\r\n")
+    assert lines[:4] == ["ready", "zero", "stopped", "closed"], output
+    assert lines[-2:] == [f"left with {128 + signal.SIGTSTP}", ""], output
 
 
-def state(pid: int) -> str:
+def read_state(pid: int) -> str:
     """Return the state of a process from the kernel: T is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
@@ -379,7 +381,7 @@ sys.exit(cli.main(sys.argv[1:]))
 
 def test_a_hanging_device_does_not_block_the_exit(tmp_path: Path) -> None:
     words = ["run", "--rig", "simulated", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t"]
-    done = run_program([sys.executable, "-c", HANGING, *words, "--duration", "0.2"], timeout=START_S)
-    assert done.returncode == DeviceError.exit_code, done.stderr
-    assert re.search(r"could not be stopped \(it has not returned for 2 s\): it may still apply a force", done.stderr)
-    assert "Traceback" not in done.stderr
+    result = run_program([sys.executable, "-c", HANGING, *words, "--duration", "0.2"], timeout=START_S)
+    assert result.returncode == DeviceError.exit_code, result.stderr
+    assert re.search(r"could not be stopped \(it has not returned for 2 s\): it may still apply a force", result.stderr)
+    assert "Traceback" not in result.stderr

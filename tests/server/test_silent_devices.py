@@ -11,7 +11,7 @@ import pytest
 from helpers.far_ends import FAR_ENDS, RATE_HZ
 from helpers.faults_seen import SEEN
 from helpers.injected_run import run
-from test_injected_faults import TURN, ticks_of
+from test_injected_faults import TURN, find_ticks
 
 from softfinger.config.errors import DeviceTimeout
 from softfinger.drivers.haply.options import Options as HaplyOptions
@@ -28,7 +28,7 @@ ANSWERS = 2
 """Ticks by which an answer in transit may delay the start of the silence."""
 
 
-def silences(driver: str) -> dict[str, float]:
+def quiet_options(driver: str) -> dict[str, float]:
     key = "kick_s" if driver in ("falcon", "hid") else "quiet_s"
     stale = {"stale_s": default(HaplyOptions, "stale_s")} if driver == "haply" else {}
     return {key: QUIET_S[driver], "timeout_s": GIVEN_UP_S[driver], **stale}
@@ -39,7 +39,7 @@ def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
     name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     driver = DRIVERS[name]
-    with FAR_ENDS[name](tmp_path, **silences(driver)) as far:
+    with FAR_ENDS[name](tmp_path, **quiet_options(driver)) as far:
         assert far.hush is not None
         hushed: list[float] = []
 
@@ -49,21 +49,21 @@ def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
                 hushed.append(time.monotonic())
 
         result = run(far.device, [], 20_000, RATE_HZ, tmp_path, hush)
-        given = far.received()
+        wrenches = far.received()
     assert type(result.error) is DeviceTimeout, result.error
-    (at,) = ticks_of(np.array(hushed), result)
-    ticks, norms = ticks_of(given[:, 0], result), np.linalg.norm(given[:, 1:], axis=1)
+    (at,) = find_ticks(np.array(hushed), result)
+    ticks, norms = find_ticks(wrenches[:, 0], result), np.linalg.norm(wrenches[:, 1:], axis=1)
     assert norms[ticks < at].max() > 0.0, "the hand did not press before the silence"
     assert norms[-1] == 0.0
     zero = np.flatnonzero(norms)[-1] + 1  # a board holds its last force until it receives another
-    left = int(ticks[zero] - at)
-    assert left <= round(QUIET_S[driver] * RATE_HZ) + far.handover + TURN
+    zero_after = int(ticks[zero] - at)
+    assert zero_after <= round(QUIET_S[driver] * RATE_HZ) + far.handover + TURN
     assert result.ticks <= at + round(GIVEN_UP_S[driver] * RATE_HZ) + ANSWERS + TURN
     record_property(
         SEEN,
         {
             "hazard": "a device that is silent, or sends invalid data", "driver": name, "fault": "silence",
-            "ticks": left, "event": "state faulted", "state": "faulted", "recovery": "start again", "back": None,
+            "ticks": zero_after, "event": "state faulted", "state": "faulted", "recovery": "start again", "back": None,
             "handover": far.handover,
         },
     )  # fmt: skip

@@ -44,24 +44,24 @@ EXPECTED = {
 }
 
 
-def states_in(state):
+def make_states(state):
     """Return states at `state` and the list of their later notifications."""
-    told = []
-    states = States(lambda *change: told.append(change))
+    changes = []
+    states = States(lambda *change: changes.append(change))
     for trigger in WAYS[state]:
         assert states.fire(trigger, "on the way")
     assert states.now is state
-    told.clear()
-    return states, told
+    changes.clear()
+    return states, changes
 
 
 @pytest.mark.parametrize(("state", "trigger"), list(product(DaemonState, Trigger)))
 def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
-    states, told = states_in(state)
+    states, changes = make_states(state)
     after = EXPECTED.get(f"{state} {trigger}")
     assert states.fire(trigger, "because") == (after is not None)
     assert states.now == (after or state)
-    assert told == ([] if after is None else [(state, DaemonState(after), "because")])
+    assert changes == ([] if after is None else [(state, DaemonState(after), "because")])
 
 
 def test_the_table_is_complete():
@@ -87,20 +87,20 @@ def test_the_table_is_complete():
     ],
 )
 def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
-    states, told = states_in(begun)
+    states, changes = make_states(begun)
     for _ in range(2):
         states.follow(reasons)
-    assert [str(change[1]) for change in told] == after
+    assert [str(change[1]) for change in changes] == after
     if after == ["faulted"] or (reasons and after):
-        assert told[-1][2] == ", ".join(sorted(reasons))
+        assert changes[-1][2] == ", ".join(sorted(reasons))
 
 
 def test_an_error_that_ends_the_run_is_cleared_by_nothing():
-    states, told = states_in(DaemonState.ARMED)
+    states, changes = make_states(DaemonState.ARMED)
     states.fail("the device is gone")
     for reasons in (set(), {COMMANDED}, {SILENT}):
         states.follow(reasons)
-    assert told == [(DaemonState.ARMED, DaemonState.FAULTED, "the device is gone")]
+    assert changes == [(DaemonState.ARMED, DaemonState.FAULTED, "the device is gone")]
     assert states.fire(Trigger.END, "done") and states.now is DaemonState.STOPPING
 
 

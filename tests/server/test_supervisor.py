@@ -19,7 +19,7 @@ pytestmark = pytest.mark.plain
 WAIT_S = 20.0
 
 
-class Broken:
+class BrokenServo:
     is_ticking = True
 
     @property
@@ -30,15 +30,15 @@ class Broken:
 def test_a_supervisor_that_fails_ends_the_run() -> None:
     """A stall would go unnoticed, so the run ends with the error of the supervisor."""
     errors: list[HapticError] = []
-    told = threading.Event()
+    failed = threading.Event()
 
     def fail(error: HapticError) -> None:
         errors.append(error)
-        told.set()
+        failed.set()
 
-    supervisor = Supervisor(cast(Any, Broken()), fail, lambda *words, **fields: None)
+    supervisor = Supervisor(cast(Any, BrokenServo()), fail, lambda *words, **fields: None)
     supervisor.start()
-    assert told.wait(WAIT_S)
+    assert failed.wait(WAIT_S)
     supervisor.stop()
     (error,) = errors
     assert (
@@ -49,7 +49,7 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
 
 
 def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
-    done: list[str] = []
+    calls: list[str] = []
     ended = threading.Event()
 
     class Device:
@@ -59,26 +59,26 @@ def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
             self.name = name
 
         def stop(self) -> None:
-            done.append(f"stop {self.name}")
+            calls.append(f"stop {self.name}")
             raise OSError("the port has gone")
 
     def event(kind: str, name: str, **fields: Any) -> None:
-        done.append(f"{kind} {name}")
+        calls.append(f"{kind} {name}")
         ended.set()
 
     servo = SimpleNamespace(is_ticking=True, ticks=7, is_armed=True, devices=(Device("a"), Device("b")))
-    supervisor = Supervisor(cast(Any, servo), lambda error: done.append(str(error).partition(" for ")[0]), event)
+    supervisor = Supervisor(cast(Any, servo), lambda error: calls.append(str(error).partition(" for ")[0]), event)
     supervisor.start()
     assert ended.wait(WAIT_S)
     supervisor.stop()
-    assert done[0] == "no tick" and sorted(done[1:3]) == ["stop a", "stop b"] and done[3:] == ["fault stalled"]
+    assert calls[0] == "no tick" and sorted(calls[1:3]) == ["stop a", "stop b"] and calls[3:] == ["fault stalled"]
 
 
-class Stalled:
+class StalledServo:
     is_ticking, is_armed, looks = True, True, 0
 
     def __init__(self, *hold_a_force: bool) -> None:
-        infos = [SimpleNamespace(has_persistent_force=each) for each in hold_a_force]
+        infos = [SimpleNamespace(has_persistent_force=holds) for holds in hold_a_force]
         self.devices = tuple(SimpleNamespace(info=info, stop=lambda: None) for info in infos)
 
     @property
@@ -88,7 +88,7 @@ class Stalled:
 
 
 @pytest.mark.parametrize(
-    ("held", "looks"),
+    ("hold_a_force", "looks"),
     [
         ((True,), STALL_POLLS),
         ((True, False), STALL_POLLS),
@@ -98,10 +98,12 @@ class Stalled:
         ((False,), STALL_POLLS_WITHOUT_HAND),
     ],
 )
-def test_a_stall_is_longer_without_a_hand(held: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stall_is_longer_without_a_hand(
+    hold_a_force: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
-    servo, errors = Stalled(*held), list[HapticError]()
+    servo, errors = StalledServo(*hold_a_force), list[HapticError]()
     Supervisor(cast(Any, servo), errors.append, lambda *words, **fields: None).work()
     assert servo.looks == 1 + looks and rests == [STALL_POLL_S] * (1 + looks)
     assert f"no tick for {looks * STALL_POLL_S:.2f} s after tick 7:" in str(errors[0])
@@ -144,7 +146,7 @@ def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
     assert STALL_POLLS * STALL_POLL_S - 1e-9 <= reaction <= STALL_MAX_S
 
 
-class Unarmed:
+class UnarmedServo:
     ticks, is_armed = 0, False
     devices = (SimpleNamespace(info=SimpleNamespace(has_persistent_force=True)),)
 
@@ -158,10 +160,12 @@ class Unarmed:
 
 
 def test_a_servo_that_waits_for_its_devices_is_not_stalled() -> None:
-    done: list[Any] = []
-    supervisor = Supervisor(cast(Any, Unarmed(8 * STALL_POLLS)), done.append, lambda *words, **_: done.append(words))
+    calls: list[Any] = []
+    supervisor = Supervisor(
+        cast(Any, UnarmedServo(8 * STALL_POLLS)), calls.append, lambda *words, **_: calls.append(words)
+    )
     supervisor.work()
-    assert done == []
+    assert calls == []
 
 
 def test_no_tick_is_due_before_devices_are_armed() -> None:

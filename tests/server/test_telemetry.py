@@ -39,7 +39,7 @@ def publisher():
         yield made
 
 
-def plain(endpoint, *topics, high_water=100_000):
+def connect_plain(endpoint, *topics, high_water=100_000):
     """Return a subscriber that uses only pyzmq."""
     socket = zmq.Context.instance().socket(zmq.SUB)
     socket.linger = 0
@@ -63,10 +63,10 @@ def receive(socket, count, topic=None):
     return maps
 
 
-def published(records, topic, count, **options):
+def publish_and_receive(records, topic, count, **options):
     """Publish `records` in batches of 100; return the messages that a plain subscriber to `topic` receives."""
     with Publisher("tcp://127.0.0.1:*", **options) as publisher:
-        socket = plain(publisher.endpoint, "contact", "event", "health")
+        socket = connect_plain(publisher.endpoint, "contact", "event", "health")
         join(publisher, socket)
         for at in range(0, len(records), 100):
             publisher.publish(records[at : at + 100], drops=7)
@@ -142,7 +142,7 @@ def test_messages_are_far_below_the_size_limit():
 
 
 def test_every_sends_only_multiples():
-    maps = published(synthetic(47, first_tick=3), "contact", 12, every=4)
+    maps = publish_and_receive(synthetic(47, first_tick=3), "contact", 12, every=4)
     assert [m["tick"] for m in maps] == list(range(4, 50, 4))
     assert {m["every"] for m in maps} == {4}
 
@@ -162,7 +162,7 @@ def test_transitions_become_events_with_cause_and_modes():
         put(records[tick:], "contact.mode", mode)
         put(records[tick:], "contact.object", 4 if mode else -1)
         put(records[tick : tick + 1], "contact.cause", CAUSE_NAMES.index(cause))
-    events = published(records, "event", len(story), every=50)
+    events = publish_and_receive(records, "event", len(story), every=50)
     for event, (tick, mode, cause, name, before) in zip(events, story, strict=True):
         record = records[tick]
         assert event == {
@@ -191,7 +191,7 @@ def test_a_guard_event_is_sent_when_a_bit_rises():
     guard[150:] |= 2
     guard[700] |= 8
     put(records, "servo.guard", guard)
-    events = published(records, "event", 4, guard_names=("clamped", "slew"))
+    events = publish_and_receive(records, "event", 4, guard_names=("clamped", "slew"))
     assert [(e["tick"], e["kind"], e["name"], e["count"]) for e in events] == [
         (100, "guard", "clamped", 1),
         (150, "guard", "slew", 1),
@@ -205,7 +205,7 @@ def test_events_of_a_chattering_guard_are_limited_and_counted():
     guard = np.zeros(500, int)
     guard[100:400:2] = 1
     put(records, "servo.guard", guard)
-    events = published(records, "event", 4, guard_names=("clamped",))
+    events = publish_and_receive(records, "event", 4, guard_names=("clamped",))
     assert [e["tick"] for e in events] == [100, 200, 300, 400]
     assert sum(e["count"] for e in events) == 150
 
@@ -218,7 +218,7 @@ def test_missed_deadlines_are_reported_with_count_and_total():
     missed[120:] += 1
     missed[500:] += 10
     put(records, "servo.missed", missed)
-    events = published(records, "event", 3)
+    events = publish_and_receive(records, "event", 3)
     assert [(e["kind"], e["name"], e["tick"], e["count"], e["total"]) for e in events] == [
         ("servo", "missed", 100, 3, 3),
         ("servo", "missed", 200, 3, 6),
@@ -233,7 +233,7 @@ def test_health_sums_up_each_second():
     put(records, "servo.late", np.random.default_rng(2).exponential(1e-5, 2500))
     put(records, "servo.missed", np.arange(2500) // 100)
     put(records[1200:], "servo.guard", 1)
-    first, second = published(records, "health", 2)
+    first, second = publish_and_receive(records, "health", 2)
     for health, ticks in ((first, slice(1, 1001)), (second, slice(1001, 2001))):
         rows = records[ticks]
         assert health["tick"] == ticks.stop - 1
@@ -259,7 +259,7 @@ def test_health_energy_is_the_work_of_the_hand():
     position = np.zeros((2001, 3))
     position[:, 2] = -0.03 * np.arange(2001) / 1000.0  # pressed down at 30 mm/s against 2 N: 0.06 W
     put(records, "probe.position", position)
-    first, second = published(records, "health", 2)
+    first, second = publish_and_receive(records, "health", 2)
     # 1000 sums of terms rounded to 1e-16 relative
     assert first["energy"] == pytest.approx(0.06, rel=1e-12)
     assert second["energy"] == pytest.approx(0.06, rel=1e-12)
@@ -296,7 +296,7 @@ def test_unusable_records_do_no_work():
 
 
 def test_events_from_other_threads_do_not_mix_with_ticks(publisher):
-    socket = plain(publisher.endpoint, "contact", "event")
+    socket = connect_plain(publisher.endpoint, "contact", "event")
     join(publisher, socket)
     threads = [
         threading.Thread(target=lambda n=n: [publisher.event("test", str(n), index=i) for i in range(200)])
@@ -315,7 +315,7 @@ def test_events_from_other_threads_do_not_mix_with_ticks(publisher):
 
 
 def test_last_event_before_close_arrives(publisher):
-    socket = plain(publisher.endpoint, "event")
+    socket = connect_plain(publisher.endpoint, "event")
     join(publisher, socket)
     publisher.publish(synthetic(10))
     publisher.event("lifecycle", "stopped", message="asked to")
@@ -332,8 +332,8 @@ def test_a_stalled_subscriber_gets_gaps_and_affects_no_other(tmp_path):
     count = 30_000  # more than both backlogs and the kernel's socket buffers
     records = synthetic(count)
     with Publisher(f"ipc://{tmp_path}/telemetry", backlog=5000) as publisher:
-        stalled = plain(publisher.endpoint, "contact", "event", high_water=100)
-        reading = plain(publisher.endpoint, "contact", "event")
+        stalled = connect_plain(publisher.endpoint, "contact", "event", high_water=100)
+        reading = connect_plain(publisher.endpoint, "contact", "event")
         join(publisher, stalled, reading)
         ticks = []
         for at in range(0, count, 1000):
@@ -345,13 +345,13 @@ def test_a_stalled_subscriber_gets_gaps_and_affects_no_other(tmp_path):
         publisher.publish(synthetic(10, first_tick=count))
         while before[-1]["tick"] < count + 9:
             before += receive(stalled, 1, b"contact")
-        seen = [m["tick"] for m in before]
-    gaps = np.diff(seen)
+        late_ticks = [m["tick"] for m in before]
+    gaps = np.diff(late_ticks)
     assert (gaps > 0).all()
-    assert seen[-1] == count + 9
+    assert late_ticks[-1] == count + 9
     lost = int((gaps - 1).sum())
     assert lost > 0
-    assert lost == count + 10 - len(seen)
+    assert lost == count + 10 - len(late_ticks)
     assert 1 <= publisher.figures.lost < lost
 
 
@@ -382,7 +382,7 @@ def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
         endpoint = holder.endpoint
         with pytest.raises(AddressInUse, match="in use: stop process "):
             Publisher(endpoint)
-        socket = plain(endpoint, "event")
+        socket = connect_plain(endpoint, "event")
         join(holder, socket)
     Publisher(endpoint).close()
 
@@ -399,10 +399,10 @@ def test_ipc_socket_is_for_user_and_group(tmp_path):
 
 def test_an_ipc_path_left_by_a_dead_server_is_reused(tmp_path):
     path = tmp_path / "telemetry"
-    with unix.socket(unix.AF_UNIX) as left:
-        left.bind(str(path))
+    with unix.socket(unix.AF_UNIX) as abandoned:
+        abandoned.bind(str(path))
     with Publisher(f"ipc://{path}") as publisher:
-        socket = plain(publisher.endpoint, "event")
+        socket = connect_plain(publisher.endpoint, "event")
         join(publisher, socket)
 
 

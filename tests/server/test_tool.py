@@ -24,7 +24,7 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, make_tool, tip_of
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import TORQUE_CLAMPED, Guard
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning, begin, tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate, simulate_devices
@@ -53,13 +53,13 @@ def ticks(tuning: Tuning, handles: Any) -> tuple[np.ndarray, np.ndarray]:
     return np.array(wrenches), records
 
 
-def tuned(scene: str, tool: schema.Tool | None, guard: Guard = FREE_HAND) -> Tuning:
+def tune_scene(scene: str, tool: schema.Tool | None, guard: Guard = FREE_HAND) -> Tuning:
     return make_tuning(load_scene(scene), schema.Guard(), tools=[tool])._replace(guards=(guard,))
 
 
 @pytest.mark.plain
 def test_press_at_the_end_of_a_stylus_turns_the_handle_by_its_arm() -> None:
-    tuning = tuned("frictionless-plane", schema.Tool(offset_m=(0.1, 0.0, 0.0)))
+    tuning = tune_scene("frictionless-plane", schema.Tool(offset_m=(0.1, 0.0, 0.0)))
     half = np.sqrt(0.5)
     down = quaternion(np.array([0.0, np.pi / 4.0, 0.0]))
     handles = [[0.0, 0.0, 0.009, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.009 + 0.1 * half, *down]]
@@ -96,7 +96,7 @@ def test_limits_apply_at_the_device() -> None:
     largest, change = 0.05, 4.0
     guard = FREE_HAND._replace(torque_max=largest, torque_slew=change)
     offset = (0.1, 0.02, -0.05)
-    tuning = tuned("paper-plane", schema.Tool(offset_m=offset), guard)
+    tuning = tune_scene("paper-plane", schema.Tool(offset_m=offset), guard)
     handles = resample(load_poses("press-roll-spin-drag"), 1000.0)[:2500]
     handles[:, :3] -= np.array([matrix(q) @ offset for q in handles[:, 3:7]])
     wrenches, records = ticks(tuning, handles[:, :7])
@@ -114,7 +114,7 @@ def test_limits_apply_at_the_device() -> None:
 @pytest.mark.plain
 def test_a_tool_of_no_length_changes_no_bit() -> None:
     poses = np.ascontiguousarray(resample(load_poses("press-roll-spin-drag"), SLOW_HZ)[:, :7])
-    without, having = (simulate(tuned("paper-plane", tool), poses, SLOW_HZ) for tool in (None, schema.Tool()))
+    without, having = (simulate(tune_scene("paper-plane", tool), poses, SLOW_HZ) for tool in (None, schema.Tool()))
     np.testing.assert_array_equal(having, without)
 
 
@@ -136,8 +136,8 @@ def test_the_contact_is_that_of_the_tip() -> None:
             a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
         ]
     ).T
-    expected = simulate(tuned("paper-plane", None), tips, SLOW_HZ)
-    got = simulate(tuned("paper-plane", tool), handles, SLOW_HZ)
+    expected = simulate(tune_scene("paper-plane", None), tips, SLOW_HZ)
+    got = simulate(tune_scene("paper-plane", tool), handles, SLOW_HZ)
     for name, size in (("probe_position", 3), ("force", 3), ("torque", 3), ("contact_mode", 1), ("contact_rolled", 1)):
         at = getattr(AT, name)
         # 1000 N/m times the rounding of 0.15 m, summed over hundreds of ticks of rolling.
@@ -149,7 +149,7 @@ def test_the_contact_is_that_of_the_tip() -> None:
 def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
     device = FaultyDevice(Options(fault=fault, at=300, count=20, own_clock=True))
     arm = (0.05, 0.0, 0.0)  # the device does not turn its handle
-    servo = Servo([device], tuned("paper-plane", schema.Tool(offset_m=arm)), 1000.0, 600)
+    servo = ServoThread([device], tune_scene("paper-plane", schema.Tool(offset_m=arm)), 1000.0, 600)
     servo.compile()
     servo.start()
     assert servo.join(60.0) is not None
@@ -157,11 +157,11 @@ def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
     assert servo.records.take(records) == 600
     servo.close()
     wrenches = device.wrenches[:600]
-    felt = records[:, AT.force : AT.force + 3]
-    np.testing.assert_array_equal(wrenches[:, :3], felt)
-    carried = records[:, AT.torque : AT.torque + 3] + np.cross(arm, felt)
+    force = records[:, AT.force : AT.force + 3]
+    np.testing.assert_array_equal(wrenches[:, :3], force)
+    carried = records[:, AT.torque : AT.torque + 3] + np.cross(arm, force)
     np.testing.assert_allclose(wrenches[:, 3:], carried, rtol=0.0, atol=4.0 * EPS)
-    assert np.abs(np.cross(arm, felt)).max() > 0.02
+    assert np.abs(np.cross(arm, force)).max() > 0.02
     assert (records[:, AT.servo_device] == HELD).sum() == (20 if fault == "held" else 0)
     device.close()
 
@@ -176,11 +176,11 @@ def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     rig = load_rig(file)
     assert rig.device.options == {} and build(schema.Rig, describe(rig), "again") == rig
     assert dict(rig_summary(rig))["  tool"] == "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 2.0, 0.0, 0.0]"
-    other = load_rig(file, {"device.driver": "replay", "device.recording": "tap"})
-    assert other.device.tool is None  # the tool belongs to the other device
+    replay_rig = load_rig(file, {"device.driver": "replay", "device.recording": "tap"})
+    assert replay_rig.device.tool is None  # the tool belongs to the other device
     scene = load_scene("paper-plane")
     bare = load_rig(file, {"device.tool": {}})
-    having, without = (whole(simulate_devices(scene, each, 0.002)) for each in (rig, bare))
+    having, without = (whole(simulate_devices(scene, variant, 0.002)) for variant in (rig, bare))
     position, orientation = (slice(at, at + size) for at, size in ((AT.probe_position, 3), (AT.probe_orientation, 4)))
     handle = matrix(without[0, orientation])
     expected = without[0, position] + handle @ [0.0, 0.0, -0.1]
@@ -192,14 +192,14 @@ def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 @pytest.mark.parametrize(
-    ("tool", "said"),
+    ("tool", "message"),
     [
         ({"offset_m": [0.0, 0.0, 2.0]}, "device.tool.offset_m[2] = 2.0: must be a number from -1 to 1"),
         ({"orientation_wxyz": [0, 0, 0, 0]}, "device.tool.orientation_wxyz"),
         ({"length_m": 0.1}, "device.tool.length_m is not a key here"),
     ],
 )
-def test_invalid_tools_are_refused(tool: dict[str, Any], said: str) -> None:
+def test_invalid_tools_are_refused(tool: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         build(schema.Rig, {"device": {"driver": "replay", "recording": "tap", "tool": tool}}, "rig")
-    assert said in str(caught.value)
+    assert message in str(caught.value)

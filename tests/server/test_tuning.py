@@ -69,10 +69,10 @@ def test_the_servo_is_given_these_limits():
 @pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1000.0), (1.5, 1.5 * 12.0 ** (1 / 3) * 1000.0)])
 def test_an_object_stiffer_than_the_device_gives_a_warning(exponent, stiffness, caplog):
     scene = load_scene("paper-plane", {"object.0.material.normal.exponent": exponent})
-    for limit, told in ((1.001 * stiffness, False), (0.999 * stiffness, True)):
+    for limit, has_warning in ((1.001 * stiffness, False), (0.999 * stiffness, True)):
         caplog.clear()
         make_tuning(scene, schema.Guard(force_max_n=12.0), [dataclasses.replace(STRONG, stiffness_max_n_per_m=limit)])
-        assert (f"'table' has {stiffness:.0f} N/m at the guard's 12 N" in caplog.text) == told
+        assert (f"'table' has {stiffness:.0f} N/m at the guard's 12 N" in caplog.text) == has_warning
 
 
 def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

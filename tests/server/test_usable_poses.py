@@ -20,14 +20,14 @@ TILTED = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, 0.5)
 """A position (m), and a unit quaternion without zeros."""
 
 
-def sample(*numbers: float) -> np.ndarray:
+def make_sample(*numbers: float) -> np.ndarray:
     row = np.zeros(SAMPLE_SIZE)
     row[: len(numbers)] = numbers
     return row
 
 
-def with_one(place: int, value: float) -> np.ndarray:
-    row = sample(*TILTED)
+def replace_number(place: int, value: float) -> np.ndarray:
+    row = make_sample(*TILTED)
     row[place] = value
     return row
 
@@ -35,23 +35,23 @@ def with_one(place: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize("place", range(7))
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_no_number_may_be_missing(place: int, value: float) -> None:
-    assert has_pose(sample(*TILTED))
-    assert not has_pose(with_one(place, value))
+    assert has_pose(make_sample(*TILTED))
+    assert not has_pose(replace_number(place, value))
 
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_reach_ends_on_each_axis_on_both_sides(axis: int, side: float) -> None:
-    assert has_pose(with_one(axis, side * POSITION_MAX_M))
-    assert not has_pose(with_one(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
+    assert has_pose(replace_number(axis, side * POSITION_MAX_M))
+    assert not has_pose(replace_number(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
 
 
 @pytest.mark.parametrize("axis", range(4))
 def test_a_quaternion_is_about_unit(axis: int) -> None:
-    for length, taken in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
+    for length, is_accepted in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
         quaternion = [0.0] * 4
         quaternion[axis] = -length
-        assert bool(has_pose(sample(0.0, 0.0, 0.0, *quaternion))) == taken
+        assert bool(has_pose(make_sample(0.0, 0.0, 0.0, *quaternion))) == is_accepted
 
 
 LIMITED = Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0, speed_max=10.0, turn_max=100.0, frozen=0.0105)
@@ -60,51 +60,51 @@ PUSH = (0.0, 0.0, 1.0)
 NONE = (0.0, 0.0, 0.0)
 
 
-def doubts(poses: Sequence[Sequence[float]], statuses: Sequence[int] = (), force: Vec3 = NONE) -> list[int]:
+def check(poses: Sequence[Sequence[float]], statuses: Sequence[int] = (), force: Vec3 = NONE) -> list[int]:
     """Return the result of the check for each pose, one tick apart."""
-    seen = make_pose_memory()
-    told = statuses or [OK] * len(poses)
+    memory = make_pose_memory()
+    all_statuses = statuses or [OK] * len(poses)
     return [
-        int(check_pose(LIMITED, seen, sample(*pose), status, force, T))
-        for pose, status in zip(poses, told, strict=True)
+        int(check_pose(LIMITED, memory, make_sample(*pose), status, force, T))
+        for pose, status in zip(poses, all_statuses, strict=True)
     ]
 
 
-def at(x: float) -> tuple[float, ...]:
+def pose_at(x: float) -> tuple[float, ...]:
     return (x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-def turned(angle: float) -> tuple[float, ...]:
+def turn_pose(angle: float) -> tuple[float, ...]:
     return (0.0, 0.0, 0.0, math.cos(0.5 * angle), 0.0, math.sin(0.5 * angle), 0.0)
 
 
 def test_a_pose_faster_than_the_speed_limit_is_a_jump() -> None:
-    assert doubts([at(5.0), at(5.0099), at(5.0)]) == [0, 0, 0]
-    assert doubts([at(0.0), at(0.0101), at(0.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
+    assert check([pose_at(5.0), pose_at(5.0099), pose_at(5.0)]) == [0, 0, 0]
+    assert check([pose_at(0.0), pose_at(0.0101), pose_at(0.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
 
 
 def test_a_rotation_faster_than_the_turn_limit_is_a_jump() -> None:
-    doubled = tuple(-2.0 * c if k > 2 else c for k, c in enumerate(turned(0.099)))
-    assert doubts([turned(0.0), turned(0.099), turned(0.0), doubled]) == [0, 0, 0, 0]
-    assert doubts([turned(0.0), turned(0.101), turned(-3.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
+    doubled = tuple(-2.0 * c if k > 2 else c for k, c in enumerate(turn_pose(0.099)))
+    assert check([turn_pose(0.0), turn_pose(0.099), turn_pose(0.0), doubled]) == [0, 0, 0, 0]
+    assert check([turn_pose(0.0), turn_pose(0.101), turn_pose(-3.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
 
 
 def test_a_held_pose_extends_the_time_for_the_next_one() -> None:
     broken = (math.nan,) * 7
-    for waiting, status in ((at(0.0), STALE), (broken, OK)):
-        for x, said in ((0.059, 0), (0.061, POSE_JUMPED)):
-            assert doubts([at(0.0), *[waiting] * 5, at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [said]
-    assert doubts([at(0.0)] * 6 + [at(0.059)])[-1] == POSE_JUMPED  # the driver reported them as new
+    for waiting, status in ((pose_at(0.0), STALE), (broken, OK)):
+        for x, expected in ((0.059, 0), (0.061, POSE_JUMPED)):
+            assert check([pose_at(0.0), *[waiting] * 5, pose_at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [expected]
+    assert check([pose_at(0.0)] * 6 + [pose_at(0.059)])[-1] == POSE_JUMPED  # the driver reported them as new
 
 
 def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
-    same, other = [at(0.009)] * 20, at(math.nextafter(0.009, 1.0))
-    assert doubts([*same, other], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
-    assert doubts(same, force=(0.0, 0.0, 0.009)) == [0] * 20
+    same, moved = [pose_at(0.009)] * 20, pose_at(math.nextafter(0.009, 1.0))
+    assert check([*same, moved], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
+    assert check(same, force=(0.0, 0.0, 0.009)) == [0] * 20
 
 
 def test_a_frozen_pose_remains_frozen_without_the_force() -> None:
-    seen = make_pose_memory()
+    memory = make_pose_memory()
     for _ in range(30):
-        check_pose(LIMITED, seen, sample(*at(0.0)), OK, PUSH, T)
-    assert check_pose(LIMITED, seen, sample(*at(0.0)), OK, NONE, T) == POSE_FROZEN
+        check_pose(LIMITED, memory, make_sample(*pose_at(0.0)), OK, PUSH, T)
+    assert check_pose(LIMITED, memory, make_sample(*pose_at(0.0)), OK, NONE, T) == POSE_FROZEN

@@ -35,10 +35,10 @@ def port() -> Iterator[tuple[int, int]]:
     os.close(far)
 
 
-def watched(name: str, fd: int, told: bytes) -> str:
+def watch(name: str, fd: int, stdin: bytes) -> str:
     words = [sys.executable, "-I", "-S", watcher.__file__, name, str(fd), ZERO.hex()]
     process = subprocess.run(
-        words, input=told, capture_output=True, pass_fds=(fd,), preexec_fn=as_an_ordinary_user, check=True
+        words, input=stdin, capture_output=True, pass_fds=(fd,), preexec_fn=as_an_ordinary_user, check=True
     )
     return process.stderr.decode()
 
@@ -47,7 +47,7 @@ def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
     far, near = port
     name = os.ttyname(near)
     fcntl.ioctl(far, termios.TIOCPKT, struct.pack("i", 1))  # each read has a byte of status
-    assert watched(name, near, b"") == f"softfinger watcher: the daemon has died: zero force was written to {name}\n"
+    assert watch(name, near, b"") == f"softfinger watcher: the daemon has died: zero force was written to {name}\n"
     assert os.read(far, 100)[0] & termios.TIOCPKT_FLUSHWRITE
     received = b""
     while len(received) < watcher.WRITES * len(ZERO):  # one read may return fewer writes
@@ -62,7 +62,7 @@ def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
 def test_a_device_that_was_closed_is_not_written_to(port: tuple[int, int]) -> None:
     far, near = port
     os.set_blocking(far, False)
-    assert watched(os.ttyname(near), near, watcher.CLOSED) == ""
+    assert watch(os.ttyname(near), near, watcher.CLOSED) == ""
     with pytest.raises(BlockingIOError):
         os.read(far, 100)
 
@@ -71,7 +71,7 @@ def test_a_failed_zero_is_reported() -> None:
     far, near = os.openpty()
     name = os.ttyname(near)
     os.close(far)
-    said = watched(name, near, b"")
+    stderr = watch(name, near, b"")
     os.close(near)
     why = f"zero force could not be written to {name}: {os.strerror(errno.EIO)}"
-    assert said == f"softfinger watcher: the daemon has died: {why}\n"
+    assert stderr == f"softfinger watcher: the daemon has died: {why}\n"

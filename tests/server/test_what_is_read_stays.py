@@ -14,7 +14,7 @@ POSES = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.02,1,0,0,0\n0.1,0,0,0.009,1,0,0,0\n"
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.csv").write_text(POSES)
     (tmp_path / "link.csv").symlink_to("a.csv")
@@ -32,22 +32,22 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
     ids=lambda words: words[0],
 )
-def test_an_output_may_not_be_an_input(words: list[str], written: str, here: Path) -> None:
+def test_an_output_may_not_be_an_input(words: list[str], written: str, folder: Path) -> None:
     result = called(*words, written)
     assert result.returncode == 2 and "choose another output file" in result.stderr, result.stderr
-    assert (here / "a.csv").read_text() == POSES and sorted(os.listdir(here)) == ["a.csv", "link.csv"]
+    assert (folder / "a.csv").read_text() == POSES and sorted(os.listdir(folder)) == ["a.csv", "link.csv"]
 
 
 @pytest.mark.real_time
-def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], here: Path) -> None:
+def test_a_recording_overwrites_no_file(endpoints: tuple[str, str], folder: Path) -> None:
     to = ["--endpoint", endpoints[0], "--timeout", "60"]
     result = called("record", "a.csv", "--duration", "0.05", *to)
-    assert result.returncode == 3 and "already exists" in result.stderr and (here / "a.csv").read_text() == POSES
+    assert result.returncode == 3 and "already exists" in result.stderr and (folder / "a.csv").read_text() == POSES
     result = called("record", "short.csv", "--duration", "0.0005", *to)
-    assert result.returncode == 3 and "at least 2" in result.stderr and not (here / "short.csv").exists()
+    assert result.returncode == 3 and "at least 2" in result.stderr and not (folder / "short.csv").exists()
     result = called("record", "--poses", "index=b.csv", "--poses", "thumb=./b.csv", *to)
-    assert result.returncode == 2 and "are the same file" in result.stderr and not (here / "b.csv").exists()
-    assert called("record", "b.csv", "--duration", "0.05", *to).returncode == 0 and (here / "b.csv").stat().st_size
+    assert result.returncode == 2 and "are the same file" in result.stderr and not (folder / "b.csv").exists()
+    assert called("record", "b.csv", "--duration", "0.05", *to).returncode == 0 and (folder / "b.csv").stat().st_size
 
 
 def test_a_name_that_the_terminal_cannot_encode_is_escaped(tmp_path: Path) -> None:

@@ -46,10 +46,10 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.fixture
 def daemons() -> Iterator[list[Daemon]]:
     rig = load_rig("replay", {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as one, Daemon(rig, load_scene("paper-plane")) as other:
-        one.start()
-        other.start()
-        yield [one, other]
+    with Daemon(rig, load_scene("paper-plane")) as first, Daemon(rig, load_scene("paper-plane")) as second:
+        first.start()
+        second.start()
+        yield [first, second]
 
 
 @pytest.mark.real_time
@@ -73,21 +73,21 @@ def test_ctl_accepts_either_address(folder: Path, daemons: list[Daemon], capsys:
 
 @pytest.mark.real_time
 def test_readers_accept_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
-    told = list[str]()
+    telemetry_endpoints = list[str]()
     for number, endpoint in enumerate((daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint))):
         assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
         assert '"tick"' in capsys.readouterr().out
-        kept = folder / f"{number}.mcap"
-        assert main(["record", str(kept), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
-        assert kept.stat().st_size > 0
+        recording = folder / f"{number}.mcap"
+        assert main(["record", str(recording), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
+        assert recording.stat().st_size > 0
         with Client(endpoint, timeout_s=WAIT_S) as client:
-            told.append(client.describe()["endpoints"]["telemetry"])
+            telemetry_endpoints.append(client.describe()["endpoints"]["telemetry"])
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
-    assert told == [daemons[0].publisher.endpoint] * 2
+    assert telemetry_endpoints == [daemons[0].publisher.endpoint] * 2
 
 
 @pytest.fixture
-def named() -> Iterator[Daemon]:
+def named_daemon() -> Iterator[Daemon]:
     """Run a daemon whose rig names a TCP address for commands, on a port unrelated to that of the telemetry."""
     rig = load_rig("replay", dict.fromkeys(ENDPOINTS, "tcp://127.0.0.1:*") | {"servo.realtime": "off"})
     with Daemon(rig, load_scene("paper-plane")) as daemon:
@@ -97,9 +97,9 @@ def named() -> Iterator[Daemon]:
 
 @pytest.mark.real_time
 def test_a_daemon_with_named_commands_is_found_from_either_address(
-    folder: Path, named: Daemon, capsys: pytest.CaptureFixture[str]
+    folder: Path, named_daemon: Daemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    both = (named.publisher.endpoint, str(named.commands_endpoint))
+    both = (named_daemon.publisher.endpoint, str(named_daemon.commands_endpoint))
     for number, endpoint in enumerate(both):
         for to_command in (False, True):
             assert find_addresses(endpoint, to_command=to_command) == both
@@ -108,24 +108,24 @@ def test_a_daemon_with_named_commands_is_found_from_either_address(
         assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
         assert '"tick"' in capsys.readouterr().out
         folder.mkdir(mode=0o700, exist_ok=True)
-        kept = folder / f"{number}.mcap"
-        assert main(["record", str(kept), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
+        recording = folder / f"{number}.mcap"
+        assert main(["record", str(recording), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
         assert any(
-            isinstance(part, Note) and part.name == "scene" for part in read_contents(kept)
+            isinstance(part, Note) and part.name == "scene" for part in read_contents(recording)
         )  # sent by the daemon
         with Client(endpoint, timeout_s=WAIT_S) as client:
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
-            assert client.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
+            assert client.describe()["endpoints"]["telemetry"] == named_daemon.publisher.endpoint
 
 
 @pytest.mark.real_time
-def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named: Daemon) -> None:
+def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named_daemon: Daemon) -> None:
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.page import Page
 
     page = Page("127.0.0.1", 0)
     try:
-        fed = LivePage(page, find_addresses(named.publisher.endpoint))
+        fed = LivePage(page, find_addresses(named_daemon.publisher.endpoint))
         try:
             until = time.monotonic() + WAIT_S
             while not page.fingers and time.monotonic() < until:
@@ -136,12 +136,12 @@ def test_page_and_gateway_find_commands_that_the_rig_names(folder: Path, named: 
             fed.close()
     finally:
         page.close()
-    there = f"ipc://{folder.parent}/there"
-    words = ["forward", "--from", named.publisher.endpoint, "--commands-to", there]
+    gateway_endpoint = f"ipc://{folder.parent}/there"
+    words = ["forward", "--from", named_daemon.publisher.endpoint, "--commands-to", gateway_endpoint]
     with Program([sys.executable, "-m", "softfinger.server.cli", *words]) as gateway:
         try:
-            with Control(there, WAIT_S) as control:
-                assert control.describe()["endpoints"]["telemetry"] == named.publisher.endpoint
+            with Control(gateway_endpoint, WAIT_S) as control:
+                assert control.describe()["endpoints"]["telemetry"] == named_daemon.publisher.endpoint
         finally:
             gateway.terminate()
 
@@ -159,8 +159,8 @@ def test_a_daemon_without_commands_refuses_them_immediately(folder: Path) -> Non
 
 
 def test_addresses_follow_from_each_other(folder: Path) -> None:
-    beside = f"ipc://{folder}/5601.commands"
-    assert find_addresses(beside) == ("tcp://127.0.0.1:5601", beside)
+    commands = f"ipc://{folder}/5601.commands"
+    assert find_addresses(commands) == ("tcp://127.0.0.1:5601", commands)
     assert find_addresses("tcp://10.0.0.1:5555") == ("tcp://10.0.0.1:5555", "tcp://10.0.0.1:5556")
     assert find_addresses("tcp://10.0.0.1:5556", to_command=True).commands == "tcp://10.0.0.1:5556"
 
@@ -200,46 +200,46 @@ def test_a_socket_of_a_killed_daemon_is_replaced(folder: Path) -> None:
     )
     subprocess.run([sys.executable, "-c", killed, endpoint], check=True)
     path = Path(endpoint.removeprefix("ipc://"))
-    left = path.stat().st_ino, path.stat().st_ctime_ns
+    abandoned = path.stat().st_ino, path.stat().st_ctime_ns
     with listen(endpoint, KEY, own=True).files:
         living = path.stat().st_ino, path.stat().st_ctime_ns
-        assert living != left
+        assert living != abandoned
         with pytest.raises(AddressInUse, match="is in use: stop process "):
             listen(endpoint, KEY, own=True)
         assert (path.stat().st_ino, path.stat().st_ctime_ns) == living
     assert not path.exists()
 
 
-def _writable(folder: Path) -> None:
+def _make_writable(folder: Path) -> None:
     folder.mkdir()
     folder.chmod(0o777)
 
 
-def _link(folder: Path) -> None:
+def _make_link(folder: Path) -> None:
     (folder.parent / "elsewhere").mkdir()
     folder.symlink_to("elsewhere")
 
 
-def _of_another(folder: Path) -> None:
+def _make_foreign(folder: Path) -> None:
     folder.mkdir()
     os.chown(folder, NOBODY, NOBODY)
 
 
 @pytest.mark.parametrize(
-    ("plant", "said"),
+    ("plant", "message"),
     [
-        (_writable, "other users may write to it"),
-        (_link, "is not a folder"),
+        (_make_writable, "other users may write to it"),
+        (_make_link, "is not a folder"),
         (Path.touch, "is not a folder"),
-        pytest.param(_of_another, "belongs to another user", marks=needs_root),
+        pytest.param(_make_foreign, "belongs to another user", marks=needs_root),
     ],
 )
-def test_a_folder_of_another_user_is_refused(folder: Path, plant, said: str) -> None:
+def test_a_folder_of_another_user_is_refused(folder: Path, plant, message: str) -> None:
     """The daemon's socket could be replaced there, and clients could command another user's daemon."""
     plant(folder)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         listen(commands_address_for(TELEMETRY), KEY, own=True)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         Control(commands_address_for(TELEMETRY))
 
 

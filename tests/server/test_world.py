@@ -46,12 +46,12 @@ def scene(tmp_path: Path) -> schema.Scene:
     return load_scene({"fingertip": {"radius_m": 0.01}, "rolling": ROLLING, "world": key_world(tmp_path)})
 
 
-def rig(**changes: Any) -> schema.Rig:
+def make_rig(**changes: Any) -> schema.Rig:
     keys = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "off", "servo.realtime": "off"}
     return load_rig("replay", keys | {"device.recording": "tap", **changes})
 
 
-def heights(endpoint: str) -> Iterator[tuple[int, float]]:
+def receive_heights(endpoint: str) -> Iterator[tuple[int, float]]:
     with subscribe(endpoint, ("world",), timeout_s=20.0) as samples:
         for sample in samples:
             (body,) = sample.bodies
@@ -64,32 +64,32 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
     rows: list[np.ndarray] = []
     ticks = 1100
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
-    with Daemon(rig(), scene, ticks, sinks=[keep]) as running:
+    with Daemon(make_rig(), scene, ticks, sinks=[keep]) as running:
         running.recordings.record(tmp_path / "a.mcap", "key")
-        seen = []
+        published = []
         running.start()
-        for tick, height in heights(running.publisher.endpoint):
-            seen.append((tick, height + 0.01))
+        for tick, height in receive_heights(running.publisher.endpoint):
+            published.append((tick, height + 0.01))
             if not running.servo.is_running or tick > ticks - 60:
                 break
         assert running.wait(60.0)
-    order = [tick for tick, _ in seen]
+    order = [tick for tick, _ in published]
     assert order == sorted(set(order)) and len(order) > 10
     share = 500.0 / (500.0 + 300.0)
-    assert min(down for _, down in seen) == pytest.approx(-share * PRESSED_M, rel=0.3)  # a tap, so it oscillates
-    assert seen[-1][1] > -1e-4
+    assert min(down for _, down in published) == pytest.approx(-share * PRESSED_M, rel=0.3)  # a tap, so it oscillates
+    assert published[-1][1] > -1e-4
 
     records = np.concatenate(rows)
     poses = resample(load_poses("tap"), 1000.0)[:ticks]
-    again = simulate(make_tuning(scene, rig().guard), poses, 1000.0)
+    offline = simulate(make_tuning(scene, make_rig().guard), poses, 1000.0)
     for field in (slice(AT.force, AT.force + 3), slice(AT.proxy_position, AT.proxy_position + 3)):
-        np.testing.assert_array_equal(records[:, field], again[: len(records), field])
+        np.testing.assert_array_equal(records[:, field], offline[: len(records), field])
     assert np.abs(records[:, AT.force + 2]).max() > 0.1
 
     past = load_run(tmp_path / "a.mcap", FIELDS)
     assert past.bodies.names == ("key",)
     assert len(past.bodies.ticks) > 10 and np.ptp(past.bodies.poses[:, 0, 2]) > 0.3 * share * PRESSED_M
-    now = replay(past, scene, rig())
+    now = replay(past, scene, make_rig())
     outcome = compare(past, now, {"": {}}, 0.0)
     assert (outcome.different, outcome.largest["key.position"]) == (0, 0.0)
     past.bodies.poses[5, 0, 2] += 1e-12
@@ -119,7 +119,7 @@ sys.path.insert(0, sys.argv[1])
 from helpers.faulty_device import FaultyDevice, Options
 from helpers.key_world import ROLLING, RUBBER
 from softfinger.config.load import load_rig, load_scene
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 shim = ctypes.CDLL(None)
 shim.allocations.restype = ctypes.c_long
@@ -130,7 +130,7 @@ def count(ticks):
     def prepare():
         seen.append(shim.allocations())
         return lambda: seen.append(shim.allocations())
-    servo = Servo([device], make_tuning(scene, load_rig("replay").guard, [device.info]), 1000.0, ticks, prepare)
+    servo = ServoThread([device], make_tuning(scene, load_rig("replay").guard, [device.info]), 1000.0, ticks, prepare)
     servo.compile()
     servo.start()
     assert servo.join(60.0).ending == 1
@@ -182,9 +182,9 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
     text = KEY.replace("<joint", '<joint name="slide"').replace("</mujoco>", HOME)
     (tmp_path / "key.xml").write_text(text)
     at_home = apply_overrides(scene, {"world.keyframe": "home"}, "test")
-    with Daemon(rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), at_home) as running:
+    with Daemon(make_rig(**{"commands.endpoint": f"ipc://{tmp_path}/c"}), at_home) as running:
         running.start()
-        samples = heights(running.publisher.endpoint)
+        samples = receive_heights(running.publisher.endpoint)
         begun = [height for _, height in itertools.islice(samples, 5)]
         bodies = running.servo.tuning.scene.bodies
         assert bodies is not None
@@ -212,8 +212,8 @@ SLEW = 20.0
 def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Path) -> None:
     rows: list[np.ndarray] = []
     keep = Sink("test", lambda records, drops: rows.append(records.copy()))
-    given = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
-    with Daemon(rig(**given), scene, sinks=[keep]) as running:
+    changes = {"commands.endpoint": f"ipc://{tmp_path}/c", "guard.force_slew_n_per_s": SLEW, "guard.ramp_s": 0.1}
+    with Daemon(make_rig(**changes), scene, sinks=[keep]) as running:
         running.start()
         with (
             Control(f"ipc://{tmp_path}/c") as control,
@@ -222,15 +222,15 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
             resets = [control.reset_world().tick]
             while events.receive(0.1) is None:  # until the subscription is active
                 control.mark("begin")
-            for said in ("huge value", "solver", "huge value"):
+            for failure in ("huge value", "solver", "huge value"):
                 owner = running.servo.tuning.scene.bodies.block.owner  # type: ignore[union-attr]
                 wait_for(running, running.servo.ticks + 1500)  # the key is pressed in each
-                if said == "huge value":
+                if failure == "huge value":
                     owner.data.qvel[0] = math.inf
                 else:
                     owner.model.opt.solver = 77
                 message = next_fault(events)
-                assert said in message and "softfinger ctl reset_world" in message and "key.xml" in message
+                assert failure in message and "softfinger ctl reset_world" in message and "key.xml" in message
                 let_go = running.servo.ticks
                 wait_for(running, let_go + 1500)
                 resets.append(control.reset_world().tick)
@@ -244,8 +244,8 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
     force, tick = together[:, AT.force + 2], together[:, AT.tick]
     assert np.abs(np.diff(force)).max() <= SLEW * 1e-3 + 1e-12
     for begin in resets:
-        felt = np.abs(force[(tick >= begin) & (tick < begin + 1400)])
-        assert felt.max() > 0.05 and felt[0] <= SLEW * 1e-3
+        forces = np.abs(force[(tick >= begin) & (tick < begin + 1400)])
+        assert forces.max() > 0.05 and forces[0] <= SLEW * 1e-3
 
 
 def wait_for(running: Daemon, ticks: int) -> None:
@@ -259,7 +259,7 @@ def wait_for(running: Daemon, ticks: int) -> None:
 def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
     assert scene.world is not None
     hasty = msgspec.structs.replace(scene, world=msgspec.structs.replace(scene.world, budget_us=1.0))
-    with Daemon(rig(), hasty) as running:
+    with Daemon(make_rig(), hasty) as running:
         running.start()
         wait_for(running, 500)
         owner = running.servo.tuning.scene.bodies.block.owner  # type: ignore[union-attr]
@@ -268,7 +268,7 @@ def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
 
 
 def test_a_step_by_address_equals_that_of_mujoco(scene: schema.Scene) -> None:
-    tuning, away = make_tuning(scene, rig().guard), [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    tuning, away = make_tuning(scene, make_rig().guard), [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
     assert tuning.scene.bodies is not None
     owner = tuning.scene.bodies.block.owner
     owner.model.opt.gravity[2] = -9.81

@@ -59,11 +59,11 @@ def test_without_torsion_a_knob_does_not_turn() -> None:
 @PLAIN_ONLY
 def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
     hands = SimulatedHands("open-a-drawer")
-    felt = hands.until(2.9)[""][-1]
+    last = hands.until(2.9)[""][-1]
     inner_face = 0.024  # of the handle, shut: 5 mm before the finger
-    depth = felt["force"][1] / 1000.0
+    depth = last["force"][1] / 1000.0
     assert 0.0 < depth <= 0.4 / 1000.0  # friction balances the remaining pull
-    opened = inner_face - (felt["probe.position"][1] - RADIUS + depth)
+    opened = inner_face - (last["probe.position"][1] - RADIUS + depth)
     assert hands.data.qpos[0] == pytest.approx(opened, abs=2e-5)  # MuJoCo's friction creeps
     assert opened == pytest.approx(0.094, abs=1e-3)
     hands.until(4.8)
@@ -73,13 +73,13 @@ def test_a_drawer_is_pulled_open_and_pushed_shut() -> None:
 @PLAIN_ONLY
 def test_a_door_follows_the_finger_and_closes_by_its_spring() -> None:
     hands = SimulatedHands("open-a-door")
-    felt = hands.until(2.2)[""][-1]
-    x, y = felt["probe.position"][:2] - np.array([-0.08, 0.0])  # from the hinge
+    last = hands.until(2.2)[""][-1]
+    x, y = last["probe.position"][:2] - np.array([-0.08, 0.0])  # from the hinge
     angle = hands.data.qpos[0]
     face, along = -(y * math.cos(angle) - x * math.sin(angle)), y * math.sin(angle) + x * math.cos(angle)
-    assert face == pytest.approx(RADIUS + 0.004 - felt["contact.penetration"], abs=1e-5)
-    sideways = felt["contact.tangential_force"] * 0.004  # friction acts on the face, in front of the hinge
-    assert felt["contact.normal_force"] * along == pytest.approx(0.06 * angle, abs=sideways + 1e-4)
+    assert face == pytest.approx(RADIUS + 0.004 - last["contact.penetration"], abs=1e-5)
+    sideways = last["contact.tangential_force"] * 0.004  # friction acts on the face, in front of the hinge
+    assert last["contact.normal_force"] * along == pytest.approx(0.06 * angle, abs=sideways + 1e-4)
     assert angle > math.radians(25.0)
     hands.until(4.6)
     assert abs(hands.data.qpos[0]) < 1e-3
@@ -110,11 +110,11 @@ def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
     place, turn = hands.data.qpos[0], 2.0 * math.atan2(hands.data.qpos[5], hands.data.qpos[3])
     end = hands.until(2.35)[""]["probe.position"][-1, 0]
     rolled = 2.0 * math.atan2(hands.data.qpos[5], hands.data.qpos[3]) - turn
-    way = hands.data.qpos[0] - place
+    travel = hands.data.qpos[0] - place
     assert end - start > 0.0099
-    assert way == pytest.approx(0.5 * (end - start), rel=0.02)
+    assert travel == pytest.approx(0.5 * (end - start), rel=0.02)
     sunk = 0.004 - hands.data.qpos[2]  # into MuJoCo's soft table, so that it rolls on a smaller radius
-    assert way / 0.004 < rolled < way / (0.004 - sunk)
+    assert travel / 0.004 < rolled < travel / (0.004 - sunk)
 
 
 @PLAIN_ONLY
@@ -168,7 +168,11 @@ SECONDS = {
 
 @PLAIN_ONLY
 @pytest.mark.parametrize(
-    "name", [each if each == "turn-a-knob" else pytest.param(each, marks=pytest.mark.exhaustive) for each in SECONDS]
+    "name",
+    [
+        scene_id if scene_id == "turn-a-knob" else pytest.param(scene_id, marks=pytest.mark.exhaustive)
+        for scene_id in SECONDS
+    ],
 )
 def test_scenes_played_by_hands_are_replayed_exactly(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -193,19 +197,19 @@ def test_simulate_stores_the_poses_of_bodies(tmp_path: Path) -> None:
     )
     with file.open("rb") as opened:
         decoded = make_reader(opened, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
-        messages = [(channel.topic, message.log_time, each) for _, channel, message, each in decoded]
-    worlds = [(time_ns, each) for topic, time_ns, each in messages if topic == "world"]
-    ticks = [each.tick for _, each in worlds]
+        messages = [(channel.topic, message.log_time, data) for _, channel, message, data in decoded]
+    worlds = [(time_ns, data) for topic, time_ns, data in messages if topic == "world"]
+    ticks = [data.tick for _, data in worlds]
     assert ticks[:3] == [0, 17, 34] and set(np.diff(ticks[:-1])) == {16, 17} and ticks[-1] == 1499
     hands = SimulatedHands(name)
-    for time_ns, each in worlds[::10]:
-        (body,) = each.bodies
-        hands.until((each.tick + 1) * DT)
-        assert time_ns == round(each.tick * DT * 1e9)
+    for time_ns, data in worlds[::10]:
+        (body,) = data.bodies
+        hands.until((data.tick + 1) * DT)
+        assert time_ns == round(data.tick * DT * 1e9)
         assert body.name == "knob" and list(body.orientation) == hands.data.xquat[1].tolist()
         assert body.rate[2] == pytest.approx(hands.data.qvel[0], abs=1e-12)
-    frames = [each.rotation for topic, _, each in messages if topic == "tf" and each.child_frame_id == "body/knob"]
-    assert [turn.z for turn in frames] == [each.bodies[0].orientation[3] for _, each in worlds]
+    frames = [data.rotation for topic, _, data in messages if topic == "tf" and data.child_frame_id == "body/knob"]
+    assert [turn.z for turn in frames] == [data.bodies[0].orientation[3] for _, data in worlds]
     assert frames[0].z == 0.0 and abs(frames[-1].z) > 0.01
     recording = load(str(file), None)
     assert recording.scene == load_scene(name) and recording.name == name
@@ -222,7 +226,7 @@ def test_messages_of_an_elastic_object_follow_its_loads() -> None:
     messages = SceneMessages(scene, 1000.0)
     parts = [(first, part.stop - part.start) for first, part in messages.split(build_scene(tuning), 0, records)]
     assert sum(count for _, count in parts) == 200 and parts[:3] == [(0, 1), (1, 17), (18, 17)]
-    assert [(topic, each["tick"], len(each["loads"])) for topic, each in messages.pending] == [
+    assert [(topic, content["tick"], len(content["loads"])) for topic, content in messages.pending] == [
         ("deformation", 50, 1),
         ("deformation", 84, 0),
     ]

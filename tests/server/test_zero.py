@@ -25,19 +25,19 @@ HELD_M = 0.009
 SWAY_M_PER_S = 0.005 * 0.02 * 1000.0
 
 
-def zeroed(control: Control, **what):
+def zero_when_off(control: Control, **arguments):
     """Send `zero` as soon as the force is off."""
     answers = []
 
-    def done() -> bool:
+    def is_zeroed() -> bool:
         try:
-            answers.append(control.zero(**what))
+            answers.append(control.zero(**arguments))
         except CommandRefused as error:
             if not str(error).startswith("busy: "):
                 raise
         return bool(answers)
 
-    assert eventually(done)
+    assert eventually(is_zeroed)
     return answers[0]
 
 
@@ -48,43 +48,44 @@ def test_a_zero_offset_changes_no_bit():
 
 def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
     """It is refused under a force; afterwards F_z = k d + f at the new depth, until a reset."""
-    with running(rig()) as (daemon, control, kept), events(daemon) as following:
+    with running(rig()) as (daemon, control, recorder), events(daemon) as next_event:
         with pytest.raises(CommandRefused, match=r"^refused: .* disarm first"):
             control.zero()
         control.disarm()
-        following("command")
-        done = zeroed(control, position_m=(0.0, 0.0, HELD_M + 0.0005))
-        told = following("command")
-        assert told["name"] == "zero" and told["what"] == {"finger": "", "offset_m": list(done.offset_m)}
-        assert done.offset_m[2] == pytest.approx(0.0005, rel=1e-9)  # a difference of numbers 20 times as large
-        assert control.describe()["fingers"][0]["offset_m"] == list(done.offset_m)
-        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > done.tick + 20)
-        rows = kept.since(done.tick + 2)
+        next_event("command")
+        answer = zero_when_off(control, position_m=(0.0, 0.0, HELD_M + 0.0005))
+        message = next_event("command")
+        assert message["name"] == "zero" and message["what"] == {"finger": "", "offset_m": list(answer.offset_m)}
+        assert answer.offset_m[2] == pytest.approx(0.0005, rel=1e-9)  # a difference of numbers 20 times as large
+        assert control.describe()["fingers"][0]["offset_m"] == list(answer.offset_m)
+        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > answer.tick + 20)
+        rows = recorder.since(answer.tick + 2)
         np.testing.assert_allclose(rows[:, AT.probe_position + 2], HELD_M + 0.0005, rtol=ROUNDING)
         # The tick in which the offset is applied is among these; moving 0.5 mm in a tick would be 0.5 m/s.
-        velocities = kept.since(done.tick - 5)[:, AT.probe_velocity : AT.probe_velocity + 3]
+        velocities = recorder.since(answer.tick - 5)[:, AT.probe_velocity : AT.probe_velocity + 3]
         assert np.abs(velocities[:, 2]).max() == 0.0 and np.abs(velocities[:, 0]).max() <= SWAY_M_PER_S
-        assert not kept.since(done.tick)[:, AT.force + 2].any()
+        assert not recorder.since(answer.tick)[:, AT.force + 2].any()
         control.arm()
-        assert eventually(lambda: kept.force_n == pytest.approx(0.5 + 1.0, rel=1e-9))
+        assert eventually(lambda: recorder.force_n == pytest.approx(0.5 + 1.0, rel=1e-9))
         control.set_scene(describe(pressed_scene(stiffness_n_per_m=2000.0)))
-        assert eventually(lambda: kept.force_n == pytest.approx(1.0 + 1.0, rel=1e-9))
+        assert eventually(lambda: recorder.force_n == pytest.approx(1.0 + 1.0, rel=1e-9))
         control.disarm()
-        again = zeroed(control, position_m=(0.0, 0.0, 0.009))
-        assert again.offset_m[2] == pytest.approx(0.0, abs=1e-15)  # rounding of sums of about 0.01
-        assert zeroed(control, reset=True).offset_m == (0.0, 0.0, 0.0)
+        second_answer = zero_when_off(control, position_m=(0.0, 0.0, 0.009))
+        assert second_answer.offset_m[2] == pytest.approx(0.0, abs=1e-15)  # rounding of sums of about 0.01
+        assert zero_when_off(control, reset=True).offset_m == (0.0, 0.0, 0.0)
         control.arm()
-        assert eventually(lambda: kept.force_n == pytest.approx(2000.0 * DEPTH_M + 1.0, rel=ROUNDING))
-        assert kept.rows[-1][-1, AT.probe_position + 2] == HELD_M
+        assert eventually(lambda: recorder.force_n == pytest.approx(2000.0 * DEPTH_M + 1.0, rel=ROUNDING))
+        assert recorder.rows[-1][-1, AT.probe_position + 2] == HELD_M
 
 
 def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
     device = {"driver": "faulty"}
-    with running(two_devices(device, device, guard=describe(rig())["guard"]), pressed_by_two()) as (_, control, kept):
+    two_boards = two_devices(device, device, guard=describe(rig())["guard"])
+    with running(two_boards, pressed_by_two()) as (_, control, recorder):
         control.disarm()
         with pytest.raises(CommandRefused, match="give finger, one of thumb, index"):
             control.zero()
-        done = zeroed(control, position_m=(0.0, 0.0, 0.0085), finger="index")
-        assert eventually(lambda: kept.rows[-1][-1, AT.tick] > done.tick + 2)
-        heights = kept.rows[-1][-1].reshape(2, -1)[:, AT.probe_position + 2]
+        answer = zero_when_off(control, position_m=(0.0, 0.0, 0.0085), finger="index")
+        assert eventually(lambda: recorder.rows[-1][-1, AT.tick] > answer.tick + 2)
+        heights = recorder.rows[-1][-1].reshape(2, -1)[:, AT.probe_position + 2]
         assert heights[0] == HELD_M and heights[1] == pytest.approx(0.0085, rel=ROUNDING)

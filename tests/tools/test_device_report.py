@@ -304,3 +304,9 @@ def test_invalid_arguments_give_one_clear_error(
     assert output == ""
     assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
     assert list(home.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--device-report", "--probe"])
+def test_a_report_that_cannot_be_written_names_its_option(option: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=f"{option} .*cannot be written"):
+        report.write(tmp_path / "missing" / "report.json", {}, option)

@@ -99,7 +99,7 @@ def test_the_questions_are_well_formed() -> None:
 
 
 def test_measurements_answer_their_questions() -> None:
-    empty, _ = report.begun(load_rig("falcon"), guided=False)
+    empty, _ = report.start_report(load_rig("falcon"), guided=False)
     assert not any(row["measured"] for row in answer_questions(empty))
     full = empty | {
         "moves": [{"asked": "move it up", "kind": "translation", "seen": "+z"}],

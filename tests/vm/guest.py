@@ -33,7 +33,7 @@ from softfinger.drivers.base import OK
 from softfinger.drivers.registry import open_device
 from softfinger.server import cli
 from softfinger.server.driver_contract import Servo as Caller
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.services import hotplug
 from softfinger.server.verbs import devices as _devices  # noqa: F401  (imported here, once)
@@ -342,7 +342,7 @@ def loaded() -> None:
     rig = load_rig("replay")
     with open_device(rig.device, rig.servo.rate_hz) as device:
         for scene in SCENES:
-            servo = Servo([device], make_tuning(load_scene(scene), rig.guard, [device.info]), rig.servo.rate_hz)
+            servo = ServoThread([device], make_tuning(load_scene(scene), rig.guard, [device.info]), rig.servo.rate_hz)
             servo.compile()
             servo.close()
 

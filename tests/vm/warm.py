@@ -11,7 +11,7 @@ from softfinger.drivers.simulated import device as simulated  # noqa: F401
 from softfinger.drivers.spacemouse import device as spacemouse  # noqa: F401  (compiled by their import)
 from softfinger.proxy.engine import compiled
 from softfinger.server.driver_contract import RATE_HZ, make_pulling_tuning
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.verbs.warmup import prune
 from softfinger.server.wire.native.relay import Relay
@@ -27,7 +27,7 @@ def main() -> None:
             *(make_tuning(load_scene(name), rig.guard, [device.info]) for name in SCENES),
             make_pulling_tuning(),
         ):
-            servo = Servo([device], tuning, RATE_HZ)
+            servo = ServoThread([device], tuning, RATE_HZ)
             servo.compile()
             servo.close()
     compiled(make_tuning(load_scene(SCENES[0]), rig.guard).scene)

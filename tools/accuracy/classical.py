@@ -63,16 +63,16 @@ def slope(radius: float, shape: Any, at: Coordinates, w: Vec3, normal: Vec3, ang
 
 
 @jit
-def weight(y: float, other: float) -> float:
-    return 1.0 / max(abs(y), abs(other), THRESHOLD)
+def weight(y: float, y_ahead: float) -> float:
+    return 1.0 / max(abs(y), abs(y_ahead), THRESHOLD)
 
 
 @jit
-def largest(v: Coordinates, y: Coordinates, other: Coordinates) -> float:
+def largest(v: Coordinates, y: Coordinates, y_ahead: Coordinates) -> float:
     """Return the largest component of v, each relative to the larger of y and other, or to the threshold."""
-    first = max(abs(v.u_f) * weight(y.u_f, other.u_f), abs(v.v_f) * weight(y.v_f, other.v_f))
-    second = max(abs(v.u_o) * weight(y.u_o, other.u_o), abs(v.v_o) * weight(y.v_o, other.v_o))
-    return max(first, second, abs(v.psi) * weight(y.psi, other.psi))
+    first = max(abs(v.u_f) * weight(y.u_f, y_ahead.u_f), abs(v.v_f) * weight(y.v_f, y_ahead.v_f))
+    second = max(abs(v.u_o) * weight(y.u_o, y_ahead.u_o), abs(v.v_o) * weight(y.v_o, y_ahead.v_o))
+    return max(first, second, abs(v.psi) * weight(y.psi, y_ahead.psi))
 
 
 @jit

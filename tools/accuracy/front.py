@@ -18,12 +18,12 @@ Row = dict[str, Any]
 
 def standard(rows: Iterable[Row]) -> list[Row]:
     """Return the rows of the sweep over servo rates: original surface, first rotation rate and first spin ratio."""
-    own = [row for row in rows if row["given_ratio"] is None]
-    if not own:
+    surface_rows = [row for row in rows if row["given_ratio"] is None]
+    if not surface_rows:
         return []
-    first = own[0]
+    first = surface_rows[0]
     keys = ("turn_rate_rad_per_s", "spin_ratio")
-    return [row for row in own if all(row[key] == first[key] for key in keys)]
+    return [row for row in surface_rows if all(row[key] == first[key] for key in keys)]
 
 
 def group_by(rows: Iterable[Row], *keys: str) -> Iterable[tuple[tuple[Any, ...], list[Row]]]:

@@ -57,7 +57,7 @@ def roll_turns(
         watch.ns[block] = now_ns(watch.timespec) - start_ns
 
 
-class Rolled(NamedTuple):
+class RollResult(NamedTuple):
     """Contact points (n, 3) m, normals (n, 3), spins (n,) rad, and the median time of a step, ns."""
 
     points: Array
@@ -66,13 +66,13 @@ class Rolled(NamedTuple):
     step_ns: float
 
 
-def roll_path_timed(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes: int = 1) -> Rolled:
+def roll_path_timed(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes: int = 1) -> RollResult:
     """Return the path of the fingertip through the rotations `dq` (n, 4), timed in `passes` blocks."""
     path, repeats = np.zeros((len(dq), 7)), ceil(BLOCK_STEPS / len(dq)) if passes > 1 else 1
     watch = stopwatch(passes)
     roll_turns(method, shape, RADIUS_M, OffsetPoint(center, normal), dq, repeats, path, watch)
     points = path[:, :3] - RADIUS_M * path[:, 3:6]
-    return Rolled(points, path[:, 3:6], path[:, 6], float(np.median(watch.ns)) / (repeats * len(dq)))
+    return RollResult(points, path[:, 3:6], path[:, 6], float(np.median(watch.ns)) / (repeats * len(dq)))
 
 
 @lru_cache(maxsize=16)

@@ -66,7 +66,7 @@ class MeshCase(NamedTuple):
     near: model.Vec3
 
 
-class Led(NamedTuple):
+class LedPath(NamedTuple):
     """Path of the fingertip, and the contact of the surface along it.
 
     poses    (PRESSED + n, 7)  m    descent onto the surface, then motion along it
@@ -174,14 +174,14 @@ def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator
         }
 
 
-def visit(engine: Engine, path: Led) -> Records:
+def visit(engine: Engine, path: LedPath) -> Records:
     """Return the records (n,) of a path after the descent, from a reset engine."""
     engine.reset()
     records: Records = engine.run(path.poses)[PRESSED:]
     return records
 
 
-def differences(path: Led, flat: Records, shaded: Records, rolls: Records) -> dict[str, float]:
+def differences(path: LedPath, flat: Records, shaded: Records, rolls: Records) -> dict[str, float]:
     """Return the largest differences of a mesh from its surface on a path.
 
     flat, shaded  records without friction
@@ -206,7 +206,7 @@ def begins(case: MeshCase) -> tuple[Array, Array]:
     return np.array(foot), np.array(up)
 
 
-def lead_path(shape: Any, foot: Array, normal: Array, heading: float, ticks: int) -> Led:
+def lead_path(shape: Any, foot: Array, normal: Array, heading: float, ticks: int) -> LedPath:
     """Return the descent onto a point and the path on which the fingertip rolls from there.
 
     foot     (3,)  m, point of the surface
@@ -225,7 +225,7 @@ def lead_path(shape: Any, foot: Array, normal: Array, heading: float, ticks: int
     half = 0.5 * TURN_RAD * np.concatenate([np.zeros(PRESSED), t])[:, None]
     # A tick rolls in the tangent plane at its end.
     steps = TURN_RAD * np.diff(t, prepend=0.0) * np.linalg.norm(np.cross(axis, normals), axis=1)
-    return Led(np.hstack([places, np.cos(half), np.sin(half) * axis]), points, normals, np.cumsum(steps))
+    return LedPath(np.hstack([places, np.cos(half), np.sin(half) * axis]), points, normals, np.cumsum(steps))
 
 
 def scene_of(table: dict[str, Any], sticks: bool) -> schema.Scene:

@@ -22,7 +22,7 @@ from softfinger.tools.accuracy.meshes import (
     HEADINGS_RAD,
     TICKS,
     Array,
-    Led,
+    LedPath,
     differences,
     lead_path,
     save_mesh,
@@ -44,7 +44,7 @@ PASSES: Final = 3
 """Repetitions of the most expensive run; the shortest counts."""
 
 
-def paths(ticks: int) -> list[Led]:
+def paths(ticks: int) -> list[LedPath]:
     foot = np.array([*BEGIN_M, HILLS.height(*BEGIN_M)])
     normal, _ = normal_and_curvature(foot, HILLS)
     return [lead_path(HILLS, foot, normal, heading, ticks) for heading in HEADINGS_RAD]
@@ -71,7 +71,7 @@ def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
     return {"shape": "mesh", "file": save_mesh(folder, vertices, triangles), "shading": "normals"}
 
 
-def compare(kind: str, pitch: float, ways: Sequence[Led]) -> dict[str, Any]:
+def compare(kind: str, pitch: float, ways: Sequence[LedPath]) -> dict[str, Any]:
     """Return the largest differences from the hills on all paths, and the cost of a tick that rolls, us."""
     with tempfile.TemporaryDirectory() as folder:
         obj = table(kind, pitch, Path(folder))

@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
         prepare_figures(args.figures)
     paper, times = experiment(), speed()
     # One thread, so that nothing runs concurrently with the timing.
-    where = {"scheduler": args.scheduler, "results": args.results, "threads": 1}
-    trade = run_cases(run_block, cases(sweep), label="measuring speed and accuracy", **where)
-    drift = run_cases(run_drift_block, drift_cases, label="measuring drift", **where)
+    settings = {"scheduler": args.scheduler, "results": args.results, "threads": 1}
+    trade = run_cases(run_block, cases(sweep), label="measuring speed and accuracy", **settings)
+    drift = run_cases(run_drift_block, drift_cases, label="measuring drift", **settings)
     drift_by_case = {(row["surface"], row["method"]): row["drift_m"] for row in drift}
     trade = [row | {"drift_m": drift_by_case[row["surface"], row["method"]]} for row in trade]
     result: dict[str, Any] = {

@@ -102,15 +102,15 @@ class Listener:
         rows, self._rows = np.array(self._rows).reshape(-1, 6), []
         return rows
 
-    def is_felt(self) -> bool:
+    def is_force_applied(self) -> bool:
         """Return whether the device gets the force of the scene, unchanged by the guard."""
         self.take(time.monotonic() + 0.02)
         return bool(self._rows) and self._rows[-1][3] == 0.0 and self._rows[-1][2] > 0.0
 
-    def wait_until_felt(self) -> None:
-        """Wait until `is_felt` is true."""
+    def wait_until_applied(self) -> None:
+        """Wait until `is_force_applied` is true."""
         until = time.monotonic() + TURN_S
-        while not self.is_felt():
+        while not self.is_force_applied():
             if time.monotonic() > until:
                 raise ConfigError(f"no unchanged force was seen within {TURN_S:g} s: is the machine overloaded?")
 
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         Control(commands, TURN_S) as control,
     ):
         listener = Listener(subscription)
-        listener.wait_until_felt()
+        listener.wait_until_applied()
         listener.rows()
         quiet, _ = call_at_rate(listener, lambda: None, args.rate, args.seconds, "without commands")
         rows, answers = call_at_rate(listener, make_setter(control), args.rate, args.seconds, "set_params")
@@ -219,7 +219,7 @@ def alternate_scenes(listener: Listener, control: Control, pid: int, count: int)
     with progress("set_scene", count) as advance:
         for number in range(count):
             control.set_scene(pressed if number % 2 else SECOND_SCENE)
-            listener.wait_until_felt()
+            listener.wait_until_applied()
             memory.append(resident_mb(pid))
             advance(number + 1)
     return listener.rows(), memory

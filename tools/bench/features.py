@@ -154,10 +154,10 @@ def _scene(
 
     `changes` are keys of the scene or, with the prefix `object_`, of the object.
     """
-    own = {key.removeprefix("object_"): value for key, value in changes.items() if key.startswith("object_")}
+    object_keys = {key.removeprefix("object_"): value for key, value in changes.items() if key.startswith("object_")}
     tables = {key: value for key, value in changes.items() if not key.startswith("object_")}
-    things = [{"name": shape, **SHAPES[shape], **own}, *(others or [])]
-    objects = [{"material": dict(material), **shape_table} for shape_table in things]
+    tables_of_shapes = [{"name": shape, **SHAPES[shape], **object_keys}, *(others or [])]
+    objects = [{"material": dict(material), **shape_table} for shape_table in tables_of_shapes]
     return build(schema.Scene, {"fingertip": {"radius_m": 0.01}, "object": objects, **tables}, f"bench, {shape}")
 
 

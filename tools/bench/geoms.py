@@ -46,8 +46,8 @@ def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
     bodies = []
     for number, (x, y) in enumerate(islice(places, count)):
         kind = list(KINDS)[number % len(KINDS)]
-        where = {"x": round(x * APART_M, 6), "y": round(y * APART_M, 6), "half": HALF_M}
-        bodies.append(GEOM.format(name=f"{kind}-{number}", kind=kind, size=KINDS[kind], **where))
+        placement = {"x": round(x * APART_M, 6), "y": round(y * APART_M, 6), "half": HALF_M}
+        bodies.append(GEOM.format(name=f"{kind}-{number}", kind=kind, size=KINDS[kind], **placement))
     model = folder / "geoms.xml"
     text = MODEL.format(timestep=1.0 / rate_hz, height=2.0 * HALF_M, bodies="".join(bodies))
     model.write_text(text, encoding="utf-8")

@@ -27,7 +27,7 @@ from softfinger.drivers.registry import open_device
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.arguments import default_rig
 from softfinger.server.loop import realtime
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
@@ -93,7 +93,7 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
         return applied.undo
 
     with devices_of(rig, scene) as devices:
-        servo = Servo(devices, make_tuning(scene, rig.guard), rig.servo.rate_hz, ticks, prepare)
+        servo = ServoThread(devices, make_tuning(scene, rig.guard), rig.servo.rate_hz, ticks, prepare)
         servo.compile()
         servo.start()
         batch, parts = np.empty((256, servo.width)), []

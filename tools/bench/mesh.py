@@ -50,9 +50,9 @@ def run(args: argparse.Namespace) -> int:
             file, vertices, triangles = ball(Path(folder), level, BUMPS_M if bumpy else 0.0)
             begun = time.perf_counter()
             scene = scene_of(radius, shape="mesh", file=file)
-            made = {"triangles": len(triangles), "bumpy": bumpy, "fingertip_m": radius}
-            made["loaded_s"] = time.perf_counter() - begun
-            rows.append(made | measure_ticks(scene, radius, args) | count_visits(scene, vertices[triangles], radius))
+            row = {"triangles": len(triangles), "bumpy": bumpy, "fingertip_m": radius}
+            row["loaded_s"] = time.perf_counter() - begun
+            rows.append(row | measure_ticks(scene, radius, args) | count_visits(scene, vertices[triangles], radius))
             advance(len(rows))
         spheres = [measure_ticks(scene_of(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
     result = {

@@ -333,10 +333,10 @@ def connect_to_page(address: str) -> ClientConnection:
     from websockets.sync.client import connect
     from websockets.typing import Origin, Subprotocol
 
-    where = urlsplit(address)
+    url = urlsplit(address)
     return connect(
-        f"ws://{where.netloc}{where.path}",
-        origin=Origin(f"http://{where.netloc}"),
+        f"ws://{url.netloc}{url.path}",
+        origin=Origin(f"http://{url.netloc}"),
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,
     )

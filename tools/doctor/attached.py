@@ -26,7 +26,7 @@ def checks(rig: Rig) -> list[Check]:
     return [*results, *devices(rig, discovery.list_attached())]
 
 
-def _missing(needed: bool) -> State:
+def _grade_missing(needed: bool) -> State:
     return STATES[1 + needed]
 
 
@@ -34,7 +34,7 @@ def libusb(rig: Rig) -> Check:
     origin = system_libusb.origin()
     return Check(
         "libusb",
-        "good" if origin else _missing(single_device(rig).driver in OVER_USB),
+        "good" if origin else _grade_missing(single_device(rig).driver in OVER_USB),
         f"found, {origin}" if origin else "not found",
         "there, for a Falcon",
         system_libusb.REMEDY,
@@ -50,7 +50,7 @@ def hidapi(rig: Rig) -> Check:
             missing.append(f"{name} cannot be imported: {error}")
     return Check(
         "hidapi",
-        _missing(single_device(rig).driver in OVER_HID) if missing else "good",
+        _grade_missing(single_device(rig).driver in OVER_HID) if missing else "good",
         "; ".join(missing) or "modules hid and hidraw found",
         "both modules, for HID devices",
         "pip install --force-reinstall hidapi, and apt install libusb-1.0-0 libudev1",
@@ -61,14 +61,14 @@ def maker_library(rig: Rig, driver: str) -> Check:
     """Check a maker's library, which is not part of this program; only its devices need it."""
     library = makers_library(driver)
     needed = single_device(rig).driver == driver
-    wanted = "there, for the maker's devices"
+    expected = "there, for the maker's devices"
     try:
         library.load(single_device(rig).options.get("library_file") if needed else None)
     except HapticError as error:
         if not needed:
-            return Check(library.NAME, "good", "not here, and this rig does not need it", wanted)
-        return Check(library.NAME, "bad", str(error), wanted, library.REMEDY)
-    return Check(library.NAME, "good", "found", wanted)
+            return Check(library.NAME, "good", "not here, and this rig does not need it", expected)
+        return Check(library.NAME, "bad", str(error), expected, library.REMEDY)
+    return Check(library.NAME, "good", "found", expected)
 
 
 def inverse_service(rig: Rig) -> Check:
@@ -77,32 +77,34 @@ def inverse_service(rig: Rig) -> Check:
 
     options = single_device(rig).options
     try:
-        said = opening.identify(options.get("port", opening.PORT), options.get("version"))
+        reply = opening.identify(options.get("port", opening.PORT), options.get("version"))
     except HapticError as error:
         return Check("Inverse Service", "bad", str(error), "running", dial.START)
-    state: State = "good" if said["devices"] else "bad"
-    shown = f"version {said['service']}, lists {', '.join(said['devices'] + said['grips']) or 'no device'}"
-    return Check("Inverse Service", state, shown, "running, with a device", "plug the device in and switch it on")
+    state: State = "good" if reply["devices"] else "bad"
+    observation = f"version {reply['service']}, lists {', '.join(reply['devices'] + reply['grips']) or 'no device'}"
+    return Check("Inverse Service", state, observation, "running, with a device", "plug the device in and switch it on")
 
 
 def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
     """Check each device that a driver claims, as `devices` diagnoses it; bad if the rig needs it and it is unusable."""
-    driver, wanted = single_device(rig).driver, "usable"
-    results, own = [], False
+    driver, expected = single_device(rig).driver, "usable"
+    results, is_attached = [], False
     for device in attached:
         claim, mine = find_claim(device), is_of(rig, device)
         if claim is None and mine:  # only the rig describes it, no shipped rig does
             claim = Claim(driver, device.bus, device.vendor, device.product)
         if claim is None:
             continue
-        own = own or mine
+        is_attached = is_attached or mine
         diagnosis = diagnose(device, claim, single_device(rig))
-        state: State = "good" if diagnosis.state == "usable" else _missing(mine)
-        said = f": {diagnosis.reason}" if diagnosis.reason else ""
+        state: State = "good" if diagnosis.state == "usable" else _grade_missing(mine)
+        reason = f": {diagnosis.reason}" if diagnosis.reason else ""
         results.append(
-            Check(f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{said}", wanted, diagnosis.remedy)
+            Check(
+                f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{reason}", expected, diagnosis.remedy
+            )
         )
-    if not own and driver != "haply" and driver in {claim.driver for claim in claims()}:
+    if not is_attached and driver != "haply" and driver in {claim.driver for claim in claims()}:
         remedy = "plug it in and switch it on; softfinger devices lists what is attached"
         results.append(
             Check("device of the rig", "bad", f"nothing that driver {driver} of this rig drives", "attached", remedy)

@@ -16,7 +16,7 @@ from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
 from softfinger.server.loop import realtime
-from softfinger.server.loop.servo_thread import Servo
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.cost import make_touching_poses
 from softfinger.server.offline.cost import measure as step_cost
@@ -56,8 +56,8 @@ def settings(rig: Rig) -> list[Check]:
     for setting in settings_made:
         needed = rig.servo.realtime == "require" and setting.name in realtime.REQUIRED
         state = STATES[0] if setting.ok else STATES[1 + needed]
-        wanted = "granted" + (": the rig requires it" if needed else "")
-        checks.append(Check(f"real time, {setting.name}", state, setting.detail, wanted, setting.advice))
+        expected = "granted" + (": the rig requires it" if needed else "")
+        checks.append(Check(f"real time, {setting.name}", state, setting.detail, expected, setting.advice))
     return checks
 
 
@@ -71,20 +71,20 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
     bare = without_device(rig)
     begun = time.monotonic()
     with report_compilation("kernels of the scene"), open_device(single_device(bare), bare.servo.rate_hz) as device:
-        servo = Servo([device] * len(scene.fingers), make_tuning(scene, bare.guard), bare.servo.rate_hz)
+        servo = ServoThread([device] * len(scene.fingers), make_tuning(scene, bare.guard), bare.servo.rate_hz)
         warm = servo.compile()
         servo.close()
-    took = time.monotonic() - begun
-    wanted = "a folder that this user may write to, with the kernels of the scene in it"
+    seconds_taken = time.monotonic() - begun
+    expected = "a folder that this user may write to, with the kernels of the scene in it"
     if (problem := KEPT.problem()) is not None:
-        state = f"{problem}; every start compiles, now {took:.1f} s"
+        state = f"{problem}; every start compiles, now {seconds_taken:.1f} s"
         remedy = "export SOFTFINGER_CACHE_DIR=/a/folder/of/yours"
-        return Check("kernel cache", "bad", state, wanted, remedy)
+        return Check("kernel cache", "bad", state, expected, remedy)
     if warm:
-        return Check("kernel cache", "good", f"{CACHE_DIR} is warm for {scene_name}", wanted)
-    state = f"{CACHE_DIR} was cold for {scene_name}: compiled now, in {took:.1f} s"
+        return Check("kernel cache", "good", f"{CACHE_DIR} is warm for {scene_name}", expected)
+    state = f"{CACHE_DIR} was cold for {scene_name}: compiled now, in {seconds_taken:.1f} s"
     remedy = f"softfinger warmup {scene_name}   # after an update"
-    return Check("kernel cache", "could be better", state, wanted, remedy)
+    return Check("kernel cache", "could be better", state, expected, remedy)
 
 
 def lateness(rig: Rig, scene: Scene, seconds: float, plot: Path | None = None) -> tuple[list[Check], dict[str, Any]]:
@@ -142,10 +142,10 @@ def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
 
 def endpoint(rig: Rig) -> Check:
     """Check whether the rig's telemetry endpoint can be bound; it is released at once."""
-    where, wanted = rig.telemetry.endpoint, "free to be bound"
+    endpoint, expected = rig.telemetry.endpoint, "free to be bound"
     try:
-        Publisher(where).close()
+        Publisher(endpoint).close()
     except HapticError as error:
         holder = "end the program that uses it" if isinstance(error, AddressInUse) else "choose another"
-        return Check("telemetry endpoint", "bad", str(error), wanted, f"{holder}, or run with --endpoint ANOTHER")
-    return Check("telemetry endpoint", "good", f"{where} is free", wanted)
+        return Check("telemetry endpoint", "bad", str(error), expected, f"{holder}, or run with --endpoint ANOTHER")
+    return Check("telemetry endpoint", "good", f"{endpoint} is free", expected)

@@ -41,8 +41,8 @@ def text(path: Path) -> str:
 
 
 def python() -> Check:
-    wanted = metadata.metadata("softfinger")["Requires-Python"]
-    return Check("Python", "good", f"{platform.python_implementation()} {platform.python_version()}", wanted)
+    expected = metadata.metadata("softfinger")["Requires-Python"]
+    return Check("Python", "good", f"{platform.python_implementation()} {platform.python_version()}", expected)
 
 
 def versions() -> dict[str, str]:
@@ -72,18 +72,18 @@ def packages() -> Check:
 def kernel(root: Path = ROOT) -> Check:
     system, release, version = platform.system(), platform.release(), platform.version()
     state = f"{system} {release}"
-    wanted = "Linux with PREEMPT_RT, which bounds the worst tick"
+    expected = "Linux with PREEMPT_RT, which bounds the worst tick"
     if system != "Linux":
         return Check(
-            "system", "could be better", state, wanted, "run on Linux: real-time settings are made with its calls"
+            "system", "could be better", state, expected, "run on Linux: real-time settings are made with its calls"
         )
     if text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
-        return Check("system", "good", f"{state}, PREEMPT_RT", wanted)
+        return Check("system", "good", f"{state}, PREEMPT_RT", expected)
     return Check(
         "system",
         "could be better",
         f"{state}, not PREEMPT_RT",
-        wanted,
+        expected,
         "apt install linux-image-rt-amd64, or your distribution's PREEMPT_RT kernel, and boot it",
     )
 
@@ -141,16 +141,16 @@ def processors(root: Path = ROOT) -> Check:
 def frequency(root: Path = ROOT) -> Check:
     """Check the governor of every processor; power saving makes a processor wake slowly and run at a low clock."""
     governors = {text(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
-    wanted = "governor performance, or no scaling"
+    expected = "governor performance, or no scaling"
     if not governors:
-        return Check("processor frequency", "good", "no frequency scaling found", wanted)
+        return Check("processor frequency", "good", "no frequency scaling found", expected)
     good = governors == {"performance"}
     state = f"governor {', '.join(sorted(governors))}"
     return Check(
         "processor frequency",
         "good" if good else "could be better",
         state,
-        wanted,
+        expected,
         "sudo cpupower frequency-set -g performance",
     )
 
@@ -158,10 +158,10 @@ def frequency(root: Path = ROOT) -> Check:
 def clock(root: Path = ROOT) -> Check:
     source, resolution = text(root / CLOCK), time.get_clock_info("monotonic").resolution
     state = f"{source or 'source unknown'}, resolution {resolution * 1e9:.0f} ns"
-    wanted = f"one of {', '.join(FAST_CLOCKS)}; a resolution of {RESOLUTION_S * 1e9:.0f} ns or finer"
+    expected = f"one of {', '.join(FAST_CLOCKS)}; a resolution of {RESOLUTION_S * 1e9:.0f} ns or finer"
     if resolution > RESOLUTION_S:
-        return Check("clock", "bad", state, wanted, "boot a kernel with CONFIG_HIGH_RES_TIMERS, without highres=off")
+        return Check("clock", "bad", state, expected, "boot a kernel with CONFIG_HIGH_RES_TIMERS, without highres=off")
     if source and source not in FAST_CLOCKS:
         remedy = f"echo tsc | sudo tee /{CLOCK}   # if available_clocksource in the same folder lists tsc"
-        return Check("clock", "could be better", state, wanted, remedy)
-    return Check("clock", "good", state, wanted)
+        return Check("clock", "could be better", state, expected, remedy)
+    return Check("clock", "good", state, expected)

@@ -59,7 +59,7 @@ def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
     }
 
 
-def by_itself(rows: Array) -> Array:
+def measure_drift(rows: Array) -> Array:
     """Return the deviation (3,) m of the handle from its middle along each axis while nothing pushed it."""
     valid = finite(rows)[:, SAMPLE : SAMPLE + 3]
     if len(valid) == 0:
@@ -103,7 +103,7 @@ def move(request: str, kind: str, expected: str, rows: Array) -> dict[str, Any] 
         return None
     turned = kind == "rotation"
     vector = rotation(valid[0], valid[-1]) if turned else translation_of(valid)
-    direction = along(vector, TURNED_RAD if turned else MOVED_M)
+    direction = axis_of(vector, TURNED_RAD if turned else MOVED_M)
     return {
         "asked": request,
         "kind": kind,
@@ -115,7 +115,7 @@ def move(request: str, kind: str, expected: str, rows: Array) -> dict[str, Any] 
     }
 
 
-def along(vector: Array, least: float) -> str:
+def axis_of(vector: Array, least: float) -> str:
     """Return the axis and sense of a vector (3,), as '+x', or a text if there is none."""
     sizes = np.abs(vector)
     if sizes.max() < least:

@@ -38,7 +38,7 @@ _SERIAL: Final = re.compile(
 """USB ids after the name of the driver `serial` do not match."""
 
 
-def shortened(serial: str) -> str:
+def shorten_serial(serial: str) -> str:
     """Return the last two characters of a serial number, enough to distinguish two devices on a desk."""
     return f"...{serial[-2:]}" if len(serial) > 3 else "..." if serial else ""
 
@@ -65,7 +65,7 @@ class Privacy:
             if folder not in {"", "/", "/usr"}
         ]
         words = dict.fromkeys(_users(), "<user>") | dict.fromkeys(_hosts(), "<host>")
-        words |= {serial: shortened(serial) for serial in serials}
+        words |= {serial: shorten_serial(serial) for serial in serials}
         words.pop("", None)
         self._words = words
         longest_first = "|".join(re.escape(word) for word in sorted(words, key=len, reverse=True))
@@ -95,7 +95,7 @@ class Privacy:
             text = pattern.sub(lambda match: _file_name(match[0]), text)
         text = _RELATIVE.sub("", text)
         text = _BY_ID.sub(r"\1...", text)
-        text = _SERIAL.sub(lambda match: match[1] + shortened(match[2]), text)
+        text = _SERIAL.sub(lambda match: match[1] + shorten_serial(match[2]), text)
         return text if self._pattern is None else self._pattern.sub(lambda match: self._words[match[0]], text)
 
 
@@ -104,7 +104,7 @@ def options(values: dict[str, Any]) -> dict[str, Any]:
     public: dict[str, Any] = {}
     for key, value in values.items():
         if key == "serial":
-            public[key] = shortened(str(value))
+            public[key] = shorten_serial(str(value))
         elif isinstance(value, dict):
             public[key] = options(value)
         elif isinstance(value, str) and "/" in value and not value.startswith("/dev/"):

@@ -7,24 +7,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
-from softfinger.config.schema.pairing import single_device
-from softfinger.drivers.base import Device, DeviceInfo
-from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
-from softfinger.server.loop.guard import Guard
 from softfinger.tools.doctor import motions
-from softfinger.tools.doctor.report import Report, begun, pushing, record, report_file, write_report
+from softfinger.tools.doctor.report import Report, ReportRequest, make_report
 from softfinger.tools.doctor.session import TRANSLATIONS, DeviceSession
-from softfinger.tools.exchange import START, Exchange, make_disarmed_guard
+from softfinger.tools.exchange import START
 from softfinger.tools.exchange_figures import figures
 from softfinger.tools.measure import Array
 from softfinger.tools.options import PUSH_N
@@ -38,25 +33,13 @@ PEAK: Final = 3.0 * 3.0**0.5 / 8.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Probe, write and print; returns the exit code. Raises as `report.run`."""
+    """Make the report of `--probe`; returns the exit code. Raises as `report.make_report`."""
     rig = load_rig(args.rig if args.rig is not None else attached_rig())
-    freedom = read_subspace(single_device(rig))
-    file = report_file(rig, args.probe, "--probe")
     if args.push:
         check_push(rig)
-    guided = sys.stdin.isatty()
-    report, serials = begun(rig, guided)
-
-    def guard_of(device: Device) -> Guard:
-        return pushing(rig, device, PUSH_N, "--push") if args.push else make_disarmed_guard(rig)
-
-    def session_of(exchange: Exchange, info: DeviceInfo) -> DeviceSession:
-        return ProbeSession(exchange, info, report, PART_S, guided, freedom)
-
-    def work() -> None:
-        record(rig, report, guard_of, session_of, PUSH_N if args.push else None)
-
-    return write_report(report, serials, file, args.json, work, glance)
+    force_n, guided = PUSH_N if args.push else None, sys.stdin.isatty()
+    request = ReportRequest("--probe", args.probe, "--push", force_n, PART_S, guided, args.json)
+    return make_report(rig, request, ProbeSession, glance)
 
 
 def check_push(rig: Rig) -> None:
@@ -80,19 +63,19 @@ class ProbeSession(DeviceSession):
     """Ten seconds of parts that follow each other without input from the user, then the pushes."""
 
     def run(self, force_n: float | None) -> None:
-        self._tell_freedom()
+        self._print_freedom()
         self._ask(
             "ten seconds: 2 s each at rest, to the right, away from you, up, and for the buttons and turns. "
             "Keep the handle where each motion ends"
         )
         parts = [self._record_motion("hold still")]
         self._rest_of(parts[0])
-        wanted = self._translations()
+        supported = self._translations()
         for motion in TRANSLATIONS:
-            is_wanted = motion in wanted
-            rows = self._record_motion(motion.words) if is_wanted else self._record("further options", self._seconds)
+            is_supported = motion in supported
+            rows = self._record_motion(motion.words) if is_supported else self._record("further options", self._seconds)
             parts.append(rows)
-            requested = self._guided and is_wanted
+            requested = self._guided and is_supported
             result = motions.move(motion.words, motion.kind, motion.expected, rows) if requested else None
             if result is not None:
                 self._report["moves"].append(result)
@@ -117,9 +100,9 @@ class ProbeSession(DeviceSession):
         for axis in self._pushed_axes():
             result = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
             if result is not None:
-                self._report["pushes"].append(result | {"felt": self._ask_direction_felt(motions.AXES[axis])})
+                self._report["pushes"].append(result | {"felt": self._ask_direction(motions.AXES[axis])})
 
-    def _ask_direction_felt(self, name: str) -> str:
+    def _ask_direction(self, name: str) -> str:
         """Return the user's answer in one line; empty if the probe is not guided."""
         if not self._guided or self._exchange.ended is not None:
             return ""
@@ -128,10 +111,10 @@ class ProbeSession(DeviceSession):
             file=sys.stderr,
         )
         sys.stderr.flush()
-        said = sys.stdin.readline()
-        if not said:  # the terminal was closed
+        line = sys.stdin.readline()
+        if not line:  # the terminal was closed
             raise KeyboardInterrupt
-        return said.strip()[:80]
+        return line.strip()[:80]
 
 
 def join_rows(parts: list[Array]) -> Array:
@@ -147,7 +130,7 @@ def join_rows(parts: list[Array]) -> Array:
     return np.concatenate(all_rows) if all_rows else parts[0][:0]
 
 
-def glance(report: Mapping[str, Any]) -> list[str]:
+def glance(report: Report) -> list[str]:
     """Return the picture of the axes, and the most important figures for a user; nothing without an open device."""
     if report["device"] is None:
         return []

@@ -93,7 +93,7 @@ def _force_on(report: Report) -> str | None:
     return f"the report ended: {report['fault']['message']}" if report["fault"]["in_use"] else None
 
 
-def _held_back(report: Report) -> str | None:
+def _guarded_counts(report: Report) -> str | None:
     counts = report["counts"]
     if "writes_guarded" not in counts:
         return None
@@ -124,7 +124,7 @@ ANSWERS: Final[Mapping[str, Callable[[Report], str | None]]] = {
     "fd-library": _library,
     "fd-fast": _fast,
     "fd-force-on": _force_on,
-    "fd-held-back": _held_back,
+    "fd-held-back": _guarded_counts,
     "hid-descriptor": _descriptor,
     "hid-write": _exchange,
     "serial-ids": _ids,

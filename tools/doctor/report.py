@@ -10,14 +10,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import ConfigError, DeviceError, HapticError, SafetyStop
 from softfinger.config.files import new_file
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import single_device
-from softfinger.drivers.base import Device, DeviceInfo
+from softfinger.drivers.base import Device
 from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.registry import open_device
 from softfinger.drivers.system import discovery
@@ -38,55 +38,65 @@ FORMAT: Final = 1
 LIBRARIES: Final = ("libdrd", "libHD")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Record, write and print the report; returns the exit code.
+class ReportRequest(NamedTuple):
+    """Report that an option requests.
 
-    Raises the error that prevented opening the device or ended its exchange, after the report was written.
+    option        option of the report
+    file          its value, the path of the report; empty: the default path
+    force_option  option of the pushes
+    force_n       largest force of the pushes, N; None: only zero force is sent
+    seconds       length of each part but the first
+    guided        whether a user at a terminal is asked to move the handle
+    as_json       whether the report is printed as JSON
+    plot          path of the figure of the timing, if any
     """
+
+    option: str
+    file: str
+    force_option: str
+    force_n: float | None
+    seconds: float
+    guided: bool
+    as_json: bool
+    plot: Path | None = None
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the report of `--device-report`; returns the exit code. Raises as `make_report`."""
     rig = load_rig(args.rig)
-    file = report_file(rig, args.device_report, "--device-report")
     check_force(args.with_force, args.seconds, rig)
     guided = sys.stdin.isatty() and not args.no_prompts
-    report, serials = begun(rig, guided)
-    freedom = read_subspace(single_device(rig))
-
-    def work() -> None:
-        def guard_of(device: Device) -> Guard:
-            return make_disarmed_guard(rig) if args.with_force is None else pushing(rig, device, args.with_force)
-
-        def session_of(exchange: Exchange, info: DeviceInfo) -> DeviceSession:
-            return DeviceSession(exchange, info, report, args.seconds, guided, freedom)
-
-        session = record(rig, report, guard_of, session_of, args.with_force)
-        if args.plot is not None and len(session.timing):
-            draw(args.plot, session.timing, f"{report['driver']} at {report['rate_hz']:g} Hz")
-
-    return write_report(report, serials, file, args.json, work)
+    request = ReportRequest(
+        "--device-report",
+        args.device_report,
+        "--with-force",
+        args.with_force,
+        args.seconds,
+        guided,
+        args.json,
+        args.plot,
+    )
+    return make_report(rig, request, DeviceSession)
 
 
-def report_file(rig: Rig, path: str, option: str) -> Path:
-    """Return the path of the report. Raises ConfigError unless it is a file in an existing folder."""
-    file = Path(path or f"softfinger-{single_device(rig).driver}-report.json")
-    if not file.parent.is_dir() or file.is_dir():
-        raise ConfigError(f"{option} {file}: there is no folder {file.parent}, or it is one: name a file")
-    return file
-
-
-def write_report(
-    report: dict[str, Any],
-    serials: list[str],
-    file: Path,
-    as_json: bool,
-    work: Callable[[], None],
-    head: Callable[[Mapping[str, Any]], list[str]] = lambda report: [],
+def make_report(
+    rig: Rig,
+    request: ReportRequest,
+    session_type: type[DeviceSession],
+    head: Callable[[Report], list[str]] = lambda report: [],
 ) -> int:
-    """Do the work, then write and print the report even after an error, which is raised afterwards.
+    """Run a session of the device of a rig, then write and print the report; returns the exit code.
 
-    `head` returns lines above the text.
+    `head` returns lines above the text. Raises ConfigError for an unusable file. After the report was written, raises
+    the error that prevented opening the device or ended its exchange.
     """
+    file = Path(request.file or f"softfinger-{single_device(rig).driver}-report.json")
+    if not file.parent.is_dir() or file.is_dir():
+        raise ConfigError(f"{request.option} {file}: there is no folder {file.parent}, or it is one: name a file")
+    report, serials = start_report(rig, request.guided)
     failure: HapticError | KeyboardInterrupt | None = None
     try:
-        work()
+        record(rig, report, request, session_type)
         report["ended"], report["complete"] = "in full", True
     except KeyboardInterrupt as error:
         report["ended"], failure = "cut short by the user", error
@@ -95,8 +105,8 @@ def write_report(
         report["fault"] = {"kind": type(error).__name__, "message": str(error), "in_use": report["device"] is not None}
     report["questions"] = answer_questions(report)
     report = privacy.Privacy(serials).clean(report)
-    write(file, report)
-    show(report, as_json, [*head(report), *lines(report, file)])
+    write(file, report, request.option)
+    show(report, request.as_json, [*head(report), *lines(report, file)])
     if failure is not None:
         raise failure
     return 0
@@ -115,7 +125,7 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
         )
 
 
-def begun(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
+def start_report(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
     devices = [device for device in discovery.list_attached() if attached.is_of(rig, device)]
     freedom = read_subspace(single_device(rig))
@@ -161,7 +171,7 @@ def identity(device: discovery.SystemDevice) -> dict[str, Any]:
         "vendor_id": f"{device.vendor:04x}",
         "product_id": f"{device.product:04x}",
         "name": device.name,
-        "serial": privacy.shortened(device.serial),
+        "serial": privacy.shorten_serial(device.serial),
         "node": device.node,
     }
     if device.bus == "hid":
@@ -173,13 +183,7 @@ def identity(device: discovery.SystemDevice) -> dict[str, Any]:
     return identified
 
 
-def record(
-    rig: Rig,
-    report: dict[str, Any],
-    guard_of: Callable[[Device], Guard],
-    session_of: Callable[[Exchange, DeviceInfo], DeviceSession],
-    force_n: float | None,
-) -> DeviceSession:
+def record(rig: Rig, report: dict[str, Any], request: ReportRequest, session_type: type[DeviceSession]) -> None:
     """Open the device, run a session, and store the results in `report`, also after an error.
 
     Every exit commands zero force. Raises the errors of opening, and the error of a device that failed in use.
@@ -187,8 +191,10 @@ def record(
     with open_device(single_device(rig), rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
         report["maker_library"] = loaded_libraries()
-        exchange = Exchange(device, rig, guard_of(device))
-        session = session_of(exchange, device.info)
+        force_n, freedom = request.force_n, read_subspace(single_device(rig))
+        guard = make_disarmed_guard(rig) if force_n is None else pushing(rig, device, force_n, request.force_option)
+        exchange = Exchange(device, rig, guard)
+        session = session_type(exchange, device.info, report, request.seconds, request.guided, freedom)
         try:
             with exchange:
                 session.run(force_n)
@@ -198,7 +204,8 @@ def record(
         finally:
             report["counts"], report["reason"] = device.counts(), device.reason()
             report["realtime"] = {setting.name: setting.ok for setting in exchange.settings}
-    return session
+    if request.plot is not None and len(session.timing):
+        draw(request.plot, session.timing, f"{report['driver']} at {report['rate_hz']:g} Hz")
 
 
 def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-force") -> Guard:
@@ -217,15 +224,13 @@ def loaded_libraries() -> list[str]:
     return sorted({Path(line.split(maxsplit=5)[5]).name for line in mapped if any(name in line for name in LIBRARIES)})
 
 
-def write(file: Path, report: dict[str, Any]) -> None:
+def write(file: Path, report: dict[str, Any], option: str) -> None:
     """Write the file completely or not at all. Raises ConfigError if it cannot be written."""
     try:
         with new_file(file) as part:
             part.write((json.dumps(report, indent=2) + "\n").encode())
     except OSError as error:
-        raise ConfigError(
-            f"--device-report {file}: cannot be written: {error.strerror}: choose another file"
-        ) from error
+        raise ConfigError(f"{option} {file}: cannot be written: {error.strerror}: choose another file") from error
 
 
 def lines(report: Report, file: Path) -> list[str]:
@@ -262,8 +267,8 @@ def _format_measured(report: Report) -> list[str]:
         pairs = zip(span["position_min_m"], span["position_max_m"], strict=True)
         text.append("  was from " + ", ".join(f"{low * 1e3:.1f} to {high * 1e3:.1f}" for low, high in pairs) + " mm")
     for entry in report["moves"]:
-        wanted = "" if entry["agrees"] else f", and {entry['expected']} was expected"
-        text.append(f"  {entry['asked']}: {entry['seen']}{wanted}")
+        expectation = "" if entry["agrees"] else f", and {entry['expected']} was expected"
+        text.append(f"  {entry['asked']}: {entry['seen']}{expectation}")
     if report["buttons"] is not None:
         text.append(f"  button masks: {', '.join(map(str, report['buttons']['masks']))}")
     for entry in report["pushes"]:

@@ -24,7 +24,7 @@ LEAST_PART: Final = 0.5
 """Smallest part of a motion or push along an axis that the handle must support for the motion to be requested."""
 
 
-class Asked(NamedTuple):
+class RequestedMotion(NamedTuple):
     """Motion that the user is asked for, and the expected axis of the motion."""
 
     words: str
@@ -33,11 +33,11 @@ class Asked(NamedTuple):
 
 
 TRANSLATIONS: Final = (
-    Asked("move the handle to the right", "translation", "+x"),
-    Asked("move the handle away from you", "translation", "+y"),
-    Asked("move the handle up", "translation", "+z"),
+    RequestedMotion("move the handle to the right", "translation", "+x"),
+    RequestedMotion("move the handle away from you", "translation", "+y"),
+    RequestedMotion("move the handle up", "translation", "+z"),
 )
-TURN: Final = Asked("turn the handle counter-clockwise as seen from above", "rotation", "+z")
+TURN: Final = RequestedMotion("turn the handle counter-clockwise as seen from above", "rotation", "+z")
 
 
 class DeviceSession:
@@ -71,24 +71,24 @@ class DeviceSession:
         If the device fails or a recording ends, the later parts are empty; `failure` of the exchange returns the
         reason.
         """
-        self._tell_freedom()
-        self._at_rest()
-        self._timing()
+        self._print_freedom()
+        self._record_rest()
+        self._record_timing()
         if self._guided:
-            self._moves()
+            self._record_moves()
         if force_n is not None:
-            self._pushes(force_n)
+            self._record_pushes(force_n)
 
-    def _at_rest(self) -> None:
+    def _record_rest(self) -> None:
         self._ask("let go of the handle, or hold it still")
         rows = self._record("the handle at rest", REST_S)
         self._rest_of(rows)
 
     def _rest_of(self, rows: Array) -> None:
         self._report["rest"] = motions.rest(rows, self._info.sensed_dof > 3)
-        self._own_m = motions.by_itself(rows)
+        self._own_m = motions.measure_drift(rows)
 
-    def _timing(self) -> None:
+    def _record_timing(self) -> None:
         self.timing = self._record("the exchange", self._seconds)
         if len(self.timing):
             self._report["exchange"] = figures(self.timing, self._exchange.rate_hz)
@@ -96,7 +96,7 @@ class DeviceSession:
         if len(burst):
             self._report["without_pauses"] = burst_figures(burst)
 
-    def _moves(self) -> None:
+    def _record_moves(self) -> None:
         moves = [*self._translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
         for motion in moves:
             self._ask(f"{motion.words}, within {self._seconds:g} s, and keep it there")
@@ -107,7 +107,7 @@ class DeviceSession:
         self._ask(f"press each button in turn, within {self._seconds:g} s")
         self._report["buttons"] = {"masks": motions.masks(self._record("the buttons", self._seconds))}
 
-    def _pushes(self, force_n: float) -> None:
+    def _record_pushes(self, force_n: float) -> None:
         warning = f"hold the handle lightly: it pushes to and fro with up to {force_n:g} N along each axis in turn"
         if not self._guided:
             print(warning, file=sys.stderr, flush=True)
@@ -123,7 +123,7 @@ class DeviceSession:
         rows = self._record(f"a push along {motions.AXES[axis]}", seconds, push)
         return motions.push(axis, frequency_hz, self._exchange.rate_hz, rows, self._own_m)
 
-    def _tell_freedom(self) -> None:
+    def _print_freedom(self) -> None:
         if self._freedom is not None:
             print(
                 f"the device moves {self._freedom.describe()}. Right, away and up are the world's, into which "
@@ -136,8 +136,8 @@ class DeviceSession:
         whole = np.eye(3)[axis]
         return whole if self._freedom is None else self._freedom.project_force(self._freedom.centre, whole)
 
-    def _translations(self) -> list[Asked]:
-        axes = [motions.along(self._part(k), LEAST_PART) for k in range(len(TRANSLATIONS))]
+    def _translations(self) -> list[RequestedMotion]:
+        axes = [motions.axis_of(self._part(k), LEAST_PART) for k in range(len(TRANSLATIONS))]
         return [motion for axis, motion in zip(axes, TRANSLATIONS, strict=True) if axis == motion.expected]
 
     def _pushed_axes(self) -> list[int]:

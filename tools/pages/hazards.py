@@ -78,7 +78,7 @@ def starvation_time_s(gap_s: float, period_s: float = TICK_S) -> float:
 
 
 def stall_range_s() -> tuple[float, float]:
-    """Return the shortest and the longest time (s) of consecutive stalls, of every length that counts."""
+    """Return the shortest and the longest time (s) until consecutive stalls end the run, over all their lengths."""
     times = [starvation_time_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
     return min(times), max(times)
 

@@ -140,7 +140,7 @@ Keys that events of single kinds add. Other kinds add what the event needs."""
         "`deformation`": protocol.DEFORMATION_KEYS,
         "`schema`": protocol.SCHEMA_KEYS,
     }
-    parts = ["## `contact`", " ".join(contact.split()), keys_table(_beside_the_record(protocol.CONTACT_KEYS))]
+    parts = ["## `contact`", " ".join(contact.split()), keys_table(_keys_outside_record(protocol.CONTACT_KEYS))]
     for title, keys in tables.items():
         parts += [f"## {title}", keys_table(keys)]
         if keys is protocol.EVENT_KEYS:
@@ -148,7 +148,7 @@ Keys that events of single kinds add. Other kinds add what the event needs."""
     return _page(head, *parts)
 
 
-def _beside_the_record(keys: Iterable[Key]) -> list[Key]:
+def _keys_outside_record(keys: Iterable[Key]) -> list[Key]:
     """Return the keys of a tick's message that are not fields of the record."""
     names = {field.name for field in FIELDS}
     return [key for key in keys if key.name.replace("[]", "0") not in names]
@@ -195,9 +195,9 @@ def states_page() -> str:
 A daemon is in one of these states. `health.state` and the command `describe` have it, each change is an event of
 kind `state`, and Prometheus has `softfinger_state`. There are no other transitions. `arm` in [`[guard]`](rigs.md)
 says who arms; [Safety](../safety.md) says what a fault is."""
-    listed, ways = states.tables()
+    state_table, transition_table = states.tables()
     figure = "![states of the daemon, and what leads from one to another](../figures/states.svg)"
-    return _page(head, figure, "## States", listed, "## Transitions", ways)
+    return _page(head, figure, "## States", state_table, "## Transitions", transition_table)
 
 
 def faults_page() -> str:

@@ -23,7 +23,7 @@ _ALOFT: Final = 0.14
 def tables() -> tuple[str, str]:
     states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
     ways: dict[tuple[Any, DaemonState], list[str]] = {}
-    for (before, trigger), after in _ways():
+    for (before, trigger), after in _transitions():
         ways.setdefault((trigger, after), []).append(f"`{before}`")
     rows = [
         [", ".join(before), f"{trigger}: {CAUSES[trigger]}", f"`{after}`"] for (trigger, after), before in ways.items()
@@ -31,13 +31,13 @@ def tables() -> tuple[str, str]:
     return states, schema.grid(["from", "by", "to"], rows)
 
 
-def _ways() -> list[tuple[tuple[DaemonState, Any], DaemonState]]:
+def _transitions() -> list[tuple[tuple[DaemonState, Any], DaemonState]]:
     return list(TRANSITIONS.items())
 
 
 def draw(axes: Any) -> None:
     (axes,) = axes
-    for (before, trigger), after in _ways():
+    for (before, trigger), after in _transitions():
         start, end = PLACES[before], PLACES[after]
         axes.annotate(
             "",

@@ -1,7 +1,7 @@
-"""Tests of the guard on wrenches that no contact should give: its output, tick by tick.
+"""Tests of the guard with wrenches that no contact should produce, and checks of its output in each tick.
 
-The extremes of `extremes` reach the guard through the contact, which gives finite forces for any input. Here the guard
-gets its input directly. The checks are limits of the force at the hand and share no code with the guard.
+The cases of `extremes` reach the guard through the contact, which computes finite forces for any input. Here the input
+goes to the guard directly. The checks are limits of the force at the hand and share no code with the guard.
 """
 
 from __future__ import annotations

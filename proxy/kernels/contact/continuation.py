@@ -6,6 +6,7 @@ from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, h
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.detection import detect_contact
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
+from softfinger.proxy.kernels.contact.rest.facets import roll_over_edge
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -50,10 +51,10 @@ def adjust_roll_in_hollow(
 
 @jit
 def continue_contact(
-    scene: Scene, finger: Finger, body: Any, index: float, state: FingerState, probe: Probe, dt: float
+    scene: Scene, finger: Finger, objects: Any, index: float, state: FingerState, probe: Probe, dt: float
 ) -> Approach:
     """Move the only contact with its object, and roll it by the fingertip's rotation relative to the object."""
-    radius, position, last = finger.radius, probe.position, state.contacts[0]
+    radius, position, last, body = finger.radius, probe.position, state.contacts[0], object_at(objects, index)
     carried = carry_of(body)
     old_normal, moved = turn_direction(carried, last.normal), move_point(carried, state.center)
     turn = relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
@@ -61,6 +62,7 @@ def continue_contact(
     start = OffsetPoint(moved, old_normal)
     whole = rolled.whole
     rolled, beyond, strays = adjust_roll_in_hollow(scene.rolling, body, radius, position, start, turn, rolled)
+    rolled, index = roll_over_edge(objects, scene.rolling, index, radius, start, rolled, turn)
     center, normal = rolled.center, rolled.normal
     rolled_part = transport(body.shape, turn_direction(carried, last.rolled_part), old_normal, normal)
     old_deflection = transport(body.shape, turn_direction(carried, last.deflection), old_normal, normal)
@@ -97,7 +99,7 @@ def detect_or_continue(
     The returned state does not include a released contact.
     """
     if state.mode != FREE:
-        approach = continue_contact(scene, finger, object_at(objects, 0.0), 0.0, state, probe, dt)
+        approach = continue_contact(scene, finger, objects, 0.0, state, probe, dt)
         if not has_ended(approach.active):
             return state, approach
     state = release_contacts(state)

@@ -30,7 +30,6 @@ from softfinger.proxy.kernels.model import NONE, ActiveSet, Finger, FingerState,
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.carry import any_moves
-from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
     WITH_HEIGHTMAP,
@@ -118,8 +117,7 @@ def approach_among_several(
         approach = make_no_approach(motion.probe)
         if single:
             index = state.contacts[0].body
-            body = object_at(shapes, index)
-            approach = continue_contact(scene, finger, body, index, state, motion.probe, motion.dt)
+            approach = continue_contact(scene, finger, shapes, index, state, motion.probe, motion.dt)
             single = rolls_clear_of_others(shapes, finger.radius, approach)
         if not single:
             approach = continue_several(scene, objects, shapes, finger.radius, state, motion)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
+    NormalForce,
     ProbeMotion,
     ground_at,
     load_on,
@@ -24,7 +25,7 @@ from softfinger.proxy.kernels.friction.contact_patch import contact_patch, windi
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import limit_to_cone
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import NO_OUTCOME, Constraint, ContactOutcome, ContactState, Finger, Vec3
+from softfinger.proxy.kernels.model import NO_OUTCOME, Constraint, ContactOutcome, ContactState, Finger, Probe, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_multipoint
@@ -62,12 +63,23 @@ class FrictionShare(NamedTuple):
     bending: Vec3
 
 
+class LoadTransfer(NamedTuple):
+    """Load shares that the contacts lose in this tick.
+
+    remainders (3,)  fraction of its load share that each predicted contact retains
+    total            sum of the lost shares
+    """
+
+    remainders: Vec3
+    total: float
+
+
 @jit
-def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeMotion, touches: bool) -> float:
-    """Return the normal force of a constraint, N, 0 without one."""
+def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeMotion, touches: bool) -> NormalForce:
+    """Return the normal force of a constraint, zero without one."""
     if constraint.body < 0.0:
-        return 0.0
-    return load_on(finger, objects, ground_at(objects, constraint.body), constraint, motion, touches).size
+        return NormalForce(0.0, ZERO)
+    return load_on(finger, objects, ground_at(objects, constraint.body), constraint, motion, touches)
 
 
 @jit
@@ -76,6 +88,14 @@ def remaining_share(giver: ContactState, after: Contacts) -> float:
     if giver.body < 0.0 or giver.share <= 0.0:
         return 1.0
     return min(contact_on(after, giver.body).share / giver.share, 1.0)
+
+
+@jit
+def transfer_of(approach: Approach, after: Contacts) -> LoadTransfer:
+    one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
+    remainders = remaining_share(one, after), remaining_share(two, after), remaining_share(three, after)
+    total = (1.0 - remainders[0]) * one.share + (1.0 - remainders[1]) * two.share + (1.0 - remainders[2]) * three.share
+    return LoadTransfer(remainders, total)
 
 
 @jit
@@ -93,20 +113,19 @@ def add_part_of(
 
 
 @jit
-def friction_share_on(approach: Approach, forces: Any, after: Contacts, constraint: Constraint) -> FrictionShare:
+def friction_share_on(
+    approach: Approach, forces: Any, transfer: LoadTransfer, after: Contacts, constraint: Constraint
+) -> FrictionShare:
     """Return the friction of a constraint: the remainder of its contact, and its part of the loss of other contacts.
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
     """
     one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
-    remainders = (remaining_share(one, after), remaining_share(two, after), remaining_share(three, after))
-    total_loss = (
-        (1.0 - remainders[0]) * one.share + (1.0 - remainders[1]) * two.share + (1.0 - remainders[2]) * three.share
-    )
+    remainders = transfer.remainders
     body, normal, gain = constraint.body, constraint.normal, 0.0
-    if total_loss > 0.0:
+    if transfer.total > 0.0:
         previous = contact_on((one, two, three), body)
-        gain = max(contact_on(after, body).share - previous.share, 0.0) / total_loss
+        gain = max(contact_on(after, body).share - previous.share, 0.0) / transfer.total
     result = FrictionShare(ZERO, 0.0, ZERO)
     result = add_part_of(
         result, one, forces[0], normal, remainders[0] if one.body == body else (1.0 - remainders[0]) * gain
@@ -120,18 +139,17 @@ def friction_share_on(approach: Approach, forces: Any, after: Contacts, constrai
 
 @jit
 def share_of_wrench(
-    finger: Finger, objects: Any, motion: ProbeMotion, approach: Approach, forces: Any, settled: Equilibrium,
-    constraint: Constraint, scale: float,
+    finger: Finger, objects: Any, probe: Probe, approach: Approach, forces: Any, settled: Equilibrium,
+    transfer: LoadTransfer, constraint: Constraint, load: NormalForce, scale: float,
 ) -> Share:  # fmt: skip
-    """Compute the wrench of one constraint; `scale` is the remaining part of the normal force during friction."""
+    """Compute the wrench of one constraint under `load`; `scale` is the remaining part of that during friction."""
     if constraint.body < 0.0:
         return NO_SHARE
-    probe, normal = motion.probe, constraint.normal
+    normal = constraint.normal
     ground = textured_ground_at(objects, constraint.body, settled.active, settled.center)
     contact = contact_on(settled.contacts, constraint.body)
-    load = load_on(finger, objects, ground, constraint, motion, approach.began)
     pressing = vec3.scale(load.size, load.along)
-    friction = friction_share_on(approach, forces, settled.contacts, constraint)
+    friction = friction_share_on(approach, forces, transfer, settled.contacts, constraint)
     # The limit of the torsional moment grows by up to f_N^(4/3).
     moment, bending = scale * scale * friction.moment, vec3.scale(scale * scale, friction.bending)
     law = rotate_law(ground.material.friction, ground.orientation)
@@ -165,13 +183,19 @@ def outcome_of_several(
 ) -> Outcome:  # fmt: skip
     """Sum the wrenches of the contacts, and collect their states."""
     probe, active, began = motion.probe, settled.active, approach.began
-    load = load_of(finger, objects, active[0], motion, began) + load_of(finger, objects, active[1], motion, began)
-    load += load_of(finger, objects, active[2], motion, began)
-    friction_load = forces[0].load + forces[1].load + forces[2].load
-    scale = load / friction_load if friction_load > load else 1.0
-    one = share_of_wrench(finger, objects, motion, approach, forces, settled, active[0], scale)
-    two = share_of_wrench(finger, objects, motion, approach, forces, settled, active[1], scale)
-    three = share_of_wrench(finger, objects, motion, approach, forces, settled, active[2], scale)
+    loads = (
+        load_of(finger, objects, active[0], motion, began),
+        load_of(finger, objects, active[1], motion, began),
+        load_of(finger, objects, active[2], motion, began),
+    )
+    load, friction_load = (
+        loads[0].size + loads[1].size + loads[2].size,
+        forces[0].load + forces[1].load + forces[2].load,
+    )
+    scale, transfer = load / friction_load if friction_load > load else 1.0, transfer_of(approach, settled.contacts)
+    one = share_of_wrench(finger, objects, probe, approach, forces, settled, transfer, active[0], loads[0], scale)
+    two = share_of_wrench(finger, objects, probe, approach, forces, settled, transfer, active[1], loads[1], scale)
+    three = share_of_wrench(finger, objects, probe, approach, forces, settled, transfer, active[2], loads[2], scale)
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     extra, budget = effects.force, 0.0
     on_its_way = settled.late and any_multipoint(shapes)

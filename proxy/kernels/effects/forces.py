@@ -251,7 +251,7 @@ def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> 
     if situation.touched == 0.0:
         return zero, Anchor(zero, 0.0)
     anchor = Anchor(into(situation.carrier, situation.position), 1.0)
-    if state.held == 0.0:
+    if state.is_set == 0.0:
         return zero, anchor
     stretch = vec3.sub(out_of(situation.carrier, state.point), situation.position)
     pull = vec3.scale(effect.stiffness, vec3.reject(stretch, situation.normal))

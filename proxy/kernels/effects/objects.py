@@ -37,9 +37,9 @@ def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Tou
 
 
 @jit
-def add_forces(one: tuple[Vec3, float], other: tuple[Vec3, float]) -> tuple[Vec3, float]:
+def add_forces(first: tuple[Vec3, float], second: tuple[Vec3, float]) -> tuple[Vec3, float]:
     """Force of both, and 1 if the search of either did not end."""
-    return vec3.add(one[0], other[0]), max(one[1], other[1])
+    return vec3.add(first[0], second[0]), max(first[1], second[1])
 
 
 @jit

@@ -27,51 +27,58 @@ def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
 @jit
 def compute_node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
     """Return the compliance (3, 3) m/N of a node under loads at `spot`; 0 at a rigid vertex."""
-    found = mat3.ZEROS
+    row = mat3.ZEROS
     if node >= 0:
         for j in range(3):
             if spot.nodes[j] >= 0:
-                found = add_block(found, elastic, node, spot.nodes[j], elastic.softness * spot.weights[j])
-    return found
+                row = add_block(row, elastic, node, spot.nodes[j], elastic.softness * spot.weights[j])
+    return row
 
 
 @jit
-def compute_node_rows(elastic: Elastic, one: Spot, two: Spot) -> tuple[Mat3, Mat3, Mat3]:
-    """Return the compliance (3, 3) m/N of each node of `one` under loads at `two`."""
-    a, b, c = one.nodes
-    return compute_node_row(elastic, a, two), compute_node_row(elastic, b, two), compute_node_row(elastic, c, two)
+def compute_node_rows(elastic: Elastic, first: Spot, second: Spot) -> tuple[Mat3, Mat3, Mat3]:
+    """Return the compliance (3, 3) m/N of each node of `first` under loads at `second`."""
+    a, b, c = first.nodes
+    return (
+        compute_node_row(elastic, a, second),
+        compute_node_row(elastic, b, second),
+        compute_node_row(elastic, c, second),
+    )
 
 
 @jit
 def compliance_of(spot: Spot, rows: Any) -> Mat3:
     """Return the compliance (3, 3) m/N at a spot from the `rows` of its nodes."""
-    found = mat3.plus(mat3.ZEROS, spot.weights[0], rows[0])
-    return mat3.plus(mat3.plus(found, spot.weights[1], rows[1]), spot.weights[2], rows[2])
+    compliance = mat3.plus(mat3.ZEROS, spot.weights[0], rows[0])
+    return mat3.plus(mat3.plus(compliance, spot.weights[1], rows[1]), spot.weights[2], rows[2])
 
 
 @jit
-def slope_at(one: Spot, two: Spot, rows: Any) -> Mat3:
-    """Return the slope (3, 3) of the displacement at `one` under the load of `two` with the position of `one`.
+def slope_at(first: Spot, second: Spot, rows: Any) -> Mat3:
+    """Return the slope (3, 3) of the displacement at `first` under the load of `second` with the position of `first`.
 
-    rows  of the nodes of `one` under loads at `two`
+    rows  of the nodes of `first` under loads at `second`
     """
-    found = mat3.ZEROS
+    slope = mat3.ZEROS
     for i in range(3):
-        found = mat3.plus_outer(found, mat3.times(rows[i], two.load), one.slopes[i])
-    return found
+        slope = mat3.plus_outer(slope, mat3.times(rows[i], second.load), first.slopes[i])
+    return slope
 
 
 @jit
-def slope_by(one: Spot, two: Spot, rows: Any, back: Any) -> Mat3:
-    """Return the slope (3, 3) of the displacement at `one` with the position of `two`, whose load and point change.
+def slope_by(first: Spot, second: Spot, rows: Any, back: Any) -> Mat3:
+    """Return the slope (3, 3) of the displacement at `first` with the position of `second`.
 
-    rows  of the nodes of `one` under loads at `two`
-    back  of the nodes of `two` under loads at `one`: transposed, by reciprocity, the response to loads on these nodes
+    The load and the point of `second` change.
+
+    rows  of the nodes of `first` under loads at `second`
+    back  of the nodes of `second` under loads at `first`: by reciprocity, transposed the responses to loads on these
+          nodes
     """
-    found = mat3.product(compliance_of(one, rows), two.spring)
+    slope = mat3.product(compliance_of(first, rows), second.spring)
     for i in range(3):
-        found = mat3.plus_outer(found, mat3.times(mat3.transpose(back[i]), two.load), two.slopes[i])
-    return found
+        slope = mat3.plus_outer(slope, mat3.times(mat3.transpose(back[i]), second.load), second.slopes[i])
+    return slope
 
 
 @jit
@@ -93,20 +100,20 @@ def bending_under(elastic: Elastic, spot: Spot) -> tuple[float, float]:
 
 
 @jit
-def linearize_both(elastic: Elastic, one: Spot, two: Spot, rows: Any, gain: float) -> Any:
+def linearize_both(elastic: Elastic, first: Spot, second: Spot, rows: Any, gain: float) -> Any:
     """Return Newton's matrix of two fingers, four blocks (3, 3), and the gradients (3,) N of load times displacement.
 
-    rows  of the nodes of `one` under loads at `one` and `two`, and of `two` at `two`
+    rows  of the nodes of `first` under loads at `first` and `second`, and of `second` at `second`
     """
     r11, r12, r22 = rows
-    r21 = compute_node_rows(elastic, two, one)
-    at_one = mat3.plus(slope_at(one, one, r11), 1.0, slope_at(one, two, r12))
-    at_two = mat3.plus(slope_at(two, two, r22), 1.0, slope_at(two, one, r21))
-    a = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_one, 1.0, slope_by(one, one, r11, r11)))
-    b = mat3.plus(mat3.ZEROS, gain, slope_by(one, two, r12, r21))
-    c = mat3.plus(mat3.ZEROS, gain, slope_by(two, one, r21, r12))
-    d = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_two, 1.0, slope_by(two, two, r22, r22)))
-    gradients = mat3.times(mat3.transpose(at_one), one.load), mat3.times(mat3.transpose(at_two), two.load)
+    r21 = compute_node_rows(elastic, second, first)
+    at_first = mat3.plus(slope_at(first, first, r11), 1.0, slope_at(first, second, r12))
+    at_second = mat3.plus(slope_at(second, second, r22), 1.0, slope_at(second, first, r21))
+    a = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_first, 1.0, slope_by(first, first, r11, r11)))
+    b = mat3.plus(mat3.ZEROS, gain, slope_by(first, second, r12, r21))
+    c = mat3.plus(mat3.ZEROS, gain, slope_by(second, first, r21, r12))
+    d = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_second, 1.0, slope_by(second, second, r22, r22)))
+    gradients = mat3.times(mat3.transpose(at_first), first.load), mat3.times(mat3.transpose(at_second), second.load)
     return (a, b, c, d), gradients
 
 
@@ -122,6 +129,6 @@ def invert_both(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> Blocks:
 
 
 @jit
-def times_both(blocks: Blocks, one: Vec3, two: Vec3) -> tuple[Vec3, Vec3]:
+def times_both(blocks: Blocks, first: Vec3, second: Vec3) -> tuple[Vec3, Vec3]:
     (a, b), (c, d) = blocks
-    return vec3.add(mat3.times(a, one), mat3.times(b, two)), vec3.add(mat3.times(c, one), mat3.times(d, two))
+    return vec3.add(mat3.times(a, first), mat3.times(b, second)), vec3.add(mat3.times(c, first), mat3.times(d, second))

@@ -127,32 +127,32 @@ def contact_spot(
     last   before the tick, relative to the surface as `state` is
     state  after it
     """
-    found = spot_on(elastic, body, state.contacts[0].body, contact.contacts[0].point, contact.normal)
+    spot = spot_on(elastic, body, state.contacts[0].body, contact.contacts[0].point, contact.normal)
     force = ZERO
     for k in range(3):
         force = vec3.add(force, contact.contacts[k].force)
     force, n = turn_into(body.pose, force), turn_into(body.pose, contact.normal)
-    found = replace(found, "load", vec3.scale(-1.0, force))
+    spot = replace(spot, "load", vec3.scale(-1.0, force))
     law, depth, out = body.material.normal, contact.penetration, vec3.dot(contact.velocity, contact.normal)
     faster = out - DEPTH_STEP_M / dt if dt > 0.0 else out
     more = normal_force_of(law, depth + DEPTH_STEP_M, faster) - normal_force_of(law, depth, out)
     stiffness, along, spring = more / DEPTH_STEP_M, n, mat3.ZEROS
-    beside = mat3.plus_outer(mat3.IDENTITY, vec3.scale(-1.0, n), n)
+    tangent_projection = mat3.plus_outer(mat3.IDENTITY, vec3.scale(-1.0, n), n)
     drag = friction_on(body.material.friction, force, n)
     size = vec3.norm(drag)
     side, unlimited = unlimited_friction(finger, last, state, contact, dt)
     length = vec3.norm(unlimited)
-    stuck = mat3.plus_outer(mat3.plus(mat3.ZEROS, side, beside), vec3.scale(stiffness, n), n)
+    stuck = mat3.plus_outer(mat3.plus(mat3.ZEROS, side, tangent_projection), vec3.scale(stiffness, n), n)
     if length <= (1.0 + LIMITED) * size and (contact.mode == ROLLING or (size > 0.0 and not slips(last, state, dt))):
-        return replace(found, "slopes", mat3.ZEROS if side > 0.0 else found.slopes, "spring", stuck)
+        return replace(spot, "slopes", mat3.ZEROS if side > 0.0 else spot.slopes, "spring", stuck)
     if length > size > 0.0:
-        found = replace(found, "excess", vec3.sub(turn_into(body.pose, unlimited), drag), "stuck", stuck)
+        spot = replace(spot, "excess", vec3.sub(turn_into(body.pose, unlimited), drag), "stuck", stuck)
     if contact.normal_force > 0.0:
         along = vec3.add_scaled(n, 1.0 / contact.normal_force, vec3.reject(force, n))
         if size > 0.0:  # the cone limits the friction, which turns with the deflection
             t = vec3.scale(1.0 / size, drag)
             share = size / length if length > size else 1.0
-            across = mat3.plus_outer(beside, vec3.scale(-1.0, t), t)
+            across = mat3.plus_outer(tangent_projection, vec3.scale(-1.0, t), t)
             spring = mat3.plus(mat3.ZEROS, share * side, across)
             moves = mat3.ZEROS  # of the point, with the probe
             if contact.mode != ROLLING:
@@ -160,9 +160,9 @@ def contact_spot(
                 moves = mat3.plus_outer(
                     mat3.plus(mat3.plus_outer(mat3.ZEROS, t, t), 1.0 - share, across), vec3.scale(-grip, n), t
                 )
-            a, b, c = found.slopes
-            found = replace(found, "slopes", (mat3.times(moves, a), mat3.times(moves, b), mat3.times(moves, c)))
-    return replace(found, "spring", mat3.plus_outer(spring, vec3.scale(stiffness, along), n))
+            a, b, c = spot.slopes
+            spot = replace(spot, "slopes", (mat3.times(moves, a), mat3.times(moves, b), mat3.times(moves, c)))
+    return replace(spot, "spring", mat3.plus_outer(spring, vec3.scale(stiffness, along), n))
 
 
 @jit

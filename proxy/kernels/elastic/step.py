@@ -131,11 +131,11 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     x, y = empty_spot(), empty_spot()
     least, best = inf, (u, v)
     for left in range(ROUNDS - 1, -1, -1):
-        one, first = step_finger(fingers[0], before_one, shift_pose(body, poses[0], u), scene, objects, dt)
-        two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
+        after_one, first = step_finger(fingers[0], before_one, shift_pose(body, poses[0], u), scene, objects, dt)
+        after_two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
         is_loaded = first.mode != FREE or second.mode != FREE
-        x = spot_of(elastic, objects, fingers[0], before_one, one, first, x, dt) if is_loaded else empty_spot()
-        y = spot_of(elastic, objects, fingers[1], before_two, two, second, y, dt) if is_loaded else empty_spot()
+        x = spot_of(elastic, objects, fingers[0], before_one, after_one, first, x, dt) if is_loaded else empty_spot()
+        y = spot_of(elastic, objects, fingers[1], before_two, after_two, second, y, dt) if is_loaded else empty_spot()
         rows = compute_node_rows(elastic, x, x), compute_node_rows(elastic, x, y), compute_node_rows(elastic, y, y)
         coupling = compliance_of(x, rows[1])
         goal_u = vec3.add(mat3.times(compliance_of(x, rows[0]), x.load), mat3.times(coupling, y.load))
@@ -174,4 +174,4 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     surface_u = replace(surface_u, "inverse", inverse[0])
     surface_v = replace(surface_v, "inverse", inverse[1])
     contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
-    return (place_probe(one, poses[0]), place_probe(two, poses[1])), contacts, (surface_u, surface_v)
+    return (place_probe(after_one, poses[0]), place_probe(after_two, poses[1])), contacts, (surface_u, surface_v)

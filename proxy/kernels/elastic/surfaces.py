@@ -42,10 +42,10 @@ def place_probe(state: FingerState, pose: Pose) -> FingerState:
 
 @jit
 def drive_of(body: Any, last: Surface, state: FingerState, pose: Pose, gain: float) -> tuple[Vec3, Vec3]:
-    """Return the motion (3,) m of the probe in this tick, and what drives the displacement relative to it.
+    """Return the motion (3,) m of the probe in this tick, and the motion (3,) m that changes the displacement.
 
-    That is the motion less the part of the last change that a damped surface makes in any case. Both are in the object
-    frame.
+    The second is the first without the part of the last change that a damped surface repeats independently of the
+    probe. Both are in the object frame.
     """
     motion = turn_into(body.pose, vec3.sub(pose.position, state.probe.position))
     return motion, vec3.add_scaled(motion, gain - 1.0, last.change)

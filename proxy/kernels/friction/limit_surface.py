@@ -1,7 +1,7 @@
 """Slip of deflection and wind-up, with separate limits of friction and torsion or with a common one.
 
 room(torsion, spin, normal_force) -> 1                  fraction of the static cone that torsion does not use
-slide(torsion, law, stiffness, limit, breaking, given) -> Slide
+slide(torsion, law, stiffness, limit, breaking, inputs) -> Slide
 """
 
 from math import sqrt
@@ -48,21 +48,21 @@ def room(torsion: Any, spin: float, normal_force: float) -> Any:
 
 
 @by_type
-def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput) -> Any: ...
+def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput) -> Any: ...
 
 
 @room.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
-def room_beside_torsion(torsion: Any, spin: float, normal_force: float) -> float:
+def room_of_independent_laws(torsion: Any, spin: float, normal_force: float) -> float:
     return 1.0
 
 
 @slide.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
-def slide_beside_torsion(
-    torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput
+def slide_independently(
+    torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput
 ) -> Slide:
     """Limit the tangential force to K |e| <= `limit`, independent of torsion."""
-    deflection, slip, length = cut(law, given.normal, limit / stiffness, breaking, given.deflection)
-    return Slide(deflection, given.spin, given.twist, slip, length)
+    deflection, slip, length = cut(law, inputs.normal, limit / stiffness, breaking, inputs.deflection)
+    return Slide(deflection, inputs.spin, inputs.twist, slip, length)
 
 
 @room.of(LimitSurface)
@@ -77,7 +77,7 @@ def room_on_limit_surface(torsion: LimitSurface, spin: float, normal_force: floa
 
 @slide.of(LimitSurface)
 def slide_on_limit_surface(
-    torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, given: FrictionInput
+    torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput
 ) -> Slide:
     """Project (K e, k_z phi) onto (f_T / F)^2 + (tau_n / tau_max)^2 <= 1.
 
@@ -88,16 +88,16 @@ def slide_on_limit_surface(
     for a god-object, Frisoli, Barbagli, Ruffaldi, Salisbury, Bergamasco (2006), who move along a limit curve.
     """
     k_z = torsional_stiffness(torsion.law)
-    longest, widest = limit / stiffness, torsional_limit(torsion.law, given.normal_force) / k_z
-    spin = given.spin + given.twist
+    longest, widest = limit / stiffness, torsional_limit(torsion.law, inputs.normal_force) / k_z
+    spin = inputs.spin + inputs.twist
     if longest <= 0.0 or widest <= 0.0:
         # A degenerate surface: two separate limits, one of them zero.
-        return slide_beside_torsion(torsion, law, stiffness, limit, breaking, given)
+        return slide_independently(torsion, law, stiffness, limit, breaking, inputs)
 
-    d1, d2, s1, s2 = scales(law, given.normal, given.deflection, breaking)
+    d1, d2, s1, s2 = scales(law, inputs.normal, inputs.deflection, breaking)
     a1, a2 = s1 * longest, s2 * longest
-    y = limit_distance((vec3.dot(given.deflection, d1) / a1, vec3.dot(given.deflection, d2) / a2, spin / widest))
-    deflection, slip = given.deflection, 0.0
+    y = limit_distance((vec3.dot(inputs.deflection, d1) / a1, vec3.dot(inputs.deflection, d2) / a2, spin / widest))
+    deflection, slip = inputs.deflection, 0.0
     if vec3.dot(y, y) > 1.0:
         energies = longest / widest
         ratio = min(max(energies * energies * stiffness / k_z, 1.0 / WEIGHT_MAX), WEIGHT_MAX)
@@ -105,7 +105,7 @@ def slide_on_limit_surface(
         nearest = shrink(y, weight, multiplier(y, weight))
         deflection = vec3.add_scaled(vec3.scale(a1 * nearest[0], d1), a2 * nearest[1], d2)
         slip_vector, slip_angle = (
-            vec3.sub(given.deflection, deflection),
+            vec3.sub(inputs.deflection, deflection),
             (spin - widest * nearest[2]) * k_z * widest / limit,
         )
         slip = sqrt(vec3.dot(slip_vector, slip_vector) + slip_angle * slip_angle)

@@ -1,10 +1,10 @@
 """Stick-slip: rolling while the contact sticks, sliding while it slips, and the transitions.
 
-    stick_slip(law, torsion, coupling, k_tau, given) -> FrictionResult
+    stick_slip(law, torsion, coupling, k_tau, inputs) -> FrictionResult
 
-One call resolves friction and torsion of a contact. `given` (FrictionInput) contains the tangential deflection e of the
-proxy from the probe, the part p of it wound up by rolling, the wind-up phi, the normal force, and the state of the last
-tick.
+One call resolves friction and torsion of a contact. `inputs` (FrictionInput) contains the tangential deflection e of
+the proxy from the probe, the part p of it wound up by rolling, the wind-up phi, the normal force, and the state of the
+last tick.
 """
 
 from typing import Any
@@ -43,23 +43,21 @@ radius."""
 
 
 @by_type
-def stick_slip(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput) -> Any: ...
+def stick_slip(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput) -> Any: ...
 
 
 @stick_slip.of(None)
 def slide_freely(
-    law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
+    law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput
 ) -> FrictionResult:
     """Resolve only torsion: without friction the proxy has no deflection from the probe and does not stick."""
     zero = (0.0, 0.0, 0.0)
-    wind = wind_up(
-        torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
-    )
+    wind = wind_up(torsion, inputs.spin, inputs.twist, inputs)
     return FrictionResult(
         mode=float(SLIDING), cause=float(CAUSE_NONE), deflection=zero, rolled_part=zero, slip_speed=0.0,
         slip_deflection=0.0, spin=wind.spin, spin_slip_speed=wind.slip_speed, spin_slip_angle=wind.slip_angle,
         force=zero,
-        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - given.spin, given),
+        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - inputs.spin, inputs),
     )  # fmt: skip
 
 
@@ -113,7 +111,7 @@ def unlimited_as_in_the_paper(
 @jit
 def start_of_sliding(
     law: Any,
-    given: FrictionInput,
+    inputs: FrictionInput,
     stiffness: float,
     torque_stiffness: float,
     dragged: Vec3,
@@ -125,9 +123,9 @@ def start_of_sliding(
     The larger part of the load determines the cause: CAUSE_DRAG for dragging, CAUSE_THETA_MAX for rolling.
     """
     weighted_load = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
-    load = load_size(law, given.normal, weighted_load)
+    load = load_size(law, inputs.normal, weighted_load)
     # A finger that slid with mu_d = mu_s stops on the cone: rounding must not make it slip again.
-    if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * given.radius:
+    if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * inputs.radius:
         by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
         return float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)
     return float(CAUSE_NONE)
@@ -136,7 +134,7 @@ def start_of_sliding(
 @jit
 def end_of_sliding(
     law: Any,
-    given: FrictionInput,
+    inputs: FrictionInput,
     load: Vec3,
     static_limit: float,
     slip_speed: float,
@@ -150,10 +148,10 @@ def end_of_sliding(
     length           m    current length of the deflection
     """
     has_stopped, unwinding = slip_speed < STOP_SPEED_M_PER_S, slip_deflection - length
-    if not has_stopped and unwinding <= max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * given.resolution):
+    if not has_stopped and unwinding <= max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * inputs.resolution):
         return float(CAUSE_NONE)
     # With viscous friction the load of a fast slip may exceed the static cone: the contact cannot stick yet.
-    may_stick = load_size(law, given.normal, load) <= (1.0 + ROUNDING) * static_limit
+    may_stick = load_size(law, inputs.normal, load) <= (1.0 + ROUNDING) * static_limit
     if not may_stick:
         return float(CAUSE_NONE)
     return float(CAUSE_STOP) if has_stopped else float(CAUSE_REVERSE)
@@ -161,7 +159,7 @@ def end_of_sliding(
 
 @stick_slip.of(Friction, SpeedFriction, Anisotropic)
 def stick_slip_by_law(
-    law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
+    law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput
 ) -> FrictionResult:
     """Resolve friction with the state machine of rolling and sliding.
 
@@ -175,55 +173,55 @@ def stick_slip_by_law(
     Source: Salvietti et al. (2013), section 3.2, changed by docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
-    whole_limit, kinetic_limit = cone(law, given.normal_force, given.slip_speed)
-    static_limit = whole_limit * room(torsion, given.spin + given.twist, given.normal_force)
-    mode, cause, deflection, spin, twist = given.mode, float(CAUSE_NONE), given.deflection, given.spin, given.twist
-    slip_speed, slip_deflection = given.slip_speed, given.slip_deflection
-    dragged, rolled_part = split(deflection, given.rolled_part)
+    whole_limit, kinetic_limit = cone(law, inputs.normal_force, inputs.slip_speed)
+    static_limit = whole_limit * room(torsion, inputs.spin + inputs.twist, inputs.normal_force)
+    mode, cause, deflection, spin, twist = inputs.mode, float(CAUSE_NONE), inputs.deflection, inputs.spin, inputs.twist
+    slip_speed, slip_deflection = inputs.slip_speed, inputs.slip_deflection
+    dragged, rolled_part = split(deflection, inputs.rolled_part)
 
     limit, breaking = -1.0, 0.0
     if mode == ROLLING:
-        cause = start_of_sliding(law, given, stiffness, torque_stiffness, dragged, rolled_part, static_limit)
+        cause = start_of_sliding(law, inputs, stiffness, torque_stiffness, dragged, rolled_part, static_limit)
         if cause != CAUSE_NONE:
             mode, limit, breaking = float(SLIDING), whole_limit, 1.0
     else:
         limit = kinetic_limit
 
     if limit >= 0.0:
-        result = slide(torsion, law, stiffness, limit, breaking, given)
+        result = slide(torsion, law, stiffness, limit, breaking, inputs)
         deflection, spin, twist, length = result.deflection, result.spin, result.twist, result.length
         rolled_part = (0.0, 0.0, 0.0)
         slips = result.slip > ROUNDING * length
         if slips or cause != CAUSE_NONE:
             slip_deflection = length
-        speed = result.slip / given.dt if given.dt > 0.0 else 0.0
+        speed = result.slip / inputs.dt if inputs.dt > 0.0 else 0.0
         if cause != CAUSE_NONE:
             slip_speed = speed
         else:
-            slip_speed += (speed - slip_speed) * given.dt / (SLIP_TIME_CONSTANT_S + given.dt)
+            slip_speed += (speed - slip_speed) * inputs.dt / (SLIP_TIME_CONSTANT_S + inputs.dt)
             if not slips:
                 load = vec3.scale(stiffness, deflection)
-                cause = end_of_sliding(law, given, load, static_limit, slip_speed, slip_deflection, length)
+                cause = end_of_sliding(law, inputs, load, static_limit, slip_speed, slip_deflection, length)
             if cause != CAUSE_NONE:
                 mode, slip_speed = float(ROLLING), 0.0
 
     force = vec3.scale(stiffness, deflection)
-    if mode == ROLLING and given.dt > 0.0:
-        change = vec3.sub(deflection, given.deflection_before)
-        force = vec3.add_scaled(force, coupling.damping / given.dt, change)
+    if mode == ROLLING and inputs.dt > 0.0:
+        change = vec3.sub(deflection, inputs.deflection_before)
+        force = vec3.add_scaled(force, coupling.damping / inputs.dt, change)
     if mode == ROLLING or breaking != 0.0:
-        force = limit_force(law, given.normal, force, whole_limit if breaking != 0.0 else static_limit)
-    wind = wind_up(torsion, spin, twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt)
+        force = limit_force(law, inputs.normal, force, whole_limit if breaking != 0.0 else static_limit)
+    wind = wind_up(torsion, spin, twist, inputs)
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled_part, slip_speed=slip_speed,
         slip_deflection=slip_deflection, spin=wind.spin, spin_slip_speed=wind.slip_speed,
         spin_slip_angle=wind.slip_angle, force=force,
-        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - given.spin, given),
+        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - inputs.spin, inputs),
     )  # fmt: skip
 
 
 @stick_slip.of(PaperFriction)
 def stick_slip_as_in_the_paper(
-    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
+    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput
 ) -> FrictionResult:
-    return stick_slip_by_equations(law, torsion, coupling, torque_stiffness, given)
+    return stick_slip_by_equations(law, torsion, coupling, torque_stiffness, inputs)

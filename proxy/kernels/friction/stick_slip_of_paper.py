@@ -1,6 +1,6 @@
 """State machine of rolling and sliding exactly as in the paper, for study: docs/model/friction.md lists its failures.
 
-    stick_slip_by_equations(law, torsion, coupling, k_tau, given) -> FrictionResult
+    stick_slip_by_equations(law, torsion, coupling, k_tau, inputs) -> FrictionResult
 
 The end of a contact is that of our contact model, not the paper's f_N = 0.
 """
@@ -19,7 +19,7 @@ ROUNDING = 1e-9
 
 @jit
 def stick_slip_by_equations(
-    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, given: FrictionInput
+    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput
 ) -> FrictionResult:
     """Compute friction and torsion of one tick by the text of section 3.2.
 
@@ -34,11 +34,11 @@ def stick_slip_by_equations(
     agree with any force, so that a finger that has never rolled can be dragged.
     """
     stiffness = coupling.stiffness
-    static_limit, kinetic_limit = law.static * given.normal_force, law.kinetic * given.normal_force
-    mode, cause = given.mode, float(CAUSE_NONE)
-    deflection, rolled = given.deflection, given.rolled_part
+    static_limit, kinetic_limit = law.static * inputs.normal_force, law.kinetic * inputs.normal_force
+    mode, cause = inputs.mode, float(CAUSE_NONE)
+    deflection, rolled = inputs.deflection, inputs.rolled_part
     length = vec3.norm(deflection)
-    change = vec3.sub(deflection, given.deflection_before)
+    change = vec3.sub(deflection, inputs.deflection_before)
 
     if mode == ROLLING:
         outside = stiffness * length >= static_limit and length > 0.0
@@ -55,13 +55,11 @@ def stick_slip_by_equations(
         if length > 0.0:
             deflection = vec3.scale(kinetic_limit / (stiffness * length), deflection)
         force = vec3.scale(stiffness, deflection)
-    elif given.dt > 0.0:
-        force = vec3.add_scaled(force, coupling.damping / given.dt, change)
-    wind = wind_up(
-        torsion, given.spin, given.twist, given.normal_force, given.spin_slip_speed, given.spin_slip_angle, given.dt
-    )
+    elif inputs.dt > 0.0:
+        force = vec3.add_scaled(force, coupling.damping / inputs.dt, change)
+    wind = wind_up(torsion, inputs.spin, inputs.twist, inputs)
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled, slip_speed=0.0, slip_deflection=0.0,
         spin=wind.spin, spin_slip_speed=wind.slip_speed, spin_slip_angle=wind.slip_angle, force=force,
-        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - given.spin, given),
+        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - inputs.spin, inputs),
     )  # fmt: skip

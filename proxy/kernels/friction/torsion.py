@@ -1,6 +1,6 @@
 """Spin moment of a soft finger: a torsional spring with an anchor that slips at the torsional limit.
 
-    wind_up(torsion, spin, turn, normal_force, slip_speed, slip_angle, dt) -> TorsionResult
+    wind_up(torsion, spin, turn, inputs) -> TorsionResult
 
 Positive spin is right-handed about the normal; the moment on the hand opposes it.
 """
@@ -139,59 +139,49 @@ def share_of_law(torsion: Any, share: float) -> Any:
 
 
 @jit
-def damp_moment(torsion: Any, damping: float, moment: float, wound: float, given: FrictionInput) -> float:
+def damp_moment(torsion: Any, damping: float, moment: float, wound: float, inputs: FrictionInput) -> float:
     """Return the moment of spring and parallel damper, N m, clamped to the torsional limit.
 
     damping  N m s/rad
     wound    rad        change of the wind-up in this tick: a slipping anchor does not damp
     """
-    if torsion is None or damping == 0.0 or given.dt <= 0.0:
+    if torsion is None or damping == 0.0 or inputs.dt <= 0.0:
         return moment
-    limit = torsional_limit(torsion, given.normal_force)
-    both: float = min(max(moment - damping * wound / given.dt, -limit), limit)
+    limit = torsional_limit(torsion, inputs.normal_force)
+    both: float = min(max(moment - damping * wound / inputs.dt, -limit), limit)
     return both
 
 
 @by_type
-def wind_up(
-    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> Any:
+def wind_up(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> Any:
     """Return the state of the spring after a rotation of `turn` rad about the normal."""
 
 
 @wind_up.of(None)
-def wind_nothing(
-    torsion: None, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> TorsionResult:
+def wind_nothing(torsion: None, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
     return TorsionResult(0.0, 0.0, 0.0, 0.0)
 
 
 @wind_up.of(Torsion, PowerTorsion)
-def wind_spring(
-    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> TorsionResult:
+def wind_spring(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
     """Compute tau_n = k_z phi, its magnitude at most the torsional limit; the anchor slips by the excess.
 
     Source: Salvietti et al. (2013), eq. 1; the paper has no limit.
     """
     stiffness = torsional_stiffness(torsion)
-    limit = torsional_limit(torsion, normal_force) / stiffness
+    limit = torsional_limit(torsion, inputs.normal_force) / stiffness
     angle = min(max(spin + turn, -limit), limit)
     return TorsionResult(angle, -stiffness * angle, 0.0, 0.0)
 
 
 @wind_up.of(LimitSurface)
-def wind_limit_surface(
-    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> TorsionResult:
+def wind_limit_surface(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
     """Apply the limit surface without a tangential load; with one, `slide` has already limited phi."""
-    return wind_spring(torsion.law, spin, turn, normal_force, slip_speed, slip_angle, dt)
+    return wind_spring(torsion.law, spin, turn, inputs)
 
 
 @wind_up.of(SoftFingerProxy)
-def wind_soft_finger(
-    torsion: Any, spin: float, turn: float, normal_force: float, slip_speed: float, slip_angle: float, dt: float
-) -> TorsionResult:
+def wind_soft_finger(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
     """Compute the proxy's fourth degree of freedom: its angle about the normal sticks, or slips behind the probe's.
 
     phi is the probe's angle minus the proxy's. The proxy sticks while k_z |phi| is within the static torsional cone;
@@ -203,7 +193,8 @@ def wind_soft_finger(
     friction does here (band at standstill, fraction of unwinding) and not only by the cone.
     """
     stiffness = torsional_stiffness(torsion.law)
-    static_limit = torsional_limit(torsion.law, normal_force) / stiffness
+    static_limit = torsional_limit(torsion.law, inputs.normal_force) / stiffness
+    slip_speed, slip_angle, dt = inputs.spin_slip_speed, inputs.spin_slip_angle, inputs.dt
     sticks = slip_speed == 0.0
     limit = static_limit if sticks else torsion.kinetic_share * static_limit
     angle = spin + turn

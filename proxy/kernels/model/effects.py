@@ -114,7 +114,7 @@ class Anchor(NamedTuple):
     """State of StickSlip: the point where the fingertip sticks, in the object's frame, and 1 if there is one."""
 
     point: Vec3
-    held: float
+    is_set: float
 
 
 class Phase(NamedTuple):

@@ -136,9 +136,9 @@ def _address(slot: KernelSlot, rows: Any) -> int:
         def call(row: Any, facet: float, *rest: Any) -> Any:
             return choice(row[0], *rest)
 
-    given = types.Tuple((rows, types.float64, *map(numba.typeof, arguments)))
+    packed = types.Tuple((rows, types.float64, *map(numba.typeof, arguments)))
     inner = Inlined(call, INLINED, None, entry)
-    symbol = link_unit(choice.__wrapped__, KEPT, given, lambda: in_and_out(inner, given, numba.typeof(result)))
+    symbol = link_unit(choice.__wrapped__, KEPT, packed, lambda: in_and_out(inner, packed, numba.typeof(result)))
     return int(llvm.address_of_symbol(symbol))
 
 
@@ -149,18 +149,18 @@ _BYTES: Final = ir.IntType(8).as_pointer()
 def _called(typing_context, shape, slot, like, arguments):  # type: ignore[no-untyped-def]
     sizes, kernels, facet = shape.fields.index("sizes"), shape.fields.index("kernels"), shape.fields.index("facet")
     kinds = tuple(map(types.unliteral, arguments))
-    given, result = types.Tuple((shape.types[sizes], types.float64, *kinds)), types.unliteral(like)
+    packed, result = types.Tuple((shape.types[sizes], types.float64, *kinds)), types.unliteral(like)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
         fields = cgutils.unpack_tuple(builder, args[0])
         values = [fields[sizes], fields[facet], *cgutils.unpack_tuple(builder, args[3])]
-        arguments_slot = cgutils.alloca_once(builder, context.get_value_type(given))
+        arguments_slot = cgutils.alloca_once(builder, context.get_value_type(packed))
         result_slot = cgutils.alloca_once(builder, context.get_value_type(result))
-        builder.store(context.make_tuple(builder, given, values), arguments_slot)
+        builder.store(context.make_tuple(builder, packed, values), arguments_slot)
         table = builder.inttoptr(fields[kernels], ir.IntType(64).as_pointer())
         function = ir.FunctionType(ir.VoidType(), [_BYTES, _BYTES]).as_pointer()
         code = builder.inttoptr(builder.load(builder.gep(table, [args[1]])), function)
-        builder.call(code, [builder.bitcast(each, _BYTES) for each in (arguments_slot, result_slot)])
+        builder.call(code, [builder.bitcast(pointer, _BYTES) for pointer in (arguments_slot, result_slot)])
         return builder.load(result_slot)
 
     return result(shape, types.int64, like, types.Tuple(kinds)), generate

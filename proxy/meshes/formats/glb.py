@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import limits
 from softfinger.proxy.meshes.formats.polygons import Faces, Indices, Points, strip, triangles_only
+from softfinger.proxy.rotation import matrix_of
 
 _COMPONENTS: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC3": 3}
@@ -114,13 +115,7 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
     x, y, z, w = (float(part) for part in node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
-    turn = np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    turn = np.array(matrix_of((w, x, y, z)))
     place = np.eye(4)
     place[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), float)
     place[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))

@@ -19,7 +19,7 @@ _REASONS: Final = {b"call": "has its numbers in another file", b"csh": "calls a 
 def read(data: bytes) -> Faces:
     """Return the faces of an OBJ file. Raises ValueError for free-form surfaces and for numbers in other files."""
     text = clean(data)
-    if b"\\\n" in text:  # a line that goes on
+    if b"\\\n" in text:  # a continued line
         text = text.replace(b"\\\n", b" ")
     if b"#" in text:
         text = re.sub(rb"#[^\n]*", b"", text)

@@ -93,21 +93,21 @@ def _ears(points: Points, corners: Indices) -> Indices:
     normal = np.cross(outline, np.roll(outline, -1, axis=0)).sum(axis=0)
     axis = int(np.abs(normal).argmax())
     flat = outline[:, [(axis + 1) % 3, (axis + 2) % 3]] * (1.0 if normal[axis] > 0.0 else -1.0, 1.0)
-    left, ears = list(range(len(corners))), []
-    while len(left) > 3:
-        at = next((k for k in range(len(left)) if _is_ear(flat, left, k)), 1)
-        ears.append([left[at - 1], left[at], left[(at + 1) % len(left)]])
-        del left[at]
-    return np.asarray(corners[np.array([*ears, left])])
+    remaining, ears = list(range(len(corners))), []
+    while len(remaining) > 3:
+        at = next((k for k in range(len(remaining)) if _is_ear(flat, remaining, k)), 1)
+        ears.append([remaining[at - 1], remaining[at], remaining[(at + 1) % len(remaining)]])
+        del remaining[at]
+    return np.asarray(corners[np.array([*ears, remaining])])
 
 
-def _is_ear(flat: Points, left: list[int], at: int) -> bool:
-    """Return True if the corner `at` of the polygon `left` can be cut off: convex, with no other corner inside."""
-    before, here, after = left[at - 1], left[at], left[(at + 1) % len(left)]
+def _is_ear(flat: Points, remaining: list[int], at: int) -> bool:
+    """Return True if the corner `at` of the polygon `remaining` can be cut off: convex, with no other corner inside."""
+    before, here, after = remaining[at - 1], remaining[at], remaining[(at + 1) % len(remaining)]
     a, b, c = flat[before], flat[here], flat[after]
     if _turn(a, b, c) <= 0.0:
         return False
-    others = flat[[k for k in left if k not in (before, here, after)]]
+    others = flat[[k for k in remaining if k not in (before, here, after)]]
     within = (_turn(a, b, others) >= 0.0) & (_turn(b, c, others) >= 0.0) & (_turn(c, a, others) >= 0.0)
     # A corner of the same place is the other end of a bridge to a hole.
     same = (others[:, None] == np.stack([a, b, c])).all(axis=2).any(axis=1)

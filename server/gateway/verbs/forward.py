@@ -81,15 +81,15 @@ def _end_with_input(stop: threading.Event) -> None:
     stop.set()
 
 
-def make_lock(endpoint: str, flag: str, own: str | None, folder: str | None) -> KeyLock | None:
+def make_lock(endpoint: str, flag: str, key_file: str | None, folder: str | None) -> KeyLock | None:
     """Return the lock of an endpoint; None if all peers that reach it may connect, which excludes other machines."""
     folder_flag = "--readers" if flag == "--to" else "--commanders"
     if folder is not None:
-        if own is None:
+        if key_file is None:
             raise ConfigError(
                 f"{folder_flag} {folder}: a connection with keys also needs a key on this side: add --keys FILE"
             )
-        return KeyLock(keys.read_pair(own), Allowed(folder))
+        return KeyLock(keys.read_pair(key_file), Allowed(folder))
     if is_public(endpoint):
         raise ConfigError(
             f"{flag} {endpoint} is open to the network: set the allowed clients with --keys FILE and {folder_flag} DIR "

@@ -22,7 +22,7 @@ from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
 from softfinger.proxy.record import NAMED
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.recording.compare import COMPARED, FIELDS, ReplayComparison, Replayed, compare, replay
+from softfinger.server.recording.compare import COMPARED, FIELDS, ReplayComparison, ReplayResult, compare, replay
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import Run, load_run
 
@@ -169,7 +169,7 @@ def _lines(outcome: ReplayComparison, past: Run) -> list[str]:
     return lines
 
 
-def draw(past: Run, replayed: Replayed, against: Against, path: Path) -> None:
+def draw(past: Run, replayed: ReplayResult, against: Against, path: Path) -> None:
     """Plot the force magnitude of each finger over time, recorded and recomputed, and the difference where compared."""
     drawing = figure(8.0, 2.0 + 2.0 * len(past.fingers))
     axes = drawing.subplots(2 * len(past.fingers), 1, sharex=True, squeeze=False)[:, 0]

@@ -84,10 +84,10 @@ class Access:
 
     def refusal_reason(self, path: str, headers: Headers, local: tuple[Any, ...]) -> str:
         """Return why a request to the `local` address (host, port, ...) is refused; empty if it is allowed."""
-        hosts = [each.lower() for each in headers.get_all("Host")]
+        hosts = [value.lower() for value in headers.get_all("Host")]
         if len(hosts) != 1 or hosts[0] not in self._hosts(local):
             return f"the request is for the host {hosts}, which is not allowed: add it with --allow-host"
-        origins = [each.lower() for each in headers.get_all("Origin")]
+        origins = [value.lower() for value in headers.get_all("Origin")]
         upgrade = "Upgrade" in headers
         if (origins or upgrade) and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
             return f"the request comes from {origins or 'nowhere'}, not from this page"

@@ -150,7 +150,7 @@ def visual_geoms(scene: schema.Scene) -> list[schema.Object]:
     with_material = msgspec.structs.replace(scene.world, material=schema.Material(stiffness_n_per_m=1.0), geom=())
     contact_names = {obj.name for obj in scene.object}
     try:
-        geoms = [each.object for each in convert_geoms(with_material) if each.name not in contact_names]
+        geoms = [geom.object for geom in convert_geoms(with_material) if geom.name not in contact_names]
     except ConfigError:
         return []
     return [obj for obj in geoms if obj is not None and not isinstance(obj, Filed)]

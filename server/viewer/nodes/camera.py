@@ -75,7 +75,7 @@ def initial_camera(
     offset = OBLIQUE_OFFSET if len(scene.fingers) == 1 else FRONT_OFFSET
     walls = [rotate(obj.orientation_wxyz, UP) for obj in scene.object if isinstance(obj, schema.Plane)]
     offset = max(
-        (offset * mirror for mirror in VIEW_MIRRORS), key=lambda each: sum(float(wall @ each) > 0.0 for wall in walls)
+        (offset * mirror for mirror in VIEW_MIRRORS), key=lambda view: sum(float(wall @ view) > 0.0 for wall in walls)
     )
     offset = offset * max(1.0, radius / sin(0.5 * FOV) / float(np.linalg.norm(offset)))
     x, y, z = (centre + offset).tolist()

@@ -78,7 +78,9 @@ def finger(radii: Array) -> SurfaceMesh:
 
 def nail(radii: Array) -> SurfaceMesh:
     grid = np.linspace(-1.0, 1.0, NAIL_CORNERS)
-    across, along = (each.ravel() for each in np.meshgrid(grid, np.sin(0.5 * pi * grid)))  # denser at the round ends
+    across, along = (
+        values.ravel() for values in np.meshgrid(grid, np.sin(0.5 * pi * grid))
+    )  # denser at the round ends
     height = NAIL_CENTRE + NAIL_HALF_LENGTH * along
     angle = -0.5 * pi + NAIL_HALF_WIDTH_RAD * across * (1.0 - 0.95 * along**4) ** 0.5
     radius = np.sqrt(1.0 - np.minimum(height, 0.0) ** 2)

@@ -54,7 +54,7 @@ def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
     """Return segments (3 pieces, 2, 3) of the intersections of an ellipsoid with its principal planes."""
     turn = np.linspace(0.0, 2.0 * pi, pieces + 1)
     c, s, none = np.cos(turn), np.sin(turn), np.zeros_like(turn)
-    lines = [np.column_stack(each) * radii for each in ((c, s, none), (none, c, s), (s, none, c))]
+    lines = [np.column_stack(circle) * radii for circle in ((c, s, none), (none, c, s), (s, none, c))]
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
 
 

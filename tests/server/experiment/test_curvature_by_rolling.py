@@ -27,7 +27,7 @@ FRICTION = 0.5
 """Kinetic friction coefficient of both scenes."""
 
 
-def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
+def simulate_condition(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
     experiment, folder = load("curvature-by-rolling", {})
     path, turns = experiment.motion[SINGLE_FINGER], experiment.turn[SINGLE_FINGER]
     times = np.arange(0.0, 1.5, 0.005)
@@ -41,7 +41,7 @@ def rolled(condition: str, radius_m: float) -> tuple[Any, NDArray[np.float64]]:
 @pytest.mark.parametrize("radius_m", [0.04, 0.02])  # reference radius and smallest radius of all levels
 def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
     """The finger never slides, and the tangential force is coupling stiffness times the lag of the rolling proxy."""
-    records, poses = rolled("rolls", radius_m)
+    records, poses = simulate_condition("rolls", radius_m)
     mode = records["contact.mode"]
     first = int(np.argmax(mode == ROLLING))
     assert (mode[first:] == ROLLING).all() and first < 100
@@ -51,15 +51,15 @@ def test_with_rolling_the_finger_rolls_all_the_way(radius_m: float) -> None:
     reach = radius_m + RADIUS_M
     proxy = (poses[-1, 0] + 0.005) / reach - np.arcsin(0.005 / reach)
     x, z = poses[-1, 0], poses[-1, 2] + radius_m
-    beside = np.hypot(x, z) * np.sin(np.arctan2(x, z) - proxy)
+    lag = np.hypot(x, z) * np.sin(np.arctan2(x, z) - proxy)
     normal, force = records["contact.normal_force"][-1], records["force"][-1]
     tangential = float(np.sqrt(force @ force - normal**2))
-    assert tangential == pytest.approx(1000.0 * beside, rel=0.05)  # the damper of 1 N s/m contributes a few hundredths
+    assert tangential == pytest.approx(1000.0 * lag, rel=0.05)  # the damper of 1 N s/m contributes a few hundredths
     assert tangential < 0.6 * FRICTION * normal
 
 
 def test_without_rolling_the_same_movement_drags() -> None:
-    records, _ = rolled("slides", 0.04)
+    records, _ = simulate_condition("slides", 0.04)
     slides = records["contact.mode"] == SLIDING
     assert slides[-100:].all()
     force, normal = records["force"][-100:], records["contact.normal_force"][-100:]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import optimize, stats
-from test_trial_order import small
+from test_trial_order import make_tables
 
 from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, find_excluded_participants, fit_groups
 from softfinger.server.experiment.comparison import (
@@ -44,7 +44,7 @@ def study() -> tuple[Experiment, list[dict[str, Any]]]:
 def test_confidence_follows_signal_detection() -> None:
     """The share of each mark is that of |x| in its interval, x normal with mean Phi^-1(p) and unit variance."""
     experiment = Experiment(
-        small(confidence={}, factor=[]),
+        make_tables(confidence={}, factor=[]),
         {"procedure.levels": [0.15], "procedure.repetitions": 2000, "observer.lapse": 0.0},
     )
     rows, observer = experiment.rehearse(), experiment.file.observer
@@ -53,9 +53,9 @@ def test_confidence_follows_signal_detection() -> None:
     right = np.diff(stats.norm.cdf(edges - mean))
     wrong = np.diff(stats.norm.cdf(edges + mean))
     for is_right, shares in ((True, right), (False, wrong)):
-        found = Counter(row["confidence"] for row in rows if row["right"] == is_right)
+        marks = Counter(row["confidence"] for row in rows if row["right"] == is_right)
         # 4.5 standard deviations of a share of 2000 trials
-        assert [found[mark] / 2000 for mark in (1.0, 2.0, 3.0, 4.0)] == pytest.approx(shares, abs=4.5 * 0.5 / 2000**0.5)
+        assert [marks[mark] / 2000 for mark in (1.0, 2.0, 3.0, 4.0)] == pytest.approx(shares, abs=4.5 * 0.5 / 2000**0.5)
 
 
 def test_the_planted_thresholds_and_ratings_are_found(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
@@ -91,17 +91,17 @@ def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, 
             for count in (1, 2)
         ]
         total += 2.0 * (best[0] - best[1])
-    (found,) = compare_models(experiment.file, two)
+    (comparison,) = compare_models(experiment.file, two)
     # Half a grid step, 1 % of a threshold and 4 % of a slope, costs some hundredths at each of the 4 maxima.
-    assert found.chi_squared == pytest.approx(total, abs=0.1) and found.freedom == 2
-    assert found.p_value == pytest.approx(stats.chi2.sf(found.chi_squared, 2)) and found.p_value < 0.001
-    assert found.aic_difference == pytest.approx(found.chi_squared - 4.0)
+    assert comparison.chi_squared == pytest.approx(total, abs=0.1) and comparison.freedom == 2
+    assert comparison.p_value == pytest.approx(stats.chi2.sf(comparison.chi_squared, 2)) and comparison.p_value < 0.001
+    assert comparison.aic_difference == pytest.approx(comparison.chi_squared - 4.0)
 
 
 def test_a_factor_without_effect_is_none() -> None:
     """At most 6 of 40 studies without an effect have p < 0.05; a higher count has a probability below 1 %."""
     procedure = {"kind": "constant", "levels": [0.05, 0.1, 0.2, 0.4], "repetitions": 20}
-    experiment, low = Experiment(small(procedure=procedure)), 0
+    experiment, low = Experiment(make_tables(procedure=procedure)), 0
     for participant in range(1, 41):
         rows = [row | row["levels"] | {"participant": "sub-01"} for row in experiment.rehearse(participant)]
         low += compare_models(experiment.file, rows)[0].p_value < 0.05
@@ -112,7 +112,7 @@ def test_numbers_are_compared_by_regression() -> None:
     """With an intercept per condition chi squared is n log(RSS0 / RSS1), checked by NumPy's least squares."""
     task = {"kind": "rate", "parameter": "object.table.material.stiffness_n_per_m", "question": "?"}
     made = Experiment(
-        small(task=task, procedure={"kind": "constant", "levels": [100.0, 300.0, 900.0], "repetitions": 6}),
+        make_tables(task=task, procedure={"kind": "constant", "levels": [100.0, 300.0, 900.0], "repetitions": 6}),
         {"observer.by": {"2.0": {"scale": 15.0}}},
     )
     rows = [row | row["levels"] | {"participant": "sub-01"} for row in made.rehearse()]
@@ -120,8 +120,8 @@ def test_numbers_are_compared_by_regression() -> None:
     dummies = np.array([[row["damping"] == level for level in (0.0, 1.0, 2.0)] for row in rows], float)
     with_factor = np.linalg.lstsq(np.column_stack([dummies, x]), y, rcond=None)[1][0]
     without = np.linalg.lstsq(np.column_stack([np.ones_like(x), x]), y, rcond=None)[1][0]
-    (found,) = compare_models(made.file, rows)
-    assert found.chi_squared == pytest.approx(len(y) * np.log(without / with_factor)) and found.freedom == 2
+    (comparison,) = compare_models(made.file, rows)
+    assert comparison.chi_squared == pytest.approx(len(y) * np.log(without / with_factor)) and comparison.freedom == 2
 
 
 def test_chi_squared_is_scipys() -> None:
@@ -133,22 +133,22 @@ def test_chi_squared_is_scipys() -> None:
 def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
     experiment, rows = study
     groups = fit_groups(experiment.file, rows)
-    for found in estimate_population(groups):
-        each = np.log(
+    for population in estimate_population(groups):
+        logs = np.log(
             [
                 group.fit.threshold
                 for group in groups
-                if group.condition == found.condition and group.participant != ALL_PARTICIPANTS
+                if group.condition == population.condition and group.participant != ALL_PARTICIPANTS
             ]
         )
-        assert found.mean == pytest.approx(np.exp(each.mean()))
-        assert found.interval_95 == pytest.approx(np.exp(stats.t.interval(0.95, 5, each.mean(), stats.sem(each))))
+        assert population.mean == pytest.approx(np.exp(logs.mean()))
+        assert population.interval_95 == pytest.approx(np.exp(stats.t.interval(0.95, 5, logs.mean(), stats.sem(logs))))
 
 
 def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
     experiment, rows = study
     groups = fit_groups(experiment.file, rows)
-    (found,) = compare_levels(experiment.file, groups, ["sub-06"])
+    (ratio,) = compare_levels(experiment.file, groups, ["sub-06"])
     thresholds = {
         condition: [
             np.log(group.fit.threshold)
@@ -158,9 +158,9 @@ def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, 
         for condition in ("0.0", "4.0")
     }
     paired = stats.ttest_rel(thresholds["4.0"], thresholds["0.0"]).confidence_interval()
-    assert found[:4] == ("damping", "4.0", "0.0", 5)
-    assert found.interval_95 == pytest.approx((np.exp(paired.low), np.exp(paired.high)))
-    assert found.interval_95[0] <= 2.0 <= found.interval_95[1]
+    assert ratio[:4] == ("damping", "4.0", "0.0", 5)
+    assert ratio.interval_95 == pytest.approx((np.exp(paired.low), np.exp(paired.high)))
+    assert ratio.interval_95[0] <= 2.0 <= ratio.interval_95[1]
 
 
 def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
@@ -168,28 +168,28 @@ def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
         {"name": name, "parameter": f"object.table.material.{key}", "levels": levels}
         for name, key, levels in (("a", "damping_ns_per_m", [0.0, 1.0]), ("b", "friction.static", [0.5, 0.7, 0.9]))
     ]
-    file, shift = Experiment(small(factor=factors)).file, {0.5: 0.0, 0.7: 10.0, 0.9: 30.0}
+    file, shift = Experiment(make_tables(factor=factors)).file, {0.5: 0.0, 0.7: 10.0, 0.9: 30.0}
     values = {
         (who, f"{a}, {b}"): extra + a + shift[b] * (1.0 + extra)
         for who, extra in (("sub-01", 0.0), ("sub-02", 0.1))
         for a in (0.0, 1.0)
         for b in (0.5, 0.7, 0.9)
     }
-    found = difference_of_levels(file, values | {("sub-03", "0.0, 0.5"): 7.0})
-    assert [(each.factor, each.level, each.baseline, each.participants) for each in found] == [
+    differences = difference_of_levels(file, values | {("sub-03", "0.0, 0.5"): 7.0})
+    assert [(row.factor, row.level, row.baseline, row.participants) for row in differences] == [
         ("a", "1.0", "0.0", 2), ("b", "0.7", "0.5", 2), ("b", "0.9", "0.5", 2)
     ]  # fmt: skip
-    assert [each.value for each in found] == pytest.approx([1.0, 10.5, 31.5])
-    assert found[1].interval_95 == pytest.approx(stats.t.interval(0.95, 1, 10.5, stats.sem([10.0, 11.0])))
+    assert [row.value for row in differences] == pytest.approx([1.0, 10.5, 31.5])
+    assert differences[1].interval_95 == pytest.approx(stats.t.interval(0.95, 1, 10.5, stats.sem([10.0, 11.0])))
 
 
 def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
-    experiment = Experiment(small(factor=[], catch=CATCH))
-    guessing = Experiment(small(factor=[], catch=CATCH), {"observer.threshold": 1e3})
+    experiment = Experiment(make_tables(factor=[], catch=CATCH))
+    guessing = Experiment(make_tables(factor=[], catch=CATCH), {"observer.threshold": 1e3})
     rows = [
         row | {"participant": f"sub-0{number}"}
-        for number, each in enumerate((experiment, experiment, guessing), 1)
-        for row in each.rehearse(number)
+        for number, variant in enumerate((experiment, experiment, guessing), 1)
+        for row in variant.rehearse(number)
     ]
     assert list(find_excluded_participants(experiment.file, rows)) == ["sub-03"]
     pooled = [group for group in fit_groups(experiment.file, rows) if group.participant == ALL_PARTICIPANTS]
@@ -197,17 +197,17 @@ def test_a_participant_who_fails_catch_trials_is_left_out() -> None:
 
 
 def test_a_score_is_the_mean_of_all_ratings() -> None:
-    names = [question.name for question in Experiment(small(survey=[TLX])).file.survey[0].question]
-    made = Experiment(small(survey=[TLX])).file
+    names = [question.name for question in Experiment(make_tables(survey=[TLX])).file.survey[0].question]
+    made = Experiment(make_tables(survey=[TLX])).file
     row = {"participant": "sub-01", "survey": "load", "block": 1, "condition": None}
     answers = [row | {"question": name, "answer": 10.0 * k} for k, name in enumerate(names, 1)]
     table = survey_table(made, answers)
-    assert [(each["question"], each["mean"]) for each in table][-1] == ("mean", 35.0) and len(table) == 7
+    assert [(entry["question"], entry["mean"]) for entry in table][-1] == ("mean", 35.0) and len(table) == 7
     assert len(survey_table(made, answers[:-1])) == 5
 
 
 def test_scores_are_compared_within_participants() -> None:
-    made = Experiment(small(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
+    made = Experiment(make_tables(survey=[TLX | {"at": ["between", "after"]}]), {"design.order": "given"}).file
     answers = [
         {"participant": who, "survey": "load", "block": block, "condition": condition, "question": question.name,
          "answer": 30.0 + more}
@@ -215,8 +215,8 @@ def test_scores_are_compared_within_participants() -> None:
         for block, condition, more in ((1, "0.0", 0.0), (2, "1.0", rise), (3, "2.0", 5.0))
         for question in made.survey[0].question
     ]  # fmt: skip
-    (title, found), (_, second) = compare_scores(made, answers)
+    (title, first), (_, second) = compare_scores(made, answers)
     paired = stats.ttest_rel([40.0, 50.0], [30.0, 30.0]).confidence_interval()
-    assert title == "NASA-TLX" and found[:5] == ("damping", "1.0", "0.0", 2, 15.0)
-    assert found.interval_95 == pytest.approx((paired.low, paired.high))
+    assert title == "NASA-TLX" and first[:5] == ("damping", "1.0", "0.0", 2, 15.0)
+    assert first.interval_95 == pytest.approx((paired.low, paired.high))
     assert second.value == 5.0 and compare_scores(made, answers[:6]) == []

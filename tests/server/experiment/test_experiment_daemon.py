@@ -19,7 +19,7 @@ import pandas as pd
 import pytest
 from helpers.programs import Program
 from helpers.waits import repeated
-from test_trial_order import small
+from test_trial_order import make_tables
 
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
 from softfinger.config.materials import materials
@@ -56,7 +56,7 @@ def experiment(**changes: Any) -> dict[str, Any]:
     factor = {"name": "kind", "levels": list(kinds), "values": kinds}
     trial = {"touch_s": 0.9, "gap_s": 0.1}
     tables = {"factor": [factor], "design": {"seed": 5, "order": "given"}, "procedure": procedure, "trial": trial}
-    return small(**tables, motion={"fingertip": MOTION}, turn={"fingertip": TURN}, **changes)
+    return make_tables(**tables, motion={"fingertip": MOTION}, turn={"fingertip": TURN}, **changes)
 
 
 def settings(folder: Path) -> RunOptions:
@@ -81,20 +81,20 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
     return folder / "out", load_run(recording, fields)
 
 
-def marks(run: Run, label: str) -> list[dict[str, Any]]:
+def select_marks(run: Run, label: str) -> list[dict[str, Any]]:
     return [event for event in run.events if event["kind"] == "mark" and event["label"] == label]
 
 
-def at(run: Run, tick: int) -> int:
+def find_tick(run: Run, tick: int) -> int:
     return int(np.searchsorted(run.first["tick"], tick))
 
 
 def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
     _, run = session
-    begun = [(event["data"]["trial"], event["data"]["touch"]) for event in marks(run, "touch")]
+    begun = [(event["data"]["trial"], event["data"]["touch"]) for event in select_marks(run, "touch")]
     assert begun == [(1, 1), (1, 2), (2, 1), (2, 2)]
-    assert [(event["data"]["trial"], event["data"]["touch"]) for event in marks(run, "release")] == begun
-    values = [event["data"]["changes"].popitem()[1] for event in marks(run, "touch")]
+    assert [(event["data"]["trial"], event["data"]["touch"]) for event in select_marks(run, "release")] == begun
+    values = [event["data"]["changes"].popitem()[1] for event in select_marks(run, "touch")]
     assert sorted(values) == [500.0, 500.0, 1000.0, 1000.0]
 
 
@@ -103,8 +103,8 @@ def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, 
     force = run.first["force"]
     changed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "set_params"]
     assert len(changed) >= 2
-    for tick in [*changed, *(event["tick"] for event in marks(run, "touch"))]:
-        assert not force[at(run, tick)].any()
+    for tick in [*changed, *(event["tick"] for event in select_marks(run, "touch"))]:
+        assert not force[find_tick(run, tick)].any()
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= SLEW_N
     assert not [event for event in run.events if event.get("name") == "set_scene"]  # nothing was compiled
     damping = [event["what"][DAMPING] for event in run.events if DAMPING in (event.get("what") or {})]
@@ -115,9 +115,9 @@ def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> N
     _, run = session
     missed = run.first["servo.missed"]
     armed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "arm"]
-    for tick, end in zip(armed, marks(run, "release"), strict=True):
+    for tick, end in zip(armed, select_marks(run, "release"), strict=True):
         # Commands arrive between two ticks and take effect in the next one; the touch ends on command.
-        first, last = at(run, tick), at(run, end["tick"])
+        first, last = find_tick(run, tick), find_tick(run, end["tick"])
         rows = slice(first + RAMP_TICKS + 3, last)
         force, wanted = run.first["force"][rows, 2], run.first["contact.normal_force"][rows]
         assert missed[last] > missed[first] or (len(force) > 100 and wanted.max() > 0.3)
@@ -129,8 +129,8 @@ def test_a_guided_hand_turns_on_its_path_and_turns_back(session: tuple[Path, Run
     w, _, _, z = run.first["probe.orientation"].T
     angle = 2.0 * np.arctan2(z, w)
     ends = [
-        (at(run, begun["tick"]), at(run, end["tick"]))
-        for begun, end in zip(marks(run, "touch"), marks(run, "release"), strict=True)
+        (find_tick(run, begun["tick"]), find_tick(run, end["tick"]))
+        for begun, end in zip(select_marks(run, "touch"), select_marks(run, "release"), strict=True)
     ]
     for begun, end in ends:
         assert abs(angle[begun]) <= START_TOLERANCE_RAD
@@ -140,8 +140,8 @@ def test_a_guided_hand_turns_on_its_path_and_turns_back(session: tuple[Path, Run
 
 def test_a_hand_is_at_the_start_of_its_path_when_a_touch_starts(session: tuple[Path, Run]) -> None:
     _, run = session
-    for event in marks(run, "touch"):
-        position = run.first["probe.position"][at(run, event["tick"])]
+    for event in select_marks(run, "touch"):
+        position = run.first["probe.position"][find_tick(run, event["tick"])]
         assert np.linalg.norm(position - MOTION[0][1:]) <= START_TOLERANCE_M
 
 
@@ -155,10 +155,10 @@ def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
     replaced = [event["first"] for event in run.events if event["name"] == "replaced"]
     assert len(replaced) == 2
     for tick in replaced:
-        assert run.first["tick"][at(run, tick)] == tick and not run.first["force"][at(run, tick)].any()
+        assert run.first["tick"][find_tick(run, tick)] == tick and not run.first["force"][find_tick(run, tick)].any()
 
 
-def limited(limit: float) -> dict[str, Any]:
+def vary_force_limit(limit: float) -> dict[str, Any]:
     return {"factor": [{"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.5, limit]}]}
 
 
@@ -168,9 +168,9 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
-    ("changes", "rig", "said"),
+    ("changes", "rig", "message"),
     [
-        (limited(2.0), WEAK, "condition 2.0, level 1: rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
+        (vary_force_limit(2.0), WEAK, "condition 2.0, level 1: rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
         ({"overrides": {"rig.guard.force_max_n": 2.0}}, WEAK,
          "rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
         ({"factor": [SEVERAL], "task": {"kind": "rate", "question": "?", "parameter": "coupling.damping_ns_per_m"}}, {},
@@ -180,10 +180,10 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
     ],
 )  # fmt: skip
 def test_an_unusable_experiment_is_refused_before_writing(
-    changes: dict[str, Any], rig: dict[str, Any], said: str, tmp_path: Path
+    changes: dict[str, Any], rig: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     running = settings(tmp_path)
-    with pytest.raises(HapticError, match=said):
+    with pytest.raises(HapticError, match=message):
         Experiment(experiment() | changes).run(tmp_path / "out", 1, running._replace(rig={**running.rig, **rig}))
     assert not (tmp_path / "out").exists()
 
@@ -194,11 +194,11 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
     own, take, touch = out / "sub-01", Haptics._store, Haptics.touch
     presented = list[int]()
 
-    def presents(self: Haptics, stimulus: Stimulus) -> TouchResult:
+    def touch_and_note(self: Haptics, stimulus: Stimulus) -> TouchResult:
         presented.append(stimulus.trial)
         return touch(self, stimulus)
 
-    def takes(self: Haptics, sample: Sample) -> None:
+    def store_and_fill_disk(self: Haptics, sample: Sample) -> None:
         take(self, sample)
         if "" in self.latest:
             force.append(float(np.linalg.norm(self.latest[""].data.force)))
@@ -207,16 +207,16 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
             size = (own / "sub-01_run-01_ticks.mcap").stat().st_size
             resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
 
-    monkeypatch.setattr(Haptics, "touch", presents)
-    monkeypatch.setattr(Haptics, "_store", takes)
+    monkeypatch.setattr(Haptics, "touch", touch_and_note)
+    monkeypatch.setattr(Haptics, "_store", store_and_fill_disk)
     try:
         with pytest.raises(RecordingError) as ended:
             Experiment(experiment()).run(out, 1, settings(tmp_path))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     monkeypatch.undo()
-    what = re.escape(str(own / "sub-01_run-01_ticks.mcap")) + r": the recording ends after \d+ ticks: File too large: "
-    assert re.fullmatch(what + "the force is off, and no answer before is lost: make room .* this trial again",
+    start = re.escape(str(own / "sub-01_run-01_ticks.mcap")) + r": the recording ends after \d+ ticks: File too large: "
+    assert re.fullmatch(start + "the force is off, and no answer before is lost: make room .* this trial again",
                         str(ended.value))  # fmt: skip
     assert presented == [1, 1, 2]
     assert force[-1] == 0.0 and max(force) > 0.3
@@ -226,7 +226,7 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
     rows = Experiment(experiment()).run(out, 1, settings(tmp_path))
     assert [(row["trial"], row["attempt"]) for row in rows] == [(1, 1), (2, 2)]
     run = load_run(own / "sub-01_run-02_ticks.mcap", ("force",))
-    assert {event["data"]["trial"] for event in marks(run, "touch")} == {2}
+    assert {event["data"]["trial"] for event in select_marks(run, "touch")} == {2}
     ticks = pd.read_csv(own / "trials" / "sub-01_trial-0002_attempt-2.csv")
     assert np.isin(ticks["tick"], run.first["tick"]).all() and len(ticks) > 100
 
@@ -246,9 +246,9 @@ def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsy
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
     assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
     content = json.loads(capsys.readouterr().out)
-    felt = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
+    armed_ticks = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
     late = run.first["servo.missed"][-1] > run.first["servo.missed"][0]
-    assert content["different"] == 0 and (0 if late else felt / 2) <= content["compared"] <= felt
+    assert content["different"] == 0 and (0 if late else armed_ticks / 2) <= content["compared"] <= armed_ticks
 
 
 def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> None:
@@ -257,10 +257,10 @@ def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> 
     figures = folder / "figures"
     assert {path.name for path in figures.glob("felt.*")} == {"felt.png", "felt.svg"}
     content = json.loads((figures / "numbers.json").read_text())
-    assert [each["condition"] for each in content] == ["damped", "plain"]
-    for each in content:
-        peaks = [row["peak_force_n"] for row in results(folder) if row["condition"] == each["condition"]]
-        assert each["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
+    assert [entry["condition"] for entry in content] == ["damped", "plain"]
+    for entry in content:
+        peaks = [row["peak_force_n"] for row in results(folder) if row["condition"] == entry["condition"]]
+        assert entry["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
 
 
 def program(file: Path, folder: Path, *words: str) -> list[str]:
@@ -289,7 +289,7 @@ gap_s = 0.0
 """
 
 
-def held_down(terminal: int, key: bytes) -> AbstractContextManager[None]:
+def hold_key(terminal: int, key: bytes) -> AbstractContextManager[None]:
     return repeated(lambda: os.write(terminal, key), 0.033)
 
 
@@ -301,7 +301,7 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
         with Program(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             assert "Which?" in process.stdout.readline()
-            with held_down(ours, b"1"):
+            with hold_key(ours, b"1"):
                 assert "Release the key." in process.stdout.readline()
             practised = process.stdout.readline()
             os.write(ours, b"\n")
@@ -325,8 +325,8 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
         os.close(theirs)
     rows = results(tmp_path / "out")
     assert all(0.0 < row["answer_s"] < WAIT_S for row in rows)
-    found = [(row["trial"], row["practice"], row["answer"], row["attempt"]) for row in rows]
-    assert found == [(1, True, "first", 1), (2, False, "second", 1), (3, False, "first", 2)]
+    answers = [(row["trial"], row["practice"], row["answer"], row["attempt"]) for row in rows]
+    assert answers == [(1, True, "first", 1), (2, False, "second", 1), (3, False, "first", 2)]
     assert ("right" if rows[0]["right"] else "wrong") in practised
     journal = read(tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl")
     assert [entry["kind"] for entry in journal] == [
@@ -340,7 +340,7 @@ def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
     factor = {"name": "plate", "parameter": "object.table.material", "levels": ["wood", "rubber"]}
     task = {"kind": "rate", "parameter": "object.table.material.damping_ns_per_m", "question": "How heavy?"}
     procedure = {"kind": "constant", "levels": [0.2], "repetitions": 1}
-    design = small(
+    design = make_tables(
         factor=[factor], task=task, procedure=procedure, trial={"touch_s": 0.9}, motion={"fingertip": MOTION}
     )
     Experiment(design).run(tmp_path / "out", 1, settings(tmp_path))
@@ -348,8 +348,8 @@ def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
     run = load_run(recording, ("contact.normal_force", "contact.penetration"))
     conditions = [row["condition"] for row in results(tmp_path / "out")]
     assert sorted(conditions) == ["rubber", "wood"]
-    for condition, end in zip(conditions, marks(run, "release"), strict=True):
-        last = at(run, end["tick"]) - 1
+    for condition, end in zip(conditions, select_marks(run, "release"), strict=True):
+        last = find_tick(run, end["tick"]) - 1
         normal, depth = run.first["contact.normal_force"][last], run.first["contact.penetration"][last]
         # The hand moves at some mm/s, where the damper contributes a thousandth of the force.
         stiffness = materials()[condition].values["stiffness_n_per_m"]

@@ -93,8 +93,8 @@ def check(folder: Path, capsys: pytest.CaptureFixture[str], **values: str) -> li
 
 
 def assert_lists(errors: list[str], *texts: str) -> None:
-    found = [[text for text in texts if text in error] for error in errors]
-    assert sorted(found) == sorted([text] for text in texts), errors
+    matches = [[text for text in texts if text in error] for error in errors]
+    assert sorted(matches) == sorted([text] for text in texts), errors
 
 
 NAMES: Final = ("'nasa-tlz'", "observer.by", "screen.by", "screen.image = 'none.png'")
@@ -103,13 +103,13 @@ NAMES: Final = ("'nasa-tlz'", "observer.by", "screen.by", "screen.image = 'none.
 def test_mistakes_of_other_files_and_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert_lists(check(tmp_path, capsys), *NAMES)
     assert_lists(check(tmp_path, capsys, SURVEY="nasa-tlx"), *NAMES[1:], "observer.answers.weight")
-    found = check(tmp_path, capsys, OVERRIDE="object.tabel.position_m", FINGER="thumb", DRIVER="simulatd")
-    assert_lists(found, "simulatd", "object.tabel", "motion.thumb", *NAMES)
+    errors = check(tmp_path, capsys, OVERRIDE="object.tabel.position_m", FINGER="thumb", DRIVER="simulatd")
+    assert_lists(errors, "simulatd", "object.tabel", "motion.thumb", *NAMES)
 
 
 def test_mistakes_behind_mistakes_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = check(tmp_path, capsys, SEED="-1", RADIUS="-0.01", DAMPING="-2.0", RATE="0.0", FINGER="thumb")
-    assert_lists(found, "design.seed", "servo.rate_hz", "fingertip.radius_m", "damping_ns_per_m = -2.0", *NAMES)
+    errors = check(tmp_path, capsys, SEED="-1", RADIUS="-0.01", DAMPING="-2.0", RATE="0.0", FINGER="thumb")
+    assert_lists(errors, "design.seed", "servo.rate_hz", "fingertip.radius_m", "damping_ns_per_m = -2.0", *NAMES)
     with pytest.raises(ConfigError, match=r"8 faults:\n(.*\n){7}.*"):
         Experiment(tmp_path / "study.toml")
 

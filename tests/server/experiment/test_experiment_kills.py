@@ -60,13 +60,13 @@ realtime = "off"
 """
 
 
-def children(pid: int) -> list[int]:
+def list_children(pid: int) -> list[int]:
     with suppress(OSError):
         return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     return []
 
 
-def killed(words: list[str], journal: Path, rng: random.Random) -> None:
+def kill_while_running(words: list[str], journal: Path, rng: random.Random) -> None:
     size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
     process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     until = size() + (rng.randrange(1, 1500) if rng.random() < 0.8 else 0)
@@ -78,7 +78,7 @@ def killed(words: list[str], journal: Path, rng: random.Random) -> None:
             pytest.fail("the session does not go on")
     time.sleep(rng.random() * (0.1 if until else 2.0))
     if rng.random() < 0.3:
-        for child in children(process.pid):
+        for child in list_children(process.pid):
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
         time.sleep(rng.random() * 0.1)
@@ -96,7 +96,7 @@ def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[
     words += ["--out", str(tmp_path / "out"), "--endpoint", f"ipc://{tmp_path}/t", "--commands", f"ipc://{tmp_path}/c"]
     own, rng = tmp_path / "out" / "sub-01", random.Random(11)
     for _ in range(kills):
-        killed(words, own / "sub-01_journal.jsonl", rng)
+        kill_while_running(words, own / "sub-01_journal.jsonl", rng)
     assert subprocess.run(words, check=False, stdout=subprocess.DEVNULL, timeout=WAIT_S).returncode == 0
     rows = results(tmp_path / "out")
     assert [(row["trial"], row["level"], row["answer"]) for row in rows] == [
@@ -104,12 +104,12 @@ def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[
     ]
     steps = [entry for entry in read(own / "sub-01_journal.jsonl") if entry["kind"] in ("begun", "done")]
     for number, (trial, group) in enumerate(groupby(steps, lambda entry: entry["trial"]), 1):
-        each = list(group)
+        entries = list(group)
         assert trial == number  # never an earlier trial
-        assert [entry["kind"] for entry in each] == ["begun"] * (len(each) - 1) + ["done"]
-        assert [entry["attempt"] for entry in each[:-1]] == list(range(1, len(each)))
-        assert each[-1]["attempt"] == len(each) - 1
+        assert [entry["kind"] for entry in entries] == ["begun"] * (len(entries) - 1) + ["done"]
+        assert [entry["attempt"] for entry in entries[:-1]] == list(range(1, len(entries)))
+        assert entries[-1]["attempt"] == len(entries) - 1
     for row in rows:
-        again = f"_attempt-{row['attempt']}" if row["attempt"] > 1 else ""
-        ticks = pd.read_csv(own / "trials" / f"sub-01_trial-{row['trial']:04d}{again}.csv")
+        suffix = f"_attempt-{row['attempt']}" if row["attempt"] > 1 else ""
+        ticks = pd.read_csv(own / "trials" / f"sub-01_trial-{row['trial']:04d}{suffix}.csv")
         assert len(ticks) + row["lost_ticks"] == row["last_tick"] - row["first_tick"] + 1

@@ -37,11 +37,11 @@ def test_a_staircase_converges_to_the_level_of_two_right_in_a_row() -> None:
 
 def test_a_staircase_follows_its_rule() -> None:
     stairs = Staircase(Procedure(kind="staircase", start=0.4, step=2.0, smallest=0.1, largest=0.8))
-    seen = []
+    levels = []
     for right in (True, True, False, True, True, False, False, False):
         stairs.update(stairs.level(), right)
-        seen.append(round(stairs.level(), 9))
-    assert seen == [0.4, 0.1, 0.4, 0.4, 0.2, 0.4, 0.8, 0.8]
+        levels.append(round(stairs.level(), 9))
+    assert levels == [0.4, 0.1, 0.4, 0.4, 0.2, 0.4, 0.8, 0.8]
 
 
 def test_quest_plus_chooses_the_level_of_least_expected_entropy() -> None:
@@ -83,20 +83,20 @@ def test_the_fit_is_the_posterior() -> None:
         prior = stats.norm.pdf(b, np.log(SLOPE), SLOPE_SD)
         return float((high - low) * (steep - flat) * (weights @ (likelihood * prior) @ weights))
 
-    found, widest, all_slopes = fit(levels, right, 0.02), (0.02, 2.0), (SLOPES[0], SLOPES[-1])
+    estimate, widest, all_slopes = fit(levels, right, 0.02), (0.02, 2.0), (SLOPES[0], SLOPES[-1])
     whole = weight(widest, all_slopes)
     for share, threshold, slope in zip(
         QUANTILES,
-        (found.threshold_95[0], found.threshold, found.threshold_95[1]),
-        (found.slope_95[0], found.slope, found.slope_95[1]),
+        (estimate.threshold_95[0], estimate.threshold, estimate.threshold_95[1]),
+        (estimate.slope_95[0], estimate.slope, estimate.slope_95[1]),
         strict=True,
     ):
         # A grid step, 1.9 % of the threshold and 8 % of the slope, has some hundredths of the weight.
         assert weight((widest[0], threshold), all_slopes) / whole == pytest.approx(share, abs=0.01)
         assert weight(widest, (SLOPES[0], slope)) / whole == pytest.approx(share, abs=0.02)
-    x, curve, below, above = found.curve.T
-    assert (below <= curve).all() and (curve <= above).all() and len(x) == 60 and not found.bounded
-    middle = probability(x, found.threshold, found.slope, lapse=0.02)
+    x, curve, below, above = estimate.curve.T
+    assert (below <= curve).all() and (curve <= above).all() and len(x) == 60 and not estimate.bounded
+    middle = probability(x, estimate.threshold, estimate.slope, lapse=0.02)
     assert curve == pytest.approx(middle, abs=0.02)  # a median of functions is close to the function of the medians
 
 
@@ -108,9 +108,9 @@ def test_uniform_answers_leave_the_threshold_unbounded() -> None:
             levels.append(stairs.level())
             stairs.update(levels[-1], answers)
         assert stairs.reversals == 0
-        found = fit(levels, [answers] * 40, 0.02)
-        assert found.bounded and "not bounded by the answers" in format_fit(found)
-        assert (found.threshold < min(levels)) if answers else (found.threshold > max(levels))
+        estimate = fit(levels, [answers] * 40, 0.02)
+        assert estimate.bounded and "not bounded by the answers" in format_fit(estimate)
+        assert (estimate.threshold < min(levels)) if answers else (estimate.threshold > max(levels))
 
 
 def test_students_quantile_is_scipys() -> None:
@@ -122,22 +122,22 @@ def test_a_power_law_is_a_line_of_logarithms() -> None:
     rng = np.random.default_rng(4)
     levels = np.repeat([0.1, 0.3, 0.9], 5)
     answers = 10.0 * levels**0.8 * np.exp(0.2 * rng.standard_normal(15))
-    line, found = stats.linregress(np.log(levels), np.log(answers)), power_law(levels, answers)
+    line, estimate = stats.linregress(np.log(levels), np.log(answers)), power_law(levels, answers)
     half = line.stderr * stats.t.ppf(0.975, 13)
-    assert found.exponent == pytest.approx(line.slope) and found.scale == pytest.approx(np.exp(line.intercept))
-    assert found.exponent_95 == pytest.approx((line.slope - half, line.slope + half))
+    assert estimate.exponent == pytest.approx(line.slope) and estimate.scale == pytest.approx(np.exp(line.intercept))
+    assert estimate.exponent_95 == pytest.approx((line.slope - half, line.slope + half))
     # At the mean level, the line's interval is that of a mean with two fitted numbers.
     middle = np.log(answers).mean()
     around = np.sqrt(((np.log(answers) - line.intercept - line.slope * np.log(levels)) ** 2).sum() / 13 / 15)
     around *= stats.t.ppf(0.975, 13)
-    assert found.middle == pytest.approx(0.3) and found.answer == pytest.approx(np.exp(middle))
-    assert found.answer_95 == pytest.approx(np.exp([middle - around, middle + around]))
+    assert estimate.middle == pytest.approx(0.3) and estimate.answer == pytest.approx(np.exp(middle))
+    assert estimate.answer_95 == pytest.approx(np.exp([middle - around, middle + around]))
 
 
 def test_a_single_level_has_no_exponent() -> None:
     answers = np.array([9.0, 11.0, 14.0])
-    found = power_law([0.5] * 3, answers)
+    estimate = power_law([0.5] * 3, answers)
     mean = stats.t.interval(0.95, 2, np.log(answers).mean(), stats.sem(np.log(answers)))
-    assert np.isnan(found.exponent) and found.answer_95 == pytest.approx(np.exp(mean))
-    assert format_fit(found) == f"answer 11.1 ({found.answer_95[0]:.3g} to {found.answer_95[1]:.3g}) at 0.5"
+    assert np.isnan(estimate.exponent) and estimate.answer_95 == pytest.approx(np.exp(mean))
+    assert format_fit(estimate) == f"answer 11.1 ({estimate.answer_95[0]:.3g} to {estimate.answer_95[1]:.3g}) at 0.5"
     assert format_fit(power_law([0.5], [9.0])) == "answer 9 at 0.5"

@@ -20,14 +20,14 @@ pytestmark = pytest.mark.plain
 def recover(name: str, seeds: int) -> dict[str, tuple[float, float]]:
     """For each condition: mean error over the seeds (of thresholds, of their logarithm), and share of intervals of 95 %
     that contain the observer's value."""
-    found = defaultdict[str, list[tuple[float, bool]]](list)
+    errors = defaultdict[str, list[tuple[float, bool]]](list)
     experiment = Experiment(name)
     for seed in range(seeds):
         design = msgspec.structs.replace(experiment.file.design, seed=seed)
         experiment.file = msgspec.structs.replace(experiment.file, design=design)  # its scenes are read once
         rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
         for group in fit_groups(experiment.file, rows):
-            condition = next(each for each in experiment.conditions if each.name == group.condition)
+            condition = next(candidate for candidate in experiment.conditions if candidate.name == group.condition)
             observer = observer_for(experiment.file, condition)
             if isinstance(group.fit, PowerLaw):
                 truth, interval = observer.exponent, group.fit.exponent_95
@@ -35,8 +35,8 @@ def recover(name: str, seeds: int) -> dict[str, tuple[float, float]]:
             else:
                 truth, interval = observer.threshold, group.fit.threshold_95
                 error = math.log(group.fit.threshold / truth)
-            found[group.condition].append((error, interval[0] <= truth <= interval[1]))
-    return {name: tuple(np.mean(rows, axis=0)) for name, rows in found.items()}
+            errors[group.condition].append((error, interval[0] <= truth <= interval[1]))
+    return {name: tuple(np.mean(rows, axis=0)) for name, rows in errors.items()}
 
 
 def test_a_power_law_is_recovered() -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from test_trial_order import small
+from test_trial_order import make_tables
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Scene
@@ -39,10 +39,10 @@ pytestmark = pytest.mark.plain
 OFFLINE = RunOptions(dry_run=True, no_daemon=True)
 
 
-def drawn(figure: Path) -> None:
+def check_figure(figure: Path) -> None:
     with Image.open(figure.with_suffix(".png")) as picture:
         assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50
-    paths = [each for each in ET.parse(figure.with_suffix(".svg")).iter() if each.tag.endswith("}path")]
+    paths = [element for element in ET.parse(figure.with_suffix(".svg")).iter() if element.tag.endswith("}path")]
     assert len(paths) > 20
 
 
@@ -64,18 +64,18 @@ def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path:
     figures = tmp_path / "out" / "figures"
     # Without a device there are no forces, so the figure `felt` is not drawn.
     assert {path.name for path in figures.iterdir()} == {"fit.png", "fit.svg", "numbers.csv", "numbers.json"}
-    drawn(figures / "fit")
+    check_figure(figures / "fit")
     numbers = json.loads((figures / "numbers.json").read_text())
     with (figures / "numbers.csv").open() as file:
         same = list(csv.DictReader(file))
-    assert [row["condition"] for row in same] == [each["condition"] for each in numbers]
-    for row, each in zip(same, numbers, strict=True):
-        what = "threshold" if "threshold" in each else "exponent"
-        assert float(row[what]) == each[what] and each[f"{what}_95_low"] <= each[what] <= each[f"{what}_95_high"]
+    assert [row["condition"] for row in same] == [entry["condition"] for entry in numbers]
+    for row, entry in zip(same, numbers, strict=True):
+        key = "threshold" if "threshold" in entry else "exponent"
+        assert float(row[key]) == entry[key] and entry[f"{key}_95_low"] <= entry[key] <= entry[f"{key}_95_high"]
     with (tmp_path / "out" / "trials.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["trial"]) for row in rows] == list(range(1, len(rows) + 1))
-    assert sum(each["trials"] for each in numbers) == sum(row["practice"] == "False" for row in rows)
+    assert sum(entry["trials"] for entry in numbers) == sum(row["practice"] == "False" for row in rows)
 
 
 def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> None:
@@ -89,7 +89,7 @@ def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> N
     assert misses <= max(1, seeds // 7)
 
 
-def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
+def kill_and_resume(folder: Path, kills: int, seed: int) -> None:
     words = [sys.executable, "-m", "softfinger.server.cli", "-q", "experiment", "friction-magnitude", "--dry-run"]
     words += ["--no-daemon", "--out", str(folder)]
     rng, journal = random.Random(seed), folder / "sub-01" / "sub-01_journal.jsonl"
@@ -105,7 +105,7 @@ def killed_and_resumed(folder: Path, kills: int, seed: int) -> None:
 
 
 def test_a_killed_session_resumes_without_loss_or_repetition(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    killed_and_resumed(tmp_path / "killed", cases(3, 50), seed=7)
+    kill_and_resume(tmp_path / "killed", cases(3, 50), seed=7)
     rows = results(tmp_path / "killed")
     assert [row["trial"] for row in rows] == list(range(1, len(rows) + 1))
     whole = Experiment("friction-magnitude").rehearse()
@@ -121,13 +121,13 @@ def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
     journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(lines[:31]) + lines[31][:17])  # last line truncated, as by a power cut
-    again = experiment.run(tmp_path, 1, OFFLINE)
-    assert [row["level"] for row in again] == [row["level"] for row in rows]
-    assert [row["answer"] for row in again] == [row["answer"] for row in rows]
+    resumed = experiment.run(tmp_path, 1, OFFLINE)
+    assert [row["level"] for row in resumed] == [row["level"] for row in rows]
+    assert [row["answer"] for row in resumed] == [row["answer"] for row in rows]
 
 
 def test_a_finished_session_is_not_repeated(tmp_path: Path) -> None:
-    experiment = Experiment(small())
+    experiment = Experiment(make_tables())
     rows = experiment.run(tmp_path, 1, OFFLINE)
     before = (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_bytes()
     assert experiment.run(tmp_path, 1, OFFLINE) == rows
@@ -135,27 +135,27 @@ def test_a_finished_session_is_not_repeated(tmp_path: Path) -> None:
 
 
 def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
-    Experiment(small()).run(tmp_path, 1, OFFLINE)
+    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
     for participant in (1, 2):
         with pytest.raises(
             ConfigError, match=r"belongs to an experiment with other values \(task.reference, design.seed\)"
         ):
-            Experiment(small(), {"task.reference": 600.0, "design.seed": 6}).run(tmp_path, participant, OFFLINE)
+            Experiment(make_tables(), {"task.reference": 600.0, "design.seed": 6}).run(tmp_path, participant, OFFLINE)
 
 
 def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> None:
-    Experiment(small()).run(tmp_path, 1, OFFLINE)
+    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
     for participant in (1, 2):
         with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): give another folder"):
-            Experiment(small()).run(tmp_path, participant)
+            Experiment(make_tables()).run(tmp_path, participant)
     journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b'"dry_run":true', b'"dry_run":false'))
     with pytest.raises(ConfigError, match="answers of participants: give another folder"):
-        Experiment(small()).run(tmp_path, 1, OFFLINE)
+        Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
 
 
 @contextmanager
-def nearly_full(bytes_left: int, path: Path) -> Iterator[None]:
+def limit_file_size(bytes_left: int, path: Path) -> Iterator[None]:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_left, before[1]))
     try:
@@ -169,7 +169,7 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
     with Journal(path) as journal:
         journal.write("begun", trial=1)
         with (
-            nearly_full(5, path),
+            limit_file_size(5, path),
             pytest.raises(ConfigError, match="cannot be written: File too large: no answer before is lost"),
         ):
             journal.write("done", trial=1)
@@ -179,13 +179,13 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
 
 
 def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
-    file = Experiment(small()).file
+    file = Experiment(make_tables()).file
     folder = ParticipantFolder(tmp_path, file, 1, {})
     Session(file, 1).begin(folder)
     table = tmp_path / "sub-01" / "trials" / "sub-01_trial-0001.csv"
     rows = [{"tick": tick} for tick in range(1000)]
     with (
-        nearly_full(100, tmp_path / "experiment.json"),
+        limit_file_size(100, tmp_path / "experiment.json"),
         pytest.raises(ConfigError, match="cannot be written: File too"),
     ):
         folder.ticks(1, 1, rows)
@@ -219,7 +219,7 @@ def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
 
 
 def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path) -> None:
-    experiment = Experiment(small(factor=[]))
+    experiment = Experiment(make_tables(factor=[]))
     for participant in (1, 2):
         experiment.run(tmp_path, participant, OFFLINE)
     groups = fit_groups(*load(tmp_path))
@@ -231,7 +231,7 @@ def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path)
 def test_a_participant_is_a_number(tmp_path: Path) -> None:
     for name in ("../x", "Zoë", True, 1.0):
         with pytest.raises(ConfigError, match="must be an integer from 1 to 9999"):
-            Experiment(small()).run(tmp_path / "out", name, OFFLINE)  # type: ignore[arg-type]
+            Experiment(make_tables()).run(tmp_path / "out", name, OFFLINE)  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
 
 
@@ -256,7 +256,7 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert cli.main(["experiments"]) == 0
     listed = capsys.readouterr().out
     assert [line.split()[0] for line in listed.splitlines()] == list_shipped()
-    for words, said in (
+    for words, message in (
         (["experiment", "friction-magnitude", "--no-daemon"], "add --dry-run"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
         (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
@@ -264,4 +264,4 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["figure", str(tmp_path)], "was this folder written by `softfinger experiment`"),
     ):
         assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err

@@ -15,8 +15,8 @@ import msgspec
 import pytest
 from helpers.shares import collect_shares
 from PIL import Image
-from test_experiment_session import drawn
-from test_trial_order import file, small
+from test_experiment_session import check_figure
+from test_trial_order import make_file, make_tables
 
 from softfinger.config.errors import ConfigError
 from softfinger.server import cli
@@ -56,7 +56,7 @@ def _png() -> bytes:
 PNG = _png()
 
 
-def hashed(values: Any) -> str:
+def hash_values(values: Any) -> str:
     return hashlib.sha256(msgspec.json.encode(values)).hexdigest()[:16]
 
 
@@ -68,11 +68,11 @@ def survey(**changed: Any) -> dict[str, Any]:
 def test_a_file_without_the_new_keys_gives_the_same_trials(name: str) -> None:
     experiment = Experiment(name)
     order = [list(trial)[:5] for trial in plan_trials(experiment.file, 1)]
-    assert f"{hashed(order)} {hashed(experiment.rehearse())}" == RECORDED[name]
+    assert f"{hash_values(order)} {hash_values(experiment.rehearse())}" == RECORDED[name]
 
 
 def test_a_folder_of_an_older_version_can_be_resumed(tmp_path: Path) -> None:
-    experiment = Experiment(small())
+    experiment = Experiment(make_tables())
     rows = experiment.run(tmp_path, 1, OFFLINE)
     description = json.loads((tmp_path / "experiment.json").read_text())
     for key in ("consent", "debriefing", "survey", "catch", "confidence", "screen"):
@@ -123,7 +123,7 @@ def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
         procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": repetitions}
         design = {"seed": 5, "test_first": "balanced-by-level"}
         first, count = Counter[Any](), Counter[Any]()
-        for trial in plan_trials(file(procedure=procedure, design=design), 1):
+        for trial in plan_trials(make_file(procedure=procedure, design=design), 1):
             count[trial.condition, trial.level] += 1
             first[trial.condition, trial.level] += trial.test_first
         assert set(count.values()) == {repetitions}
@@ -156,7 +156,7 @@ def test_a_study_runs_from_consent_to_report(tmp_path: Path, monkeypatch: pytest
     assert len(set(shares["drawing"])) > 12 and shares["drawing"][-1] == 1.0
     figures = {path.name for path in (out / "figures").iterdir()}
     for name in ("staircases", "confidence", "surveys"):
-        drawn(out / "figures" / name)
+        check_figure(out / "figures" / name)
     assert {"staircases.png", "confidence.svg", "surveys.png", "surveys.csv", "report.html"} <= figures
     page = (out / "figures" / "report.html").read_text()
     assert "<script" not in page and page.count("&lt;script&gt;alert(1)") >= 3
@@ -193,7 +193,7 @@ def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"catch": CATCH | {"rate": 1.5}}, "catch.rate = 1.5"),
         ({"catch": CATCH | {"level": 0.0}}, "catch.level = 0.0"),
@@ -227,9 +227,9 @@ def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
         ({"screen.image": "none.png"}, "cannot be read: No such file"),
     ],
 )
-def test_an_unusable_survey_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        Experiment(small() | {key: value for key, value in changes.items() if "." not in key},
+def test_an_unusable_survey_is_refused_before_the_session(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Experiment(make_tables() | {key: value for key, value in changes.items() if "." not in key},
                    {key: value for key, value in changes.items() if "." in key})  # fmt: skip
 
 
@@ -247,7 +247,7 @@ def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
         'task = { kind = "compare", parameter = "object.table.material.stiffness_n_per_m", reference = 500.0, '
         'question = "?" }\n'
     )
-    for name, said in (
+    for name, message in (
         ("../outside.png", "outside the folder of the experiment"),
         (str(outside), "outside the folder of the experiment"),
         ("link.png", "outside the folder of the experiment"),
@@ -256,7 +256,7 @@ def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
         ("gone.png", "cannot be read"),
     ):
         (folder / "e.toml").write_text(text.replace("NAME", name))
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             Experiment(folder / "e.toml")
     (folder / "e.toml").write_text(text.replace("NAME", "good.png"))
     Experiment(folder / "e.toml").run(tmp_path / "out", 1, OFFLINE)

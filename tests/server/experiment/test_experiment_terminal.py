@@ -6,7 +6,7 @@ import os
 from typing import Any
 
 import pytest
-from test_trial_order import small
+from test_trial_order import make_tables
 
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.observer import SimulatedObserver
@@ -41,26 +41,26 @@ def test_a_character_split_between_two_reads_is_complete(monkeypatch: pytest.Mon
     """A read returns at most 256 bytes, which splits an ü."""
     text = "a" + 300 * "ü" + "\n"
     reader, writer = os.pipe()
-    with os.fdopen(reader) as stdin, os.fdopen(writer, "w") as typed, keyboard_of(stdin, monkeypatch) as keys:
+    with os.fdopen(reader) as stdin, os.fdopen(writer, "w") as typed, open_keyboard(stdin, monkeypatch) as keys:
         typed.write(text)
         typed.flush()
         assert "".join(keys() for _ in range(4)) == text
 
 
-def keyboard_of(stdin: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+def open_keyboard(stdin: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr("sys.stdin", stdin)
     return keyboard(single=False)
 
 
 def test_simulated_numbers_are_within_their_bounds() -> None:
     height = {"name": "height", "kind": "number", "prompt": "?", "min": 0.5, "max": 2.5}
-    file = Experiment(small(survey=[{"name": "s", "at": ["before"], "question": [height]}])).file
+    file = Experiment(make_tables(survey=[{"name": "s", "at": ["before"], "question": [height]}])).file
     question = file.survey[0].question[0]
     answers = {SimulatedObserver(file, 1).survey(question, None, number) for number in range(200)}
-    given = {SimulatedObserver(low_file(height), 1).survey(question, None, number) for number in range(200)}
-    assert answers == {1.0, 2.0} and given == {0.5, 1.0}
+    low_answers = {SimulatedObserver(make_low_file(height), 1).survey(question, None, number) for number in range(200)}
+    assert answers == {1.0, 2.0} and low_answers == {0.5, 1.0}
 
 
-def low_file(height: dict[str, Any]) -> Any:
+def make_low_file(height: dict[str, Any]) -> Any:
     survey = {"name": "s", "at": ["before"], "question": [height]}
-    return Experiment(small(survey=[survey], observer={"answers": {"height": 0.5}})).file
+    return Experiment(make_tables(survey=[survey], observer={"answers": {"height": 0.5}})).file

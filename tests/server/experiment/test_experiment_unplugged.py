@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
-from test_trial_order import small
+from test_trial_order import make_tables
 
 from softfinger.config.errors import DeviceLost
 from softfinger.config.schema import Rig
@@ -35,7 +35,7 @@ def test_a_device_unplugged_in_a_trial(tmp_path: Path) -> None:
     rig = tmp_path / "hapkit.toml"
     rig.write_text((FOLDERS[Rig] / "hapkit.toml").read_text().replace("# path =", "path ="))
     procedure = {"kind": "constant", "levels": [0.1, 0.2], "repetitions": 2}
-    made = Experiment(small(factor=[], procedure=procedure, trial={"touch_s": 0.2}) | {"rig": str(rig)})
+    made = Experiment(make_tables(factor=[], procedure=procedure, trial={"touch_s": 0.2}) | {"rig": str(rig)})
     ends = {"telemetry.endpoint": f"ipc://{tmp_path}/t", "commands.endpoint": f"ipc://{tmp_path}/c"}
     journal = out / "sub-01" / "sub-01_journal.jsonl"
 

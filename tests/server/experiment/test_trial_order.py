@@ -20,34 +20,34 @@ pytestmark = pytest.mark.plain
 STIFFNESS = "object.table.material.stiffness_n_per_m"
 
 
-def small(**tables: Any) -> dict[str, Any]:
+def make_tables(**tables: Any) -> dict[str, Any]:
     task = {"kind": "compare", "parameter": STIFFNESS, "reference": 500.0, "question": "Which was stiffer?"}
     procedure = {"kind": "constant", "levels": [0.1, 0.2, 0.4], "repetitions": 4}
     factor = {"name": "damping", "parameter": "object.table.material.damping_ns_per_m", "levels": [0.0, 1.0, 2.0]}
-    given = {"title": "small", "scene": "paper-plane", "task": task, "procedure": procedure, "factor": [factor]}
-    return given | {"design": {"seed": 5}} | tables
+    defaults = {"title": "small", "scene": "paper-plane", "task": task, "procedure": procedure, "factor": [factor]}
+    return defaults | {"design": {"seed": 5}} | tables
 
 
-def file(**tables: Any) -> ExperimentFile:
-    return Experiment(small(**tables)).file
+def make_file(**tables: Any) -> ExperimentFile:
+    return Experiment(make_tables(**tables)).file
 
 
 def test_all_combinations_occur_equally_often() -> None:
-    both = [*small()["factor"], {"name": "radius", "parameter": "fingertip.radius_m", "levels": [0.008, 0.01]}]
-    experiment = file(factor=both)
+    both = [*make_tables()["factor"], {"name": "radius", "parameter": "fingertip.radius_m", "levels": [0.008, 0.01]}]
+    experiment = make_file(factor=both)
     assert len(list_conditions(experiment)) == 6
     count = Counter((trial.condition, trial.level) for trial in plan_trials(experiment, 1))
     assert len(count) == 18 and set(count.values()) == {4}
 
 
 def test_the_order_depends_on_seed_and_participant() -> None:
-    one = plan_trials(file(), 1)
-    assert plan_trials(file(), 1) == one
-    assert plan_trials(file(), 2) != one and plan_trials(file(design={"seed": 6}), 1) != one
+    trials = plan_trials(make_file(), 1)
+    assert plan_trials(make_file(), 1) == trials
+    assert plan_trials(make_file(), 2) != trials and plan_trials(make_file(design={"seed": 6}), 1) != trials
 
 
 def test_the_reference_comes_first_as_often_as_second() -> None:
-    assert sum(trial.test_first for trial in plan_trials(file(), 3)) == 18
+    assert sum(trial.test_first for trial in plan_trials(make_file(), 3)) == 18
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 8])
@@ -62,18 +62,18 @@ def test_a_latin_square_is_balanced(count: int) -> None:
 
 def test_blocks_contain_one_condition_each() -> None:
     for order, wanted in (("latin-square", williams(3, 1)), ("given", [0, 1, 2])):
-        trials = plan_trials(file(design={"seed": 5, "order": order}), 2)
+        trials = plan_trials(make_file(design={"seed": 5, "order": order}), 2)
         assert [trial.condition for trial in trials] == [at for at in wanted for _ in range(12)]
 
 
 def test_practice_comes_first() -> None:
-    trials = plan_trials(file(design={"seed": 5, "practice": 3}), 1)
+    trials = plan_trials(make_file(design={"seed": 5, "practice": 3}), 1)
     assert [trial.practice for trial in trials] == [True] * 3 + [False] * 36
     assert [trial.number for trial in trials] == list(range(1, 40))
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"task.reference": None}, "compare needs a reference"),
         ({"procedure.kind": "stair"}, "did you mean 'staircase'"),
@@ -118,15 +118,15 @@ def test_practice_comes_first() -> None:
         ({"design.seed": -1}, "design.seed = -1"),
     ],
 )
-def test_an_unusable_design_is_refused_before_the_session(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        Experiment(small(), changes)
+def test_an_unusable_design_is_refused_before_the_session(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Experiment(make_tables(), changes)
 
 
 def test_progress_tells_the_block_and_no_condition() -> None:
-    blocked = file(design={"seed": 5, "order": "given", "practice": 1})
+    blocked = make_file(design={"seed": 5, "order": "given", "practice": 1})
     assert number_blocks(plan_trials(blocked, 1), is_mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
-    assert number_blocks(plan_trials(file(), 1), is_mixed=True) == [1] * 36
+    assert number_blocks(plan_trials(make_file(), 1), is_mixed=True) == [1] * 36
     assert Progress(3, 37, 1, 3, True, 2, 2).title == "Block 1 of 3, trial 3 of 37, practice"
     assert Progress(3, 37, 1, 1, False, 1, 2).text == "Touch 1 of 2"
 
@@ -134,11 +134,13 @@ def test_progress_tells_the_block_and_no_condition() -> None:
 def test_a_rating_stays_on_its_scale() -> None:
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "?", "scale": [1, 7], "scale_ends": ["soft", "hard"]}
     observer = {"scale": 5.0, "exponent": 2.0, "noise": 0.5}
-    made = Experiment(small(task=task, observer=observer, procedure={"kind": "constant", "levels": [0.1, 1.0, 3.0]}))
+    made = Experiment(
+        make_tables(task=task, observer=observer, procedure={"kind": "constant", "levels": [0.1, 1.0, 3.0]})
+    )
     assert {row["answer"] for row in made.rehearse()} <= {float(mark) for mark in made.file.task.marks}
 
 
 def test_numbers_are_no_comparison() -> None:
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "How stiff?"}
     with pytest.raises(ConfigError, match="must be constant: a rate is not right or wrong"):
-        Experiment(small(task=task, procedure={"kind": "staircase"}))
+        Experiment(make_tables(task=task, procedure={"kind": "staircase"}))

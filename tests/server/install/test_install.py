@@ -78,23 +78,23 @@ def test_every_user_may_read_what_is_installed(root: Path, install: Install) -> 
 def test_removal_keeps_foreign_and_edited_files(
     root: Path, install: Install, edited: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = root / "etc/udev/rules.d/99-other.rules"
-    other.parent.mkdir(parents=True)
-    other.write_text("# somebody else's\n")
+    foreign = root / "etc/udev/rules.d/99-other.rules"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_text("# somebody else's\n")
     assert install() == 0
     if edited:
         (root / UNIT).write_text("[Service]\nExecStart=/bin/true\n")
     capsys.readouterr()
     assert install("--remove") == 0
-    told = capsys.readouterr().out
-    assert set(content(root)) == {str(other.relative_to(root))} | ({UNIT, RECORD} if edited else set())
-    assert (f"edited, so not removed; remove it yourself: {root / UNIT}" in told) == edited
+    output = capsys.readouterr().out
+    assert set(content(root)) == {str(foreign.relative_to(root))} | ({UNIT, RECORD} if edited else set())
+    assert (f"edited, so not removed; remove it yourself: {root / UNIT}" in output) == edited
     if not edited:
         assert {path.name for path in root.rglob("*") if path.is_dir()} == {"etc", "udev", "rules.d"}
         return
     (root / UNIT).unlink()
     assert install("--remove") == 0  # the record lists edited files until they are deleted
-    assert set(content(root)) == {str(other.relative_to(root))}
+    assert set(content(root)) == {str(foreign.relative_to(root))}
 
 
 def test_a_second_install_changes_nothing(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,10 +113,10 @@ def test_an_edited_file_remains_and_is_reported(
     (root / RULES).write_text("# mine\n")
     capsys.readouterr()
     assert install("--rig", "omega-6", "--scene", "sphere") == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert (root / RULES).read_text() == "# mine\n"
-    assert f"edited, so not replaced; move it away to get the new one: {root / RULES}" in told
-    assert f"renewed {root / UNIT}" in told
+    assert f"edited, so not replaced; move it away to get the new one: {root / RULES}" in output
+    assert f"renewed {root / UNIT}" in output
     assert "run --rig omega-6 --scene sphere\n" in (root / UNIT).read_text()
 
 
@@ -212,15 +212,15 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_user_installs_without_root(home: Path) -> None:
-    asked = home.parent / "asked"
+    call_log = home.parent / "asked"
     assert main(["install"]) == 0
     assert {path.rpartition("/")[2] for path in content(home)} == {
         *("softfinger.service", "softfinger.1", "softfinger", "_softfinger", "installed.json")
     }
-    assert asked.read_text() == "--user daemon-reload\n"
+    assert call_log.read_text() == "--user daemon-reload\n"
     assert main(["install", "--remove"]) == 0
     assert list(home.rglob("*")) == []
-    assert "--user disable --now softfinger.service\n--user daemon-reload\n" in asked.read_text()
+    assert "--user disable --now softfinger.service\n--user daemon-reload\n" in call_log.read_text()
 
 
 def test_a_users_folders_follow_xdg() -> None:

@@ -31,10 +31,10 @@ LINE = re.compile(rf"({MATCHES}|{SETS})(, ({MATCHES}|{SETS}))*")
 
 
 def tool(name: str) -> str:
-    found = shutil.which(name)
-    if found is None:
+    path = shutil.which(name)
+    if path is None:
         pytest.skip(f"{name} is not here")
-    return found
+    return path
 
 
 def run(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -91,8 +91,8 @@ def test_udev_takes_the_rules(root: Path) -> None:
         result = run(tool("unshare"), "--mount", "sh", "-c", script, "sh", folder)
         if "Reading rules file: /etc/udev/rules.d/70-softfinger.rules" not in result.stdout + result.stderr:
             pytest.skip(f"udevadm is older than 254, and no name space can be had: {result.stderr.strip()[-200:]}")
-        told = re.findall(r"^/etc/udev/rules\.d/7\d-softfinger.*$", result.stdout + result.stderr, re.MULTILINE)
-        assert len(told) == complaints, told
+        lines = re.findall(r"^/etc/udev/rules\.d/7\d-softfinger.*$", result.stdout + result.stderr, re.MULTILINE)
+        assert len(lines) == complaints, lines
 
 
 # --- systemd, limits --------------------------------------------------------------------------------
@@ -181,9 +181,9 @@ def test_shells_take_the_completion(shell: str, tmp_path: Path) -> None:
         function = re.search(r"complete .*-F (\w+)", script.read_text())
         assert function is not None
         for words, wanted in ((["inst"], "install"), (["run", "--rig", "omega"], "omega-6")):
-            asked = (
+            commands = (
                 f"source {shlex.quote(str(script))}; "
                 f"COMP_WORDS=(softfinger {' '.join(words)}); COMP_CWORD={len(words)}; "
                 f"COMP_LINE='softfinger {' '.join(words)}'; {function[1]} softfinger; echo ${{COMPREPLY[@]}}"
             )
-            assert wanted in run("bash", "-c", asked).stdout.split()
+            assert wanted in run("bash", "-c", commands).stdout.split()

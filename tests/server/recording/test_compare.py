@@ -34,30 +34,30 @@ SETTLE_TICKS = 499
 """The ramp of half a second at 1 kHz ends at its 500th tick; the filter settles much earlier."""
 
 
-def replayed(path: Path, **changes: float) -> ReplayComparison:
+def replay_and_compare(path: Path, **changes: float) -> ReplayComparison:
     scene = load_scene("paper-plane")
     past = load_run(path, FIELDS)
     scene = apply_overrides(scene, changes, "test") if changes else scene
     return compare(past, replay(past, scene, load_rig("replay")), _select_recorded(past), TOLERANCE)
 
 
-def touches() -> list[int]:
+def find_touches() -> list[int]:
     return np.flatnonzero(run()[:, AT.contact_cause] == CAUSE_TOUCH).tolist()
 
 
 @pytest.mark.plain
 def test_a_replay_equals_its_recording(tmp_path: Path) -> None:
-    outcome = replayed(recorded(tmp_path / "a.mcap", run()))
+    outcome = replay_and_compare(recorded(tmp_path / "a.mcap", run()))
     assert outcome.ticks == outcome.compared == len(run())
     assert (outcome.different, outcome.first, outcome.left_out) == (0, None, [])
 
 
 @pytest.mark.plain
 def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
-    outcome = replayed(recorded(tmp_path / "a.mcap", run()), **{STIFFNESS: 1100.0})
+    outcome = replay_and_compare(recorded(tmp_path / "a.mcap", run()), **{STIFFNESS: 1100.0})
     first = outcome.first
-    assert first is not None and (first.tick, first.key) == (touches()[0], "force[2]")
-    assert first.seconds == pytest.approx(touches()[0] * 1e-3, abs=1e-9)  # sum of a thousand periods
+    assert first is not None and (first.tick, first.key) == (find_touches()[0], "force[2]")
+    assert first.seconds == pytest.approx(find_touches()[0] * 1e-3, abs=1e-9)  # sum of a thousand periods
     # The normal force is stiffness times depth, so f' / f = k' / k up to rounding.
     assert first.now / first.recorded == pytest.approx(1.1, rel=1e-9)
     peak = np.abs(run()[:, AT.force + 2]).max()
@@ -72,7 +72,7 @@ def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
 def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
     past = load_run(recorded(tmp_path / "a.mcap", run()), FIELDS)
     now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _select_recorded(past)
-    row = touches()[0]
+    row = find_touches()[0]
     force = then[""]["force"].copy()
     force[row, 1] = np.nan
     broken = {"": then[""] | {"force": force}}
@@ -85,9 +85,9 @@ def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_ticks_after_a_gap_are_left_out_until_the_state_is_known(tmp_path: Path) -> None:
-    middle = touches()[1] + 20
+    middle = find_touches()[1] + 20
     holed = np.delete(run(), [middle, middle + 1], axis=0)
-    outcome = replayed(recorded(tmp_path / "a.mcap", holed))
+    outcome = replay_and_compare(recorded(tmp_path / "a.mcap", holed))
     assert outcome.first is None
     (span,) = outcome.left_out
     assert span.first == middle + 2 and span.why == "2 ticks before it are missing"
@@ -99,8 +99,8 @@ def test_ticks_after_a_gap_are_left_out_until_the_state_is_known(tmp_path: Path)
 
 @pytest.mark.plain
 def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
-    part = run()[touches()[0] + 30 :]
-    outcome = replayed(recorded(tmp_path / "a.mcap", part))
+    part = run()[find_touches()[0] + 30 :]
+    outcome = replay_and_compare(recorded(tmp_path / "a.mcap", part))
     (span,) = outcome.left_out
     assert span.first == part[0, AT.tick] and span.why == "the recording starts in the middle of a run"
     assert outcome.first is None and outcome.compared == part[-1, AT.tick] - span.last > 0
@@ -111,20 +111,20 @@ OTHER = "another scene or rig was set"
 
 @pytest.mark.plain
 def test_ticks_after_a_change_of_the_rig_are_left_out(tmp_path: Path) -> None:
-    tick, rig = touches()[1] - 100, load_rig("replay")
+    tick, rig = find_touches()[1] - 100, load_rig("replay")
     weak = msgspec.structs.replace(rig.guard, force_max_n=0.3)
     poses, scene = resample(load_poses("tap"), 1000.0), load_scene("paper-plane")
     records = np.vstack([run()[:tick], simulate(make_tuning(scene, weak), poses, 1000.0)[tick:]])
     assert records[tick, AT.contact_mode] == FREE
-    quiet = replayed(recorded(tmp_path / "quiet.mcap", records))
+    quiet = replay_and_compare(recorded(tmp_path / "quiet.mcap", records))
     assert quiet.first is not None and quiet.first.tick > tick
-    told = event("lifecycle", "replaced", tick, device="replay", first=tick)
-    outcome = replayed(recorded(tmp_path / "told.mcap", records, [told]))
+    replacement = event("lifecycle", "replaced", tick, device="replay", first=tick)
+    outcome = replay_and_compare(recorded(tmp_path / "told.mcap", records, [replacement]))
     assert outcome.first is None and 0 < outcome.compared < tick
     assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, OTHER)
 
 
-def changed_at(tick: int, stiffness: float) -> np.ndarray:
+def simulate_change(tick: int, stiffness: float) -> np.ndarray:
     poses = resample(load_poses("tap"), 1000.0)
     scene = load_scene("paper-plane")
     softer = apply_overrides(scene, {STIFFNESS: stiffness}, "test")
@@ -137,21 +137,21 @@ def changed_at(tick: int, stiffness: float) -> np.ndarray:
 
 @pytest.mark.plain
 def test_commands_are_replayed(tmp_path: Path) -> None:
-    tick = (touches()[1] + touches()[2]) // 2
+    tick = (find_touches()[1] + find_touches()[2]) // 2
     while run()[tick, AT.contact_mode] != FREE:
         tick += 1
-    records = changed_at(tick, 700.0)
-    what = {"object.table.material.stiffness_n_per_m": {"from": 1000.0, "to": 700.0}}
-    told = event("command", "set_params", tick, command_id="a", what=what)
-    quiet = replayed(recorded(tmp_path / "quiet.mcap", records))
+    records = simulate_change(tick, 700.0)
+    changes = {"object.table.material.stiffness_n_per_m": {"from": 1000.0, "to": 700.0}}
+    set_params = event("command", "set_params", tick, command_id="a", what=changes)
+    quiet = replay_and_compare(recorded(tmp_path / "quiet.mcap", records))
     assert quiet.first is not None and quiet.first.tick > tick
-    outcome = replayed(recorded(tmp_path / "told.mcap", records, [told]))
+    outcome = replay_and_compare(recorded(tmp_path / "told.mcap", records, [set_params]))
     assert outcome.first is None and outcome.compared > 0
     assert {span.why for span in outcome.left_out} >= {
         "the time of the command after them is not recorded, or it was not yet done"
     }
-    other = event("command", "set_scene", tick, command_id="a", what={"scene": "sphere", "tick": tick})
-    outcome = replayed(recorded(tmp_path / "other.mcap", records, [other]))
+    set_scene = event("command", "set_scene", tick, command_id="a", what={"scene": "sphere", "tick": tick})
+    outcome = replay_and_compare(recorded(tmp_path / "other.mcap", records, [set_scene]))
     assert outcome.first is None
     assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, OTHER)
 
@@ -159,10 +159,10 @@ def test_commands_are_replayed(tmp_path: Path) -> None:
 @pytest.mark.plain
 def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
     records = run().copy()
-    at = touches()[0] + 10
+    at = find_touches()[0] + 10
     records[at, AT.servo_device] = HELD
     records[at, AT.force : AT.force + 3] = 0.0
-    outcome = replayed(recorded(tmp_path / "held.mcap", records))
+    outcome = replay_and_compare(recorded(tmp_path / "held.mcap", records))
     assert outcome.first is None and outcome.compared < len(records)
     assert "withheld" in outcome.left_out[-1].why
 
@@ -172,7 +172,7 @@ def test_forces_withheld_by_the_driver_are_left_out(tmp_path: Path) -> None:
     refused, dts = np.zeros_like(run()), np.full(len(poses), 1e-3)
     tick_many(packed(tuning), packed(begin(tuning.scene)), poses[:, None], dts, 1e-3, 0, refused[:, None])
     assert int(refused[at, AT.servo_guard]) & POSE_REFUSED
-    outcome = replayed(recorded(tmp_path / "refused.mcap", refused))
+    outcome = replay_and_compare(recorded(tmp_path / "refused.mcap", refused))
     assert (outcome.first, outcome.compared) == (None, len(refused))
 
 
@@ -189,12 +189,12 @@ def test_several_fingers(tmp_path: Path) -> None:
             recording.ticks(records[:, place], name)
         recording.close()
     past = load_run(path, FIELDS)
-    again = replay(past, scene, load_rig("replay"))
-    outcome = compare(past, again, _select_recorded(past), TOLERANCE)
+    replay_result = replay(past, scene, load_rig("replay"))
+    outcome = compare(past, replay_result, _select_recorded(past), TOLERANCE)
     assert (outcome.compared, outcome.first) == (1500, None)
-    other = _select_recorded(past)
-    other["index"]["force"] = other["index"]["force"] + [0.0, 0.1, 0.0]
-    first = compare(past, again, other, TOLERANCE).first
+    deviating = _select_recorded(past)
+    deviating["index"]["force"] = deviating["index"]["force"] + [0.0, 0.1, 0.0]
+    first = compare(past, replay_result, deviating, TOLERANCE).first
     assert first is not None and (first.finger, first.key, first.tick) == ("index", "force[1]", 0)
     for place, name in enumerate(names):
         assert resample(load_poses(path, name), 1000.0).tobytes() == played[place].tobytes()
@@ -211,13 +211,13 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(capsys.readouterr().out)["equal"] is True
 
     softer = describe(apply_overrides(load_scene("paper-plane"), {STIFFNESS: 700.0}, "test"))
-    other = recorded(tmp_path / "b.mcap", run(), scene=softer)
+    softer_path = recorded(tmp_path / "b.mcap", run(), scene=softer)
     picture = tmp_path / "b.svg"
-    assert cli.main(["replay", str(other), "--json", "--plot", str(picture)]) == Different.exit_code
-    told = capsys.readouterr()
-    found = printed(told.out)
-    assert found["equal"] is False and found["first"]["tick"] == touches()[0]
-    assert f"softfinger: tick {touches()[0]} (" in told.err and "force[2]" in told.err
+    assert cli.main(["replay", str(softer_path), "--json", "--plot", str(picture)]) == Different.exit_code
+    captured = capsys.readouterr()
+    report = printed(captured.out)
+    assert report["equal"] is False and report["first"]["tick"] == find_touches()[0]
+    assert f"softfinger: tick {find_touches()[0]} (" in captured.err and "force[2]" in captured.err
     assert "difference [N]" in picture.read_text()
 
     results = tmp_path / "golden.npz"
@@ -233,8 +233,8 @@ def test_against_the_forces_that_a_device_was_given(tmp_path: Path, capsys: pyte
         words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", str(forces)]
         assert cli.main([*words, "--endpoint", f"ipc://{tmp_path}/t"]) == 0
         assert cli.main(["replay", "tap", "--scene", "paper-plane", "--against", str(forces), "--json"]) == 0
-        found = printed(capsys.readouterr().out)
-        assert found["compared"] == len(run()) and set(found["largest"]) == {"force", "torque"}
+        report = printed(capsys.readouterr().out)
+        assert report["compared"] == len(run()) and set(report["largest"]) == {"force", "torque"}
 
 
 @pytest.mark.plain
@@ -262,16 +262,16 @@ def test_info_summarizes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixtu
     mark = event("mark", "mark", 9, command_id="a", label="trial 7", data={})
     path = recorded(tmp_path / "a.mcap", holed, [mark], versions={"softfinger": "0.0"})
     assert cli.main(["info", str(path), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["ticks"], found["missing"], found["gaps"], found["whole"]) == (len(holed), 10, 1, True)
+    report = json.loads(capsys.readouterr().out)
+    assert (report["ticks"], report["missing"], report["gaps"], report["whole"]) == (len(holed), 10, 1, True)
     force = np.linalg.norm(holed[:, AT.force : AT.force + 3], axis=1).max()
-    assert found["fingers"][""]["force_max_n"] == force
-    assert sum(found["fingers"][""]["modes"].values()) == len(holed)
-    assert found["duration_s"] == pytest.approx((len(run()) - 1) * 1e-3, abs=1e-6)  # difference of clock readings
-    assert found["scene"] == about()["scene"] and found["marks"] == [{"tick": 9, "label": "trial 7"}]
+    assert report["fingers"][""]["force_max_n"] == force
+    assert sum(report["fingers"][""]["modes"].values()) == len(holed)
+    assert report["duration_s"] == pytest.approx((len(run()) - 1) * 1e-3, abs=1e-6)  # difference of clock readings
+    assert report["scene"] == about()["scene"] and report["marks"] == [{"tick": 9, "label": "trial 7"}]
     assert cli.main(["info", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert "10 ticks are missing in 1 gaps" in said and "scene paper-plane" in said and "softfinger 0.0" in said
+    output = capsys.readouterr().out
+    assert "10 ticks are missing in 1 gaps" in output and "scene paper-plane" in output and "softfinger 0.0" in output
 
 
 @pytest.mark.plain

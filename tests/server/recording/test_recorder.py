@@ -69,32 +69,33 @@ def test_other_readers_find_everything(tmp_path: Path) -> None:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         summary_ = reader.get_summary()
         assert summary_ is not None and summary_.statistics is not None
-        found: dict[str, list[Any]] = {}
+        messages: dict[str, list[Any]] = {}
         for schema, channel, message, decoded in reader.iter_decoded_messages():
             assert schema is not None and message.log_time >= 10**18
-            found.setdefault(channel.topic, []).append(decoded)
-        assert {each.name for each in reader.iter_metadata()} >= {"scene", "rig", "scene_name"}
-    assert len(found["contact"]) == len(run()) == summary_.statistics.channel_message_counts[1]
+            messages.setdefault(channel.topic, []).append(decoded)
+        assert {metadata.name for metadata in reader.iter_metadata()} >= {"scene", "rig", "scene_name"}
+    assert len(messages["contact"]) == len(run()) == summary_.statistics.channel_message_counts[1]
     for row in (0, 400, len(run()) - 1):
         for field in FIELDS:
-            value = found["contact"][row]
+            value = messages["contact"][row]
             for name in field.name.split("."):
                 value = getattr(value, name)
             np.testing.assert_array_equal(np.reshape(value, -1), run()[row, field.at : field.at + field.size])
-    assert (found["event"][0].cause, found["event"][0].to, list(found["event"][0].force)) == ("touch", 1, [0, 0, 1])
-    assert (found["mark"][0].label, found["mark"][0].more) == ("trial 7", '{"data": {"hand": "left"}}')
-    pose = found["pose"][-1]
+    first = messages["event"][0]
+    assert (first.cause, first.to, list(first.force)) == ("touch", 1, [0, 0, 1])
+    assert (messages["mark"][0].label, messages["mark"][0].more) == ("trial 7", '{"data": {"hand": "left"}}')
+    pose = messages["pose"][-1]
     stamped = pose.timestamp.seconds + 1e-9 * pose.timestamp.nanos
     row = int(np.argmin(np.abs(run()[:, AT.timestamp] - stamped)))
     assert (pose.frame_id, pose.pose.position.z) == ("world", run()[row, AT.probe_position + 2])
     assert pose.pose.orientation.w == run()[row, AT.probe_orientation]
-    assert {frame.child_frame_id for frame in found["tf"]} == {"fingertip", "proxy"}
-    assert found["tf"][-1].translation.z == run()[row, AT.proxy_position + 2]
-    (entities,) = {tuple(entity.id for entity in scene.entities) for scene in found["scene"]}
+    assert {frame.child_frame_id for frame in messages["tf"]} == {"fingertip", "proxy"}
+    assert messages["tf"][-1].translation.z == run()[row, AT.proxy_position + 2]
+    (entities,) = {tuple(entity.id for entity in scene.entities) for scene in messages["scene"]}
     assert entities == ("table", "proxy")
-    assert found["scene"][0].entities[1].spheres[0].size.x == 0.02
+    assert messages["scene"][0].entities[1].spheres[0].size.x == 0.02
     # One picture per sixtieth of a second, at the first tick in it.
-    assert len(found["pose"]) == len(np.unique(np.floor(run()[:, AT.timestamp] * 60.0)))
+    assert len(messages["pose"]) == len(np.unique(np.floor(run()[:, AT.timestamp] * 60.0)))
 
 
 NUMBERS = {
@@ -119,18 +120,18 @@ def test_foxglove_messages_have_foxglove_numbers(name: str) -> None:
 def test_shipped_scenes_are_drawn(scene: str) -> None:
     shown = load_scene(scene)
     drawn = schemas.message_class(schemas.SCENE).FromString(picture.scene_message(shown, 10**18))
-    things, balls = drawn.entities[: len(shown.object)], drawn.entities[len(shown.object) :]
-    assert [thing.id for thing in things] == [thing.name for thing in shown.object]
-    assert all(len(t.cubes) + len(t.spheres) + len(t.cylinders) + len(t.lines) for t in things)
+    entities, balls = drawn.entities[: len(shown.object)], drawn.entities[len(shown.object) :]
+    assert [entity.id for entity in entities] == [entity.name for entity in shown.object]
+    assert all(len(t.cubes) + len(t.spheres) + len(t.cylinders) + len(t.lines) for t in entities)
     assert [ball.spheres[0].size.x for ball in balls] == [2.0 * finger.radius_m for finger in shown.fingers]
 
 
 def test_every_event_survives_encoding() -> None:
     values = {"int": 7, "float": 0.5, "str": "x", "float[3]": [1.0, 2.0, 3.0], "map": {"a": {"b": [1, "c"]}}}
     for kind, keys in [*EVENT_EXTRA_KEYS.items(), ("fault", ())]:
-        told = event(kind, "it", 3) | {key.name: values[key.type] for key in keys} | {"message": "new", "n": 1}
-        decoded = schemas.message_class(schemas.EVENT).FromString(schemas.event_message(told))
-        assert schemas.decode_event(decoded) == told
+        original = event(kind, "it", 3) | {key.name: values[key.type] for key in keys} | {"message": "new", "n": 1}
+        decoded = schemas.message_class(schemas.EVENT).FromString(schemas.event_message(original))
+        assert schemas.decode_event(decoded) == original
 
 
 def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
@@ -140,11 +141,11 @@ def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
 
     files = descriptor_pb2.FileDescriptorSet.FromString(schemas.descriptor_set(schemas.TICK))
     (tick,) = files.file[0].message_type
-    kept = [field for field in tick.field if field.name != "torque"]
+    fields = [field for field in tick.field if field.name != "torque"]
     del tick.field[:]
-    for number, field in enumerate(kept, 2):
+    for number, field in enumerate(fields, 2):
         field.number = number
-    tick.field.extend(kept)
+    tick.field.extend(fields)
     tick.field.add(name="novel", number=1, type=1, label=1)
     data = files.SerializeToString()
     message = schemas.load_message_class(data, schemas.TICK)(tick=5, force=[1.0, 2.0, 3.0], novel=9.0)
@@ -180,19 +181,19 @@ def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
     with path.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
         assert summary is not None and summary.statistics is not None
-        assert [each.message_start_time for each in summary.chunk_indexes] == list(range(count))
+        assert [entry.message_start_time for entry in summary.chunk_indexes] == list(range(count))
         assert summary.statistics.message_count == summary.statistics.chunk_count == count
-    assert [each.name for each in tmp_path.iterdir()] == ["long.mcap"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["long.mcap"]
 
 
 def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
     holed = np.delete(run(), [50, 51, 52], axis=0)
     path = recorded(tmp_path / "a.mcap", holed)
-    again = resample(load_poses(path), 1000.0)
+    poses = resample(load_poses(path), 1000.0)
     pose = slice(AT.probe_position, AT.probe_position + 7)
     at = holed[:, AT.tick].astype(int)
-    assert len(again) == len(run())
-    assert again[at].tobytes() == np.ascontiguousarray(holed[:, pose]).tobytes()
+    assert len(poses) == len(run())
+    assert poses[at].tobytes() == np.ascontiguousarray(holed[:, pose]).tobytes()
 
 
 # --- a daemon records ------------------------------------------------------------------------------
@@ -221,9 +222,9 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
     assert (stopped.dropped, stopped.error, end.cut) == (0, "", "")
     assert len(records) >= 2500 and records[0, AT.tick] <= started.tick
     np.testing.assert_array_equal(np.diff(records[:, AT.tick]), 1.0)
-    (mark,) = [each for each in events if each["kind"] == "mark"]
+    (mark,) = [entry for entry in events if entry["kind"] == "mark"]
     assert (mark["label"], mark["data"]) == ("trial 7", {"hand": "left"}) and abs(mark["tick"] - marked) <= 1000
-    assert {"touch", "release"} <= {each["name"] for each in events if each["kind"] == "contact"}
+    assert {"touch", "release"} <= {entry["name"] for entry in events if entry["kind"] == "contact"}
     assert notes["scene_name"] == "paper-plane" and notes["rig"]["device"]["recording"] == "tap"
     assert notes["versions"]["softfinger"] and notes["machine"]["cpu"] and notes["settings"][0]["name"]
     assert notes["end"] == {"ticks": len(records), "dropped": 0, "events_dropped": 0}
@@ -274,13 +275,13 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
         subscribe(endpoint, timeout_s=WAIT_S) as samples,
     ):
         enough = random.Random(seed).randrange(300, 900)
-        seen = next(samples).tick
-        while seen < enough:
-            seen = next(samples).tick
+        last_tick = next(samples).tick
+        while last_tick < enough:
+            last_tick = next(samples).tick
         process.kill()
         process.wait()
         while (sample := samples.receive(0.2)) is not None:
-            seen = sample.tick
+            last_tick = sample.tick
     ticks = []
     with path.open("rb") as file:
         reader = NonSeekingReader(file, decoder_factories=[DecoderFactory()])
@@ -291,12 +292,12 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
         except Exception:  # of many classes, if a chunk is torn
             pass
     assert ticks == list(range(len(ticks)))
-    assert ticks[-1] >= seen - LOST_MAX_TICKS
-    found = summary(path)
-    assert not found["whole"] and found["ticks"] == len(ticks) and found["scene_name"] == "paper-plane"
+    assert ticks[-1] >= last_tick - LOST_MAX_TICKS
+    report = summary(path)
+    assert not report["whole"] and report["ticks"] == len(ticks) and report["scene_name"] == "paper-plane"
 
 
-class Slow:
+class SlowFile:
     """File on a disk that blocks writes while `free` is not set."""
 
     def __init__(self, path: Path) -> None:
@@ -310,7 +311,7 @@ class Slow:
     def closed(self) -> bool:
         return self._file.closed
 
-    def __enter__(self) -> Slow:
+    def __enter__(self) -> SlowFile:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -324,9 +325,9 @@ class Slow:
 
 
 def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
-    told: list[str] = []
-    file = Slow(tmp_path / "slow.mcap")
-    recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
+    reports: list[str] = []
+    file = SlowFile(tmp_path / "slow.mcap")
+    recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
     recorder.take(run()[:1])
     assert eventually(lambda: recorder.recorded.ticks == 1)
     file.free.clear()
@@ -339,21 +340,21 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     assert recorder.recorded.events_dropped == 30
     stalled = time.monotonic() - begun
     file.free.set()
-    assert eventually(lambda: told)
+    assert eventually(lambda: reports)
     recorded_ = recorder.stop(WAIT_S)
     assert recorded_.whole and recorded_.events_dropped == 30
     assert recorded_.worst_write_s >= stalled
-    assert told == ["30 events are not recorded: the disk was too slow"]
+    assert reports == ["30 events are not recorded: the disk was too slow"]
     _, events, notes, _ = read(tmp_path / "slow.mcap")
-    assert [each["name"] for each in events] == [f"mark {number}" for number in range(QUEUE_EVENTS)]
+    assert [entry["name"] for entry in events] == [f"mark {number}" for number in range(QUEUE_EVENTS)]
     assert notes["end"]["events_dropped"] == 30 and notes["last"] == {"said": True}
     assert summary(tmp_path / "slow.mcap")["events_dropped"] == 30
 
 
 def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
-    told: list[str] = []
-    file = Slow(tmp_path / "slow.mcap")
-    recorder = Recorder(file, [""], about(), lambda said, _: told.append(said))
+    reports: list[str] = []
+    file = SlowFile(tmp_path / "slow.mcap")
+    recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
     batch = np.tile(run()[:1], (1024, 1))
     numbers = iter(range(0, 10**9, 1024))
 
@@ -378,7 +379,7 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
         take()
     assert recorder.recorded.dropped == dropped
     file.free.set()
-    assert eventually(lambda: told)
+    assert eventually(lambda: reports)
     after = take()
     recorded_ = recorder.stop(WAIT_S)
     assert recorded_.whole and recorded_.dropped == dropped
@@ -387,11 +388,11 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
     assert records[-1, AT.tick] == after + 1023 and len(records) == after + 1024 - dropped
     gaps = np.diff(records[:, AT.tick])
     (at,) = np.flatnonzero(gaps != 1.0)
-    assert told == [
+    assert reports == [
         f"{dropped} ticks from tick {records[at, AT.tick] + 1:.0f} on are not recorded: the disk was too slow"
     ]
-    found = summary(tmp_path / "slow.mcap")
-    assert (found["missing"], found["gaps"], found["longest_gap"], found["dropped"]) == (dropped, 1, dropped, dropped)
+    info = summary(tmp_path / "slow.mcap")
+    assert (info["missing"], info["gaps"], info["longest_gap"], info["dropped"]) == (dropped, 1, dropped, dropped)
 
 
 def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
@@ -434,15 +435,15 @@ def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> Non
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=WAIT_S) as samples:
             assert next(sample for sample in samples if sample.tick > 200)  # it runs and has written
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (path.stat().st_size, resource.RLIM_INFINITY))
-        said = []
+        lines = []
         for line in process.stderr:
-            said.append(line)
+            lines.append(line)
             if "the recording ends" in line:
                 break
         process.send_signal(signal.SIGINT)
         rest = process.stderr.read()
-        assert process.wait(WAIT_S) == RecordingError.exit_code, "".join(said) + rest
-    assert str(path) in said[-1] and "File too large" in said[-1]
+        assert process.wait(WAIT_S) == RecordingError.exit_code, "".join(lines) + rest
+    assert str(path) in lines[-1] and "File too large" in lines[-1]
     assert "force is zero" in rest
     (error,) = [line for line in rest.splitlines() if str(path) in line]
     assert "File too large" in error and "Traceback" not in rest
@@ -453,18 +454,18 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
     rows = run()  # compiled before, because the kernel cache cannot be written under the limit
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    told: list[str] = []
+    reports: list[str] = []
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, limits[1]))
-        recorder = Recorder(path.open("wb", buffering=0), [""], about(), lambda said, _: told.append(said))
+        recorder = Recorder(path.open("wb", buffering=0), [""], about(), lambda text, _: reports.append(text))
         for first in range(0, 2000, 40):
             recorder.take(rows[first : first + 40])
             time.sleep(PERIOD_S / 20)
-        assert eventually(lambda: told)
+        assert eventually(lambda: reports)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, before)
-    assert "File too large" in recorder.recorded.error and len(told) == 1
+    assert "File too large" in recorder.recorded.error and len(reports) == 1
     records, _, _, end = read(path)
     assert recorder.recorded.ticks == len(records) < 2000 and end.cut.startswith("it has no index at its end")
     assert path.stat().st_size == recorder.recorded.bytes <= 40_000

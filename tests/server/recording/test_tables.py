@@ -18,7 +18,7 @@ PLACE = np.stack([0.03 * np.sin(TIME), 0.02 * np.cos(TIME), 0.01 + TIME / 7.0], 
 TURN = np.stack([np.cos(TIME), np.sin(TIME), 0.0 * TIME, 0.0 * TIME], axis=1)
 
 
-def table(path: Path, rows: np.ndarray, between: str = " ", before: str = "") -> Path:
+def write_table(path: Path, rows: np.ndarray, between: str = " ", before: str = "") -> Path:
     path.write_text(before + "".join(between.join(f"{x:.17g}" for x in row) + "\n" for row in rows))
     return path
 
@@ -26,7 +26,7 @@ def table(path: Path, rows: np.ndarray, between: str = " ", before: str = "") ->
 @pytest.mark.parametrize("between", [" ", "\t", ",", ";", ", ", "   "])
 def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -> None:
     rows = np.column_stack((PLACE[:, 1] * 1e3, np.full(COUNT, 7.0), 500.0 + TIME * 1e3, PLACE[:, [0, 2]] * 1e3))
-    file = table(tmp_path / "theirs.txt", rows, between, "# made by hand\n\n")
+    file = write_table(tmp_path / "theirs.txt", rows, between, "# made by hand\n\n")
     poses = read_table(file, make_layout("y,-,t,x,z", 1e-3, 1e-3, None, 0))
     # rounding of 500 ms plus t, and of one multiplication per unit
     np.testing.assert_allclose(poses.t, TIME, rtol=0, atol=1e-15)
@@ -119,7 +119,7 @@ def test_an_empty_first_cell_is_not_a_comment(tmp_path: Path) -> None:
 
 
 def test_the_verb_writes_poses_for_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = table(tmp_path / "theirs.txt", np.column_stack((PLACE, TURN)), before="Haptic Table 1.0\n7 columns\n")
+    file = write_table(tmp_path / "theirs.txt", np.column_stack((PLACE, TURN)), before="Haptic Table 1.0\n7 columns\n")
     out = tmp_path / "poses.csv"
     words = ["--columns", "x,y,z,qw,qx,qy,qz", "--rate", "1000", "--skip", "2", "--out", str(out)]
     assert main(["import", str(file), *words]) == 0
@@ -176,7 +176,7 @@ def test_a_file_that_is_no_such_table_is_refused_where_it_is_wrong(text: bytes, 
 
 
 def test_a_refused_table_writes_no_file(tmp_path: Path) -> None:
-    file = table(tmp_path / "theirs.txt", np.zeros((3, 4)))
+    file = write_table(tmp_path / "theirs.txt", np.zeros((3, 4)))
     for out in ("poses.csv", "poses.npz"):
         assert main(["import", str(file), "--columns", "t,x,y,z", "--out", str(tmp_path / out)]) != 0
     assert main(["import", str(tmp_path / "none"), "--columns", "t,x,y,z", "--out", str(tmp_path / "poses.csv")]) != 0

@@ -54,17 +54,17 @@ class Elsewhere(BaseHTTPRequestHandler):
         """Suppress the log."""
 
 
-def own(page: Page) -> str:
+def get_host(page: Page) -> str:
     return urlsplit(page.address).netloc
 
 
-def path(page: Page) -> str:
+def get_path(page: Page) -> str:
     return urlsplit(page.address).path
 
 
-def got(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+def get_page(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
     with closing(HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)) as connection:
-        connection.request("GET", where, headers={"Host": own(page)} | headers)
+        connection.request("GET", where, headers={"Host": get_host(page)} | headers)
         answer = connection.getresponse()
         return answer.status, dict(answer.getheaders()), answer.read()
 
@@ -72,7 +72,7 @@ def got(page: Page, where: str, **headers: str) -> tuple[int, dict[str, str], by
 @contextmanager
 def opened(page: Page, where: str, origin: str | None, host: str | None = None) -> Iterator[ClientConnection]:
     protocol, sent_origin = Subprotocol(f"viser-v{viser.__version__}"), None if origin is None else Origin(origin)
-    address, unbuffered = f"ws://{host or own(page)}{where}", {"compression": None, "max_queue": None}
+    address, unbuffered = f"ws://{host or get_host(page)}{where}", {"compression": None, "max_queue": None}
     with (
         socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=60.0) as sock,
         connect(address, sock=sock, origin=sent_origin, subprotocols=[protocol], **unbuffered) as client,
@@ -81,7 +81,7 @@ def opened(page: Page, where: str, origin: str | None, host: str | None = None) 
         yield client
 
 
-def upgraded(page: Page, where: str, origin: str | None, host: str | None = None) -> int:
+def try_upgrade(page: Page, where: str, origin: str | None, host: str | None = None) -> int:
     try:
         with opened(page, where, origin, host):
             return 101
@@ -90,36 +90,36 @@ def upgraded(page: Page, where: str, origin: str | None, host: str | None = None
 
 
 def test_the_page_is_served_only_at_its_address(page: Page) -> None:
-    status, headers, body = got(page, path(page))
+    status, headers, body = get_page(page, get_path(page))
     assert status == 200 and b"<title>softfinger</title>" in body
     assert headers["X-Frame-Options"] == "DENY" and "frame-ancestors 'none'" in headers["Content-Security-Policy"]
     assert headers["Referrer-Policy"] == "no-referrer"
-    assert got(page, path(page), **{"Accept-Encoding": "gzip"})[0] == 200
+    assert get_page(page, get_path(page), **{"Accept-Encoding": "gzip"})[0] == 200
 
 
 @pytest.mark.parametrize("where", ["/", "/index.html", "/wrong-token/", "http://evil.example/", "/%2e%2e/", "*"])
 def test_without_the_token_nothing_is_served(page: Page, where: str) -> None:
-    status, headers, body = got(page, where)
+    status, headers, body = get_page(page, where)
     assert status == 403 and b"token" in body and b"softfinger view" in body and headers["X-Frame-Options"] == "DENY"
     if where.startswith("/"):
-        assert upgraded(page, where, f"http://{own(page)}") == 403
+        assert try_upgrade(page, where, f"http://{get_host(page)}") == 403
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8370", "localhost", "localhost:1", "rig.lab:1", ""])
 def test_another_host_is_refused(page: Page, host: str) -> None:
     """A web site can point its host name at this machine's address."""
-    assert got(page, path(page), Host=host)[0] == 403
+    assert get_page(page, get_path(page), Host=host)[0] == 403
     if host:
-        assert upgraded(page, path(page), f"http://{host}", host) == 403
+        assert try_upgrade(page, get_path(page), f"http://{host}", host) == 403
 
 
 @pytest.mark.parametrize("second", ["evil.example", "localhost", ""])
 @pytest.mark.parametrize("first", [True, False])
 def test_a_request_for_two_hosts_is_refused(page: Page, second: str, first: bool) -> None:
     """Servers differ in the header they use, so two are refused in either order, even if both name the page."""
-    hosts = [own(page), second or own(page)]
+    hosts = [get_host(page), second or get_host(page)]
     with closing(HTTPConnection("127.0.0.1", page.server.get_port(), timeout=60.0)) as connection:
-        connection.putrequest("GET", path(page), skip_host=True)
+        connection.putrequest("GET", get_path(page), skip_host=True)
         for host in hosts if first else reversed(hosts):
             connection.putheader("Host", host)
         connection.endheaders()
@@ -128,38 +128,38 @@ def test_a_request_for_two_hosts_is_refused(page: Page, second: str, first: bool
 
 @pytest.mark.parametrize("origin", [EVIL, "null", None, "", "http://localhost", "http://localhost:1"])
 def test_a_websocket_from_elsewhere_is_refused(page: Page, origin: str | None) -> None:
-    assert upgraded(page, path(page), origin) == 403
+    assert try_upgrade(page, get_path(page), origin) == 403
 
 
 def test_a_request_of_another_origin_is_refused(page: Page) -> None:
     """Browsers send the header Origin for other sites."""
-    assert got(page, path(page), Origin=EVIL)[0] == got(page, path(page), Origin="null")[0] == 403
+    assert get_page(page, get_path(page), Origin=EVIL)[0] == get_page(page, get_path(page), Origin="null")[0] == 403
 
 
 def test_the_page_and_allowed_hosts_have_access(page: Page) -> None:
     port = page.server.get_port()
-    for host in (own(page), f"127.0.0.1:{port}", f"rig.lab:{port}", "tunnel.lab:9000"):
-        assert upgraded(page, path(page).rstrip("/"), f"http://{host}", host) == 101
-        assert got(page, path(page), Host=host)[0] == 200
+    for host in (get_host(page), f"127.0.0.1:{port}", f"rig.lab:{port}", "tunnel.lab:9000"):
+        assert try_upgrade(page, get_path(page).rstrip("/"), f"http://{host}", host) == 101
+        assert get_page(page, get_path(page), Host=host)[0] == 200
 
 
 @pytest.mark.system
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_another_site_cannot_reach_the_page_in_a_browser(page: Page) -> None:
     attack = ATTACK.replace("VERSION", viser.__version__)
-    with HTTPServer(("127.0.0.1", 0), Elsewhere) as other, browser() as tab:
-        thread = threading.Thread(target=other.serve_forever)
+    with HTTPServer(("127.0.0.1", 0), Elsewhere) as other_site, browser() as tab:
+        thread = threading.Thread(target=other_site.serve_forever)
         thread.start()
         try:
             shown(tab, page.address)
             assert tab.title() == "softfinger" and tab.evaluate(attack, page.address) == "open"
-            tab.goto(f"http://localhost:{other.server_port}/")
+            tab.goto(f"http://localhost:{other_site.server_port}/")
             assert tab.evaluate(attack, page.address) == "refused"
             tab.set_content(f'<iframe src="{page.address}"></iframe>')
             tab.wait_for_load_state("load")
             assert [frame.url for frame in tab.frames[1:]] == ["chrome-error://chromewebdata/"]
         finally:
-            other.shutdown()
+            other_site.shutdown()
             thread.join()
 
 
@@ -175,32 +175,32 @@ def test_an_unguarded_server_is_refused() -> None:
         pass
 
 
-def say(stream: ClientConnection, control: Any, value: Any) -> None:
-    told = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
-    stream.send(msgspec.msgpack.encode(told))
+def send_value(stream: ClientConnection, control: Any, value: Any) -> None:
+    message = {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}}
+    stream.send(msgspec.msgpack.encode(message))
 
 
 def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tuple[str, str]) -> None:
     with closing(LivePage(page, Addresses(*endpoints))) as live:
         slider, choice = live._tuning._knobs["stiffness"].slider, live._tuning._scene_list
-        fed(live, lambda: page.fingers and slider.value == 1000.0)
-        asked: list[Any] = []
-        live._tuning._params = lambda name, values: asked.append(values)
-        live._tuning._set_scene = lambda name, values: asked.append(values)
-        with opened(page, path(page), f"http://{own(page)}") as stream:
+        step_until(live, lambda: page.fingers and slider.value == 1000.0)
+        requests: list[Any] = []
+        live._tuning._params = lambda name, values: requests.append(values)
+        live._tuning._set_scene = lambda name, values: requests.append(values)
+        with opened(page, get_path(page), f"http://{get_host(page)}") as stream:
             stream.send(msgspec.msgpack.encode(CAMERA))
-            fed(live, page.server.get_clients)
+            step_until(live, page.server.get_clients)
             for control, wrong in ((slider, 1e6), (slider, -1.0), (slider, float("nan")), (choice, "/etc/scene.toml")):
                 right, before = control.value, control.update_timestamp
-                say(stream, control, wrong)
-                fed(live, lambda c=control, r=right, b=before: c.update_timestamp > b and c.value == r)  # type: ignore[misc]
-            assert not asked
-            say(stream, slider, 740.0)
-            fed(live, lambda: asked)
-        assert asked == [{"object.0.material.stiffness_n_per_m": 740.0}]
+                send_value(stream, control, wrong)
+                step_until(live, lambda c=control, r=right, b=before: c.update_timestamp > b and c.value == r)  # type: ignore[misc]
+            assert not requests
+            send_value(stream, slider, 740.0)
+            step_until(live, lambda: requests)
+        assert requests == [{"object.0.material.stiffness_n_per_m": 740.0}]
 
 
-def fed(live: LivePage, until: Callable[[], Any]) -> None:
+def step_until(live: LivePage, until: Callable[[], Any]) -> None:
     end = time.monotonic() + 60.0
     while not until():
         assert time.monotonic() < end

@@ -24,19 +24,19 @@ ROLL, SPIN, SLIDE = 4300, 7000, 9000
 def test_roll_spin_and_slide_have_different_colours(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     write_results(file, run_recording("press-roll-spin-drag"))
-    seen = {}
+    colours = {}
     with served(str(file)) as screen:
         assert eventually(lambda: screen.shows("tick 0"))
         for tick in (ROLL, SPIN, SLIDE):
             screen.fill("time, s", str(tick / 1000.0))
             assert eventually(lambda tick=tick: screen.shows(f"tick {tick}"))
             wanted = {ROLL: "blue", SPIN: "orange", SLIDE: "red"}[tick]
-            seen[tick] = eventually(lambda w=wanted: (found := coloured(screen.picture()))[w] > 100 and found)
-            assert seen[tick], f"no {wanted} at tick {tick}"
+            colours[tick] = eventually(lambda w=wanted: (counts := coloured(screen.picture()))[w] > 100 and counts)
+            assert colours[tick], f"no {wanted} at tick {tick}"
     # A dot of 2 mm has about 30 pixels here, an arrow or an arc some hundred.
-    assert seen[ROLL]["red"] < 30 and seen[ROLL]["orange"] < 30
-    assert seen[SPIN]["blue"] > 100 and seen[SPIN]["red"] < 30
-    assert seen[SLIDE]["blue"] < 30
+    assert colours[ROLL]["red"] < 30 and colours[ROLL]["orange"] < 30
+    assert colours[SPIN]["blue"] > 100 and colours[SPIN]["red"] < 30
+    assert colours[SLIDE]["blue"] < 30
 
 
 daemon = daemon_of("simulated-hand", "paper-plane")

@@ -23,27 +23,28 @@ pytestmark = pytest.mark.plain
 RADIUS = 0.01
 
 
-def seen(camera: Camera, point: Any) -> tuple[float, float]:
+def project(camera: Camera, point: Any) -> tuple[float, float]:
     look = np.subtract(camera.look_at, camera.position)
     depth = look / np.linalg.norm(look)
     right = np.cross(depth, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
-    way = CM * np.asarray(point) - camera.position
-    scale = tan(0.5 * camera.fov) * float(way @ depth)
-    return float(way @ right) / scale, float(way @ np.cross(right, depth)) / scale
+    offset = CM * np.asarray(point) - camera.position
+    scale = tan(0.5 * camera.fov) * float(offset @ depth)
+    return float(offset @ right) / scale, float(offset @ np.cross(right, depth)) / scale
 
 
 @pytest.mark.parametrize("name", list_shipped(Scene))
 def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> None:
     scene = load_scene(name)
-    camera, thing = initial_camera(scene), next(each for each in scene.object if not getattr(each, "inside", False))
-    half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(thing.shape, 0.0)
+    camera = initial_camera(scene)
+    touched = next(element for element in scene.object if not getattr(element, "inside", False))
+    half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(touched.shape, 0.0)
     up = np.array([0.0, 0.0, 1.0])
-    middle = np.array(thing.position_m) + (half + RADIUS) * up
+    middle = np.array(touched.position_m) + (half + RADIUS) * up
     for end in (-RADIUS, 0.0, RADIUS):
-        for way in np.eye(3):
-            assert max(map(abs, seen(camera, middle + end * way))) < 1.0
-    height = seen(camera, middle + RADIUS * up)[1] - seen(camera, middle - RADIUS * up)[1]
+        for direction in np.eye(3):
+            assert max(map(abs, project(camera, middle + end * direction))) < 1.0
+    height = project(camera, middle + RADIUS * up)[1] - project(camera, middle - RADIUS * up)[1]
     assert height > 0.1  # of 2
 
 
@@ -51,20 +52,20 @@ def test_the_camera_looks_at_the_pose_of_a_body() -> None:
     scene = load_scene("open-a-door")
     (door,) = scene.object
     upright = (1.0, 0.0, 0.0, 0.0)
-    there, here = (initial_camera(scene, None, [(door, ((x, 0.0, 0.0), upright))]).look_at[0] for x in (0.08, 0.0))
-    assert there - here == pytest.approx(CM * 0.08) and abs(here) < 0.5 * CM * 2.0 * RADIUS
+    opened, shut = (initial_camera(scene, None, [(door, ((x, 0.0, 0.0), upright))]).look_at[0] for x in (0.08, 0.0))
+    assert opened - shut == pytest.approx(CM * 0.08) and abs(shut) < 0.5 * CM * 2.0 * RADIUS
     stack = load_scene("stack-boxes")
-    boxes = [(thing, ((0.0, 0.0, 0.015 + 0.03 * k), upright)) for k, thing in enumerate(visual_geoms(stack))]
+    boxes = [(box, ((0.0, 0.0, 0.015 + 0.03 * k), upright)) for k, box in enumerate(visual_geoms(stack))]
     camera = initial_camera(stack, None, [*boxes, (stack.object[1], ((0.0, 0.0, 0.075), upright))])
-    assert max(map(abs, (*seen(camera, (0.0, 0.0, 0.0)), *seen(camera, (0.0, 0.0, 0.18))))) < 1.0
+    assert max(map(abs, (*project(camera, (0.0, 0.0, 0.0)), *project(camera, (0.0, 0.0, 0.18))))) < 1.0
 
 
 def test_the_camera_of_a_bowl_looks_at_the_ball() -> None:
     scene = load_scene("ball-in-a-bowl")
-    ball = next(thing for thing in scene.object if thing.name == "ball")
+    ball = next(element for element in scene.object if element.name == "ball")
     place = ((0.0, 0.0, 0.015), (1.0, 0.0, 0.0, 0.0))
-    things = [(thing, place if thing is ball else (thing.position_m, place[1])) for thing in scene.object]
-    assert abs(initial_camera(scene, None, things).look_at[2] - CM * 0.015) < CM * RADIUS
+    posed = [(element, place if element is ball else (element.position_m, place[1])) for element in scene.object]
+    assert abs(initial_camera(scene, None, posed).look_at[2] - CM * 0.015) < CM * RADIUS
 
 
 def test_the_camera_looks_at_walls_from_the_front() -> None:
@@ -79,7 +80,7 @@ def test_neither_of_two_fingers_is_hidden() -> None:
     camera = initial_camera(load_scene("pinch"))
     assert camera.position[0] == pytest.approx(camera.look_at[0], abs=1.0)  # the fingers differ in size by 2 mm
     for x in (-0.02 - 2.0 * RADIUS, 0.02 + 2.0 * RADIUS):
-        assert max(map(abs, seen(camera, (x, 0.0, 0.0)))) < 1.0
+        assert max(map(abs, project(camera, (x, 0.0, 0.0)))) < 1.0
 
 
 def test_the_camera_fits_a_mesh_once_it_is_drawn() -> None:

@@ -43,11 +43,11 @@ def test_a_paddle_displays_the_force_along_its_arc(
     def place(a: float) -> np.ndarray:
         return origin + rotate(unit, radius * np.array([np.sin(a), 0.0, np.cos(a) - 1.0]))
 
-    way = (place(angle + step) - place(angle - step)) / (2.0 * step * radius)
+    tangent = (place(angle + step) - place(angle - step)) / (2.0 * step * radius)
     freedom = make_subspace(Paddle(length_m=radius, torque_max_nm=0.2), mounting)
     assert freedom is not None
     # rounding of positions of 1 m over steps of 90 nm
-    np.testing.assert_allclose(freedom.project_force(place(angle), force), (force @ way) * way, atol=1e-7)
+    np.testing.assert_allclose(freedom.project_force(place(angle), force), (force @ tangent) * tangent, atol=1e-7)
 
 
 @pytest.mark.plain
@@ -125,9 +125,9 @@ def test_the_page_shows_the_force_a_2diy_cannot_display() -> None:
                 assert eventually(text.count)
 
                 def parts() -> list[float]:
-                    return [float(each) for each in re.findall(r"([\d.]+) N", text.first.inner_text())]
+                    return [float(number) for number in re.findall(r"([\d.]+) N", text.first.inner_text())]
 
-                shown, lost = eventually(lambda: min(found := parts()) > 0.05 and found)
+                shown, lost = eventually(lambda: min(forces := parts()) > 0.05 and forces)
                 # Sliding straight down a slope of 45 degrees puts the force on the cone of the kinetic friction 0.5: in
                 # the plane (1 + 0.5) N cos 45, across it (1 - 0.5) N cos 45. Both are shown with two decimals.
                 assert shown / (shown + lost) == pytest.approx(0.75, abs=0.02)

@@ -26,19 +26,19 @@ NODE = "window.__viserMutable.nodeRefFromName['/objects/0']?.position.toArray()"
 """Position of the drawn node, not of the message."""
 
 
-def told(tick: int, **what: Any) -> dict[str, Any]:
-    return event("command", "drive", tick, what=what)
+def drive_event(tick: int, **changes: Any) -> dict[str, Any]:
+    return event("command", "drive", tick, what=changes)
 
 
 def test_events_set_the_poses_of_driven_objects() -> None:
     scene = build(Scene, paper_mapping(table=LID), "test scene")
     events = [
-        told(5, object="lid", position_m=[0.0, 0.0, 0.02], orientation_wxyz=list(HALF)),
-        told(6, object="chair", position_m=[1.0, 0.0, 0.0]),
-        told(7, object="lid", position_m="here"),
-        told(8, keys=2),
+        drive_event(5, object="lid", position_m=[0.0, 0.0, 0.02], orientation_wxyz=list(HALF)),
+        drive_event(6, object="chair", position_m=[1.0, 0.0, 0.0]),
+        drive_event(7, object="lid", position_m="here"),
+        drive_event(8, keys=2),
         event("command", "arm", 9, what={"object": "lid", "position_m": [1.0, 0.0, 0.0]}),
-        told(10, object="lid", position_m=[0.0, 1, 0.02]),
+        drive_event(10, object="lid", position_m=[0.0, 1, 0.02]),
     ]
     drives = DrivenPoses(scene, events)
     rest, turned = ((0.0, 0.0, 0.01), (1.0, 0.0, 0.0, 0.0)), ((0.0, 0.0, 0.02), HALF)
@@ -73,22 +73,22 @@ def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None
 @pytest.mark.skipif(bool(why_none()), reason=why_none())
 def test_a_driven_object_in_a_browser_has_its_recorded_pose(tmp_path: Path) -> None:
     moves = {500: [0.02, 0.0, 0.02], 900: [0.03, 0.01, 0.015]}
-    events = [told(tick, object="lid", position_m=place) for tick, place in moves.items()]
+    events = [drive_event(tick, object="lid", position_m=place) for tick, place in moves.items()]
     scene = build(Scene, paper_mapping(table=LID), "recorded")
     file = recorded(tmp_path / "moved.mcap", run(), events, scene=describe(scene))
     places = {0: LID["position_m"], 499: LID["position_m"], 500: moves[500], 1500: moves[900]}
     with served(str(file)) as screen:
 
-        def stands(place: Any) -> bool:
-            found = screen.page.evaluate(NODE)
-            return found is not None and bool(np.allclose(np.array(found) / CM, place, atol=1e-6))
+        def is_at(place: Any) -> bool:
+            position = screen.page.evaluate(NODE)
+            return position is not None and bool(np.allclose(np.array(position) / CM, place, atol=1e-6))
 
         assert eventually(lambda: screen.shows("tick 0"))
         for tick in (1500, 500, 499, 1500, 0):
             screen.fill("time, s", str(tick / 1000.0))
-            assert eventually(lambda tick=tick: stands(places[tick])), tick
+            assert eventually(lambda tick=tick: is_at(places[tick])), tick
         screen.choose("speed", "0.25")
         screen.fill("time, s", "0.85")
-        assert eventually(lambda: stands(moves[500]))
+        assert eventually(lambda: is_at(moves[500]))
         screen.page.get_by_label("play", exact=True).click()
-        assert eventually(lambda: stands(moves[900]))
+        assert eventually(lambda: is_at(moves[900]))

@@ -28,9 +28,9 @@ class Nodes:
 
 def test_an_elastic_object_returns_to_its_shape() -> None:
     scene, nodes = load_scene("press-a-pad"), Nodes()
-    thing = scene.object[0]
-    assert isinstance(thing, Mesh)
-    surface = body_of(thing).surface
+    pad = scene.object[0]
+    assert isinstance(pad, Mesh)
+    surface = body_of(pad).surface
     mesh = SurfaceMesh(surface.vertices.astype("<f4").astype(float), surface.triangles.astype(np.uint32))
     still = (CM * mesh.vertices).astype(np.float32)
     poses = np.tile([0.0, 0.0, 0.008, 1.0, 0.0, 0.0, 0.0], (80, 1))  # until the damping has decayed

@@ -105,8 +105,8 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         *(f"sub-01/trials/sub-01_trial-{number:04d}.csv" for number in range(1, 5)),
     }  # fmt: skip
     events = load_run(own / "sub-01_run-01_ticks.mcap", ("force",)).events
-    told = [event["what"]["value"] for event in events if event.get("name") == "answer"]
-    assert told == ["first", "3", "second", "4", "95", "go on", "second", "1", "first", "1"]
+    answers = [event["what"]["value"] for event in events if event.get("name") == "answer"]
+    assert answers == ["first", "3", "second", "4", "95", "go on", "second", "1", "first", "1"]
 
 
 @pytest.mark.real_time

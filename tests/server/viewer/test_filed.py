@@ -33,18 +33,18 @@ TRIANGLES = """name => {
 daemon = daemon_of("simulated-hand", "heightmap")
 
 
-def drawn(screen: Screen) -> float:
+def count_triangles(screen: Screen) -> float:
     return float(screen.page.evaluate(TRIANGLES, "/objects/0"))
 
 
-def colour(screen: Screen, point: tuple[float, float, float]) -> Any:
+def get_colour(screen: Screen, point: tuple[float, float, float]) -> Any:
     box = screen.page.locator("canvas").first.bounding_box()
     x, y = screen.at((CM * point[0], CM * point[1], CM * point[2]))
     row, column = round(y - box["y"]), round(x - box["x"])
     return screen.picture()[row - 2 : row + 3, column - 2 : column + 3].mean(axis=(0, 1))
 
 
-def touched(screen: Screen, client: Client) -> bool:
+def touch_until_shown(screen: Screen, client: Client) -> bool:
     for height in np.arange(0.02, 0.0, -0.001).tolist():
         client.ask("hand", {"position_m": [0.0, 0.0, height]})
         time.sleep(0.1)
@@ -56,10 +56,10 @@ def touched(screen: Screen, client: Client) -> bool:
 
 def test_a_height_map_is_drawn_and_touched(screen: Screen, client: Client) -> None:
     client.ask("hand", {"position_m": [0.0, 0.0, 0.02]})
-    assert eventually(lambda: drawn(screen) == 2 * 63 * 63)
-    assert eventually(lambda: colour(screen, (0.0, -0.03, 0.0)).max() < GREY)
-    assert colour(screen, (0.025, 0.0, 0.03)).min() > WHITE
-    assert touched(screen, client)
+    assert eventually(lambda: count_triangles(screen) == 2 * 63 * 63)
+    assert eventually(lambda: get_colour(screen, (0.0, -0.03, 0.0)).max() < GREY)
+    assert get_colour(screen, (0.025, 0.0, 0.03)).min() > WHITE
+    assert touch_until_shown(screen, client)
 
 
 @pytest.mark.exhaustive
@@ -73,8 +73,8 @@ def test_a_mesh_is_drawn_and_touched(screen: Screen, client: Client, tmp_path: P
     }
     client.ask("hand", {"position_m": [0.0, 0.0, 0.02]})
     client.set_scene(describe(build(schema.Scene, scene, "ball")))
-    assert eventually(lambda: drawn(screen) == 5120)
+    assert eventually(lambda: count_triangles(screen) == 5120)
     below = (0.0, -0.7 * RADIUS_M, -0.3 * RADIUS_M)  # on the ball, in front of the finger
-    assert eventually(lambda: colour(screen, below).max() < GREY)
-    assert colour(screen, (0.025, 0.0, 0.02)).min() > WHITE
-    assert touched(screen, client)
+    assert eventually(lambda: get_colour(screen, below).max() < GREY)
+    assert get_colour(screen, (0.025, 0.0, 0.02)).min() > WHITE
+    assert touch_until_shown(screen, client)

@@ -31,12 +31,12 @@ def test_a_page_collects_its_garbage_while_it_is_open(monkeypatch: pytest.Monkey
     """A collection also frees CPython's free lists of tuples, which programs cannot clear directly."""
     monkeypatch.setattr(page, "COLLECT_S", 2.5 * page.FRAME_S)
     made: list[weakref.ref[Circle]] = []
-    left: list[int] = []
+    alive: list[int] = []
 
     def work(dt: float) -> None:
         made.append(weakref.ref(Circle()))
-        left.append(sum(each() is not None for each in made))
+        alive.append(sum(reference() is not None for reference in made))
 
     page.run_frames(work, [], 20.0 * page.FRAME_S)
-    assert len(left) > 10  # a busy machine runs fewer frames
-    assert max(left) < 6
+    assert len(alive) > 10  # a busy machine runs fewer frames
+    assert max(alive) < 6

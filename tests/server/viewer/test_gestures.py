@@ -30,7 +30,7 @@ STEP_N = 1000.0 * gestures.APPROACH_SPEED_M_PER_S / RATE_HZ
 
 
 @cache
-def played(name: str, start: tuple[float, float, float]) -> list[Step]:
+def play_gesture(name: str, start: tuple[float, float, float]) -> list[Step]:
     engine = Engine("paper-plane", rate_hz=RATE_HZ)
     here, steps = {"": Target(np.array(start), IDENTITY)}, list[Step]()
     stage = gestures.Stage(
@@ -56,7 +56,7 @@ def played(name: str, start: tuple[float, float, float]) -> list[Step]:
 @pytest.mark.parametrize("name", gestures.ONE_FINGER)
 def test_a_gesture_presses_with_the_nominal_force(name: str) -> None:
     """The excess is at most the change within one frame."""
-    most = max(step.normal_force for step in played(name, START))
+    most = max(step.normal_force for step in play_gesture(name, START))
     assert gestures.PRESS_N <= most < gestures.PRESS_N + 1.01 * STEP_N
 
 
@@ -70,7 +70,7 @@ def test_each_gesture_causes_its_motion() -> None:
             max(abs(step.torsion) for step in steps),
         )
         for name in gestures.ONE_FINGER
-        for steps in [played(name, START)]
+        for steps in [play_gesture(name, START)]
     }
     assert most["press"] == (0.0, 0.0, 0.0)
     assert most["roll"][0] == pytest.approx(2.0 * gestures.ROLL_M / RADIUS, rel=0.01)
@@ -83,10 +83,10 @@ def test_each_gesture_causes_its_motion() -> None:
 
 def test_a_slide_goes_towards_the_middle() -> None:
     """A slide that starts on the right moves left, which keeps it on objects in the middle of a scene."""
-    for x, way in ((0.03, -1.0), (0.0, 1.0)):
-        points = [step.point[0] for step in played("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
+    for x, sign in ((0.03, -1.0), (0.0, 1.0)):
+        points = [step.point[0] for step in play_gesture("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
         farthest = max(points, key=lambda point: abs(point - x))
-        assert way * (farthest - x) == pytest.approx(gestures.SLIDE_M, abs=1.5e-3)
+        assert sign * (farthest - x) == pytest.approx(gestures.SLIDE_M, abs=1.5e-3)
 
 
 class MovableFinger(SimulatedHands):

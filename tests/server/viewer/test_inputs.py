@@ -27,16 +27,16 @@ NO_PAD = "() => { navigator.getGamepads = () => [] }"
 daemon = daemon_of("simulated-hand", "paper-plane")
 
 
-def place(client: Client) -> np.ndarray:
+def get_position(client: Client) -> np.ndarray:
     return np.array(client.get_state().position)
 
 
 def test_keys_move_the_hand(screen: Screen, client: Client) -> None:
-    start = place(client)
+    start = get_position(client)
 
     def went_right() -> bool:
         screen.page.keyboard.press("l")
-        return bool((place(client) - start)[0] > 0.003)
+        return bool((get_position(client) - start)[0] > 0.003)
 
     assert eventually(went_right, every_s=0.3)
 
@@ -50,23 +50,23 @@ def test_keys_move_the_hand(screen: Screen, client: Client) -> None:
 
 def test_touch_moves_the_hand(screen: Screen, client: Client) -> None:
     def ball() -> tuple[float, float]:
-        x, y, z = place(client)
+        x, y, z = get_position(client)
         return screen.at((CM * x, CM * y, CM * z))
 
-    start = place(client)
+    start = get_position(client)
 
     def moved() -> bool:
         screen.touch(ball(), (-40.0, 0.0))
-        return float(np.linalg.norm((place(client) - start)[:2])) > 0.002
+        return float(np.linalg.norm((get_position(client) - start)[:2])) > 0.002
 
     assert eventually(moved, every_s=1.0)
     screen.tab("Hand")
     screen.choose("a drag", "presses or lifts")
-    lifted_from = place(client)
+    lifted_from = get_position(client)
 
     def lifted() -> bool:
         screen.touch(ball(), (0.0, -30.0))
-        return bool((place(client) - lifted_from)[2] > 0.002)
+        return bool((get_position(client) - lifted_from)[2] > 0.002)
 
     assert eventually(lifted, every_s=1.0)
     screen.choose("a drag", "moves")
@@ -75,9 +75,9 @@ def test_touch_moves_the_hand(screen: Screen, client: Client) -> None:
 def test_a_gamepad_moves_the_hand(screen: Screen, client: Client) -> None:
     field = screen.page.locator("xpath=//label[normalize-space()='gamepad']")
     assert eventually(lambda: not field.is_visible())
-    start = place(client)
+    start = get_position(client)
     screen.page.evaluate(PAD, [0.0, -1.0, 0.0, 0.0])
-    assert eventually(lambda: (place(client) - start)[1] > 0.004)
+    assert eventually(lambda: (get_position(client) - start)[1] > 0.004)
     assert field.is_visible()
     screen.page.evaluate(PAD, [0.05, -0.05, 0.0, 0.0])  # released stick
     assert eventually(lambda: resting(client))

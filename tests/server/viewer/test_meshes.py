@@ -36,12 +36,12 @@ def parse_scene(path: Path) -> schema.Scene:
     return build(schema.Scene, mapping | {"object": [*mapping["object"], part]}, "test scene")
 
 
-def scan(folder: Path, frequency: int) -> Path:
+def write_scan(folder: Path, frequency: int) -> Path:
     return meshes.write_ply(folder / f"ball{frequency}.ply", meshes.geodesic(frequency, 0.04))
 
 
 def test_a_picture_is_unchanged_by_the_wire(tmp_path: Path) -> None:
-    report, picture = about(parse_scene(scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
+    report, picture = about(parse_scene(write_scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
     assert report.triangles == 72000 and 20000 < len(picture.triangles) <= PICTURE_TRIANGLES
     message = encode_answer(
         "7",
@@ -70,23 +70,23 @@ def page() -> Iterator[Page]:
         yield page
 
 
-def surfaces(page: Page) -> dict[str, Any]:
-    found = page.server.scene._handle_from_node_name
-    return {name: handle for name, handle in found.items() if name.startswith("/objects/")}
+def find_surfaces(page: Page) -> dict[str, Any]:
+    handles = page.server.scene._handle_from_node_name
+    return {name: handle for name, handle in handles.items() if name.startswith("/objects/")}
 
 
 def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
-    path = scan(tmp_path, 5)
+    path = write_scan(tmp_path, 5)
     records = {"": np.zeros((3, RECORD_SIZE))}
     RecordedPage(page, LoadedRecording(records, parse_scene(path), "part", 1000.0, BEGAN), 0)
-    drawn = surfaces(page)["/objects/1/surface"]
+    drawn = find_surfaces(page)["/objects/1/surface"]
     np.testing.assert_allclose(
         np.abs(drawn.vertices).max(), 100 * 0.04 * np.abs(meshes.geodesic(5).vertices).max(), rtol=1e-6
     )
     assert len(drawn.faces) == 500
     assert drawn.opacity is None, "browsers draw transparent surfaces in an order that hides parts of the shadow"
-    gone = parse_scene(tmp_path / "gone.ply")
-    page.change(gone, BEGAN)
-    assert "/objects/1/surface" not in surfaces(page)
-    RecordedPage(page, LoadedRecording(records, gone, "part", 1000.0, BEGAN), 0)
-    assert "No such file" in page._message.content and "/objects/0/surface" in surfaces(page)
+    missing = parse_scene(tmp_path / "gone.ply")
+    page.change(missing, BEGAN)
+    assert "/objects/1/surface" not in find_surfaces(page)
+    RecordedPage(page, LoadedRecording(records, missing, "part", 1000.0, BEGAN), 0)
+    assert "No such file" in page._message.content and "/objects/0/surface" in find_surfaces(page)

@@ -91,11 +91,11 @@ def test_a_browser_that_connects_while_a_message_is_queued_ends_nothing() -> Non
 
 @pytest.mark.parametrize("seconds", [0.8, pytest.param(15.0, marks=pytest.mark.exhaustive)])
 def test_corrupted_messages_do_not_harm_the_page(seconds: float, tmp_path: Path) -> None:
-    seeds = [msgpack.packb(each) for each in SAID]
+    seeds = [msgpack.packb(message) for message in SAID]
     chance = random.Random(25 if seconds < 5.0 else None)
     log = tmp_path / "said"
-    with log.open("wb") as said, Program(
-        [sys.executable, "-c", PAGE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, text=True
+    with log.open("wb") as stderr, Program(
+        [sys.executable, "-c", PAGE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, text=True
     ) as page:  # fmt: skip
         assert page.stdout is not None
         address = page.stdout.readline().strip()

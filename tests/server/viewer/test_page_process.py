@@ -33,7 +33,7 @@ WAIT_S = 280.0
 """Limit of a test that hangs, below the five minutes after which tests/run.py ends all tests."""
 
 
-def child_of(process: subprocess.Popen[str]) -> int:
+def find_page(process: subprocess.Popen[str]) -> int:
     """Wait for the page's process. The publisher is another child, and threads have their own children."""
     while process.poll() is None:
         for children in Path(f"/proc/{process.pid}/task").glob("*/children"):
@@ -45,7 +45,7 @@ def child_of(process: subprocess.Popen[str]) -> int:
     raise AssertionError("the daemon has ended")
 
 
-def status_of(process: subprocess.Popen[str], address: str) -> int:
+def get_status(process: subprocess.Popen[str], address: str) -> int:
     while process.poll() is None:
         try:
             with urlopen(address, timeout=WAIT_S) as answer:
@@ -74,20 +74,20 @@ def run_with_page(*more: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
             process.kill()
 
 
-def restarted(process: subprocess.Popen[str], address: str, restart: int) -> None:
+def restart_page(process: subprocess.Popen[str], address: str, restart: int) -> None:
     assert process.stderr is not None
-    page = child_of(process)
+    page = find_page(process)
     assert urlsplit(address).path.strip("/") not in Path(f"/proc/{page}/cmdline").read_text()
     os.kill(page, signal.SIGKILL)
     ended = next(line for line in process.stderr if "the page has ended" in line)
     assert f"exit code -9; the servo continues; it is started again, {restart} of {RESTARTS} times" in ended
-    assert status_of(process, address) == 200
+    assert get_status(process, address) == 200
 
 
 def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
     with run_with_page() as (process, address):
-        restarted(process, address, 1)
-        page = Path(f"/proc/{child_of(process)}")
+        restart_page(process, address, 1)
+        page = Path(f"/proc/{find_page(process)}")
         process.kill()
         until = time.monotonic() + WAIT_S
         with suppress(OSError):  # it has exited
@@ -101,8 +101,8 @@ def test_a_page_restarts_three_times() -> None:
     with run_with_page() as (process, address):
         assert process.stderr is not None
         for restart in range(RESTARTS):
-            restarted(process, address, restart + 1)
-        os.kill(child_of(process), signal.SIGKILL)
+            restart_page(process, address, restart + 1)
+        os.kill(find_page(process), signal.SIGKILL)
         ended = next(line for line in process.stderr if "the page has ended" in line)
         assert "exit code -9" in ended and "softfinger view --endpoint tcp://127.0.0.1:" in ended
         process.send_signal(signal.SIGINT)
@@ -116,11 +116,11 @@ def test_a_page_that_hangs_at_start_is_killed(tmp_path: Path, monkeypatch: pytes
     hangs.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(hangs))
     monkeypatch.setattr(of_page, "START_TIMEOUT_S", 0.2)
-    told: list[str] = []
-    shown = of_page.PageProcess(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], told.append)
+    reports: list[str] = []
+    shown = of_page.PageProcess(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], reports.append)
     shown.supervise()
     shown.close()
-    assert len(told) == 1 and "the page has ended, with exit code -9" in told[0]
+    assert len(reports) == 1 and "the page has ended, with exit code -9" in reports[0]
 
 
 BROWSER = """#!/bin/sh
@@ -173,10 +173,10 @@ def test_an_open_browser_reconnects_to_a_restarted_page() -> None:
         screen = shown(page, address)
 
         def tick() -> int:
-            found = re.search(r"tick (\d+)", screen.page.inner_text("body"))
-            return int(found[1]) if found else -1
+            match = re.search(r"tick (\d+)", screen.page.inner_text("body"))
+            return int(match[1]) if match else -1
 
         assert eventually(lambda: tick() > 0)
-        os.kill(child_of(process), signal.SIGKILL)
+        os.kill(find_page(process), signal.SIGKILL)
         before = tick()
         assert eventually(lambda: tick() > before + 2000)  # two seconds in real time

@@ -42,31 +42,33 @@ BALL_TIP = {"fingertip": {"radius_m": 0.01}}
 units = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
 
 
-def thing(table: dict[str, Any]) -> Any:
+def make_object(table: dict[str, Any]) -> Any:
     mapping = paper_mapping(table={"shape": None, **table})
     return build(schema.Scene, mapping, "test scene").object[0]
 
 
-def volume(mesh: SurfaceMesh) -> float:
+def compute_volume(mesh: SurfaceMesh) -> float:
     """Return the volume enclosed by the triangles by the divergence theorem, positive if they face outwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
 
 
-@pytest.mark.parametrize(("table", "exact"), SOLIDS, ids=lambda each: each["shape"] if isinstance(each, dict) else "")
+@pytest.mark.parametrize(
+    ("table", "exact"), SOLIDS, ids=lambda value: value["shape"] if isinstance(value, dict) else ""
+)
 def test_solids_have_their_volume_and_face_outwards(table: dict[str, Any], exact: float) -> None:
     """A polygon of 40 corners lacks 0.4 % of a circle's area; a meridian lacks half as much again."""
-    assert volume(surface_mesh(thing(table))) == pytest.approx(exact, rel=0.015)
+    assert compute_volume(surface_mesh(make_object(table))) == pytest.approx(exact, rel=0.015)
 
 
 def test_a_plane_faces_along_its_normal() -> None:
-    mesh = surface_mesh(thing({"shape": "plane"}))
+    mesh = surface_mesh(make_object({"shape": "plane"}))
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     assert (mesh.vertices[:, 2] == 0.0).all() and (np.cross(b - a, c - a) @ UP > 0.0).all()
 
 
 def test_an_infinite_cylinder_has_no_end_faces() -> None:
-    mesh = surface_mesh(thing({"shape": "cylinder", "radius_m": 0.02}))
+    mesh = surface_mesh(make_object({"shape": "cylinder", "radius_m": 0.02}))
     np.testing.assert_allclose(np.hypot(*mesh.vertices[:, :2].T), 0.02, rtol=1e-12)  # rounding of a sine
 
 
@@ -115,27 +117,27 @@ def test_a_rotation_times_its_inverse_is_the_identity() -> None:
 
 
 def test_a_trace_drops_its_oldest_segments() -> None:
-    way = glyphs.Trace(0.1, segments=3)
+    trace = glyphs.Trace(0.1, segments=3)
     zigzag = [(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.2, 0.3), (0.35, 0.0), (0.5, 0.3)]
-    drawn = [way.add(np.array([x, y, 0.0]), (1, 2, 3)) for x, y in zigzag]
+    drawn = [trace.add(np.array([x, y, 0.0]), (1, 2, 3)) for x, y in zigzag]
     assert drawn == [False, False, True, True, True, True]
-    way.break_line()
-    assert not way.add(np.array([9.0, 0.0, 0.0]), (1, 2, 3))
-    assert sorted(way.segments[:, 1, 0].round(6).tolist()) == [0.2, 0.35, 0.5]
+    trace.break_line()
+    assert not trace.add(np.array([9.0, 0.0, 0.0]), (1, 2, 3))
+    assert sorted(trace.segments[:, 1, 0].round(6).tolist()) == [0.2, 0.35, 0.5]
 
 
 @example([(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])  # out and back along one line
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=2, max_size=60))
 def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ...]]) -> None:
-    way = glyphs.Trace(0.01, segments=80)
+    trace = glyphs.Trace(0.01, segments=80)
     points = [np.zeros(3), *np.cumsum(0.02 * np.array(steps), axis=0)]
     for point in points:
-        way.add(point, (1, 2, 3))
-    drawn = way.segments[np.linalg.norm(way.segments[:, 1] - way.segments[:, 0], axis=1) > 0.0]
+        trace.add(point, (1, 2, 3))
+    drawn = trace.segments[np.linalg.norm(trace.segments[:, 1] - trace.segments[:, 0], axis=1) > 0.0]
     if len(drawn):
         np.testing.assert_array_equal(drawn[1:, 0], drawn[:-1, 1])
     for point in points:
-        assert min((beside(point, *segment) for segment in drawn), default=0.0) < 0.02
+        assert min((distance_to_segment(point, *segment) for segment in drawn), default=0.0) < 0.02
     line = glyphs.Trace(0.01)
     for x in np.arange(0.0, 0.2, 0.01):
         line.add(np.array([x, 0.0, 0.0]), (1, 2, 3))
@@ -143,14 +145,14 @@ def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ..
 
 
 def test_a_trace_of_two_colours_has_two_segments() -> None:
-    way = glyphs.Trace(0.1)
+    trace = glyphs.Trace(0.1)
     for x, colour in ((0.0, 1), (0.2, 1), (0.4, 2), (0.6, 2)):
-        way.add(np.array([x, 0.0, 0.0]), (colour, 0, 0))
-    assert way.segments[:3, 1, 0].round(6).tolist() == [0.2, 0.6, 0.0]
-    assert way.colours[:2, 0, 0].tolist() == [1, 2]
+        trace.add(np.array([x, 0.0, 0.0]), (colour, 0, 0))
+    assert trace.segments[:3, 1, 0].round(6).tolist() == [0.2, 0.6, 0.0]
+    assert trace.colours[:2, 0, 0].tolist() == [1, 2]
 
 
-def beside(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
+def distance_to_segment(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
     long = end - start
     share = np.clip((point - start) @ long / (long @ long), 0.0, 1.0)
     return float(np.linalg.norm(point - start - share * long))
@@ -166,8 +168,8 @@ def test_a_moving_body_is_drawn_at_its_pose_in_the_contact(own_clock: bool) -> N
     """The plane oscillates under the fingertip; ticks are missed, also before the scene started, and few are shown. The
     drawn pose is that of the contact step, so the contact point is on it. If a device has its own clock, a missed
     deadline does not advance its time."""
-    way = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.004], "frequency_hz": 3.0}
-    scene = build(schema.Scene, paper_mapping(table={"motion": way}), "test scene")
+    motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.004], "frequency_hz": 3.0}
+    scene = build(schema.Scene, paper_mapping(table={"motion": motion}), "test scene")
     engine, period, begun, missed = Engine(scene), 1e-3, 500, 70
     bodies = BodyNodes(Frames(), scene, SceneStart(begun, missed, period, own_clock))
     random = np.random.default_rng(3)
@@ -212,9 +214,9 @@ def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float
     up = glyphs.rotate(turn, UP)
     slope = point[2] - up @ (point - (0.0, 0.0, height)) / up[2] if up[2] > 0.5 else -1.0
     expected = slope if -0.1 < slope <= point[2] else -0.1
-    found = bodies.below(point)
-    assert found is not None
-    np.testing.assert_allclose(found.point, [0.01, -0.02, expected], atol=1e-15)
+    foot = bodies.below(point)
+    assert foot is not None
+    np.testing.assert_allclose(foot.point, [0.01, -0.02, expected], atol=1e-15)
     assert bodies.below(np.array([0.0, 0.0, -0.3 - abs(slope)])) is None
 
 
@@ -229,13 +231,13 @@ def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn
     material = {"stiffness_n_per_m": 1000.0}
     scene = build(schema.Scene, BALL_TIP | {"object": [ball | place | {"material": material}]}, "test scene")
     bodies = BodyNodes(Frames(), scene, SceneStart(0, 0, 1e-3, True))
-    way = share * radius * np.array([cos(turn), sin(turn), 0.0])
-    exact = np.array([*way[:2], sqrt(radius**2 - way @ way)])
-    foot = bodies.below(centre + way + 0.1 * UP)
+    offset = share * radius * np.array([cos(turn), sin(turn), 0.0])
+    exact = np.array([*offset[:2], sqrt(radius**2 - offset @ offset)])
+    foot = bodies.below(centre + offset + 0.1 * UP)
     assert foot is not None
     np.testing.assert_allclose(foot.point, centre + exact, atol=2.9e-4)
     assert foot.normal @ exact / radius > cos(radians(9.0))
-    assert bodies.below(centre + way - 0.1 * UP) is None
+    assert bodies.below(centre + offset - 0.1 * UP) is None
     assert bodies.below(centre + 1.01 * radius * np.array([cos(turn), sin(turn), 5.0])) is None
 
 
@@ -243,8 +245,8 @@ def test_a_plumb_line_ends_on_the_highest_object_and_follows_it() -> None:
     material = {"stiffness_n_per_m": 1000.0}
     box = {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.0, 0.0, 0.01], "name": "box"}
     floor = {"shape": "plane", "name": "floor"}
-    things = [each | {"material": material} for each in (floor, box | {"motion": {"kind": "driven"}})]
-    bodies = BodyNodes(Frames(), build(schema.Scene, BALL_TIP | {"object": things}, "x"), SceneStart(0, 0, 1e-3, True))
+    objects = [table | {"material": material} for table in (floor, box | {"motion": {"kind": "driven"}})]
+    bodies = BodyNodes(Frames(), build(schema.Scene, BALL_TIP | {"object": objects}, "x"), SceneStart(0, 0, 1e-3, True))
     point = np.array([0.005, -0.005, 0.1])
     for place, height in (((0.0, 0.0, 0.01), 0.02), ((0.0, 0.0, 0.05), 0.06), ((0.03, 0.0, 0.01), 0.0)):
         bodies.drive(1, place)
@@ -254,7 +256,7 @@ def test_a_plumb_line_ends_on_the_highest_object_and_follows_it() -> None:
         np.testing.assert_allclose(foot.normal, UP, atol=1e-15)
 
 
-def tick(**values: float) -> np.ndarray:
+def make_record(**values: float) -> np.ndarray:
     row = np.zeros(RECORD_SIZE)
     for name, value in values.items():
         row[getattr(AT, name)] = value
@@ -273,11 +275,11 @@ def tick(**values: float) -> np.ndarray:
     ],
 )
 def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: VisibleState) -> None:
-    before, now = tick(contact_mode=1), tick(timestamp=0.1, **after)
+    before, now = make_record(contact_mode=1), make_record(timestamp=0.1, **after)
     assert classify_contact(before, now, 0.01) == state
     if state in (VisibleState.ROLLING, VisibleState.SPINNING):
-        late = tick(timestamp=9.0, **after)
-        assert {classify_contact(*two, 0.01) for two in ((tick(), now), (now, now), (before, late))} == {
+        late = make_record(timestamp=9.0, **after)
+        assert {classify_contact(*two, 0.01) for two in ((make_record(), now), (now, now), (before, late))} == {
             VisibleState.STICKING
         }
     assert set(COLOURS) == set(VisibleState) and len(set(COLOURS.values())) == len(COLOURS)
@@ -288,25 +290,25 @@ def test_colours_are_visible_in_both_looks(background: tuple[int, int, int]) -> 
     """Contrast of colours with a meaning to the panel: at least 3 to 1, by WCAG 2.2, 1.4.11."""
     lines = [tuple(bytes.fromhex(line[1:])) for line in LINES]
     for colour in (*COLOURS.values(), *lines, TORSION, PLUMB):
-        darker, brighter = sorted(luminance(each) for each in (colour, background))
+        darker, brighter = sorted(luminance(shown) for shown in (colour, background))
         assert (brighter + 0.05) / (darker + 0.05) >= 3.0, colour
 
 
 def luminance(colour: tuple[int, ...]) -> float:
     """Return the relative luminance of an sRGB colour, by WCAG 2.2."""
-    linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in (each / 255.0 for each in colour)]
+    linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in (byte / 255.0 for byte in colour)]
     return float(np.dot([0.2126, 0.7152, 0.0722], linear))
 
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 10.0))
-def test_an_arrow_fits_on_the_screen(force: float, asked: float) -> None:
-    scale = Looks(newtons_per_cm=asked).arrow(force)
-    assert force / scale <= ARROW_MAX_CM * (1.0 + 1e-12) and scale >= asked
-    if force / asked > ARROW_MAX_CM:
+def test_an_arrow_fits_on_the_screen(force: float, newtons_per_cm: float) -> None:
+    scale = Looks(newtons_per_cm=newtons_per_cm).arrow(force)
+    assert force / scale <= ARROW_MAX_CM * (1.0 + 1e-12) and scale >= newtons_per_cm
+    if force / newtons_per_cm > ARROW_MAX_CM:
         assert force / scale > ARROW_MAX_CM / 2.5 * (1.0 - 1e-12)
         assert float(f"{scale:.0e}") == pytest.approx(scale, rel=1e-12)
     else:
-        assert scale == asked
+        assert scale == newtons_per_cm
 
 
 EYE = np.array([0.3, -0.4, 0.5])
@@ -314,32 +316,32 @@ START = Target(np.array([0.01, 0.0, 0.02]), glyphs.IDENTITY)
 GRABBED = np.array([0.01, -0.01, 0.02])
 
 
-def pointer(to: np.ndarray) -> np.ndarray:
+def aim(to: np.ndarray) -> np.ndarray:
     look = GRABBED - EYE
-    found = intersect_plane(EYE, to, GRABBED, look)
-    assert found is not None
-    return found
+    point = intersect_plane(EYE, to, GRABBED, look)
+    assert point is not None
+    return point
 
 
 def test_a_drag_moves_horizontally() -> None:
     to = GRABBED + np.array([0.02, 0.01, 0.0])
-    target = drag_target(START, EYE, GRABBED, pointer(to), "move", 0.01)
+    target = drag_target(START, EYE, GRABBED, aim(to), "move", 0.01)
     assert target is not None and target.orientation == glyphs.IDENTITY
     np.testing.assert_allclose(target.position, START.position + np.array([0.02, 0.01, 0.0]), atol=1e-12)
 
 
 def test_a_drag_with_shift_presses_vertically() -> None:
-    target = drag_target(START, EYE, GRABBED, pointer(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
+    target = drag_target(START, EYE, GRABBED, aim(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
     assert target is not None
     np.testing.assert_allclose(target.position, START.position - (0.0, 0.0, 0.015), atol=1e-12)
 
 
 def test_a_drag_rolls_like_a_ball() -> None:
     """A displacement of a quarter circumference along +x is a quarter turn about +y, without slip."""
-    way = 0.5 * pi * 0.01
-    target = drag_target(START, EYE, GRABBED, pointer(GRABBED + np.array([way, 0.0, 0.0])), "roll", 0.01)
+    distance = 0.5 * pi * 0.01
+    target = drag_target(START, EYE, GRABBED, aim(GRABBED + np.array([distance, 0.0, 0.0])), "roll", 0.01)
     assert target is not None
-    np.testing.assert_allclose(target.position, START.position + np.array([way, 0.0, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(target.position, START.position + np.array([distance, 0.0, 0.0]), atol=1e-12)
     np.testing.assert_allclose(target.orientation, (sqrt(0.5), 0.0, sqrt(0.5), 0.0), atol=1e-9)
 
 
@@ -347,9 +349,9 @@ def test_a_nudge_moves_rolls_and_spins() -> None:
     on = nudge_target(START, Nudge(x=0.001, z=-0.002), 0.01)
     np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
     assert on.orientation == pytest.approx(glyphs.IDENTITY)
-    way = 0.5 * pi * 0.01
-    by_mouse = drag_target(START, EYE, GRABBED, pointer(GRABBED + np.array([0.0, way, 0.0])), "roll", 0.01)
-    by_key = nudge_target(START, Nudge(roll_y=way), 0.01)
+    distance = 0.5 * pi * 0.01
+    by_mouse = drag_target(START, EYE, GRABBED, aim(GRABBED + np.array([0.0, distance, 0.0])), "roll", 0.01)
+    by_key = nudge_target(START, Nudge(roll_y=distance), 0.01)
     assert by_mouse is not None and by_key.orientation == pytest.approx(by_mouse.orientation)
     np.testing.assert_allclose(by_key.position, by_mouse.position, atol=1e-12)
     spun = nudge_target(START, Nudge(spin=0.5 * pi), 0.01)
@@ -370,8 +372,8 @@ def test_a_view_along_a_plane_gives_no_target() -> None:
     """A view from above has no upright plane, and a view along the table no horizontal one, so there is no target."""
     above = GRABBED + np.array([0.0, 0.0, 0.5])
     assert drag_target(START, above, GRABBED, GRABBED, "press", 0.01) is None
-    beside = GRABBED + np.array([0.0, -0.5, 0.0])
-    assert drag_target(START, beside, GRABBED, GRABBED + np.array([0.01, 0.0, 0.0]), "move", 0.01) is None
+    level = GRABBED + np.array([0.0, -0.5, 0.0])
+    assert drag_target(START, level, GRABBED, GRABBED + np.array([0.01, 0.0, 0.0]), "move", 0.01) is None
     assert intersect_plane(EYE, EYE + UP, np.zeros(3), UP) is None  # behind the eye
 
 
@@ -383,7 +385,7 @@ def test_angles_are_about_the_axes_of_the_world() -> None:
 def test_the_drawn_fingertip_is_the_rendered_ellipsoid() -> None:
     radii = np.array([0.008, 0.007, 0.012])
     mesh = finger(radii)
-    assert volume(mesh) > 4 / 3 * pi * radii.prod()
+    assert compute_volume(mesh) > 4 / 3 * pi * radii.prod()
     unit = mesh.vertices / radii
     distance = np.linalg.norm(unit, axis=1)
     assert distance.min() > 1.0 - 1e-12

@@ -27,7 +27,7 @@ RADIUS_M = 0.01
 daemon = daemon_of("simulated-hand", "paper-plane")
 
 
-class Felt:
+class ContactHistory:
     def __init__(self) -> None:
         self.closing = False
         self.forget()
@@ -49,49 +49,49 @@ class Felt:
         self.torsion = max(self.torsion, abs(float(row[AT.contact_torsion])))
         before, self._before = self._before, row
         if before is not None and before[AT.contact_mode] == row[AT.contact_mode] == SLIDING:
-            way = row[AT.contact_point : AT.contact_point + 3] - before[AT.contact_point : AT.contact_point + 3]
-            self.slid += float(np.linalg.norm(way))
+            step = row[AT.contact_point : AT.contact_point + 3] - before[AT.contact_point : AT.contact_point + 3]
+            self.slid += float(np.linalg.norm(step))
         self.freed = self.normal > 0.0 and row[AT.contact_normal_force] == 0.0
 
 
 @contextmanager
-def felt(daemon: Daemon) -> Iterator[Felt]:
-    found = Felt()
-    thread = threading.Thread(target=found.listen, args=(daemon.publisher.endpoint,))
+def follow_contact(daemon: Daemon) -> Iterator[ContactHistory]:
+    contact = ContactHistory()
+    thread = threading.Thread(target=contact.listen, args=(daemon.publisher.endpoint,))
     thread.start()
     try:
-        yield found
+        yield contact
     finally:
-        found.closing = True
+        contact.closing = True
         thread.join()
 
 
-def play(screen: Screen, name: str, found: Felt) -> None:
+def play(screen: Screen, name: str, contact: ContactHistory) -> None:
     screen.tab("Hand")
-    found.forget()
+    contact.forget()
     button = screen.page.get_by_role("button", name=name, exact=True)
     button.focus()
     screen.page.keyboard.press("Enter")
-    assert eventually(lambda: found.freed), name
+    assert eventually(lambda: contact.freed), name
 
 
 def test_each_button_plays_its_gesture(screen: Screen, daemon: Daemon) -> None:
     """A press neither rolls, spins nor slides; the other gestures each do one of these. Between two pictures the hand
     moves by at most 1 mm, which is 0.5 N; the page of a busy machine may receive the force some pictures late."""
-    with felt(daemon) as found:
-        play(screen, "press", found)
-        assert PRESS_N <= found.normal < 4.0 * PRESS_N
-        assert (found.rolled, found.slid) == (0.0, 0.0) and found.torsion < 1e-4
-        play(screen, "roll", found)
+    with follow_contact(daemon) as contact:
+        play(screen, "press", contact)
+        assert PRESS_N <= contact.normal < 4.0 * PRESS_N
+        assert (contact.rolled, contact.slid) == (0.0, 0.0) and contact.torsion < 1e-4
+        play(screen, "roll", contact)
         # A ball of 10 mm turns by displacement / radius, and as much on the way back.
-        assert found.rolled == pytest.approx(2.0 * ROLL_M / 0.01, rel=0.05)
-        assert found.normal > 0.5 * PRESS_N and found.torsion < 1e-3
-        play(screen, "slide", found)
+        assert contact.rolled == pytest.approx(2.0 * ROLL_M / 0.01, rel=0.05)
+        assert contact.normal > 0.5 * PRESS_N and contact.torsion < 1e-3
+        play(screen, "slide", contact)
         # The drag of the finger and the lag of the hand due to friction reduce the 50 mm by some millimetres.
-        assert found.slid > 0.02
-        play(screen, "spin", found)
+        assert contact.slid > 0.02
+        play(screen, "spin", contact)
         # 70 degrees are far more than the 0.08 rad at which 1 N spins: torsion reaches friction_length times the load.
-        assert found.torsion > 0.5 * 0.004 * PRESS_N
+        assert contact.torsion > 0.5 * 0.004 * PRESS_N
 
 
 def test_a_key_stroke_cancels_a_gesture(screen: Screen, client: Client) -> None:
@@ -100,11 +100,11 @@ def test_a_key_stroke_cancels_a_gesture(screen: Screen, client: Client) -> None:
     screen.page.get_by_role("button", name="press", exact=True).click()
     screen.page.keyboard.press("u")
     place = np.array(client.get_state().position)
-    assert eventually(lambda: _rests(client)), place
+    assert eventually(lambda: _is_resting(client)), place
     assert client.get_state().force[2] == 0.0 and client.get_state().position[2] > 0.5 * start
 
 
-def _rests(client: Client) -> bool:
+def _is_resting(client: Client) -> bool:
     before = client.get_state()
     eventually(lambda: client.get_state().sequence > before.sequence + 1000)
     return float(np.linalg.norm(np.subtract(client.get_state().position, before.position))) < 1e-4
@@ -176,8 +176,8 @@ def test_a_press_in_deep_contact_and_the_display_without_force(screen: Screen, d
     assert eventually(lambda: re.search(r"normal\s+0\.00 N", screen.page.inner_text("body")))
     client.ask("arm")
     assert eventually(lambda: not screen.shows("force off") and client.get_state().force[2] > 5.0)
-    with felt(daemon) as found:
-        play(screen, "press", found)
+    with follow_contact(daemon) as contact:
+        play(screen, "press", contact)
     assert not screen.shows("no object is below")
 
 
@@ -187,8 +187,8 @@ def test_the_slider_follows_a_gesture(screen: Screen, client: Client) -> None:
     assert eventually(lambda: abs(client.get_state().position[2] - 0.012) < 3e-4)
     screen.page.get_by_role("button", name="press", exact=True).click()
     field = screen.page.locator("xpath=//label[normalize-space()='z, mm']/following::input[@type='text'][1]")
-    seen = set[float]()
-    assert eventually(lambda: seen.add(float(field.input_value())) or (min(seen) < 10.0 and max(seen) > 20.0))
+    heights = set[float]()
+    assert eventually(lambda: heights.add(float(field.input_value())) or (min(heights) < 10.0 and max(heights) > 20.0))
 
 
 def test_on_a_phone_the_picture_is_not_covered(screen: Screen) -> None:

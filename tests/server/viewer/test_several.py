@@ -40,9 +40,9 @@ def daemon() -> Iterator[Daemon]:
         yield running
 
 
-def stands(screen: Screen, node: str, place: list[float], within_m: float) -> bool:
-    found: Any = screen.page.evaluate(NODE, node)
-    return found is not None and bool(np.allclose(np.array(found) / CM, place, atol=within_m))
+def is_at(screen: Screen, node: str, place: list[float], within_m: float) -> bool:
+    position: Any = screen.page.evaluate(NODE, node)
+    return position is not None and bool(np.allclose(np.array(position) / CM, place, atol=within_m))
 
 
 def test_each_finger_has_a_ball_that_moves_independently(screen: Screen, client: Client) -> None:
@@ -52,41 +52,41 @@ def test_each_finger_has_a_ball_that_moves_independently(screen: Screen, client:
         client.ask("hand", {"finger": name, "position_m": place})
     for name, place in places.items():
         tip = f"/fingers/{name}/tip"
-        assert eventually(lambda tip=tip, place=place: stands(screen, tip, place, 1e-3)), name
+        assert eventually(lambda tip=tip, place=place: is_at(screen, tip, place, 1e-3)), name
     client.ask("hand", {"finger": "thumb", "release": True})
 
 
 def test_a_driven_object_moves_on_the_page(screen: Screen, client: Client) -> None:
-    assert eventually(lambda: stands(screen, "/objects/1", [0.0, 0.0, 0.06], 1e-6))
+    assert eventually(lambda: is_at(screen, "/objects/1", [0.0, 0.0, 0.06], 1e-6))
     for x in (0.01, 0.025):
         client.ask("drive", {"object": "lid", "position_m": [x, 0.0, 0.06]})
-        assert eventually(lambda x=x: stands(screen, "/objects/1", [x, 0.0, 0.06], 1e-6))
-    assert stands(screen, "/objects/0", [0.0, 0.0, 0.0], 0.0)
+        assert eventually(lambda x=x: is_at(screen, "/objects/1", [x, 0.0, 0.06], 1e-6))
+    assert is_at(screen, "/objects/0", [0.0, 0.0, 0.0], 0.0)
 
 
-def lid(client: Client) -> list[float]:
-    found: list[float] = client.describe()["scene"]["object"][1]["position_m"]
-    return found
+def get_lid(client: Client) -> list[float]:
+    position: list[float] = client.describe()["scene"]["object"][1]["position_m"]
+    return position
 
 
 def pull(screen: Screen, client: Client) -> None:
-    x, y, z = (CM * part for part in lid(client))
+    x, y, z = (CM * part for part in get_lid(client))
     screen.drag(screen.at((x + 0.7 * CONTROL_SIZE_CM, y, z)), (40.0, 0.0))
 
 
 def test_handles_drive_an_object(screen: Screen, client: Client) -> None:
     client.ask("drive", {"object": "lid", "position_m": [-0.02, 0.0, 0.03]})
-    assert eventually(lambda: stands(screen, "/objects/1", [-0.02, 0.0, 0.03], 1e-6))
+    assert eventually(lambda: is_at(screen, "/objects/1", [-0.02, 0.0, 0.03], 1e-6))
     assert screen.page.evaluate(NODE, "/handles/1") is None
     screen.tab("Hand")
     screen.page.get_by_label("move objects").click()
-    assert eventually(lambda: stands(screen, "/handles/1", [-0.02, 0.0, 0.03], 1e-6))
+    assert eventually(lambda: is_at(screen, "/handles/1", [-0.02, 0.0, 0.03], 1e-6))
     assert screen.page.evaluate(NODE, "/handles/0") is None
 
     def moved() -> bool:
         pull(screen, client)
-        return lid(client)[0] > -0.015
+        return get_lid(client)[0] > -0.015
 
     assert eventually(moved, every_s=1.0)
-    assert lid(client)[1:] == pytest.approx([0.0, 0.03], abs=1e-6)
-    assert eventually(lambda: stands(screen, "/objects/1", lid(client), 1e-5))
+    assert get_lid(client)[1:] == pytest.approx([0.0, 0.03], abs=1e-6)
+    assert eventually(lambda: is_at(screen, "/objects/1", get_lid(client), 1e-5))

@@ -71,9 +71,9 @@ def test_a_file_without_a_recording_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("words", [["view", "--no-open"], ["run", "--view"]])
 def test_without_viser_one_line_names_the_package(words: list[str]) -> None:
     code = f"import sys; sys.modules['viser'] = None; from softfinger.server.cli import main; sys.exit(main({words}))"
-    done = run_program([sys.executable, "-c", code])
-    assert done.returncode == 2 and "the page needs viser: pip install 'softfinger[viewer]'" in done.stderr
-    assert "Traceback" not in done.stderr
+    completed = run_program([sys.executable, "-c", code])
+    assert completed.returncode == 2 and "the page needs viser: pip install 'softfinger[viewer]'" in completed.stderr
+    assert "Traceback" not in completed.stderr
 
 
 @pytest.fixture
@@ -139,7 +139,7 @@ def live_page(page: Page, daemon: Daemon) -> closing[LivePage]:
     return closing(LivePage(page, Addresses(daemon.publisher.endpoint, str(daemon.commands_endpoint))))
 
 
-def fed(live: LivePage, until: Any) -> bool:
+def step_until(live: LivePage, until: Any) -> bool:
     end = time.monotonic() + WAIT_S
     while not until():
         if time.monotonic() > end:
@@ -150,17 +150,17 @@ def fed(live: LivePage, until: Any) -> bool:
 
 
 def test_a_page_follows_its_daemon(page: Page, live: LivePage, endpoints: tuple[str, str]) -> None:
-    assert fed(live, lambda: page.fingers)
+    assert step_until(live, lambda: page.fingers)
     knob = live._tuning._knobs["stiffness"].slider
-    assert fed(live, lambda: knob.value == 1000.0)
+    assert step_until(live, lambda: knob.value == 1000.0)
     assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
-    assert fed(live, lambda: knob.value == 640.0)
+    assert step_until(live, lambda: knob.value == 640.0)
     live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
-    assert fed(live, lambda: "Not done:" in page.refusal and "stiffness_n_per_m" in page.refusal)
+    assert step_until(live, lambda: "Not done:" in page.refusal and "stiffness_n_per_m" in page.refusal)
     live._lead_hand("", None)
-    assert fed(live, lambda: "no program leads the hand on replay" in page.refusal)
+    assert step_until(live, lambda: "no program leads the hand on replay" in page.refusal)
     live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
-    assert fed(live, lambda: knob.value == 1000.0)
+    assert step_until(live, lambda: knob.value == 1000.0)
 
 
 def test_a_page_catches_up_after_lost_messages(
@@ -168,9 +168,9 @@ def test_a_page_catches_up_after_lost_messages(
 ) -> None:
     """It requests the description again after a gap in the ticks, because the event of a change may be lost with them,
     and after a request without an answer."""
-    assert fed(live, lambda: page.fingers)
+    assert step_until(live, lambda: page.fingers)
     knob, samples = live._tuning._knobs["stiffness"].slider, live._telemetry._samples
-    assert fed(live, lambda: knob.value == 1000.0 and samples._ticks)
+    assert step_until(live, lambda: knob.value == 1000.0 and samples._ticks)
     monkeypatch.setattr(live._telemetry, "_events", deque(maxlen=0))
     failures, ask = ["describe"], live._commands._control.ask
 
@@ -183,35 +183,35 @@ def test_a_page_catches_up_after_lost_messages(
     monkeypatch.setattr(live._commands._control, "ask", ask_or_fail)
     assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
     samples._ticks.update({topic: tick - 10 for topic, tick in samples._ticks.items()})
-    assert fed(live, lambda: knob.value == 640.0) and not failures
+    assert step_until(live, lambda: knob.value == 640.0) and not failures
     assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=1000", "--endpoint", endpoints[1]]) == 0
 
 
 def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
     page: Page, live: LivePage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert fed(live, lambda: page._newest) and not page._message.visible
+    assert step_until(live, lambda: page._newest) and not page._message.visible
     with monkeypatch.context() as silence:
         silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
         live.step(0.5 * SILENCE_S)
         assert not page._message.visible
         live.step(SILENCE_S)
         assert page._message.visible and page._message.content == SILENT
-    assert fed(live, lambda: not page._message.visible)
+    assert step_until(live, lambda: not page._message.visible)
     with monkeypatch.context() as silence:
         silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
         live.step(2.0 * SILENCE_S)
     page.show_message("force off")
     newest = page._newest[""][AT.tick]
-    assert fed(live, lambda: page._newest[""][AT.tick] > newest)
+    assert step_until(live, lambda: page._newest[""][AT.tick] > newest)
     assert page._message.visible and page._message.content == "force off"
 
 
 def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(page: Page, live: LivePage) -> None:
-    assert fed(live, lambda: page.fingers)
+    assert step_until(live, lambda: page.fingers)
     live._set_scene("scene", {"scene": "no-such-scene"})
     assert page._message.content == PREPARING
-    assert fed(live, lambda: "no-such-scene" in page.refusal)
+    assert step_until(live, lambda: "no-such-scene" in page.refusal)
     assert not page._message.visible
 
 
@@ -238,7 +238,7 @@ def test_a_moment_too_small_for_an_arc_has_no_tip(page: Page) -> None:
 
 def test_ticks_of_the_previous_scene_are_not_drawn(page: Page, live: LivePage) -> None:
     """The first tick of the new scene distinguishes them."""
-    assert fed(live, lambda: page._newest)
+    assert step_until(live, lambda: page._newest)
     live._first_tick = 10**9
     page._newest.clear()
     for _ in range(5):
@@ -249,20 +249,20 @@ def test_ticks_of_the_previous_scene_are_not_drawn(page: Page, live: LivePage) -
 HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
 
 
-def pulls(handles: ObjectControls, *positions: tuple[float, float, float]) -> None:
+def pull(handles: ObjectControls, *positions: tuple[float, float, float]) -> None:
     node = handles._nodes[0]
-    for phase, position in (("start", positions[0]), *(("update", each) for each in positions)):
+    for phase, position in (("start", positions[0]), *(("update", target) for target in positions)):
         node.position = position
         handles._on_drag(0, SimpleNamespace(target=node, phase=phase))
 
 
 def test_many_drags_in_a_frame_are_one_request(page: Page) -> None:
     sent: list[Any] = []
-    handles = ObjectControls(page.server.gui, page.server.scene, lambda *asked: sent.append(asked))
+    handles = ObjectControls(page.server.gui, page.server.scene, lambda *request: sent.append(request))
     handles.change({0: ((0.0, 0.0, 0.01), HALF)})
     handles._switch.value = True
     handles._show()
-    pulls(handles, (1.0, 0.0, 1.0), (2.0, 0.0, 1.0), (3.0, 0.0, 1.0))
+    pull(handles, (1.0, 0.0, 1.0), (2.0, 0.0, 1.0), (3.0, 0.0, 1.0))
     handles.step()
     handles.step()
     ((number, (position, turn)),) = sent
@@ -277,38 +277,38 @@ def test_many_drags_in_a_frame_are_one_request(page: Page) -> None:
 def test_an_excessive_drag_is_refused_and_reset(page: Page) -> None:
     scene = pressed_scene(name="lid", position_m=(0.0, 0.0, 0.01))
     with running("replay", scene) as daemon, live_page(page, daemon) as live:
-        assert fed(live, lambda: page.fingers)
+        assert step_until(live, lambda: page.fingers)
         handles = live._object_controls
         handles._switch.value = True
         handles._show()
-        pulls(handles, (0.0, 0.0, 1e7))
-        assert fed(live, lambda: "Not done:" in page.refusal and "position_m" in page.refusal)
+        pull(handles, (0.0, 0.0, 1e7))
+        assert step_until(live, lambda: "Not done:" in page.refusal and "position_m" in page.refusal)
         assert handles._nodes[0].position.tolist() == [0.0, 0.0, 1.0]
-        pulls(handles, (0.0, 0.0, 2.0))
-        assert fed(live, lambda: page.bodies is not None and page.bodies.poses[0][0] == (0.0, 0.0, 0.02))
+        pull(handles, (0.0, 0.0, 2.0))
+        assert step_until(live, lambda: page.bodies is not None and page.bodies.poses[0][0] == (0.0, 0.0, 0.02))
         assert daemon.rendering.scene.object[0].position_m == (0.0, 0.0, 0.02)
         live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 700.0})
         nodes = page.fingers[""]
-        assert fed(live, lambda: live._tuning._knobs["stiffness"].slider.value == 700.0)
+        assert step_until(live, lambda: live._tuning._knobs["stiffness"].slider.value == 700.0)
         assert page.fingers[""] is nodes and handles._nodes[0].position.tolist() == [0.0, 0.0, 2.0]
 
 
 def test_a_hand_without_a_wrist_can_be_moved(page: Page) -> None:
     """The omega.3 senses no rotation, so none is requested: a key moves it by 2 mm, and nothing is refused."""
     with running("simulated-omega-3", "paper-plane") as daemon, live_page(page, daemon) as live:
-        assert fed(live, lambda: live._hand._fingers and live._hand._poses)
+        assert step_until(live, lambda: live._hand._fingers and live._hand._poses)
         live._hand.nudge(Nudge(z=-0.002))
-        assert fed(live, lambda: live._hand._targets)
-        asked = daemon.rendering.servo.ticks
-        assert fed(live, lambda: daemon.rendering.servo.ticks > asked + 1000)
+        assert step_until(live, lambda: live._hand._targets)
+        nudged_at = daemon.rendering.servo.ticks
+        assert step_until(live, lambda: daemon.rendering.servo.ticks > nudged_at + 1000)
         assert not page.refusal
 
 
 def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("softfinger.server.viewer.hand.SLIDER_UPDATE_S", -1.0)
-    asked = []
-    hold = lambda finger, done, failed: done(hand.target(finger))  # noqa: E731
-    commands = HandCommands(lambda finger, target: asked.append(target), hold)
+    targets = []
+    hold = lambda finger, on_target, failed: on_target(hand.target(finger))  # noqa: E731
+    commands = HandCommands(lambda finger, target: targets.append(target), hold)
     hand = HandControls(page.server.gui, page.server.scene, commands)
     hand.change([MovableFinger("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
     row = np.zeros(RECORD_SIZE)
@@ -320,4 +320,4 @@ def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch
     hand.nudge(Nudge(z=-0.004))
     hand.update_pose("", row)
     assert hand._sliders[2].value == pytest.approx(8.0)
-    assert [target.position[2] for target in asked] == pytest.approx([0.008])
+    assert [target.position[2] for target in targets] == pytest.approx([0.008])

@@ -33,7 +33,7 @@ def test_taking_one_finger_holds_the_box(daemon: Daemon, screen: Screen, client:
             begin = client.get_state().sequence
             assert eventually(lambda: client.get_state().sequence > begin + count)
 
-        def taken() -> bool:
+        def take_finger() -> bool:
             """Return True if the page was fast enough: the hands put the box down soon."""
             if height() < HIGH_M:
                 return False
@@ -44,7 +44,7 @@ def test_taking_one_finger_holds_the_box(daemon: Daemon, screen: Screen, client:
                 return False
             return True
 
-        assert eventually(taken, every_s=0.0)
+        assert eventually(take_finger, every_s=0.0)
         hangs = height()
         assert client.get_state().force[0] < -1.0
         pass_ticks(3000)  # long enough for the hands to put it down

@@ -36,9 +36,9 @@ def test_a_band_has_each_state_where_it_is() -> None:
 def test_a_slide_shorter_than_a_column_is_visible() -> None:
     modes = [ROLLING] * (20 * COLUMNS)
     modes[5555] = SLIDING
-    found = find_state_runs(rows(modes), RADIUS)
-    assert [state for _, state in found] == [VisibleState.STICKING, VisibleState.SLIDING, VisibleState.STICKING]
-    assert found[1][0] <= 5555 < found[2][0] <= found[1][0] + 20
+    runs = find_state_runs(rows(modes), RADIUS)
+    assert [state for _, state in runs] == [VisibleState.STICKING, VisibleState.SLIDING, VisibleState.STICKING]
+    assert runs[1][0] <= 5555 < runs[2][0] <= runs[1][0] + 20
 
 
 def test_the_band_and_its_pointer_as_html() -> None:
@@ -50,12 +50,12 @@ def test_the_band_and_its_pointer_as_html() -> None:
 
 
 def test_events_can_be_reached_from_both_sides() -> None:
-    told = (
+    event_maps = (
         {"tick": 60, "kind": "mark", "name": "mark", "label": "<here>"},
         {"tick": 45, "kind": "contact", "name": "touch", "cause": "touch"},
         {"tick": 9999, "kind": "lifecycle", "name": "stopped"},
     )
-    events = Events({"": rows([FREE] * 100)}, told, 1000.0)
+    events = Events({"": rows([FREE] * 100)}, event_maps, 1000.0)
     assert [events.after(-1), events.after(5), events.after(20), events.after(99)] == [5, 20, 99, None]
     assert [events.before(5), events.before(20), events.before(99)] == [None, 5, 20]
     assert "no event yet" in events.format_html(4)

@@ -43,7 +43,7 @@ def heights(daemon: Daemon) -> Iterator[object]:
 
 
 @pytest.fixture(autouse=True)
-def beside(client: Client, screen: Screen) -> None:
+def hands_next_to_box(client: Client, screen: Screen) -> None:
     """Each test starts with the box on the floor and the hands next to it. The page may still move the hands: a gesture
     opens them after the box is down, and the end of a drag may arrive late. So the fixture repeats until they stay
     longer than the page remembers its targets."""
@@ -78,8 +78,8 @@ def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, he
         screen.page.wait_for_timeout(100.0)
     assert eventually(lambda: client.get_state().force[0] < -GRIP_N)
     assert screen.at((0.0, 0.0, 0.0)) == pytest.approx(corner, abs=0.5)
-    for way in range(8, 90, 4):
-        mouse.move(x, y - way)
+    for distance in range(8, 90, 4):
+        mouse.move(x, y - distance)
     assert eventually(lambda: heights() > RESTS_M + 0.015)
     for _ in range(NOTCHES):
         mouse.wheel(0, -100)
@@ -93,15 +93,15 @@ def test_a_drag_continues_while_the_world_is_reset(screen: Screen, client: Clien
     x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
     mouse.move(x, y)
     mouse.down()
-    for way in (4, 8, 12):
-        mouse.move(x - way, y)
+    for distance in (4, 8, 12):
+        mouse.move(x - distance, y)
     assert eventually(lambda: client.get_state().position[0] < -0.042)
     began = client.describe()["since"]
     client.reset_world()
     assert eventually(lambda: client.describe()["since"] > began)
     screen.page.wait_for_timeout(1000.0)  # time in which it would be recreated
-    for way in (16, 20, 24):
-        mouse.move(x - way, y)
+    for distance in (16, 20, 24):
+        mouse.move(x - distance, y)
     assert eventually(lambda: client.get_state().position[0] < -0.046)
     mouse.up()
 

@@ -31,8 +31,8 @@ def daemon() -> Iterator[Daemon]:
         yield started
 
 
-def drags(screen: Screen, client: Client, number: int) -> list[float]:
-    found = list[float]()
+def measure_friction(screen: Screen, client: Client, number: int) -> list[float]:
+    friction_ratios = list[float]()
     with client.subscribe(("contact",)) as ticks:
 
         def stroked() -> bool:
@@ -40,11 +40,11 @@ def drags(screen: Screen, client: Client, number: int) -> list[float]:
             while (sample := ticks.receive(0.0)) is not None:
                 contact = sample.data.contact
                 if (contact.mode, contact.object) == (SLIDING, number) and contact.normal_force > 0.2:
-                    found.append(float(np.hypot(*sample.data.force[:2])) / contact.normal_force)
-            return len(found) > 50
+                    friction_ratios.append(float(np.hypot(*sample.data.force[:2])) / contact.normal_force)
+            return len(friction_ratios) > 50
 
         assert eventually(stroked, every_s=STROKE_S)
-    return found
+    return friction_ratios
 
 
 @pytest.mark.exhaustive
@@ -67,4 +67,4 @@ def test_two_plates_have_different_drags(screen: Screen, client: Client) -> None
         friction = materials()[plate.name].values["friction"]["kinetic"]
         # The coupling oscillates for some ticks when sliding starts, so the median is used. 2 % is far below the
         # difference of static and kinetic friction and that of the plates.
-        assert np.median(drags(screen, client, number)) == pytest.approx(friction, rel=0.02)
+        assert np.median(measure_friction(screen, client, number)) == pytest.approx(friction, rel=0.02)

@@ -15,8 +15,8 @@ pytestmark = pytest.mark.plain
 
 def test_boxes_without_contacts_are_drawn_at_their_poses() -> None:
     scene = load_scene("stack-boxes")
-    assert [thing.name for thing in scene.object] == ["floor", "top"]
-    assert [thing.name for thing in visual_geoms(scene)] == ["bottom", "middle"]
+    assert [element.name for element in scene.object] == ["floor", "top"]
+    assert [element.name for element in visual_geoms(scene)] == ["bottom", "middle"]
     server = viser.ViserServer(port=0, verbose=False)
     try:
         bodies = BodyNodes(server.scene, scene, SceneStart(0, 0, 1e-3, True))

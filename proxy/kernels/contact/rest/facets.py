@@ -5,12 +5,15 @@ from typing import Any
 from softfinger.proxy.kernels.contact.rest.active_set import active_set_of_one
 from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES
 from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
+from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
-from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, Quaternion, Vec3
+from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import SINGLE_POINT, WITH_HEIGHTMAP, WITH_MESH, by_multipoint, is_mesh_at
 from softfinger.proxy.kernels.query.objects import closest_to_within, neighbour_on
 from softfinger.proxy.kernels.shapes.budget import BUDGET, SETTLED
+from softfinger.proxy.kernels.shapes.protocol import turn_along
 
 
 @jit
@@ -51,6 +54,56 @@ def constraints_over_edges_of_facets(objects: Any, active: ActiveSet, center: Ve
     one = constraint_over_edge(objects, active[0], center, active)
     two = constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
     return one, two, constraint_over_edge(objects, active[2], center, (one, two, active[2]))
+
+
+@by_multipoint
+def roll_over_edge(
+    objects: Any, method: Any, index: float, radius: float, start: OffsetPoint, rolled: Roll, turn: Quaternion
+) -> Any:
+    """Return a roll from `start` on object `index`, continued on the facet beyond its edge, and that facet's index.
+
+    turn  (4,)  rotation of the fingertip relative to the object since the last tick
+    """
+
+
+@roll_over_edge.of(SINGLE_POINT)
+def roll_on_shape(
+    objects: Any, method: Any, index: float, radius: float, start: OffsetPoint, rolled: Roll, turn: Quaternion
+) -> tuple[Roll, float]:
+    return rolled, index
+
+
+@roll_over_edge.of(WITH_MESH, WITH_HEIGHTMAP)
+def roll_on_next_facet(
+    objects: Any, method: Any, index: float, radius: float, start: OffsetPoint, rolled: Roll, turn: Quaternion
+) -> tuple[Roll, float]:
+    """Move the proxy, if it has rolled round an edge beyond the plane of the next facet, to its place on that facet.
+
+    It rolls in the plane of the mean normal of the path, which has the normals of the first facet, of the edge and of
+    the second facet, each for its share of the tick. The error is of third order in the angle of a tick, and zero
+    between facets of one plane.
+    """
+    facet = facet_under(objects, index, rolled.center) if is_mesh_at(objects, index) else index
+    if facet == index:
+        return rolled, index
+    _, _, normal, _ = closest_to_within(objects, facet, rolled.center, BUDGET)
+    rate = vec3.cross(rotations.log(turn), normal)
+    on_both = share_of_tick(vec3.sub(rolled.normal, start.normal), rate)
+    on_next = min(share_of_tick(vec3.sub(rolled.normal, normal), rate), on_both)
+    share = 0.5 * (on_both + on_next)
+    mean = vec3.add_scaled(vec3.scale(1.0 - share, start.normal), share, normal)
+    mean = vec3.scale(1.0 / vec3.norm(mean), mean)
+    flat = roll_flat_on(method, objects, facet, radius, mean, turn)
+    _, point, normal, _ = closest_to_within(objects, facet, vec3.add(start.center, flat.motion), BUDGET)
+    center, motion = vec3.add_scaled(point, radius, normal), turn_along(flat.motion, mean, normal)
+    return Roll(center, normal, motion, flat.theta, flat.spin, True), facet
+
+
+@jit
+def share_of_tick(bend: Vec3, rate: Vec3) -> float:
+    """Return the time in which the normal rotates by `bend` (3,) round an edge, at most 1; `rate` (3,) at a corner."""
+    along = vec3.dot(bend, rate)
+    return min(vec3.dot(bend, bend) / along, 1.0) if along > 0.0 else 0.0
 
 
 @jit

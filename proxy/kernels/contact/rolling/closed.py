@@ -11,6 +11,7 @@ from math import sin
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land, roll
+from softfinger.proxy.kernels.contact.rolling.integrated import integrate_by_midpoint
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import AnyShape, Cylinder, Facet, Plane, Quaternion, RotationVector, Sphere, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
@@ -82,8 +83,14 @@ def unroll_on_any(shape: AnyShape, radius: float, center: Vec3, normal: Vec3, w:
     return called(shape, UNROLL, NO_ROLL, (radius, center, normal, w))
 
 
-@unroll.of(Plane, Facet)
-def unroll_on_flat(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+@unroll.of(Facet)
+def unroll_on_facet(shape: Facet, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    """Roll in closed form on the face; round edges and corners, where the normal rotates, by the midpoint rule."""
+    return integrate_by_midpoint(shape, radius, center, normal, w)
+
+
+@unroll.of(Plane)
+def unroll_on_plane(shape: Plane, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     motion = vec3.scale(radius, vec3.cross(w, normal))
     center, end = land(shape, radius, vec3.add(center, motion))
     return Roll(center, end, motion, vec3.norm(motion) / radius, vec3.dot(w, normal), True)

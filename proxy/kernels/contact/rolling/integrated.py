@@ -33,10 +33,9 @@ def unroll_displacement(step: Vec3, normal: Vec3, length: float) -> Vec3:
     return vec3.scale(length / size if size > 0.0 else 0.0, tangential)
 
 
-@roll.of(Midpoint)
-def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
-    """Roll by the midpoint rule: second order, two queries of the closest point."""
-    w = rotations.log(turn)
+@jit
+def integrate_by_midpoint(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
+    """Roll by the rotation vector `w` with the midpoint rule: second order, two queries of the closest point."""
     point, n, slope = center, normal, (0.0, 0.0, 0.0)
     start_point = vec3.add_scaled(center, -radius, normal)
     spin = 0.0
@@ -50,6 +49,11 @@ def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, nor
     end = vec3.add_scaled(point, radius, n)
     motion = unroll_displacement(slope, n, length)
     return Roll(end, n, motion, roll_angle(shape, radius, motion, tilted), spin, True)
+
+
+@roll.of(Midpoint)
+def roll_midpoint(method: Midpoint, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
+    return integrate_by_midpoint(shape, radius, center, normal, rotations.log(turn))
 
 
 @roll.of(MontanaRk4)

@@ -91,19 +91,19 @@ def with_support_point(feet: SupportPoints, point: Vec3) -> SupportPoints:
 def step_on_one_point(shape: Any, radius: float, goal: Vec3, foot: Vec3, normal: Vec3) -> Vec3:
     """Return the centre (3,) m closest to `goal` on one support point, by a Newton step on the offset surface."""
     center = vec3.add_scaled(foot, radius, normal)
-    way = vec3.sub(goal, center)
-    depth = max(-vec3.dot(way, normal), 0.0)
+    offset = vec3.sub(goal, center)
+    depth = max(-vec3.dot(offset, normal), 0.0)
     k1, k2, d1 = curvature(shape, radius, foot, normal)
     d2 = vec3.cross(normal, d1)
-    first = vec3.dot(way, d1) / max(1.0 - depth * k1, SHORTEST)
-    second = vec3.dot(way, d2) / max(1.0 - depth * k2, SHORTEST)
+    first = vec3.dot(offset, d1) / max(1.0 - depth * k1, SHORTEST)
+    second = vec3.dot(offset, d2) / max(1.0 - depth * k2, SHORTEST)
     return vec3.add_scaled(vec3.add_scaled(center, first, d1), second, d2)
 
 
 @jit
-def clamp_length(way: Vec3, longest: float) -> Vec3:
-    length = vec3.norm(way)
-    return vec3.scale(longest / length, way) if length > longest else way
+def clamp_length(vector: Vec3, longest: float) -> Vec3:
+    length = vec3.norm(vector)
+    return vec3.scale(longest / length, vector) if length > longest else vector
 
 
 @jit
@@ -114,8 +114,8 @@ def solve_support_points(
     b1 = vec3.dot(n1, vec3.sub(feet.one, goal)) + radius
     b2 = vec3.dot(n2, vec3.sub(feet.two, goal)) + radius
     b3 = vec3.dot(n3, vec3.sub(feet.three, goal)) + radius
-    held = solve_half_spaces(feet.many, n1, n2, n3, b1, b2, b3)
-    return displacement(held.push, n1, n2, n3), vec3.add(goal, displacement(held.place, n1, n2, n3))
+    solution = solve_half_spaces(feet.many, n1, n2, n3, b1, b2, b3)
+    return displacement(solution.push, n1, n2, n3), vec3.add(goal, displacement(solution.place, n1, n2, n3))
 
 
 @outlined
@@ -144,40 +144,40 @@ def rest_on_support_points(
         feet = SupportPoints(feet.many, p1, p2, p3)
         clear = True
         if turn > 0:
-            gap, other, other_normal, _, spent = nearest_from(shape, center, p1, budget)
+            gap, nearest_point, nearest_normal, _, spent = nearest_from(shape, center, p1, budget)
             budget -= spent
             clear = gap >= radius * (1.0 - INSIDE)
             if budget <= 0 and not clear:
                 bounded = 1.0
-                if vec3.norm(vec3.sub(rest, other)) < radius * (
+                if vec3.norm(vec3.sub(rest, nearest_point)) < radius * (
                     1.0 - SAME_POINT
                 ):  # the start was inside: move up and out
                     rest = point_above(shape, rest, radius)
                 break
-            if not clear and not is_support_point(feet, other, SAME_POINT * radius):
-                feet = with_support_point(feet, other)
-                n3 = other_normal
+            if not clear and not is_support_point(feet, nearest_point, SAME_POINT * radius):
+                feet = with_support_point(feet, nearest_point)
+                n3 = nearest_normal
                 if feet.many == 2:
-                    n2 = other_normal
+                    n2 = nearest_normal
         goal = vec3.add(probe, vec3.reject(lag, up))
         if feet.many == 1:
-            push, then = n1, step_on_one_point(shape, radius, goal, p1, n1)
+            push, target = n1, step_on_one_point(shape, radius, goal, p1, n1)
         else:
-            push, then = solve_support_points(feet, radius, goal, n1, n2, n3)
+            push, target = solve_support_points(feet, radius, goal, n1, n2, n3)
         if turn > 0 and clear:
             rest = center
             _, up = direction(push, n1)
-        then = vec3.add(rest, clamp_length(vec3.sub(then, rest), STRIDE * radius))
+        target = vec3.add(rest, clamp_length(vec3.sub(target, rest), STRIDE * radius))
         if feet.many == 1:
-            _, p1, n1, _, spent = foot_from(shape, then, p1)
+            _, p1, n1, _, spent = foot_from(shape, target, p1)
             budget -= spent
             landed = vec3.add_scaled(p1, radius, n1)
             if vec3.norm(vec3.sub(landed, rest)) <= radius:
-                then = landed
-        step = vec3.norm(vec3.sub(then, center))
+                target = landed
+        step = vec3.norm(vec3.sub(target, center))
         if turn > 0 and clear and (step <= SETTLED * radius or (slides and turn >= SLIDING_ROUND)):
             break
-        center = then
+        center = target
     return rest, up, bounded
 
 
@@ -188,8 +188,8 @@ def follows_over_heightmap(shape: Heightmap, radius: float, start: Vec3, normal:
     _, point, up, _, _ = foot_from(shape, start, foot)
     if vec3.norm(vec3.sub(point, foot)) > ON * radius or vec3.dot(up, normal) < 1.0 - ON:
         return False
-    way = vec3.norm(vec3.sub(end, start))
-    if way > STRIDE * radius:
+    distance = vec3.norm(vec3.sub(end, start))
+    if distance > STRIDE * radius:
         return False
     gap, _, _, _, _ = nearest_from(shape, end, point, ROLL_BUDGET)
     return gap >= radius * (1.0 - INSIDE)
@@ -210,8 +210,8 @@ def meets_heightmap(
     may use half of the budget. If that is exhausted, the fingertip stops there; a short path, which cannot cross the
     surface, is allowed if there is room at its end.
     """
-    way = vec3.sub(end, start)
-    length, short = vec3.norm(way), STRIDE * radius
+    path = vec3.sub(end, start)
+    length, short = vec3.norm(path), STRIDE * radius
     if leaves and length <= short:
         return NO_HIT, 0.0, budget
     near = gap_within(shape, start, radius + length, budget // 2)
@@ -226,7 +226,7 @@ def meets_heightmap(
         share += clearance / length
         if share >= 1.0:
             return NO_HIT, 0.0, rest
-        near = gap_within(shape, vec3.add_scaled(start, share, way), radius + (1.0 - share) * length, left)
+        near = gap_within(shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, left)
         left, rest = remaining_budget(left, near.whole, near.spent), remaining_budget(rest, True, near.spent)
         clearance = near.gap - radius
         if left >= 0 and clearance <= touching:

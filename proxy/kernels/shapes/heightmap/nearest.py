@@ -115,9 +115,9 @@ def remaining_budget(budget: int, whole: bool, spent: int) -> int:
 def best_of_quarters(shape: Heightmap, p: Vec3, start: MapFoot, i: int, j: int) -> MapFoot:
     """Return the closest of `start` and the middles of the cell's quarters, from which to descend to its foot point."""
     for number in range(4):
-        other = foot_at(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
-        if other.square < start.square:
-            start = other
+        candidate = foot_at(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
+        if candidate.square < start.square:
+            start = candidate
     return start
 
 
@@ -126,25 +126,25 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
     """Return the nearest foot point, or `best` if none is closer, and a lower bound of the distance."""
     top = int(shape.levels) - 1
     level, i, j = top, 0, 0
-    spent, left, reach = 0, FAR, sqrt(best.square)
+    spent, unsearched, reach = 0, FAR, sqrt(best.square)
     for _ in range(max(budget, 0) + 4 * LEVELS):
         spent += 1
         if i < tiles_across(shape.columns, level) and j < tiles_across(shape.rows, level):
             tile = tile_at(shape, p, level, i, j)
-            square, way = square_to_box(tile), MapPoint(0.0, 0.0)
+            square, offset = square_to_box(tile), MapPoint(0.0, 0.0)
             asks = square < AS_NEAR * best.square and not (tile.convex and contains_foot(tile, best))
             if asks:
-                square, way = to_facet(tile)
+                square, offset = to_facet(tile)
             if asks and square < (reach + tile.thick) * (reach + tile.thick) * AS_NEAR:
                 if spent >= budget:
-                    left = min(left, max(sqrt(square) - tile.thick, 0.0))
+                    unsearched = min(unsearched, max(sqrt(square) - tile.thick, 0.0))
                 elif level > 0:
                     level -= 1
                     i = 2 * i + nearer_half(p[0], i, level + 1)
                     j = 2 * j + nearer_half(p[1], j, level + 1)
                     continue
                 else:
-                    start = foot_at(shape, p, p[0] + way.s, p[1] + way.t)
+                    start = foot_at(shape, p, p[0] + offset.s, p[1] + offset.t)
                     spent += LOOK
                     if not is_farther(p, tile, start, best.square):
                         if not tile.convex:
@@ -168,15 +168,15 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
             level, i, j = level + 1, i >> 1, j >> 1
         if level == top:
             break
-    return MapSearch(best, min(left, reach), left >= reach, spent)
+    return MapSearch(best, min(unsearched, reach), unsearched >= reach, spent)
 
 
 @jit
-def touch_at(shape: Heightmap, x: Vec3, found: MapSearch) -> TouchedPoint:
-    gap, point, normal = touching(shape, x, found.foot)
-    if not found.whole and gap > 0.0 and is_below(shape, x):
+def touch_at(shape: Heightmap, x: Vec3, result: MapSearch) -> TouchedPoint:
+    gap, point, normal = touching(shape, x, result.foot)
+    if not result.whole and gap > 0.0 and is_below(shape, x):
         gap, normal = -gap, vec3.scale(-1.0, normal)
-    return TouchedPoint(min(gap, found.bound * shape.pitch), point, normal, found.whole, found.spent)
+    return TouchedPoint(min(gap, result.bound * shape.pitch), point, normal, result.whole, result.spent)
 
 
 @outlined
@@ -252,7 +252,7 @@ def make_consistent(x: Vec3, near: TouchedPoint) -> tuple[float, Vec3, Vec3]:
 
 
 @closest_or_bound.of(Heightmap)
-def closest_known_on_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
+def closest_or_bound_of_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     gap, point, normal, left = closest_within(shape, x, BUDGET)
     return gap, point, normal, 1.0 if left < 0 else 0.0
 
@@ -274,10 +274,10 @@ def closer_foot_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tup
     foot, looks = descend(shape, p, MapPoint(p[0], p[1]), FAR)
     budget -= LOOK * looks + AROUND
     if not convex_around(shape, p, foot):
-        other, looks = descend(shape, p, MapPoint(at[0], at[1]), FAR)
+        candidate, looks = descend(shape, p, MapPoint(at[0], at[1]), FAR)
         budget -= LOOK * looks
-        if other.square < AS_NEAR * foot.square:
-            foot = other
+        if candidate.square < AS_NEAR * foot.square:
+            foot = candidate
     gap, point, normal = touching(shape, x, foot)
     return gap, point, normal, budget
 

@@ -181,18 +181,18 @@ def descend(shape: Heightmap, p: Vec3, start: MapPoint, reach: float) -> tuple[M
             break
         ds, dt = newton(p, foot)
         size = abs(ds) + abs(dt)
-        then = foot_at(shape, p, foot.s + ds, foot.t + dt)
+        next_foot = foot_at(shape, p, foot.s + ds, foot.t + dt)
         looks += 1
         if size > SURE:
             for _ in range(HALVINGS):
-                if then.square < foot.square:
+                if next_foot.square < foot.square:
                     break
                 ds, dt = 0.25 * ds, 0.25 * dt
-                then = foot_at(shape, p, foot.s + ds, foot.t + dt)
+                next_foot = foot_at(shape, p, foot.s + ds, foot.t + dt)
                 looks += 1
-            if not then.square < foot.square:
+            if not next_foot.square < foot.square:
                 break
-        foot = then
+        foot = next_foot
         if size <= CONVERGED:
             break
         if abs(foot.s - start.s) > reach or abs(foot.t - start.t) > reach:

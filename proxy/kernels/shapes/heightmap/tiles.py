@@ -125,10 +125,10 @@ def to_facet(tile: Tile) -> tuple[float, MapPoint]:
             square += (edge_s - tile.u) * (edge_s - tile.u)
             s, t = edge_s, at
         if out_t:
-            at, other = on_edge(tile.u, b1, tile.w - b2 * edge_t, half)
-            other += (edge_t - tile.v) * (edge_t - tile.v)
-            if other < square:
-                square, s, t = other, at, edge_t
+            at, square_t = on_edge(tile.u, b1, tile.w - b2 * edge_t, half)
+            square_t += (edge_t - tile.v) * (edge_t - tile.v)
+            if square_t < square:
+                square, s, t = square_t, at, edge_t
     return square, MapPoint(s - tile.u, t - tile.v)
 
 

@@ -3,7 +3,6 @@
 Compiled kernels on arrays that the caller allocates (`proxy/meshes/tree.py`).
 """
 
-from math import acos
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,37 +29,6 @@ def parts(count: int) -> int:
     while part * LANES < count:
         part *= LANES
     return (count + part - 1) // part
-
-
-@entry
-def count_nodes(triangles: int, low: Any, high: Any) -> int:
-    """Fill in the range of triangles of each node; return the number of nodes.
-
-    low, high  int64, long enough  first triangle of a node, and the one after its last
-
-    Nodes are in breadth-first order; the parts of a node are consecutive.
-    """
-    low[0], high[0] = 0, triangles
-    count, node = 1, 0
-    while node < count:
-        size = high[node] - low[node]
-        if size > LANES:
-            k = parts(size)
-            for i in range(k):
-                low[count + i] = low[node] + size * i // k
-                high[count + i] = low[node] + size * (i + 1) // k
-            count += k
-        node += 1
-    return count
-
-
-@entry
-def take_middles(vertices: Any, corners: Any, center: Vec3, middles: Any) -> None:
-    """Fill `middles` (triangles, 3) float32 with three times the centroids relative to `center`."""
-    for k in range(len(corners)):
-        for axis in range(3):
-            total = vertices[corners[k, 0], axis] + vertices[corners[k, 1], axis] + vertices[corners[k, 2], axis]
-            middles[k, axis] = total - 3.0 * center[axis]
 
 
 @jit
@@ -92,8 +60,8 @@ def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
     axis = longest(middles, low, high)
     left, right = low, high - 1
     while left < right:
-        one, two, three = middles[left, axis], middles[(left + right) // 2, axis], middles[right, axis]
-        pivot = max(min(one, two), min(max(one, two), three))
+        a, b, c = middles[left, axis], middles[(left + right) // 2, axis], middles[right, axis]
+        pivot = max(min(a, b), min(max(a, b), c))
         i, j = left, right
         while i <= j:
             while middles[i, axis] < pivot:
@@ -130,8 +98,8 @@ def arrange(middles: Any, order: Any, low: Any, high: Any, nodes: int, first_nod
                 half = (step + 1) // 2
                 i = 0
                 while i + half < k:
-                    there, at = begin + size * min(i + step, k) // k, begin + size * (i + half) // k
-                    cut(middles, order, begin + size * i // k, there, at)
+                    end, at = begin + size * min(i + step, k) // k, begin + size * (i + half) // k
+                    cut(middles, order, begin + size * i // k, end, at)
                     i += step
                 step = half
             work += 3 * size
@@ -158,8 +126,8 @@ class OrientedBox(NamedTuple):
     """Oriented box: middle (3,) m, unit axes (3,) along its sides, and half sides (3,) m."""
 
     middle: Vec3
-    one: Vec3
-    two: Vec3
+    u: Vec3
+    v: Vec3
     up: Vec3
     half: Vec3
 
@@ -170,20 +138,20 @@ def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3,
 
     some   triangles: first, one after the last, step
     """
-    size, one = direction(vec3.reject(side, up), Z_AXIS)
+    size, u = direction(vec3.reject(side, up), Z_AXIS)
     if size <= 1e-6 * vec3.norm(side):
-        one = any_tangent(up)
-    two = vec3.cross(up, one)
+        u = any_tangent(up)
+    v = vec3.cross(up, u)
     least, most = (1e300, 1e300, 1e300), (-1e300, -1e300, -1e300)
     for k in range(some[0], some[1], some[2]):
         for i in range(3):
             x = corner(vertices, corners, k, i)
-            y = (vec3.dot(x, one), vec3.dot(x, two), vec3.dot(x, up))
+            y = (vec3.dot(x, u), vec3.dot(x, v), vec3.dot(x, up))
             least = (min(least[0], y[0]), min(least[1], y[1]), min(least[2], y[2]))
             most = (max(most[0], y[0]), max(most[1], y[1]), max(most[2], y[2]))
     mid, half = vec3.scale(0.5, vec3.add(least, most)), vec3.scale(0.5, vec3.sub(most, least))
-    middle = vec3.add(vec3.add(vec3.scale(mid[0], one), vec3.scale(mid[1], two)), vec3.scale(mid[2], up))
-    return OrientedBox(middle, one, two, up, half)
+    middle = vec3.add(vec3.add(vec3.scale(mid[0], u), vec3.scale(mid[1], v)), vec3.scale(mid[2], up))
+    return OrientedBox(middle, u, v, up, half)
 
 
 @jit
@@ -199,7 +167,7 @@ def longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec
 
 
 @jit
-def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
+def write_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: int, center: Vec3, size: float) -> None:
     """Write the box round some triangles to the lane with first number `at`; it is thin along their mean normal.
 
     The other sides are along the longest edge, or, for several triangles, along an axis of space if this makes the box
@@ -214,15 +182,15 @@ def put_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: in
     if high - low > 1:
         box = box_along(vertices, corners, some, up, side)
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
-            other = box_along(vertices, corners, some, up, axis)
-            if other.half[0] * other.half[1] < box.half[0] * box.half[1]:
-                side, box = axis, other
+            candidate = box_along(vertices, corners, some, up, axis)
+            if candidate.half[0] * candidate.half[1] < box.half[0] * box.half[1]:
+                side, box = axis, candidate
     box = box_along(vertices, corners, (low, high, 1), up, side)
     widest = max(box.half[0], box.half[1], box.half[2])
     for i in range(3):
         lanes[at + LANES * i] = box.middle[i] - center[i]
         lanes[at + LANES * (3 + i)] = box.up[i]
-        lanes[at + LANES * (6 + i)] = box.one[i]
+        lanes[at + LANES * (6 + i)] = box.u[i]
         lanes[at + LANES * (9 + i)] = box.half[i] + ROUNDED_PLACE * size + ROUNDED_AXES * widest
 
 
@@ -258,100 +226,11 @@ def enclose(
                     lanes[at + LANES * field] = 0.0
                 lanes[at + LANES * 9] = NOTHING
             elif leaf:
-                put_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
+                write_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
             else:
-                put_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
+                write_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
         if not leaf:
             child += k
         work += count
         node += 1
     return node, child
-
-
-@entry
-def renumber(corners: Any, order: Any, arranged: Any, place: Any) -> int:
-    """Renumber triangles in the order of the tree, vertices in that of their first triangle.
-
-    arranged  (triangles, 3)  int32, filled  vertices of each triangle
-    place     (vertices,)     int32, filled  new number of each vertex; -1 at the start, and for unused ones
-    returns                                  number of used vertices
-    """
-    used = 0
-    for k in range(len(order)):
-        for i in range(3):
-            vertex = corners[order[k], i]
-            if place[vertex] < 0:
-                place[vertex] = used
-                used += 1
-            arranged[k, i] = place[vertex]
-    return used
-
-
-@entry
-def join(corners: Any, begin: Any, around: Any, across: Any) -> int:
-    """Find the triangle across each edge.
-
-    begin   (vertices + 1,)    int32, 0 each    scratch: first edge of a vertex in `around`
-    around  (triangles * 3,)   int32            scratch: edges, 3 triangle + i, sorted by the lower of their vertices
-    across  (triangles, 3)     int32, filled    the other triangle, -1 for a loose edge
-    returns                                     number of loose edges: with no other triangle, with several, or with one
-                                                of inconsistent winding
-    """
-    count = len(corners)
-    for k in range(count):
-        for i in range(3):
-            begin[min(corners[k, i], corners[k, (i + 1) % 3]) + 1] += 1
-            across[k, i] = -1
-    for v in range(1, len(begin)):
-        begin[v] += begin[v - 1]
-    for k in range(count):  # counting sort: begin[v] becomes the end of the edges of v
-        for i in range(3):
-            v = min(corners[k, i], corners[k, (i + 1) % 3])
-            around[begin[v]] = 3 * k + i
-            begin[v] += 1
-    loose, start = 0, 0
-    for v in range(len(begin) - 1):
-        end = begin[v]
-        for one in range(start, end):
-            k, i = around[one] // 3, around[one] % 3
-            there = max(corners[k, i], corners[k, (i + 1) % 3])
-            met, against = 0, False
-            for other in range(start, end):
-                m, j = around[other] // 3, around[other] % 3
-                if other != one and max(corners[m, j], corners[m, (j + 1) % 3]) == there:
-                    met += 1
-                    against = corners[m, j] != corners[k, i]
-                    across[k, i] = m
-            if met != 1 or not against:
-                loose += 1
-                across[k, i] = -1
-        start = end
-    return loose
-
-
-@jit
-def angle_at(a: Vec3, b: Vec3, c: Vec3) -> float:
-    """Return the angle (rad) of a triangle at `a`."""
-    _, one = direction(vec3.sub(b, a), Z_AXIS)
-    _, two = direction(vec3.sub(c, a), Z_AXIS)
-    return acos(max(-1.0, min(1.0, vec3.dot(one, two))))
-
-
-@entry
-def raise_normals(vertices: Any, corners: Any, upward: Any) -> None:
-    """Fill `upward` (vertices, 3), 0 each, with the vertices' unit normals, weighted by the triangles' angles there."""
-    for k in range(len(corners)):
-        _, normal = direction(area_normal(vertices, corners, k), (0.0, 0.0, 0.0))
-        for i in range(3):
-            angle = angle_at(
-                corner(vertices, corners, k, i),
-                corner(vertices, corners, k, (i + 1) % 3),
-                corner(vertices, corners, k, (i + 2) % 3),
-            )
-            at = corners[k, i]
-            for axis in range(3):
-                upward[at, axis] += angle * normal[axis]
-    for v in range(len(upward)):
-        _, normal = direction((upward[v, 0], upward[v, 1], upward[v, 2]), Z_AXIS)
-        for axis in range(3):
-            upward[v, axis] = normal[axis]

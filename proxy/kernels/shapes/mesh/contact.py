@@ -67,21 +67,21 @@ def nearest_facet(
 
 
 @jit
-def last_outside(mesh: Mesh, start: Vec3, way: Vec3, radius: float, budget: int) -> tuple[float, int]:
+def last_outside(mesh: Mesh, start: Vec3, path: Vec3, radius: float, budget: int) -> tuple[float, int]:
     """Return the share of a path that ends inside on which a fingertip remains outside, and the remaining budget.
 
     Moves by the clearance in each step. The next tick continues from there.
     """
-    length, gone = vec3.norm(way), 0.0
+    length, moved = vec3.norm(path), 0.0
     if length == 0.0:  # no motion: the gap is below the radius by rounding only
         return 0.0, budget
     for _ in range(LOOKS):
-        x = vec3.add_scaled(start, gone / length, way)
+        x = vec3.add_scaled(start, moved / length, path)
         gap, number, budget = nearest_facet(mesh, x, radius + length, NO_TRIANGLE, budget, 0.0)
         if number < 0.0 or gap - radius <= 1e-9 * radius:
             break
-        gone = min(gone + gap - radius, length)
-    return gone / length, budget
+        moved = min(moved + gap - radius, length)
+    return moved / length, budget
 
 
 @meets.of(Mesh)
@@ -93,32 +93,32 @@ def travel_to_facet(
     With `leaves`, the fingertip already is in contact, and a short path is never a hit: the solve for the rest position
     handles contacts at its end. If the budget is exhausted, the fingertip stops there.
     """
-    way = vec3.sub(end, start)
-    length = vec3.norm(way)
+    path = vec3.sub(end, start)
+    length = vec3.norm(path)
     if length <= STRIDE * radius:
         if leaves:
             return NO_HIT, 0.0, budget
         gap, number, budget = nearest_facet(shape, end, radius, NO_TRIANGLE, budget, 0.0)
         if number < 0.0 or gap >= radius:
             return NO_HIT, 0.0, budget
-        share, left = last_outside(shape, start, way, radius, budget)
+        share, left = last_outside(shape, start, path, radius, budget)
         return share, number, left
-    gone, outside, number = 0.0, 0.0, -1.0
+    moved, outside, number = 0.0, 0.0, -1.0
     for _ in range(STRIDES):
-        gone = min(gone, length)
+        moved = min(moved, length)
         gap, number, budget = nearest_facet(
-            shape, vec3.add_scaled(start, gone / length, way), radius + length - gone, NO_TRIANGLE, budget, 0.0
+            shape, vec3.add_scaled(start, moved / length, path), radius + length - moved, NO_TRIANGLE, budget, 0.0
         )
-        if number < 0.0 or (gone == length and gap >= radius):
+        if number < 0.0 or (moved == length and gap >= radius):
             return NO_HIT, 0.0, budget
         if budget < 0:
             break
-        if gone > 0.0 and gap < radius:
-            before = vec3.add_scaled(start, outside / length, way)
-            share, budget = last_outside(shape, before, vec3.scale((gone - outside) / length, way), radius, budget)
-            return (outside + share * (gone - outside)) / length, number, budget
-        outside = gone
-        gone += max(gap - (1.0 - STRIDE) * radius, (1.0 - STRIDE) * radius)
+        if moved > 0.0 and gap < radius:
+            before = vec3.add_scaled(start, outside / length, path)
+            share, budget = last_outside(shape, before, vec3.scale((moved - outside) / length, path), radius, budget)
+            return (outside + share * (moved - outside)) / length, number, budget
+        outside = moved
+        moved += max(gap - (1.0 - STRIDE) * radius, (1.0 - STRIDE) * radius)
     return outside / length, number, budget
 
 
@@ -134,7 +134,7 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
 
 
 @closest_or_bound.of(Mesh)
-def closest_known_on_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
+def closest_or_bound_of_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     """Search the entire mesh, for an effect that attracts to the surface."""
     result = nearest(shape, x, ANYWHERE, NO_TRIANGLE, ROOM, 0.0)
     gap, point, normal = closest_on_triangle(shape, float(max(result.number, 0)), x)

@@ -49,7 +49,9 @@ def _packings() -> ir.Constant:
     """Return a table of the lanes in each bit mask, packed to the front."""
     rows = [[i for i in range(LANES) if bits >> i & 1] for bits in range(1 << LANES)]
     row = ir.ArrayType(ir.IntType(8), LANES)
-    return ir.Constant(ir.ArrayType(row, len(rows)), [ir.Constant(row, (each + [0] * LANES)[:LANES]) for each in rows])
+    return ir.Constant(
+        ir.ArrayType(row, len(rows)), [ir.Constant(row, (places + [0] * LANES)[:LANES]) for places in rows]
+    )
 
 
 @intrinsic
@@ -74,7 +76,7 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
             filled = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
             return builder.shuffle_vector(filled, ir.Constant(kind, ir.Undefined), ir.Constant(whole, [0] * LANES))
 
-        def calling(name: str, *values: Any) -> Any:
+        def call(name: str, *values: Any) -> Any:
             kind = ir.FunctionType(vector, [vector] * len(values))
             return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v8f32"), values)
 
@@ -84,18 +86,18 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
         def beyond(axis: Any, half: Any) -> Any:
             """Return the squared distance of the point from the box along an axis."""
             along = builder.fadd(builder.fadd(product(axis[0], d[0]), product(axis[1], d[1])), product(axis[2], d[2]))
-            out = calling("maxnum", builder.fsub(calling("fabs", along), half), ir.Constant(vector, [0.0] * LANES))
+            out = call("maxnum", builder.fsub(call("fabs", along), half), ir.Constant(vector, [0.0] * LANES))
             return product(out, out)
 
         d = [
             builder.fsub(splat(value), lane(field)) for field, value in enumerate(cgutils.unpack_tuple(builder, point))
         ]
-        up, one = [lane(3), lane(4), lane(5)], [lane(6), lane(7), lane(8)]
-        two = [
-            builder.fsub(product(up[(i + 1) % 3], one[(i + 2) % 3]), product(up[(i + 2) % 3], one[(i + 1) % 3]))
+        up, u = [lane(3), lane(4), lane(5)], [lane(6), lane(7), lane(8)]
+        v = [
+            builder.fsub(product(up[(i + 1) % 3], u[(i + 2) % 3]), product(up[(i + 2) % 3], u[(i + 1) % 3]))
             for i in range(3)
         ]
-        squares = builder.fadd(builder.fadd(beyond(one, lane(9)), beyond(two, lane(10))), beyond(up, lane(11)))
+        squares = builder.fadd(builder.fadd(beyond(u, lane(9)), beyond(v, lane(10))), beyond(up, lane(11)))
         squares = product(squares, ir.Constant(vector, [1.0 - ROUNDED] * LANES))
         into = builder.bitcast(builder.gep(bounds, [begin]), ir.PointerType(vector))
         builder.store(squares, into, align=4)
@@ -142,9 +144,9 @@ if PLAIN:
         """Compute the same sums in the same order as the compiled version, for identical numbers."""
         lanes = nodes.array[node * NODE : (node + 1) * NODE].reshape(FIELDS, LANES)
         d = np.array(point, np.float32)[:, None] - lanes[:3]
-        up, one = lanes[3:6], lanes[6:9]
-        two = [up[(i + 1) % 3] * one[(i + 2) % 3] - up[(i + 2) % 3] * one[(i + 1) % 3] for i in range(3)]
-        squares = (_beyond(one, lanes[9], d) + _beyond(two, lanes[10], d)) + _beyond(up, lanes[11], d)
+        up, u = lanes[3:6], lanes[6:9]
+        v = [up[(i + 1) % 3] * u[(i + 2) % 3] - up[(i + 2) % 3] * u[(i + 1) % 3] for i in range(3)]
+        squares = (_beyond(u, lanes[9], d) + _beyond(v, lanes[10], d)) + _beyond(up, lanes[11], d)
         squares *= _SHRUNK
         bounds[begin : begin + LANES] = squares
         nearer = _PLACES[squares < top]

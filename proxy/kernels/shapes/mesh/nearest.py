@@ -33,8 +33,8 @@ from softfinger.proxy.kernels.shapes.mesh.lanes import (
 from softfinger.proxy.kernels.shapes.mesh.triangle import corners_of, foot_on, nearer_neighbour
 
 FAR = 1e4
-"""Distance from the middle of the mesh, in sizes of the mesh, to which points farther away are moved for the search:
-float32 has no more digits."""
+"""Largest distance of a searched point from the middle of the mesh, in sizes of the mesh. Farther points are moved
+there before the search, because float32 has no more digits."""
 MANY = 64
 """Nodes and triangles after which the known candidate counts as poor: a greedy descent then follows each level."""
 CLIMB = 24
@@ -156,12 +156,12 @@ def walk_downhill(mesh: Triangles, begun: Candidate, x: Vec3) -> Candidate:
     for _ in range(SLOPE if number >= 0 else 0):
         nearer = -1
         for k in range(3):
-            other = int(mesh.across[3 * number + k])
-            if other >= 0:
-                apart = foot_on(corners_of(mesh, other), x).square
+            neighbour = int(mesh.across[3 * number + k])
+            if neighbour >= 0:
+                apart = foot_on(corners_of(mesh, neighbour), x).square
                 spent += 1
                 if apart < square:
-                    nearer, square = other, apart
+                    nearer, square = neighbour, apart
         if nearer < 0:
             break
         number = nearer
@@ -222,8 +222,8 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
                 first, lane = int(firsts[place // LANES]), place % LANES
                 down = Candidate(~first + lane, square, 0)
                 if first >= 0:
-                    there, begin = slice_from(waiting, end), nodes * LANES
-                    down = descend_tree(whole, first + lane, near, x, best, bounds, there, begin)
+                    free, begin = slice_from(waiting, end), nodes * LANES
+                    down = descend_tree(whole, first + lane, near, x, best, bounds, free, begin)
                 if down.number < 0:
                     down = Candidate(number if number >= 0 else guess, best, down.spent)
                 down = walk_downhill(mesh, down, x)

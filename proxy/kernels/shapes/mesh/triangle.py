@@ -130,9 +130,9 @@ def pseudonormal_at(mesh: Triangles, number: int, corners: Corners, feature: int
     """
     normal = face_normal(corners)
     if feature < 3:
-        other = int(mesh.across[3 * number + feature])
-        if other >= 0:
-            normal = vec3.add(normal, face_normal(corners_of(mesh, other)))
+        neighbour = int(mesh.across[3 * number + feature])
+        if neighbour >= 0:
+            normal = vec3.add(normal, face_normal(corners_of(mesh, neighbour)))
     elif feature < FACE:
         at = 3 * int(mesh.corners[3 * number + feature - 3])
         normal = (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2])
