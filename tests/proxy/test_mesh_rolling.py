@@ -11,7 +11,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from helpers.touching import R, engine, go, saved, spun, thing
+from helpers.touching import R, engine, make_object, spun, visit, write_part
 
 from softfinger.config.schema.contact import RollingMethod
 from softfinger.proxy.record import AT
@@ -52,24 +52,24 @@ def rolled_path(half_angle, w, phase):
 
 def deflections(folder, half_angle, w, phase, method, *others):
     """Return the deflections (n,) m of a fingertip led exactly on the path of its roll."""
-    file = saved(folder, *roof(half_angle))
-    running = engine(thing("roof", "mesh", file=file), *others, rolling={"method": method})
+    file = write_part(folder, *roof(half_angle))
+    running = engine(make_object("roof", "mesh", file=file), *others, rolling={"method": method})
     centers, normals = rolled_path(half_angle, w, phase)
     height = np.linspace(1e-4, -DEPTH, DESCENT)[:, None]
     points = np.concatenate([centers[0] + height * normals[0], (centers - DEPTH * normals)[1:]])
     angles = np.linalg.norm(w) * np.maximum(np.arange(len(points)) - DESCENT + 1.0, 0.0)
-    records = go(running, points, spun(w / np.linalg.norm(w), angles))[DESCENT:]
+    records = visit(running, points, spun(w / np.linalg.norm(w), angles))[DESCENT:]
     assert records[:, AT.contact_normal_force] == pytest.approx(1000.0 * DEPTH, rel=1e-6)
     return np.linalg.norm(records[:, AT.force : AT.force + 3] - 1000.0 * DEPTH * normals[1:], axis=1) / 1000.0
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("half_angle", [2e-4, 0.01, 0.1])
-def test_rolling_over_an_edge_deflects_nothing(tmp_path, half_angle, method):
+def test_rolling_over_an_edge_deflects_nomake_object(tmp_path, half_angle, method):
     """If the tick that leaves the ridge were lost, it would deflect by up to DEPTH x TICK_RAD = 2 um."""
     np.save(tmp_path / "hills.npy", np.zeros((4, 4)))
-    box = thing("box", "box", size_m=[0.01, 0.01, 0.01], position_m=[0.0, 0.0, -3.0])
-    hills = thing(
+    box = make_object("box", "box", size_m=[0.01, 0.01, 0.01], position_m=[0.0, 0.0, -3.0])
+    hills = make_object(
         "hills", "heightmap", file=str(tmp_path / "hills.npy"), pitch_m=0.01, level_m=1.0, position_m=[0.0, 0.0, -3.0]
     )
     for phase, others in ((0.2, ()), (0.5, (box,)), (0.9, () if method == "rotation_vector" else (hills,))):

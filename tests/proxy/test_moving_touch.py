@@ -220,7 +220,8 @@ def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
     """For equal relative poses, a moved object and a moved finger give the same contact in the object's frame.
 
     Mode, cause, force and torque agree to rounding, with friction, rolling and damping. Steps are up to 10 mm per tick,
-    and the coupling's damping multiplies their rounding by 2 N s/m / DT.
+    and the coupling's damping multiplies their rounding by 2 N s/m / DT. Forces above 1 N, up to 70 N, have a relative
+    tolerance.
     """
     still, driver = pair(name)
 
@@ -244,7 +245,7 @@ def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
                 assert abs(room) < 1e-7 or abs(row[AT.contact_penetration]) < 1e-9, (step.cause, row)
                 return
             for at, got in ((AT.force, step.force), (AT.torque, step.torque)):
-                assert np.abs(world.T @ got - row[at : at + 3]).max() < 1e-8
+                assert np.abs(world.T @ got - row[at : at + 3]).max() < 1e-8 * max(1.0, normal_force)
 
     check()
 

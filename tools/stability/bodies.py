@@ -89,7 +89,7 @@ class CellResult(NamedTuple):
 
     depth_m       penetration depth of a finger
     damping       N s/m   of material and coupling
-    remaining     speed a second after the knock, as a fraction of the knock's
+    left          speed a second after the knock, as a fraction of the knock's
     grown         speed in the last quarter of that second over that in the third
     ripple_n      largest change of a force from tick to tick in the last quarter
     slips         slips that start between grip and release, and after the knock
@@ -105,7 +105,7 @@ class CellResult(NamedTuple):
     substeps: int
     depth_m: float
     damping_ns_per_m: float
-    remaining: float | None = None
+    left: float | None = None
     grown: float | None = None
     ripple_n: float | None = None
     slips: int | None = None
@@ -272,7 +272,7 @@ def measure(cell: Cell) -> CellResult:
             return result._replace(reason=str(error))
     third, last = (float(after.speed[-to:][:QUARTER].max()) for to in (2 * QUARTER, QUARTER))
     result = result._replace(
-        remaining=last / knock,
+        left=last / knock,
         grown=last / third if third > 0.0 else 1.0,
         ripple_n=float(np.linalg.norm(np.diff(after.force[-QUARTER:], axis=0), axis=2).max()),
         slips=slips(cycle.mode[LEG:-LEG]) + slips(after.mode),
@@ -285,10 +285,10 @@ def measure(cell: Cell) -> CellResult:
 
 def judge(result: CellResult, touching: bool) -> CellResult:
     """Return the results with verdict and reason."""
-    assert result.remaining is not None and result.grown is not None
+    assert result.left is not None and result.grown is not None
     if not touching:
         return result._replace(verdict="lost", reason="a finger touches it no more")
-    if result.remaining <= AT_REST:
+    if result.left <= AT_REST:
         return result._replace(verdict="rests")
     if result.grown > GROWS:
         return result._replace(verdict="unstable", reason=f"grows by {result.grown:.2f} in a quarter of a second")

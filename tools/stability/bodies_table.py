@@ -35,9 +35,9 @@ def lines(results: Sequence[CellResult]) -> list[str]:
     for row in results:
         numbers = (
             ("-",) * len(heads)
-            if row.remaining is None or row.ripple_n is None or row.given_j is None
+            if row.left is None or row.ripple_n is None or row.given_j is None
             else (
-                f"{100.0 * row.remaining:.3g} %", f"{1e3 * row.ripple_n:.3g}", f"{row.slips}",
+                f"{100.0 * row.left:.3g} %", f"{1e3 * row.ripple_n:.3g}", f"{row.slips}",
                 f"{1e3 * row.given_j:.3g}", f"{row.unbalanced_n:.2g}",
             )
         )  # fmt: skip
@@ -82,7 +82,7 @@ def draw(path: Path, results: Sequence[CellResult]) -> None:
     for axes, case in zip(panels, cases, strict=True):
         for mass in dict.fromkeys(row.mass_kg for row in results):
             rows = [row for row in results if (row.case, row.mass_kg) == (case, mass)]
-            remaining = [np.nan if row.remaining is None else max(row.remaining, 1e-6) for row in rows]
+            remaining = [np.nan if row.left is None else max(row.left, 1e-6) for row in rows]
             axes.loglog([row.stiffness_n_per_m for row in rows], remaining, "o-", label=mass_text(rows[0]))
         axes.axhline(AT_REST, color="0.4", linewidth=0.8)
         stiffnesses = sorted({row.stiffness_n_per_m for row in results})

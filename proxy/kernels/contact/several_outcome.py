@@ -25,7 +25,16 @@ from softfinger.proxy.kernels.friction.contact_patch import contact_patch, windi
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import limit_to_cone
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import NO_OUTCOME, Constraint, ContactOutcome, ContactState, Finger, Probe, Vec3
+from softfinger.proxy.kernels.model import (
+    NO_OUTCOME,
+    ActiveSet,
+    Constraint,
+    ContactOutcome,
+    ContactState,
+    Finger,
+    Probe,
+    Vec3,
+)
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import any_multipoint
@@ -120,13 +129,15 @@ def friction_share_on(
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
     """
+    result = FrictionShare(ZERO, 0.0, ZERO)
+    if constraint.body < 0.0:
+        return result
     one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
     remainders = transfer.remainders
     body, normal, gain = constraint.body, constraint.normal, 0.0
     if transfer.total > 0.0:
         previous = contact_on((one, two, three), body)
         gain = max(contact_on(after, body).share - previous.share, 0.0) / transfer.total
-    result = FrictionShare(ZERO, 0.0, ZERO)
     result = add_part_of(
         result, one, forces[0], normal, remainders[0] if one.body == body else (1.0 - remainders[0]) * gain
     )
@@ -138,18 +149,29 @@ def friction_share_on(
 
 
 @jit
+def friction_shares(
+    approach: Approach, forces: Any, after: Contacts, active: ActiveSet
+) -> tuple[FrictionShare, FrictionShare, FrictionShare]:
+    transfer = transfer_of(approach, after)
+    return (
+        friction_share_on(approach, forces, transfer, after, active[0]),
+        friction_share_on(approach, forces, transfer, after, active[1]),
+        friction_share_on(approach, forces, transfer, after, active[2]),
+    )
+
+
+@jit
 def share_of_wrench(
-    finger: Finger, objects: Any, probe: Probe, approach: Approach, forces: Any, settled: Equilibrium,
-    transfer: LoadTransfer, constraint: Constraint, load: NormalForce, scale: float,
+    finger: Finger, objects: Any, probe: Probe, settled: Equilibrium, constraint: Constraint, load: NormalForce,
+    friction: FrictionShare, scale: float,
 ) -> Share:  # fmt: skip
-    """Compute the wrench of one constraint under `load`; `scale` is the remaining part of that during friction."""
+    """Compute the wrench of one constraint; `scale` is the remaining part of the normal force during friction."""
     if constraint.body < 0.0:
         return NO_SHARE
     normal = constraint.normal
     ground = textured_ground_at(objects, constraint.body, settled.active, settled.center)
     contact = contact_on(settled.contacts, constraint.body)
     pressing = vec3.scale(load.size, load.along)
-    friction = friction_share_on(approach, forces, transfer, settled.contacts, constraint)
     # The limit of the torsional moment grows by up to f_N^(4/3).
     moment, bending = scale * scale * friction.moment, vec3.scale(scale * scale, friction.bending)
     law = rotate_law(ground.material.friction, ground.orientation)
@@ -188,14 +210,13 @@ def outcome_of_several(
         load_of(finger, objects, active[1], motion, began),
         load_of(finger, objects, active[2], motion, began),
     )
-    load, friction_load = (
-        loads[0].size + loads[1].size + loads[2].size,
-        forces[0].load + forces[1].load + forces[2].load,
-    )
-    scale, transfer = load / friction_load if friction_load > load else 1.0, transfer_of(approach, settled.contacts)
-    one = share_of_wrench(finger, objects, probe, approach, forces, settled, transfer, active[0], loads[0], scale)
-    two = share_of_wrench(finger, objects, probe, approach, forces, settled, transfer, active[1], loads[1], scale)
-    three = share_of_wrench(finger, objects, probe, approach, forces, settled, transfer, active[2], loads[2], scale)
+    load = loads[0].size + loads[1].size + loads[2].size
+    friction_load = forces[0].load + forces[1].load + forces[2].load
+    scale = load / friction_load if friction_load > load else 1.0
+    friction = friction_shares(approach, forces, settled.contacts, active)
+    one = share_of_wrench(finger, objects, probe, settled, active[0], loads[0], friction[0], scale)
+    two = share_of_wrench(finger, objects, probe, settled, active[1], loads[1], friction[1], scale)
+    three = share_of_wrench(finger, objects, probe, settled, active[2], loads[2], friction[2], scale)
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     extra, budget = effects.force, 0.0
     on_its_way = settled.late and any_multipoint(shapes)
