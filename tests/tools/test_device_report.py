@@ -194,9 +194,9 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
 
 def test_a_puck_is_not_pushed() -> None:
     rig = load_rig("spacemouse")
-    near, right = socket.socketpair()
+    near, far = socket.socketpair()
     puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), near.detach(), RATE_HZ)
-    with right, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
+    with far, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
         report.pushing(rig, puck, 1.0)
 
 
