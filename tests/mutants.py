@@ -136,10 +136,10 @@ class Copy:
 
 def end_session(leader: int) -> None:
     """Kill the remaining processes of a session: daemons of tests have separate process groups."""
-    for process in os.listdir("/proc"):
+    for pid in os.listdir("/proc"):
         with contextlib.suppress(ValueError, OSError):  # not a process, or it has ended
-            if os.getsid(int(process)) == leader:
-                os.kill(int(process), signal.SIGKILL)
+            if os.getsid(int(pid)) == leader:
+                os.kill(int(pid), signal.SIGKILL)
 
 
 def tell(results: Sequence[tuple[Mutant, Outcome]], seconds: float) -> None:

@@ -181,9 +181,7 @@ def test_the_package_page_has_authors_and_classifiers(wheel: Path) -> None:
 def test_the_package_page_has_no_relative_links(wheel: Path) -> None:
     """The package page has no links, since relative ones would be broken there. The README has only relative ones."""
     with zipfile.ZipFile(wheel) as archive:
-        (name,) = [
-            name_in_archive for name_in_archive in archive.namelist() if name_in_archive.endswith(".dist-info/METADATA")
-        ]
+        (name,) = [entry for entry in archive.namelist() if entry.endswith(".dist-info/METADATA")]
         page = email.message_from_bytes(archive.read(name)).get_payload()
     assert isinstance(page, str) and page.startswith("# softfinger") and "](" not in page
     home = PROJECT["project"]["urls"]["Homepage"]

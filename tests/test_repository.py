@@ -56,9 +56,7 @@ def test_a_workflow_has_minimal_permissions(path: Path) -> None:
 
 def test_ci_runs_supported_pythons_and_existing_targets() -> None:
     workflow = read(ROOT / ".github" / "workflows" / "ci.yml")
-    pythons = [
-        classifier.rpartition(" ")[2] for classifier in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", classifier)
-    ]
+    pythons = [text.rpartition(" ")[2] for text in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", text)]
     assert workflow["jobs"]["test"]["strategy"]["matrix"]["python"] == pythons
     run = "\n".join(step.get("run", "") for step in steps(workflow))
     called = set(re.findall(r"make ([a-z-]+)", run))

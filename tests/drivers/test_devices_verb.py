@@ -341,8 +341,7 @@ def test_output_without_devices() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_is_listed() -> None:
-    result, saw = run_beside_device({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
-    assert result.returncode == 0, result.stderr
+    result, saw = run_beside_device({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json", code=0)
     (device,) = json.JSONDecoder().raw_decode(result.stdout)[0]["devices"]
     assert device["node"] == "/dev/hidraw0"
     assert (device["name"], device["serial"]) == ("Emulated arm", "SN42")
@@ -360,8 +359,7 @@ def test_an_emulated_device_is_listed() -> None:
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 def test_an_emulated_device_without_hidraw_is_listed() -> None:
-    result, saw = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json")
-    assert result.returncode == 0, result.stderr
+    result, saw = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json", code=0)
     (device,) = json.JSONDecoder().raw_decode(result.stdout)[0]["devices"]
     assert (device["bus"], device["node"], device["serial"]) == ("usb", "/dev/bus/usb/001/002", "SN42")
     assert (device["driver"], device["state"]) == ("hid", "usable")

@@ -9,7 +9,6 @@ import functools
 import json
 import random
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees
 from helpers.rig_files import write_rig
-from test_hid_emulated import CLOSED_LOOP, STROKE, WHY_NOT, on_testbed
+from test_hid_emulated import CLOSED_LOOP, DAEMON, STROKE, WHY_NOT, Run, on_testbed
 
 from softfinger.config.load import load_scene
 from softfinger.drivers.falcon import firmware
@@ -36,15 +35,13 @@ def rig_with(folder: Path, **keys: object) -> str:
     return str(write_rig(folder, "falcon", **{"kick_s": 0.15, "timeout_s": 1.0, **keys}))
 
 
-def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    fixed = ("--scene", "frictionless-plane", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
-    return beside(case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *fixed, *words)
+def run(case: dict[str, Any], rig: str, *words: str, code: int | None = None) -> Run:
+    return beside(case, *DAEMON, "--rig", rig, "--scene", "frictionless-plane", *words, code=code)
 
 
 def test_the_driver_contract() -> None:
     command = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(CONTRACT))
-    process, saw = beside({"place": [0.0, 0.0, 0.02]}, *command)
-    assert process.returncode == 0, process.stdout
+    process, saw = beside({"place": [0.0, 0.0, 0.02]}, *command, code=0)
     assert re.search(r"^\d+ passed in", process.stdout, re.MULTILINE), process.stdout
     assert saw["motors"] == [0, 0, 0]
 
@@ -52,8 +49,7 @@ def test_the_driver_contract() -> None:
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     records_file = tmp_path / "records.npy"
     program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "1800", str(records_file))
-    process, saw = beside(STROKE, *program)
-    assert process.returncode == 0, process.stderr
+    _, saw = beside(STROKE, *program, code=0)
     records = np.load(records_file)
     assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
     assert max(saw["most"]) > 100  # the forces reached the motors: 1 N is some 240 counts
@@ -69,8 +65,7 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
 def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Path) -> None:
     gain = -6000.0 if reversed_motors else 6000.0
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
-    process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5")
-    assert process.returncode == 0, process.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5", code=0)
     assert "device Novint Falcon 0403:cb48 at 1000 Hz" in process.stderr
     assert "force is zero" in process.stderr
     assert "not calibrated" not in process.stderr
@@ -82,16 +77,14 @@ def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Pa
 
 
 def test_force_without_a_gain_is_flagged() -> None:
-    process, saw = run({"place": [0.0, 0.0, 0.02]}, "falcon", "--duration", "0.02")
-    assert process.returncode == 0, process.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.02]}, "falcon", "--duration", "0.02", code=0)
     assert "force is not calibrated: 10000 motor counts per N m are assumed" in process.stderr
     # Purge, latency 1 ms, 1.5 MBd, purge: the chip as the firmware expects it.
     assert saw["requests"] == [[0, 1], [0, 2], [9, 1], [3, 2], [0, 1], [0, 2]]
 
 
 def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
-    process, saw = run({"place": [0.0, 0.0, 0.004], "late_every": 10}, rig_with(tmp_path), "--duration", "1")
-    assert process.returncode == 0, process.stderr
+    _, saw = run({"place": [0.0, 0.0, 0.004], "late_every": 10}, rig_with(tmp_path), "--duration", "1", code=0)
     assert saw["steps"] > 30
 
 
@@ -118,8 +111,7 @@ def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path)
 
 def test_homing(tmp_path: Path) -> None:
     rig = rig_with(tmp_path, counts_per_nm=10000.0)
-    process, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5")
-    assert process.returncode == 0, process.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1.5", code=0)
     assert "pull the knob out completely, then push it in, until the light is green" in process.stderr
     assert saw["found"] == [True, True, True]
     assert saw["place"][1] > 0.005, "the wall did not hold the hand, so its place was wrong"
@@ -127,8 +119,7 @@ def test_homing(tmp_path: Path) -> None:
 
 def test_homing_times_out(tmp_path: Path) -> None:
     rig = rig_with(tmp_path, homing_s=0.1)
-    process, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1")
-    assert process.returncode == 4, process.stderr
+    process, saw = run({"place": [0.0, 0.0, 0.004], "homed": False}, rig, "--duration", "1", code=4)
     assert "was not homed in 0.1 s: pull the knob out" in process.stderr
     assert saw["most"] == [0, 0, 0]
 
@@ -140,8 +131,7 @@ def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
     path = tmp_path / "firmware.bin"
     path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
     rig = rig_with(tmp_path, firmware=str(path))
-    process, saw = run({"firmware": FIRMWARE_BYTES, "spoil": 2}, rig, "--duration", "0.02")
-    assert process.returncode == 0, process.stderr
+    process, saw = run({"firmware": FIRMWARE_BYTES, "spoil": 2}, rig, "--duration", "0.02", code=0)
     assert saw["runs"] and saw["loads"] == 3
     assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 came back as", process.stderr)
 
@@ -178,8 +168,7 @@ def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
 def test_devices_reports_running_firmware() -> None:
     words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
     for more, state, reply in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
-        process, saw = beside({}, *words, *more)
-        assert process.returncode == 0, process.stderr
+        process, saw = beside({}, *words, *more, code=0)
         (device,) = json.JSONDecoder().raw_decode(process.stdout)[0]["devices"]
         assert (device["driver"], device["state"], device["said"]) == ("falcon", state, reply)
         assert (saw["steps"] > 0) == (reply is not None)
@@ -213,8 +202,7 @@ second.close()
 def test_two_falcons_through_libusb() -> None:
     case = {"place": [0.0, 0.0, 0.03], "serial": "SN1", "second": {"place": [0.0, 0.0, 0.045], "serial": "SN2"}}
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n{TWO}"
-    process, saw = beside(case, sys.executable, "-c", code)
-    assert process.returncode == 0, process.stderr
+    process, saw = beside(case, sys.executable, "-c", code, code=0)
     first, second, later, closed = (float(part) for part in re.findall(r"-?[\d.]+", process.stdout.splitlines()[-2]))
     # 0.1 N against the hand's 300 N/m, and half a count at each leg
     assert first == pytest.approx(0.03, abs=4e-4)
@@ -228,8 +216,7 @@ def test_two_falcons_through_libusb() -> None:
 def test_a_weight_gives_the_gain() -> None:
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "40", "--json")
-    process, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
-    assert process.returncode == 0, process.stderr
+    process, _ = beside(case, sys.executable, "-m", "softfinger.server.cli", *words, code=0)
     content = json.loads(process.stdout.rsplit("{", 1)[0])
     # tolerance: at rest the force of 0.39 N may change by up to 0.05 N from window to window
     assert content["counts_per_nm"] == pytest.approx(4000.0, rel=0.13)
@@ -239,7 +226,6 @@ def test_a_weight_gives_the_gain() -> None:
 def test_a_force_of_the_wrong_sign_is_noticed() -> None:
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": 4000.0, "weight_kg": 0.1, "weight_after": 100}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "20")
-    process, saw = beside(case, sys.executable, "-m", "softfinger.server.cli", *words)
-    assert process.returncode == 4, process.stderr
+    process, saw = beside(case, sys.executable, "-m", "softfinger.server.cli", *words, code=4)
     assert "change motors_reversed in the rig" in process.stderr
     assert saw["motors"] == [0, 0, 0]

@@ -12,7 +12,7 @@ import struct
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar
@@ -64,12 +64,8 @@ class Bench(RefusingBench):
         self.answering.settle(self.device)
         return self.arm.arm.force(self.arm.place, tuple(i / 1e3 for i in self.arm.milliamperes))
 
-    def fault(self, case: str) -> bool:
-        if case == "lost":
-            self.answering.unplug()
-        elif case == "timeout":
-            self.answering.mute.set()
-        return case in ("lost", "timeout")
+    def faults(self) -> Mapping[str, Callable[[], object]]:
+        return {"lost": lambda: self.answering.unplug(), "timeout": lambda: self.answering.mute.set()}
 
 
 @pytest.fixture(

@@ -35,6 +35,7 @@ TICKS = {"node": 1700, "thread": 2500, "usb": 2500}
 """Ticks that complete a stroke of 1.2 s: each report moves the emulated arm by 1 ms, and threads skip some."""
 CLOSED_LOOP = Path(__file__).parents[1] / "helpers" / "closed_loop.py"
 SYSTEM_PYTHON = "/usr/bin/python3"
+DAEMON = (sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
 
 
 def _umockdev() -> str | None:
@@ -54,27 +55,27 @@ pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(WHY_
 STROKE = {"place": [0.0, 0.0, 0.012], "press": 0.006, "drag": 0.02}
 
 
-def on_testbed(
-    file: str, case: dict[str, Any], *command: str
-) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
+Run = tuple[subprocess.CompletedProcess[str], dict[str, Any]]
+"""Ended program and the final state of its emulated device."""
+
+
+def on_testbed(file: str, case: dict[str, Any], *command: str, code: int | None = None) -> Run:
+    """Run a program beside an emulated device; fail unless its exit code is `code`, if that is given."""
     process = run_program(
         ["umockdev-wrapper", SYSTEM_PYTHON, str(EMULATORS / file), json.dumps(case), *command],
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
     )
     lines = process.stdout.splitlines()
-    assert lines, process.stderr
+    assert lines and code in (None, process.returncode), process.stdout + process.stderr
     return process, json.loads(lines[-1])
 
 
-def run_beside_device(case: dict[str, Any], *command: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    return on_testbed(TESTBEDS[case.get("bus", "hidraw")], case, *command)
+def run_beside_device(case: dict[str, Any], *command: str, code: int | None = None) -> Run:
+    return on_testbed(TESTBEDS[case.get("bus", "hidraw")], case, *command, code=code)
 
 
-def run(case: dict[str, Any], rig: str, *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    endpoint = ("--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
-    return run_beside_device(
-        case, sys.executable, "-m", "softfinger.server.cli", "run", "--rig", rig, *endpoint, *words
-    )
+def run(case: dict[str, Any], rig: str, *words: str, code: int | None = None) -> Run:
+    return run_beside_device(case, *DAEMON, "--rig", rig, *words, code=code)
 
 
 @pytest.mark.parametrize(
@@ -91,8 +92,7 @@ def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, gener
     bus, through = CONNECTIONS[connection]
     name = str(write_rig(tmp_path, rig, through=through))
     program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[connection]), str(records_file))
-    process, saw = run_beside_device({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program)
-    assert process.returncode == 0, process.stderr
+    _, saw = run_beside_device({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program, code=0)
     records = np.load(records_file)
     assert set(np.diff(records[:, AT.tick])) == {1.0}, "the subscriber has lost ticks"
     modes = records[:, AT.contact_mode]
@@ -108,8 +108,7 @@ def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, gener
 
 def test_an_arm_pressed_through_the_plane_is_stopped() -> None:
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.004]}
-    process, saw = run(case, "woodenhaptics-2019", "--duration", "2", "--scene", "frictionless-plane")
-    assert process.returncode == 0, process.stderr
+    process, saw = run(case, "woodenhaptics-2019", "--duration", "2", "--scene", "frictionless-plane", code=0)
     assert "device hid woodenhaptics-v2 16c0:0486 at 1000 Hz" in process.stderr
     assert "force is zero" in process.stderr
     assert saw["reports"] >= 2000
@@ -159,8 +158,7 @@ def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, m
     bus, through = CONNECTIONS[connection]
     whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
     rig = str(write_rig(tmp_path, "woodenhaptics-2019", through=through))
-    process, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane")
-    assert process.returncode == code, process.stderr
+    process, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane", code=code)
     assert re.search(message, process.stderr), process.stderr
     if "short_after" in case or "mute_after" in case:
         assert not any(saw["last"]), "the last report was no zero"
@@ -186,8 +184,9 @@ def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str,
     bus, through = CONNECTIONS[connection]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
     mine = str(write_rig(tmp_path, rig, through=through, timeout_s=1.0))  # a busy machine answers late
-    process, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", "--scene", "frictionless-plane")
-    assert process.returncode == 0, process.stderr
+    _, saw = run(
+        {**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", "--scene", "frictionless-plane", code=0
+    )
     assert saw["astray"] == 0
     assert max(saw["most"]) > 0
     assert not any(saw["last"])
@@ -248,8 +247,7 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
     rigs = [str(write_rig(tmp_path, "woodenhaptics-2019", **keys)) for keys, _ in tries]
     third_rig = str(write_rig(tmp_path, "woodenhaptics-2015", path="1-1:1.0"))
     case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
-    process, _ = run_beside_device(case, sys.executable, "-c", TRY, *rigs, third_rig)
-    assert process.returncode == 0, process.stderr
+    process, _ = run_beside_device(case, sys.executable, "-c", TRY, *rigs, third_rig, code=0)
     *lines, of_the_other = process.stdout.splitlines()[:-1]
     assert [line.startswith(wanted) for line, (_, wanted) in zip(lines, tries, strict=True)] == [True] * 7, lines
     assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, and the rig is for 1234:0006")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -59,12 +59,8 @@ class TwoDiy(BoardBench):
             settled(lambda: self.board.answers + (self.port.mute.is_set()), lambda answers: answers >= written, 0.5)
         return (*force_of(self.board), 0.0, 0.0, 0.0)
 
-    def fault(self, case: str) -> bool:
-        if case == "lost":
-            self.port.pull()
-        elif case == "timeout":
-            self.port.mute.set()
-        return case in ("lost", "timeout")
+    def faults(self) -> Mapping[str, Callable[[], object]]:
+        return {"lost": lambda: self.port.pull(), "timeout": lambda: self.port.mute.set()}
 
 
 @pytest.fixture(scope="module")
@@ -95,12 +91,8 @@ class HapkitBench(BoardBench):
         time.sleep(0.005)  # a loop of the sketch takes 0.1 ms
         return (*(self.board.torque() / 0.09 * ALONG), 0.0, 0.0, 0.0)
 
-    def fault(self, case: str) -> bool:
-        if case == "lost":
-            self.board.pull()
-        elif case == "timeout":
-            self.board.mute()
-        return case in ("lost", "timeout")
+    def faults(self) -> Mapping[str, Callable[[], object]]:
+        return {"lost": lambda: self.board.pull(), "timeout": lambda: self.board.mute()}
 
 
 class Contract(driver_contract.DriverContract):

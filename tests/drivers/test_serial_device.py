@@ -12,7 +12,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -62,12 +62,8 @@ class Bench(RefusingBench):
         settle(self.device, self.cable)
         return self.cable.board.force
 
-    def fault(self, case: str) -> bool:
-        if case == "lost":
-            self.cable.pull()
-        elif case == "timeout":
-            self.cable.hush()
-        return case in ("lost", "timeout")
+    def faults(self) -> Mapping[str, Callable[[], object]]:
+        return {"lost": lambda: self.cable.pull(), "timeout": lambda: self.cable.hush()}
 
 
 @pytest.fixture(params=[False, True], ids=["one newline", "two newlines"])

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from emulators.guideboard import crc8
 from helpers.described_boards import rig_options
 from helpers.plain_by_call import BY_CALL, MS, by_call
 from test_serial_exchange import Board, frame
@@ -105,15 +106,6 @@ class Reader:
     @property
     def pushes(self) -> bool:
         return bool(self.received) and self.received[-1][0]
-
-
-def crc8(data: bytes) -> int:
-    crc = 0
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x07) & 0xFF if crc & 0x80 else crc << 1
-    return crc
 
 
 class Hapkit(Reader):

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import functools
-import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees
-from test_hid_emulated import CLOSED_LOOP, WHY_NOT, on_testbed
+from test_hid_emulated import CLOSED_LOOP, DAEMON, WHY_NOT, on_testbed
 
 from softfinger.config.load import load_scene
 from softfinger.proxy.record import AT
 
-CLI = (sys.executable, "-m", "softfinger.server.cli")
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
 
 
 beside = functools.partial(on_testbed, "puck_testbed.py")
-
-
-def run(case: dict[str, Any], *words: str) -> tuple[subprocess.CompletedProcess[str], dict[str, Any]]:
-    return beside(case, *CLI, "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off", *words)
 
 
 @pytest.mark.parametrize("reports", ["split", "combined"])
@@ -37,8 +30,7 @@ def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Pat
     """
     path = tmp_path / "records.npy"
     case = {"reports": reports, "push": {"up": -80, "right": 40}, "buttons": 5}
-    process, saw = beside(case, sys.executable, str(CLOSED_LOOP), "spacemouse", "paper-plane", "3000", str(path))
-    assert process.returncode == 0, process.stderr
+    _, saw = beside(case, sys.executable, str(CLOSED_LOOP), "spacemouse", "paper-plane", "3000", str(path), code=0)
     records = np.load(path)
     extent = np.ptp(records[:, AT.probe_position : AT.probe_position + 3], axis=0)
     assert extent[0] / extent[2] == pytest.approx((40 - 15) / (80 - 15), rel=1e-9)  # one time for both: only rounding
@@ -51,14 +43,14 @@ def test_the_fingertip_follows_through_a_hidraw_node(reports: str, tmp_path: Pat
 
 
 def test_an_unplugged_puck_ends_the_run() -> None:
-    process, _ = run({"unplug_after_s": 2.0}, "--rig", "spacemouse", "--duration", "60")
-    assert process.returncode == 4, process.stderr
+    process, _ = beside({"unplug_after_s": 2.0}, *DAEMON, "--rig", "spacemouse", "--duration", "60", code=4)
     assert "spacemouse SpaceNavigator is gone (status -1 on read): plug it in again" in process.stderr
 
 
 def test_a_daemon_that_does_not_use_the_puck_logs_its_removal(tmp_path: Path) -> None:
     socket = tmp_path / "telemetry"
-    process, _ = run({"unplug_when": str(socket)}, "--duration", "6", "--endpoint", f"ipc://{socket}")
-    assert process.returncode == 0, process.stderr
+    process, _ = beside(
+        {"unplug_when": str(socket)}, *DAEMON, "--duration", "6", "--endpoint", f"ipc://{socket}", code=0
+    )
     assert "detached: SpaceNavigator (046d:c626) at /dev/hidraw0" in process.stderr
     assert "stopped after 6000 ticks" in process.stderr

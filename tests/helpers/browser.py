@@ -5,13 +5,15 @@ from __future__ import annotations
 import io
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from helpers import waits
 from softfinger.tools.bench.view import ARGUMENTS, viewer
 
 WAIT_S = 180.0
@@ -40,12 +42,7 @@ def why_none() -> str:
     return ""
 
 
-def eventually(true: Callable[[], Any], every_s: float = 0.1) -> Any:
-    """Wait until `true` returns a true value, at most WAIT_S; return its last value."""
-    until = time.monotonic() + WAIT_S
-    while not (value := true()) and time.monotonic() < until:
-        time.sleep(every_s)
-    return value
+eventually = partial(waits.eventually, seconds=WAIT_S, every_s=0.1)
 
 
 def coloured(picture: NDArray[np.int64]) -> dict[str, int]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from emulators.haply2diy import Firmware, place
 
+from helpers.waits import eventually
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.serial.device import Options, SerialDevice, open_device
 
@@ -33,9 +33,7 @@ def opened(rig: str, path: str, **changes: Any) -> SerialDevice:
 
 def settled(value: Callable[[], Any], wanted: Callable[[Any], bool], within_s: float = 5.0) -> Any:
     """Wait until a value is as wanted, at most `within_s`; return its last value."""
-    until = time.monotonic() + within_s
-    while not wanted(value()) and time.monotonic() < until:
-        time.sleep(0.0005)
+    eventually(lambda: wanted(value()), within_s, 0.0005)
     return value()
 
 

@@ -13,7 +13,7 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -230,19 +230,21 @@ class RefusedNode:
 
 
 class RefusingBench(driver_contract.Bench):
-    """Bench of a node or port: refusals come from a `RefusedNode`, faults of the open device from `fault`."""
+    """Bench of a node or port: refusals come from a `RefusedNode`, faults of the open device from `faults`."""
 
     patience_s: ClassVar[float] = 10.0
 
     def __init__(self, node: RefusedNode) -> None:
         self.node, self.case = node, ""
 
-    def fault(self, case: str) -> bool:
-        """Cause a fault; return False if the case is a refusal."""
+    def faults(self) -> Mapping[str, Callable[[], object]]:
+        """Return functions that cause a fault, by its case."""
         raise NotImplementedError
 
     def make(self, case: str) -> None:
-        if not self.fault(case):
+        if case in self.faults():
+            self.faults()[case]()
+        else:
             self.case = case
             if case != "not_found":
                 self.node.make(case)

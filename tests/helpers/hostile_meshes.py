@@ -70,12 +70,17 @@ def shells(count: int = 60) -> Mesh:
     return meshes.joined(*(meshes.geodesic(10, 0.05 * (1.0 - 1e-5 * k)) for k in range(count)))
 
 
+def valley(rows: int, wide: float, high: float, half_length: float = 0.1) -> Mesh:
+    """Two sheets that meet along y, `wide` m to both sides of it and `high` m up, with this number of rows of quads."""
+    y = np.linspace(-half_length, half_length, rows + 1)
+    vertices = np.array([(x, v, high * (x != 0.0)) for v in y for x in (-wide, 0.0, wide)])
+    cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(rows) for j in range(2)]
+    return Mesh(vertices, np.array([t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))], np.int32))
+
+
 def crevice(angle: float = 0.02) -> Mesh:
     """Two sheets that meet along y at a small angle, rad, with a gap far narrower than the fingertip."""
-    y, high, wide = np.linspace(-0.1, 0.1, 9), 0.2, 0.2 * np.sin(0.5 * angle)
-    vertices = np.array([(x, v, high * (x != 0.0)) for v in y for x in (-wide, 0.0, wide)])
-    cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(8) for j in range(2)]
-    return Mesh(vertices, np.array([t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))], np.int32))
+    return valley(8, 0.2 * np.sin(0.5 * angle), 0.2)
 
 
 MADE: Final = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from helpers import hostile_meshes
 from helpers.meshes import Mesh, bumpy_sphere, joined, moved
 
 
@@ -60,11 +61,7 @@ def thread(core: float = 0.01, height: float = 0.003, length: float = 0.04, turn
 
 
 def bar(size: tuple[float, float, float]) -> Mesh:
-    x, y, z = (0.5 * extent for extent in size)
-    corners = np.array([(i, j, k) for i in (-x, x) for j in (-y, y) for k in (-z, z)])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
-    return Mesh(corners, np.array(faces, np.int32))
+    return hostile_meshes.bar(*(0.5 * extent for extent in size))
 
 
 def lattice(pitch: float = 0.015, bars: int = 3, width: float = 0.001) -> Mesh:

@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from helpers import meshes
-from helpers.hostile_meshes import bar
+from helpers.hostile_meshes import bar, valley
 from helpers.touching import SLIPPERY, R, engine, make_object, spun, visit, wander, write_part
 from references.brute_force import balls_of, brute_distances
 
@@ -47,14 +47,6 @@ def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
 METHODS = get_args(RollingMethod)
 
 
-def groove(width=0.1):
-    """Two sheets that meet at a right angle along y: z = |x|, three quads per side."""
-    y = np.linspace(-width, width, 4)
-    vertices = np.array([(x, v, abs(x)) for v in y for x in (-width, 0.0, width)])
-    cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(3) for j in range(2)]
-    return vertices, np.array([t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))], np.int32)
-
-
 @pytest.mark.plain
 @pytest.mark.parametrize("method", METHODS)
 def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
@@ -76,7 +68,7 @@ def test_a_crease_pushes_with_both_sides(tmp_path):
     This includes the edges between triangles. In a turn about the groove both sides resist like a V-block: r mu (f1 +
     f2), with f1 + f2 = 2 F / (1 + mu^2).
     """
-    running = engine(make_object("groove", "mesh", file=write_part(tmp_path, *groove())))
+    running = engine(make_object("groove", "mesh", file=write_part(tmp_path, *valley(3, 0.1, 0.1))))
     top = R * np.sqrt(2.0)
     press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 50)
     drag = np.linspace((0.0, -0.05, top - 1e-3), (0.0, 0.05, top - 1e-3), 300)

@@ -152,8 +152,7 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     # the emulated device is a normal process and must not be delayed by the exchange's thread
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
     words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
-    process, saw = run_beside_device(case, *COMMAND, *words)
-    assert process.returncode == (4 if lost else 0), process.stderr
+    _, saw = run_beside_device(case, *COMMAND, *words, code=4 if lost else 0)
     content = checked(file, home)
     (arm,) = content["identity"]
     assert (arm["vendor_id"], arm["product_id"], arm["node"], arm["serial"]) == (
@@ -184,8 +183,7 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
     else:
         rig, beside_it = write_rig(home, driver), test_spacemouse_emulated.beside
     rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
-    process, _ = beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
-    assert process.returncode == 0, process.stderr
+    beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3", code=0)
     content = checked(file, home)
     (device,) = content["identity"]
     assert f"{device['vendor_id']}:{device['product_id']}" == {"falcon": "0403:cb48", "spacemouse": "046d:c626"}[driver]
@@ -196,9 +194,9 @@ def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
 
 def test_a_puck_is_not_pushed() -> None:
     rig = load_rig("spacemouse")
-    near, right = socket.socketpair()
+    near, far = socket.socketpair()
     puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), near.detach(), RATE_HZ)
-    with right, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
+    with far, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
         report.pushing(rig, puck, 1.0)
 
 
