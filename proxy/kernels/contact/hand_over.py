@@ -6,13 +6,13 @@ with the deflection and wind-up of that share. They are mixed in proportion to t
 continuous, and the energy of the springs does not increase, because it is convex.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.rest.active_set import loads_of
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.objects import material_of
 from softfinger.proxy.record import ROLLING
@@ -79,35 +79,52 @@ def winding_stiffness(objects: Any, contact: ContactState) -> float:
     return torsional_stiffness(material_of(objects, contact.body).torsion)
 
 
+class LostWindUp(NamedTuple):
+    """Deflection and rolled part (3,) m and bend (3,) of the contacts, each times the load share that it loses, summed."""
+
+    deflection: Vec3
+    rolled_part: Vec3
+    bend: Vec3
+
+
 @jit
-def merge_contact(receiver: ContactState, stiffness: float, giver: ContactState, of_giver: float, weight: float) -> Any:
-    """Add the deflection and wind-up of `giver`, times `weight`, to a contact.
+def sum_weighted(weights: Vec3, one: Vec3, two: Vec3, three: Vec3) -> Vec3:
+    return vec3.add_scaled(vec3.add_scaled(vec3.scale(weights[0], one), weights[1], two), weights[2], three)
 
-    stiffness, of_giver  stiffnesses of the two torsional springs
 
-    Vectors are projected onto the tangent plane of the receiver, and the spin onto its normal. On a stiffer torsional
-    spring the spin becomes smaller, so the moment is preserved, and no energy is generated.
+@jit
+def lost_wind_up(contacts: Contacts, losses: Vec3) -> LostWindUp:
+    one, two, three = contacts
+    return LostWindUp(
+        sum_weighted(losses, one.deflection, two.deflection, three.deflection),
+        sum_weighted(losses, one.rolled_part, two.rolled_part, three.rolled_part),
+        sum_weighted(losses, one.bend, two.bend, three.bend),
+    )
+
+
+@jit
+def lost_spin(contact: ContactState, loss: float, of_contact: float, normal: Vec3, stiffness: float) -> float:
+    """Return the spin that the share lost by a contact has on a receiver with that normal and torsional stiffness.
+
+    On a stiffer torsional spring the spin becomes smaller, so the moment is preserved, and no energy is generated.
     """
-    if weight == 0.0:
-        return receiver
-    cosine = vec3.dot(giver.normal, receiver.normal)
-    deflection = vec3.add_scaled(receiver.deflection, weight, vec3.reject(giver.deflection, receiver.normal))
-    rolled_part = vec3.add_scaled(receiver.rolled_part, weight, vec3.reject(giver.rolled_part, receiver.normal))
-    bend = vec3.add_scaled(receiver.bend, weight, vec3.reject(giver.bend, receiver.normal))
-    spin = receiver.spin + weight * min(of_giver / stiffness, 1.0) * cosine * giver.spin
-    return replace(receiver, "deflection", deflection, "rolled_part", rolled_part, "spin", spin, "bend", bend)
+    return loss * min(of_contact / stiffness, 1.0) * vec3.dot(contact.normal, normal) * contact.spin
 
 
 @jit
 def contact_after_hand_over(
-    objects: Any, contacts: Contacts, losses: Vec3, stiffnesses: Vec3, constraint: Constraint, share: float
-) -> ContactState:
+    objects: Any, contacts: Contacts, losses: Vec3, lost: LostWindUp, stiffnesses: Vec3, constraint: Constraint,
+    share: float,
+) -> ContactState:  # fmt: skip
     """Return the contact of a constraint: the remainder of its last state, plus the state of the share it gained.
 
     contacts    of the last tick, moved with their objects
     losses      of these contacts, see `load_share_lost`
+    lost        their wind-up
     stiffnesses of their torsional springs
     share       current load share of the constraint
+
+    Vectors are projected onto the tangent plane of the constraint, and the spins onto its normal.
     """
     body, normal, push = constraint
     if body < 0.0:
@@ -122,12 +139,20 @@ def contact_after_hand_over(
         if total_loss > 0.0:
             gain = max(share - previous.share, 0.0) / (total_loss * share)
     mode = source.mode if source.body >= 0.0 else float(ROLLING)
-    zero = (0.0, 0.0, 0.0)
-    deflection, rolled_part = zero, zero
+    deflection, rolled_part, bend, spin = ZERO, ZERO, vec3.scale(remainder, previous.bend), remainder * previous.spin
     if continues:
         deflection = vec3.scale(remainder, vec3.reject(previous.deflection, normal))
         rolled_part = vec3.scale(remainder, vec3.reject(previous.rolled_part, normal))
-    contact = ContactState(
+    if gain > 0.0:
+        deflection = vec3.add_scaled(deflection, gain, vec3.reject(lost.deflection, normal))
+        rolled_part = vec3.add_scaled(rolled_part, gain, vec3.reject(lost.rolled_part, normal))
+        bend = vec3.add_scaled(bend, gain, vec3.reject(lost.bend, normal))
+        stiffness = torsional_stiffness(material_of(objects, body).torsion)
+        total = lost_spin(contacts[0], losses[0], stiffnesses[0], normal, stiffness)
+        total += lost_spin(contacts[1], losses[1], stiffnesses[1], normal, stiffness)
+        total += lost_spin(contacts[2], losses[2], stiffnesses[2], normal, stiffness)
+        spin += gain * total
+    return ContactState(
         body=body,
         normal=normal,
         push=push,
@@ -135,17 +160,13 @@ def contact_after_hand_over(
         mode=mode,
         deflection=deflection,
         rolled_part=rolled_part,
-        spin=remainder * previous.spin,
+        spin=spin,
         slip_speed=source.slip_speed,
         slip_deflection=source.slip_deflection,
         spin_slip_speed=source.spin_slip_speed,
         spin_slip_angle=source.spin_slip_angle,
-        bend=vec3.scale(remainder, previous.bend),
+        bend=bend,
     )
-    stiffness = winding_stiffness(objects, contact)
-    contact = merge_contact(contact, stiffness, contacts[0], stiffnesses[0], gain * losses[0])
-    contact = merge_contact(contact, stiffness, contacts[1], stiffnesses[1], gain * losses[1])
-    return merge_contact(contact, stiffness, contacts[2], stiffnesses[2], gain * losses[2])
 
 
 @jit
@@ -158,9 +179,10 @@ def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
         load_share_lost(active, shares, contacts[2]),
     )
     one, two, three = contacts
+    lost = lost_wind_up(contacts, losses)
     stiffnesses = winding_stiffness(objects, one), winding_stiffness(objects, two), winding_stiffness(objects, three)
     return (
-        contact_after_hand_over(objects, contacts, losses, stiffnesses, active[0], shares[0]),
-        contact_after_hand_over(objects, contacts, losses, stiffnesses, active[1], shares[1]),
-        contact_after_hand_over(objects, contacts, losses, stiffnesses, active[2], shares[2]),
+        contact_after_hand_over(objects, contacts, losses, lost, stiffnesses, active[0], shares[0]),
+        contact_after_hand_over(objects, contacts, losses, lost, stiffnesses, active[1], shares[1]),
+        contact_after_hand_over(objects, contacts, losses, lost, stiffnesses, active[2], shares[2]),
     )
