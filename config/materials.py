@@ -84,7 +84,7 @@ class Library(NamedTuple):
 
     def fill(self, table: Mapping[str, Any]) -> dict[str, Any]:
         """Return a table that names an entry, completed with the values of the entry."""
-        dropped = {theirs for ours, theirs in self.instead.items() if table.get(ours) is not None}
+        dropped = {replaced for key, replaced in self.instead.items() if table.get(key) is not None}
         values = self.entries()[table[self.key]].values
         base = {key: value for key, value in values.items() if key not in dropped}
         return _merge(base, table) | ({"resolved": True} if self.marked else {})

@@ -104,8 +104,8 @@ class Reports(Table, frozen=True, kw_only=True):
         ):
             return
         if (self.preset.bytes, self.preset.id) != (self.output.bytes, self.output.id):
-            theirs = f"{self.output.bytes} bytes with id {self.output.id}"
-            yield "preset.bytes", self.preset.bytes, f"must be an output report like the other one: {theirs}"
+            described = f"{self.output.bytes} bytes with id {self.output.id}"
+            yield "preset.bytes", self.preset.bytes, f"must be an output report like the other one: {described}"
 
 
 class Options(Table, frozen=True, kw_only=True):

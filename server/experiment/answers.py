@@ -151,14 +151,14 @@ class Participant:
 
     def _wait_for_release(self, keys: Callable[[], str]) -> None:
         """Wait until no key of the terminal is pressed: a repeating key would answer every question."""
-        is_told = False
+        is_informed = False
         while True:
             self._haptics.wait(POLL_S)
             if keys():
                 self._last_key_s = time.monotonic()
-                if not is_told:
+                if not is_informed:
                     print_line(RELEASE)
-                is_told = True
+                is_informed = True
             elif time.monotonic() - self._last_key_s > RELEASE_S:
                 return
 

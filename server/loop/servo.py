@@ -174,15 +174,15 @@ def servo_loop(
 
         version, tuning = update_parameters(shared.tuning, version, scratch.values, scratch.ramp, tuning)
         reads = ios, buffers, tuning.guards, tuning.offsets, start.fingers, memory.fingers
-        befores, statuses = unzip(map_each(read_one, reads, dt))
+        fingers_after_read, statuses = unzip(map_each(read_one, reads, dt))
         index, status = find_first_ended(statuses)
         if index >= 0:
             ending, finger = FINISHED if status == END else READ_FAILED, index
             break
-        memory = Memory(memory.world, befores)
+        memory = Memory(memory.world, fingers_after_read)
         on = is_on(shared.switch, woke)
-        memory = tick(with_switch(tuning, befores, on), start, memory, samples, dt, nominal, number, records)
-        writes = ios, buffers, tuning.tools, start.fingers, befores, memory.fingers
+        memory = tick(with_switch(tuning, fingers_after_read, on), start, memory, samples, dt, nominal, number, records)
+        writes = ios, buffers, tuning.tools, start.fingers, fingers_after_read, memory.fingers
         hands, statuses_out = unzip(map_each(write_one, writes))
         wrote = now_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)

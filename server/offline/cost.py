@@ -121,10 +121,10 @@ def make_touching_poses(scene: schema.Scene, count: int = BLOCK) -> Array:
     # A point outside the object: the first of random points around it at which the fingertip fits.
     offsets = np.random.default_rng(0).normal(size=(64, 3))
     offsets *= (np.geomspace(1e-3, 1e4, 64) * radius / np.linalg.norm(offsets, axis=1))[:, None]
-    seats = offsets + obj.position_m
-    follow_surface(tree, values, seats, radius)
-    gaps = np.linalg.norm(seats - seats[0], axis=1)
-    base = seats[int(np.argmin(gaps))]
+    contacts = offsets + obj.position_m
+    follow_surface(tree, values, contacts, radius)
+    gaps = np.linalg.norm(contacts - contacts[0], axis=1)
+    base = contacts[int(np.argmin(gaps))]
     t = 2.0 * np.pi * np.arange(count) / count
     poses = np.zeros((count, 7))
     sway = np.stack([0.4 * np.sin(3.0 * t), 0.2 * np.sin(2.0 * t), 0.3 * np.sin(4.0 * t)], axis=1)

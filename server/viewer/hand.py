@@ -159,10 +159,10 @@ class HandControls:
             self._show()
             self._sliders_updated_s = now
 
-    def hold_then(self, then: Callable[[], None]) -> None:
-        """Call `then` after every hand has stopped at its current goal, so that a grip does not open."""
+    def hold_then(self, action: Callable[[], None]) -> None:
+        """Call `action` after every hand has stopped at its current goal, so that a grip does not open."""
         with self._lock:
-            self._after_hold.append(then)
+            self._after_hold.append(action)
             stale = not self._pending_holds and time.monotonic() - self._last_command_s > TARGET_VALID_S
             if stale:
                 self._pending_holds = set(self._fingers)

@@ -81,15 +81,15 @@ class LedPath(NamedTuple):
     rolled: Array
 
 
-def grid(points: Array, meet: bool) -> Arrays:
+def grid(points: Array, is_closed: bool) -> Arrays:
     """Return the triangles of a grid of points (n, m, 3) m.
 
-    The last column is connected to the first and, if `meet`, the last row to the first.
+    The last column is connected to the first and, if `is_closed`, the last row to the first.
     """
     rows, columns = points.shape[:2]
     at = np.arange(rows * columns).reshape(rows, columns)
     at = np.concatenate([at, at[:, :1]], axis=1)
-    if meet:
+    if is_closed:
         at = np.concatenate([at, at[:1]])
     a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
     return points.reshape(-1, 3), np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])

@@ -71,13 +71,13 @@ def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
     return {"shape": "mesh", "file": save_mesh(folder, vertices, triangles), "shading": "normals"}
 
 
-def compare(kind: str, pitch: float, ways: Sequence[LedPath]) -> dict[str, Any]:
+def compare(kind: str, pitch: float, led_paths: Sequence[LedPath]) -> dict[str, Any]:
     """Return the largest differences from the hills on all paths, and the cost of a tick that rolls, us."""
     with tempfile.TemporaryDirectory() as folder:
         obj = table(kind, pitch, Path(folder))
         smooth, rolls = (Engine(scene_of(obj, sticks)) for sticks in (False, True))
     rows, cost_us = [], []
-    for path in ways:
+    for path in led_paths:
         records = visit(smooth, path)
         rows.append(differences(path, records, records, visit(rolls, path)))
         for _ in range(PASSES):
@@ -93,10 +93,10 @@ def run(args: argparse.Namespace) -> int:
     """Run the verb, with `--json` and `--plot`."""
     rows: list[dict[str, Any]] = []
     with progress("hills of pixels", len(KINDS) * len(PITCHES_M)) as update:
-        ways = paths(TICKS)
+        led_paths = paths(TICKS)
         for pitch in PITCHES_M:
             for kind in KINDS:
-                rows.append(compare(kind, pitch, ways))
+                rows.append(compare(kind, pitch, led_paths))
                 update(len(rows))
     show({"rows": rows}, args.json, list(lines(rows)))
     if args.plot:

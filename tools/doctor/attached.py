@@ -90,14 +90,14 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
     driver, expected = single_device(rig).driver, "usable"
     results, is_attached = [], False
     for device in attached:
-        claim, mine = find_claim(device), is_of(rig, device)
-        if claim is None and mine:  # only the rig describes it, no shipped rig does
+        claim, is_of_rig = find_claim(device), is_of(rig, device)
+        if claim is None and is_of_rig:  # only the rig describes it, no shipped rig does
             claim = Claim(driver, device.bus, device.vendor, device.product)
         if claim is None:
             continue
-        is_attached = is_attached or mine
+        is_attached = is_attached or is_of_rig
         diagnosis = diagnose(device, claim, single_device(rig))
-        state: State = "good" if diagnosis.state == "usable" else _grade_missing(mine)
+        state: State = "good" if diagnosis.state == "usable" else _grade_missing(is_of_rig)
         reason = f": {diagnosis.reason}" if diagnosis.reason else ""
         results.append(
             Check(

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         check_push(rig)
     force_n, guided = PUSH_N if args.push else None, sys.stdin.isatty()
     request = ReportRequest("--probe", args.probe, "--push", force_n, PART_S, guided, args.json)
-    return make_report(rig, request, ProbeSession, glance)
+    return make_report(rig, request, ProbeSession, summarize)
 
 
 def check_push(rig: Rig) -> None:
@@ -130,7 +130,7 @@ def join_rows(parts: list[Array]) -> Array:
     return np.concatenate(all_rows) if all_rows else parts[0][:0]
 
 
-def glance(report: Report) -> list[str]:
+def summarize(report: Report) -> list[str]:
     """Return the picture of the axes, and the most important figures for a user; nothing without an open device."""
     if report["device"] is None:
         return []

@@ -22,11 +22,12 @@ _ALOFT: Final = 0.14
 
 def tables() -> tuple[str, str]:
     states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
-    ways: dict[tuple[Any, DaemonState], list[str]] = {}
+    sources: dict[tuple[Any, DaemonState], list[str]] = {}
     for (before, trigger), after in _transitions():
-        ways.setdefault((trigger, after), []).append(f"`{before}`")
+        sources.setdefault((trigger, after), []).append(f"`{before}`")
     rows = [
-        [", ".join(before), f"{trigger}: {CAUSES[trigger]}", f"`{after}`"] for (trigger, after), before in ways.items()
+        [", ".join(before), f"{trigger}: {CAUSES[trigger]}", f"`{after}`"]
+        for (trigger, after), before in sources.items()
     ]
     return states, schema.grid(["from", "by", "to"], rows)
 

@@ -66,7 +66,7 @@ def scene(
         "friction": {"static": friction[0], "kinetic": friction[1]},
         "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
     }
-    numbered = [{"name": f"thing {n}", "material": material} | thing for n, thing in enumerate(objects or PLANE)]
+    numbered = [{"name": f"thing {n}", "material": material} | obj for n, obj in enumerate(objects or PLANE)]
     return {
         "fingertip": {"radius_m": radius},
         "rolling": {"method": method},

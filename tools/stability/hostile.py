@@ -26,10 +26,10 @@ def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     """Return samples (count, 7) and time steps (count,) s; a quarter of the samples has invalid values."""
     samples = rng.uniform(-1.0, 1.0, (count, 7))
     samples[:, :3] *= 2.0 * R
-    spoilt = (rng.random((count, 1)) < 0.25) & (rng.random((count, 7)) < 0.125)
-    wild = rng.choice(WILD, (count, 7))
+    is_invalid = (rng.random((count, 1)) < 0.25) & (rng.random((count, 7)) < 0.125)
+    special = rng.choice(WILD, (count, 7))
     sized = rng.choice([-1.0, 1.0], (count, 7)) * 10.0 ** rng.uniform(-300.0, 300.0, (count, 7))
-    samples[spoilt] = np.where(rng.random((count, 7)) < 0.5, wild, sized)[spoilt]
+    samples[is_invalid] = np.where(rng.random((count, 7)) < 0.5, special, sized)[is_invalid]
     dts = np.full(count, 0.001)
     odd = rng.integers(0, 16, count)
     dts[odd == 0] = 0.0

@@ -79,8 +79,8 @@ def fades_in(out: Array, first: int) -> str:
 
 def climbs(out: Array, bits: NDArray[np.int64]) -> str:
     """Check that 10 N are reached in five steps of 2 N."""
-    want = 2.0 * np.arange(1, 6)
-    good = np.allclose(np.linalg.norm(out[RAMP_TICKS : RAMP_TICKS + 5, :3], axis=1), want, rtol=ROUNDING)
+    expected = 2.0 * np.arange(1, 6)
+    good = np.allclose(np.linalg.norm(out[RAMP_TICKS : RAMP_TICKS + 5, :3], axis=1), expected, rtol=ROUNDING)
     return "" if good else "the force did not come in steps of the slew limit"
 
 
