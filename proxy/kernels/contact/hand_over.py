@@ -80,7 +80,7 @@ def winding_stiffness(objects: Any, contact: ContactState) -> float:
 
 
 class LostWindUp(NamedTuple):
-    """Deflection and rolled part (3,) m and bend (3,) of the contacts, each times the load share that it loses, summed."""
+    """Deflection and rolled part (3,) m and bend (3,) of the contacts, times the load share that each loses, summed."""
 
     deflection: Vec3
     rolled_part: Vec3
