@@ -62,12 +62,21 @@ def corners_in_blocks(
 
 def first_alike(rows: Rows) -> Numbers:
     """Return for each row (n, k) of uint64 or uint32 the index of the first equal row."""
-    rows = np.ascontiguousarray(rows).view(np.uint32)  # one type, compiled once
+    rows = np.ascontiguousarray(rows).view(np.int32)  # one type, compiled once
     slots = 1 << max(4, (2 * len(rows)).bit_length())
     first = np.empty(len(rows), np.int32)
-    with np.errstate(over="ignore"):  # as plain Python, NumPy would warn about each product modulo 2^64
-        _alike(rows, np.uint64(_SEED), np.full(slots, -1, np.int32), first)
+    for begin in range(0, len(rows), BLOCK):
+        first[begin : begin + BLOCK] = _hashes(rows[begin : begin + BLOCK]) & np.uint64(slots - 1)
+    _find_alike(rows, np.full(slots, -1, np.int32), first)
     return first
+
+
+def _hashes(rows: Rows) -> NDArray[np.uint64]:
+    mixed = np.full(len(rows), _SEED, np.uint64)
+    for column in rows.T:
+        mixed = (mixed ^ column.view(np.uint32)) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+    return mixed
 
 
 def unique_rows(rows: Rows) -> tuple[NDArray[np.int64], Numbers]:
@@ -102,31 +111,23 @@ def pieces_of(edges: Edges) -> Pieces:
 
 
 @entry
-def _alike(rows: Rows, seed: np.uint64, table: Numbers, first: Numbers) -> None:
-    """Write `first_alike` to `first`, with a hash table of a power of two entries, all -1, more than the rows.
+def _find_alike(rows: Rows, table: Numbers, first: Numbers) -> None:
+    """Replace the slot of each row in `first` by the index of the first equal row.
 
-    Open addressing with linear probing, from the slot of a row's hash.
+    table  hash table of a power of two entries, all -1, more than the rows; open addressing with linear probing
     """
-    mask = np.uint64(len(table) - 1)
-    for i in range(rows.shape[0]):
-        mixed = seed
-        for k in range(rows.shape[1]):
-            mixed = (mixed ^ np.uint64(rows[i, k])) * np.uint64(0x9E3779B97F4A7C15)
-            mixed ^= mixed >> np.uint64(29)
-        place = mixed & mask
-        while True:
-            row = table[place]
-            if row < 0:
-                table[place] = i
-                first[i] = i
-                break
+    for i in range(len(rows)):
+        place = first[i]
+        while table[place] >= 0:
             same = True
             for k in range(rows.shape[1]):
-                same = same and rows[row, k] == rows[i, k]
+                same = same and rows[table[place], k] == rows[i, k]
             if same:
-                first[i] = row
                 break
-            place = (place + np.uint64(1)) & mask
+            place = (place + 1) % len(table)
+        if table[place] < 0:
+            table[place] = i
+        first[i] = table[place]
 
 
 @entry
