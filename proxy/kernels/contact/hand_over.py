@@ -108,6 +108,8 @@ def lost_spin(contact: ContactState, loss: float, of_contact: float, normal: Vec
 
     On a stiffer torsional spring the spin becomes smaller, so the moment is preserved, and no energy is generated.
     """
+    if loss == 0.0:
+        return 0.0
     return loss * min(of_contact / stiffness, 1.0) * vec3.dot(contact.normal, normal) * contact.spin
 
 

@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import SINGLE_POINT, WITH_HEIGHTMAP, WITH_MESH, by_multipoint, is_mesh_at
 from softfinger.proxy.kernels.query.objects import closest_to_within, neighbour_on
 from softfinger.proxy.kernels.shapes.budget import BUDGET, SETTLED
-from softfinger.proxy.kernels.shapes.protocol import turn_along
+from softfinger.proxy.kernels.shapes.protocol import direction, turn_along
 
 
 @jit
@@ -91,8 +91,7 @@ def roll_on_next_facet(
     on_both = share_of_tick(vec3.sub(rolled.normal, start.normal), rate)
     on_next = min(share_of_tick(vec3.sub(rolled.normal, normal), rate), on_both)
     share = 0.5 * (on_both + on_next)
-    mean = vec3.add_scaled(vec3.scale(1.0 - share, start.normal), share, normal)
-    mean = vec3.scale(1.0 / vec3.norm(mean), mean)
+    _, mean = direction(vec3.add_scaled(vec3.scale(1.0 - share, start.normal), share, normal), normal)
     flat = roll_flat_on(method, objects, facet, radius, mean, turn)
     _, point, normal, _ = closest_to_within(objects, facet, vec3.add(start.center, flat.motion), BUDGET)
     center, motion = vec3.add_scaled(point, radius, normal), turn_along(flat.motion, mean, normal)
