@@ -5,8 +5,6 @@ Compiled kernels on arrays that the caller allocates (`proxy/meshes/tree.py`).
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
@@ -41,11 +39,12 @@ def swap(middles: Any, order: Any, i: int, j: int) -> None:
 @jit
 def longest(middles: Any, low: int, high: int) -> int:
     """Return the axis along which the middles of the triangles from `low` to `high` are farthest apart."""
-    axis, widest = 0, np.float32(-1.0)
+    axis, widest = 0, -1.0
     for k in range(3):
-        least, most = middles[low, k], middles[low, k]
-        for i in range(low + 1, high):
-            least, most = min(least, middles[i, k]), max(most, middles[i, k])
+        least, most = 1e300, -1e300
+        for i in range(low, high):
+            x = float(middles[i, k])
+            least, most = min(least, x), max(most, x)
         if most - least > widest:
             axis, widest = k, most - least
     return axis
@@ -60,7 +59,7 @@ def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
     axis = longest(middles, low, high)
     left, right = low, high - 1
     while left < right:
-        a, b, c = middles[left, axis], middles[(left + right) // 2, axis], middles[right, axis]
+        a, b, c = float(middles[left, axis]), float(middles[(left + right) // 2, axis]), float(middles[right, axis])
         pivot = max(min(a, b), min(max(a, b), c))
         i, j = left, right
         while i <= j:
