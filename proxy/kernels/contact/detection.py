@@ -33,7 +33,10 @@ from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 from softfinger.proxy.record import FREE, ROLLING
 
 STUCK_TICKS = 8
-"""Consecutive ticks without a rest position at a mesh, after which the motionless proxy restarts at the probe."""
+"""Consecutive ticks without a rest position at a mesh, after which a motionless proxy restarts at the probe."""
+MOVING_SHARE = 1.0 / 16.0
+"""Fraction of a tick that such a tick counts as if the proxy moves. It may move without an end: by rounding, or in a
+cycle between triangles."""
 
 
 class Meeting(NamedTuple):

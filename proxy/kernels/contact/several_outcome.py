@@ -14,6 +14,7 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     load_on,
     textured_ground_at,
 )
+from softfinger.proxy.kernels.contact.detection import MOVING_SHARE
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
@@ -228,8 +229,8 @@ def outcome_of_several(
     cause, stuck = forces[0].result.cause, 0.0
     if began and cause == CAUSE_NONE:
         cause = float(CAUSE_TOUCH)
-    if settled.late and settled.center == approach.outside:
-        stuck = approach.stuck + 1.0
+    if settled.late:
+        stuck = approach.stuck + (1.0 if settled.center == approach.outside else MOVING_SHARE)
     return Outcome(
         mode=settled.contacts[0].mode,
         cause=cause,
