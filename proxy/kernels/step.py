@@ -5,6 +5,7 @@
 
 from typing import Any
 
+from softfinger.proxy.kernels.contact.approach import STUCK_TICKS
 from softfinger.proxy.kernels.contact.contact_friction import (
     ProbeMotion,
     apply_friction,
@@ -13,7 +14,7 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     textured_ground_at,
 )
 from softfinger.proxy.kernels.contact.continuation import detect_or_continue
-from softfinger.proxy.kernels.contact.detection import STUCK_TICKS, is_clear
+from softfinger.proxy.kernels.contact.detection import is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import minkowski_objects
 from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one
@@ -164,6 +165,8 @@ def contact_with_one_object(
     objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
+    if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
+        return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
     if approach.active[0].body < 0.0:
         return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)

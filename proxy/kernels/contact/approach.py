@@ -14,6 +14,14 @@ NO_PREDICTION = Prediction(NO_CONTACT, (0.0, 0.0, 0.0), 0.0, False)
 """Prediction without a contact."""
 
 
+STUCK_TICKS = 8
+"""Consecutive ticks without a rest position at a mesh or height map, after which a motionless proxy restarts at the
+probe."""
+MOVING_SHARE = 1.0 / 16.0
+"""Fraction of a tick that such a tick counts as if the proxy moves. It may move without an end: by rounding, or in a
+cycle between triangles."""
+
+
 class Approach(NamedTuple):
     """Constraints of the proxy at the start of a tick, before friction; without contact, the first has no object.
 
@@ -53,6 +61,12 @@ def has_ended(active: ActiveSet) -> bool:
     The probe's position is not a criterion: after passing through a thin body it is outside, with the contact active.
     """
     return not (active[0].depth > 0.0 or active[1].depth > 0.0 or active[2].depth > 0.0)
+
+
+@jit
+def stuck_ticks(approach: Approach, center: Vec3) -> float:
+    """Return `stuck` after a tick without a rest position that ends with the proxy at `center` (3,) m."""
+    return approach.stuck + (1.0 if center == approach.outside else MOVING_SHARE)
 
 
 @jit

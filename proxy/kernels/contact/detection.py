@@ -29,14 +29,7 @@ from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, de
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes import travel
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM, SPENT
-from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
 from softfinger.proxy.record import FREE, ROLLING
-
-STUCK_TICKS = 8
-"""Consecutive ticks without a rest position at a mesh, after which a motionless proxy restarts at the probe."""
-MOVING_SHARE = 1.0 / 16.0
-"""Fraction of a tick that such a tick counts as if the proxy moves. It may move without an end: by rounding, or in a
-cycle between triangles."""
 
 
 class Meeting(NamedTuple):
@@ -120,13 +113,20 @@ def refine_touch_of_facet(
     return touch, is_outside(objects, radius, touch, touch, budget)
 
 
-@jit
-def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
-    """Return True if the scene has a mesh, and the fingertip touches nothing and is outside of all closed objects."""
-    if not any_mesh(objects):
-        return False
-    gap, _, budget = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
-    return budget >= 0 and gap >= radius
+@by_multipoint
+def is_clear(objects: Any, radius: float, position: Vec3) -> Any:
+    """Return True if the fingertip touches nothing and is outside of all closed objects, with a mesh or height map."""
+
+
+@is_clear.of(SINGLE_POINT)
+def is_never_stuck(objects: Any, radius: float, position: Vec3) -> bool:
+    return False
+
+
+@is_clear.of(WITH_MESH, WITH_HEIGHTMAP)
+def is_clear_of_all(objects: Any, radius: float, position: Vec3) -> bool:
+    touch = first_touch(objects, radius, position, ROOM)
+    return touch.known and touch.place < 0.0
 
 
 @jit

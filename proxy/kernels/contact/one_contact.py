@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.approach import Approach
+from softfinger.proxy.kernels.contact.approach import Approach, stuck_ticks
 from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Ground, NormalForce, with_friction_result
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
@@ -89,7 +89,9 @@ def outcome_of_one(
         spin=friction.spin,
         torque=torque,
     )
-    cause = friction.cause
+    cause, bounded, stuck = friction.cause, max(landing.bounded, approach.bounded), 0.0
+    if bounded > 0.0:
+        stuck = stuck_ticks(approach, landing.center)
     if approach.began and cause == CAUSE_NONE:
         cause = float(CAUSE_TOUCH)
     contact = contact_state(landing, approach.predicted[0], forces, probe.position)
@@ -111,6 +113,6 @@ def outcome_of_one(
         spin=friction.spin,
         radius=forces.area.radius,
         rolled=approach.rolled,
-        stuck=0.0,
-        budget=max(landing.bounded, approach.bounded, effects.unknown),
+        stuck=stuck,
+        budget=max(bounded, effects.unknown),
     )

@@ -5,7 +5,7 @@ Contacts with one object and with several objects both result in an `Outcome`, f
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.detection import STUCK_TICKS
+from softfinger.proxy.kernels.contact.approach import STUCK_TICKS
 from softfinger.proxy.kernels.contact.fingertip import point_on, point_under
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of

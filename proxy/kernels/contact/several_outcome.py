@@ -5,7 +5,7 @@ Friction is transferred between contacts along with their load shares.
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.approach import Approach
+from softfinger.proxy.kernels.contact.approach import Approach, stuck_ticks
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     NormalForce,
@@ -14,7 +14,6 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     load_on,
     textured_ground_at,
 )
-from softfinger.proxy.kernels.contact.detection import MOVING_SHARE
 from softfinger.proxy.kernels.contact.effects import Effects
 from softfinger.proxy.kernels.contact.fingertip import point_under, radius_of_curvature, torque_of
 from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on
@@ -230,7 +229,7 @@ def outcome_of_several(
     if began and cause == CAUSE_NONE:
         cause = float(CAUSE_TOUCH)
     if settled.late:
-        stuck = approach.stuck + (1.0 if settled.center == approach.outside else MOVING_SHARE)
+        stuck = stuck_ticks(approach, settled.center)
     return Outcome(
         mode=settled.contacts[0].mode,
         cause=cause,
