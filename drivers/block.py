@@ -69,7 +69,7 @@ def read_fields(fields: type[tuple[int, ...]]) -> dict[str, BlockField]:
 
 
 def lay_out(fields: type[Layout], after: tuple[int, ...] | None = None) -> Layout:
-    """Return the layout of `fields`: the word index of each, consecutive, and after the layout `after` if given."""
+    """Return the word indices of consecutive `fields`, which start at the end of the layout `after`, otherwise at 0."""
     at, starts = 0 if after is None else _end_of(after), []
     for field in read_fields(fields).values():
         starts.append(at)

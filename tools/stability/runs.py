@@ -75,7 +75,7 @@ def _run_block(block: RunBlock) -> dict[str, int]:
 
 
 def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Path | None) -> dict[str, Any]:
-    """Run random runs; returns sums over their blocks, time, rate, and the time of SENSIBLE.
+    """Compute random runs; return the sums of all blocks, their time and rate, and the estimated time of SENSIBLE runs.
 
     The rate is None if a file already had results, since their time is unknown.
     """
