@@ -14,7 +14,6 @@ from softfinger.proxy.meshes.pieces import corners_in_blocks, edges_of
 
 Doubles = NDArray[np.float64]
 Whole = NDArray[np.int32]
-Whole64 = NDArray[np.int64]
 
 
 class Tree(NamedTuple):
@@ -42,43 +41,41 @@ def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
     middles = np.empty((len(triangles), 3), np.float32)
     for block, (a, b, c) in corners_in_blocks(vertices, triangles):
         middles[block] = a + b + c - 3.0 * center
-    low, high = node_ranges(len(triangles))
+    tree = make_branches(len(triangles))
     order, node = np.arange(len(triangles), dtype=np.int32), 0
-    while node < len(low):
-        node = build.arrange(middles, order, low, high, len(low), node)
+    while node < len(tree.first):
+        node = build.arrange(middles, order, tree, node)
     arranged, corners = arrange_vertices(vertices, triangles[order])
-    lanes, first = np.empty(len(low) * NODE, np.float32), np.empty(len(low), np.int32)
-    tree, node, child = build.Branches(low, high, lanes, first), 0, 1
+    middle, node = (float(center[0]), float(center[1]), float(center[2])), 0
     with ThreadPoolExecutor(2) as executor:  # neither needs the tree, and kernels and NumPy release the GIL
         neighbours = executor.submit(triangles_across, corners)
         normals = executor.submit(vertex_normals, arranged, corners)
-        while node < len(low):
-            node, child = build.enclose(arranged, corners, tree, node, child, tuple(center.tolist()), size)
+        while node < len(tree.first):
+            node = build.enclose(arranged, corners, tree, node, middle, size)
         across, upward = neighbours.result(), normals.result()
-    return Tree(lanes, first, arranged, corners, across, upward, center, size, bool((across >= 0).all()))
+    closed = bool((across >= 0).all())
+    return Tree(tree.lanes, tree.first, arranged, corners, across, upward, center, size, closed)
 
 
-def node_ranges(triangles: int) -> tuple[Whole64, Whole64]:
-    """Return the first triangle of each node, and the one after its last.
+def make_branches(triangles: int) -> build.Branches:
+    """Return the nodes of a tree over that many triangles, without boxes.
 
-    Nodes are in breadth-first order; the parts of a node are consecutive, and as few as possible, so that the nodes
-    below are full.
+    The parts of a node are consecutive, and as few as possible, so that the nodes below are full.
     """
     low, high = np.zeros(1, np.int64), np.full(1, triangles, np.int64)
     levels = []
     while len(low):
-        levels.append((low, high))
-        is_inner = high - low > LANES
-        low, size = low[is_inner], (high - low)[is_inner]
-        part = np.full(len(size), LANES)
+        size, part = high - low, np.full(len(low), LANES)
         while (part * LANES < size).any():
             part = np.where(part * LANES < size, part * LANES, part)
-        parts = (size + part - 1) // part
+        parts = np.where(size > LANES, (size + part - 1) // part, 0)
+        levels.append((low, high, parts))
         index = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-        low, size, parts = (np.repeat(values, parts) for values in (low, size, parts))
-        low, high = low + size * index // parts, low + size * (index + 1) // parts
-    low, high = (np.concatenate(ends) for ends in zip(*levels, strict=True))
-    return low, high
+        low, size, count = (np.repeat(values, parts) for values in (low, size, parts))
+        low, high = low + size * index // count, low + size * (index + 1) // count
+    low, high, parts = (np.concatenate(columns) for columns in zip(*levels, strict=True))
+    first = np.where(parts == 0, ~low, np.cumsum(parts) - parts + 1).astype(np.int32)
+    return build.Branches(low, high, parts, np.empty(len(low) * NODE, np.float32), first)
 
 
 def arrange_vertices(vertices: Doubles, triangles: Whole) -> tuple[Doubles, Whole]:

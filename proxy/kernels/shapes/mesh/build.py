@@ -20,13 +20,19 @@ NOTHING = -1e18
 """Half side of an empty box: its computed distance exceeds any other."""
 
 
-@jit
-def parts(count: int) -> int:
-    """Return the number of parts of a node with `count` triangles: as few as possible, so that nodes below are full."""
-    part = LANES
-    while part * LANES < count:
-        part *= LANES
-    return (count + part - 1) // part
+class Branches(NamedTuple):
+    """Nodes of a tree, in breadth-first order.
+
+    low, high  (nodes,) int64  range of triangles of each node
+    parts      (nodes,) int64  number of its nodes in the next level, 0 for a leaf
+    lanes, first               as `nodes` and `first` of `model.Triangles`
+    """
+
+    low: Any
+    high: Any
+    parts: Any
+    lanes: Any
+    first: Any
 
 
 @jit
@@ -80,17 +86,16 @@ def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
 
 
 @entry
-def arrange(middles: Any, order: Any, low: Any, high: Any, nodes: int, first_node: int) -> int:
-    """Sort the triangles of some nodes, for a fraction of a second; return the next node to sort, `nodes` at the end.
+def arrange(middles: Any, order: Any, tree: Branches, first_node: int) -> int:
+    """Sort the triangles of some nodes, for a fraction of a second; return the next node to sort.
 
     middles  (triangles, 3)  float32  sorted, too
     order    (triangles,)    int32    triangle at each position
     """
     work, node = 0, first_node
-    while node < nodes and work < 4_000_000:
-        begin, size = low[node], high[node] - low[node]
-        if size > LANES:
-            k = parts(size)
+    while node < len(tree.low) and work < 4_000_000:
+        begin, size, k = tree.low[node], tree.high[node] - tree.low[node], tree.parts[node]
+        if k > 0:
             step = k
             # Cut into halves, quarters and eighths, each time at a boundary between parts.
             while step > 1:
@@ -193,43 +198,24 @@ def write_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: 
         lanes[at + LANES * (9 + i)] = box.half[i] + ROUNDED_PLACE * size + ROUNDED_AXES * widest
 
 
-class Branches(NamedTuple):
-    """Nodes of a tree.
-
-    low, high  (nodes,) int64  range of triangles of each node
-    lanes, first               as `nodes` and `first` of `model.Triangles`
-    """
-
-    low: Any
-    high: Any
-    lanes: Any
-    first: Any
-
-
 @entry
-def enclose(
-    vertices: Any, corners: Any, tree: Branches, first_node: int, child: int, center: Vec3, size: float
-) -> tuple[int, int]:
-    """Fill in the boxes and children of some nodes, for a fraction of a second; return the next node and next child."""
-    low, high, lanes, first = tree
+def enclose(vertices: Any, corners: Any, tree: Branches, first_node: int, center: Vec3, size: float) -> int:
+    """Write the boxes of the parts of some nodes, for a fraction of a second; return the next node."""
+    low, high, parts, lanes, first = tree
     work, node = 0, first_node
     while node < len(first) and work < 2_000_000:
-        count = high[node] - low[node]
-        k = count if count <= LANES else parts(count)
-        leaf = count <= LANES
-        first[node] = ~low[node] if leaf else child
+        is_leaf, count, child = parts[node] == 0, high[node] - low[node], first[node]
+        boxes = count if is_leaf else parts[node]
         for i in range(LANES):
             at = node * NODE + i
-            if i >= k:
+            if i >= boxes:
                 for field in range(FIELDS):
                     lanes[at + LANES * field] = 0.0
                 lanes[at + LANES * 9] = NOTHING
-            elif leaf:
+            elif is_leaf:
                 write_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
             else:
                 write_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
-        if not leaf:
-            child += k
         work += count
         node += 1
-    return node, child
+    return node
