@@ -15,11 +15,10 @@ NO_PREDICTION = Prediction(NO_CONTACT, (0.0, 0.0, 0.0), 0.0, False)
 
 
 STUCK_TICKS = 8
-"""Consecutive ticks without a rest position at a mesh or height map, after which a motionless proxy restarts at the
-probe."""
+"""Value of `stuck` from which the proxy restarts at the probe, see `stuck_ticks`."""
 MOVING_SHARE = 1.0 / 16.0
-"""Fraction of a tick that such a tick counts as if the proxy moves. It may move without an end: by rounding, or in a
-cycle between triangles."""
+"""Increment of `stuck` in a tick in which the proxy moves. It may never come to rest: it may creep by rounding errors,
+or cycle between triangles."""
 
 
 class Approach(NamedTuple):
@@ -37,7 +36,7 @@ class Approach(NamedTuple):
     began                True if the contact starts in this tick
     bounded              1 if a roll stopped early because the budget was exhausted
     budget               remaining for the search
-    stuck                consecutive ticks before this one in which the proxy found no rest position
+    stuck                count of consecutive ticks without a rest position before this one, see `stuck_ticks`
     """
 
     start: Vec3
@@ -65,11 +64,14 @@ def has_ended(active: ActiveSet) -> bool:
 
 @jit
 def stuck_ticks(approach: Approach, center: Vec3) -> float:
-    """Return `stuck` after a tick without a rest position that ends with the proxy at `center` (3,) m."""
+    """Return the new count of ticks without a rest position, 1 for each tick without a motion of the proxy.
+
+    center  (3,) m  proxy at the end of this tick
+    """
     return approach.stuck + (1.0 if center == approach.outside else MOVING_SHARE)
 
 
 @jit
 def release_contacts(state: FingerState) -> Any:
-    """Return the state without the released contacts and their wind-up."""
-    return replace(state, "contacts", first_of(state.contacts, NO_CONTACT, NO_CONTACT), "rolled", 0.0, "stuck", 0.0)
+    """Return the state without contacts and their wind-up; a proxy that touches again in this tick can be stuck."""
+    return replace(state, "contacts", first_of(state.contacts, NO_CONTACT, NO_CONTACT), "rolled", 0.0)

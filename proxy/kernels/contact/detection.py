@@ -115,16 +115,26 @@ def refine_touch_of_facet(
 
 @by_multipoint
 def is_clear(objects: Any, radius: float, position: Vec3) -> Any:
-    """Return True if the fingertip touches nothing and is outside of all closed objects, with a mesh or height map."""
+    """Return True if the fingertip is known to touch nothing, and to be outside of all closed objects.
+
+    Only needed with meshes and height maps, whose searches may not finish.
+    """
 
 
 @is_clear.of(SINGLE_POINT)
-def is_never_stuck(objects: Any, radius: float, position: Vec3) -> bool:
+def is_clear_of_shapes(objects: Any, radius: float, position: Vec3) -> bool:
     return False
 
 
-@is_clear.of(WITH_MESH, WITH_HEIGHTMAP)
-def is_clear_of_all(objects: Any, radius: float, position: Vec3) -> bool:
+@is_clear.of(WITH_MESH)
+def is_clear_of_meshes(objects: Any, radius: float, position: Vec3) -> bool:
+    touch = first_touch(objects, radius, position, ROOM)
+    return touch.budget >= 0 and touch.place < 0.0
+
+
+@is_clear.of(WITH_HEIGHTMAP)
+def is_clear_of_heightmaps(objects: Any, radius: float, position: Vec3) -> bool:
+    """Accept an exhausted budget: far below its limit a search of a height map returns a bound of the distance."""
     touch = first_touch(objects, radius, position, ROOM)
     return touch.known and touch.place < 0.0
 
@@ -189,7 +199,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
 
 @jit
 def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Probe) -> Approach:
-    """Detect a first contact, and bring its proxy to rest."""
+    """Detect a first contact, and compute the rest position of its proxy."""
     meeting = detect_among_several(finger, objects, state, probe.position)
     center, active = meeting.center, meeting.active
     body = active[0].body

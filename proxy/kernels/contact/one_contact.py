@@ -25,7 +25,12 @@ from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, SLIDING
 
 
 class Landing(NamedTuple):
-    """Proxy (3,) m after friction, its constraints, and 1 if the search for its rest position stopped early."""
+    """Position of the proxy after friction.
+
+    center   (3,) m
+    active           constraints at `center`
+    bounded          1 if the search budget was exhausted, otherwise 0
+    """
 
     center: Vec3
     active: ActiveSet

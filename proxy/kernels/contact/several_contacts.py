@@ -26,7 +26,6 @@ from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
 from softfinger.proxy.kernels.contact.rest.projection import is_safe_step
 from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Finger, FingerState, FrictionResult, Probe, Scene, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
@@ -124,8 +123,8 @@ def approach_among_several(
             approach = continue_several(scene, objects, shapes, finger.radius, state, motion)
         if not has_ended(approach.active):
             return state, approach
-    approach = detect_contact(finger, shapes, release_contacts(state), motion.probe)
-    return release_contacts(state), replace(approach, "stuck", state.stuck)
+    state = release_contacts(state)
+    return state, detect_contact(finger, shapes, state, motion.probe)
 
 
 @jit

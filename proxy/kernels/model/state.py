@@ -114,7 +114,7 @@ class FingerState(NamedTuple):
     center           the proxy; with several objects the one not displaced by friction
     contacts         tuple of ContactState: one in a scene of one object, otherwise three, the most loaded first
     rolled           roll angle since touch, rad
-    stuck            consecutive ticks in which the proxy found no rest position, see `approach.STUCK_TICKS`
+    stuck            count of consecutive ticks without a rest position, see `approach.stuck_ticks`
     effects          states of the effects of the workspace and of every object. They are separate for each finger,
                      including the phase of a vibration, which remains at its start while the finger is out of reach
     """

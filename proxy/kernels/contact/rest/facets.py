@@ -100,7 +100,10 @@ def roll_on_next_facet(
 
 @jit
 def share_of_tick(bend: Vec3, rate: Vec3) -> float:
-    """Return the time in which the normal rotates by `bend` (3,) round an edge, at most 1; `rate` (3,) at a corner."""
+    """Return the share of the tick in which the normal rotates by `bend` (3,), at most 1.
+
+    rate  (3,)  change of the normal in a tick round a corner; round an edge, its component along `bend` counts
+    """
     along = vec3.dot(bend, rate)
     return min(vec3.dot(bend, bend) / along, 1.0) if along > 0.0 else 0.0
 
@@ -109,10 +112,9 @@ def share_of_tick(bend: Vec3, rate: Vec3) -> float:
 def slide_over_facets(
     objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, bool]:
-    """Slide the proxy over the facets of a mesh to the equilibrium of `rest_on_curved`.
+    """Return the equilibrium of `rest_on_curved` on the facets of a mesh, and True if the proxy is at rest there.
 
-    Returns the centre, the active constraints, and whether the proxy is at rest: a proxy without deflection may need
-    further steps.
+    A proxy without deflection may need further steps.
     """
     rounds, square = SLIDING_ROUNDS, 0.0
     if deflection == (0.0, 0.0, 0.0):
