@@ -180,7 +180,7 @@ def read(handle: int, sample: Any) -> int:
     sample[SAMPLE_TIME] = state[TIME]
     sample[SAMPLE_BUTTONS] = state[MASK]
     sample[SAMPLE_GRIPPER] = 0.0
-    return OK  # a puck at rest sends nothing, so an unchanged pose is valid
+    return OK  # also without a report: a puck sends none while it is at rest
 
 
 class Puck:

@@ -150,7 +150,7 @@ class Recorder:
 
     @property
     def failed(self) -> bool:
-        """True if the recording ended because of an error."""
+        """True if an error ended the recording."""
         return bool(self._error)
 
     def stop(self, timeout_s: float) -> RecorderState:

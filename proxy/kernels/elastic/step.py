@@ -105,7 +105,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         inverse = mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves))
         u = vec3.add(u, mat3.times(inverse, error))
     slope = ZERO
-    # The surface at rest determines the slope even with damping. Otherwise slow cycles would generate energy.
+    # The slope is that of the surface without damping: otherwise slow cycles would generate energy.
     if body.material.friction is None:
         at = slope_at(spot, spot, rows)
         matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, slope_by(spot, spot, rows, rows))
