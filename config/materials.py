@@ -87,7 +87,10 @@ class Library(NamedTuple):
         dropped = {replaced for key, replaced in self.instead.items() if table.get(key) is not None}
         values = self.entries()[table[self.key]].values
         base = {key: value for key, value in values.items() if key not in dropped}
-        return _merge(base, table) | ({"resolved": True} if self.marked else {})
+        filled = _merge(base, table)
+        if self.marked:
+            filled["resolved"] = True
+        return filled
 
 
 @lru_cache(maxsize=1)
