@@ -12,6 +12,7 @@ up, and the force is K d (n + m). As m rotates, the probe moves less than the pr
 import numpy as np
 import pytest
 from helpers import meshes
+from helpers.hostile_maps import part
 from helpers.touching import R, engine, make_object, visit, write_part
 from references.rotation import multiply, quaternion
 
@@ -66,16 +67,27 @@ def deflections(body, distance, height, outward, ticks):
     return np.linalg.norm(records[:, AT.force : AT.force + 3] - expected, axis=1) / 1000.0
 
 
+def check_second_order(*path):
+    """The path in a tick is straight: half the tick divides the error by four."""
+    long, short = (deflections(*path, ticks).max() for ticks in (101, 201))
+    assert short < 1e-7 and short < 0.3 * long + 1e-9
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_rolling_on_two_objects_deflects_nothing(shape):
     """Wound up by the rotation of the other contact's normal, it would deflect by a part of DEPTH x TURN = 500 um."""
     body, height = SHAPES[shape]
-    long, short = (
-        deflections(body, DISTANCES[shape], height, -1.0 if shape == "pipe" else 1.0, ticks).max()
-        for ticks in (101, 201)
-    )
-    # The path in a tick is straight: half the tick divides the error by four.
-    assert short < 1e-7 and short < 0.3 * long + 1e-9
+    check_second_order(body, DISTANCES[shape], height, -1.0 if shape == "pipe" else 1.0)
+
+
+def test_rolling_on_a_heightmap_and_a_floor_deflects_nothing(tmp_path):
+    """A ball half sunk in the floor, as a height map. Without its curvature, 400 um would remain on any pitch."""
+    pitch, sunk, rim = 0.5e-3, 0.025, 0.046
+    across = pitch * (np.arange(200) - 99.5)
+    squares = across[:, None] ** 2 + across**2
+    heights = np.sqrt(np.maximum(BALL**2 - squares, BALL**2 - rim**2)) - sunk
+    height = (R + sunk) / (R + BALL)
+    check_second_order(part(tmp_path, heights, pitch), np.sqrt((BALL + R) ** 2 - (R + sunk) ** 2), height, 1.0)
 
 
 def test_rolling_on_a_mesh_and_a_floor_converges_to_the_ball(tmp_path):

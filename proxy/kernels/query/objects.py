@@ -130,8 +130,6 @@ def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal
     if is_plane:
         return 0.0, 0.0, normal
     body = object_at(objects, index)
-    if has_creases(body.shape) != 0.0:
-        return 0.0, 0.0, normal
     point = into(body.pose, vec3.add_scaled(center, -radius, normal))
     k1, k2, along = curvature(body.shape, radius, point, turn_into(body.pose, normal))
     return k1, k2, turn_out_of(body.pose, along)
