@@ -27,13 +27,13 @@ class Shear(NamedTuple):
     turn              rotation of the fingertip
     free     (3,)  m  motion of the probe, plus the change of its displacement by the pushes
     blocked  (3,)  m  motion of the probe that the proxy could not follow because of the pushes
-    center   (3,)  m  the proxy at the last tick
+    reference (3,) m  the probe at the last tick, displaced by the pushes
     """
 
     turn: Quaternion
     free: Vec3
     blocked: Vec3
-    center: Vec3
+    reference: Vec3
 
 
 class ContactRoll(NamedTuple):
@@ -116,6 +116,14 @@ def displacement_by_rotation(before: ContactState, carried: ContactState) -> Vec
 
 
 @jit
+def displaced_by(position: Vec3, contacts: Contacts) -> Vec3:
+    """Return `position` (3,) m displaced by the pushes of the contacts."""
+    one, two, three = contacts
+    position = vec3.add_scaled(position, one.push, one.normal)
+    return vec3.add_scaled(vec3.add_scaled(position, two.push, two.normal), three.push, three.normal)
+
+
+@jit
 def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: ProbeMotion) -> Shear:
     """Return the motion of the contacts; `last` are the contacts of the last tick, moved with their objects."""
     probe, last_probe, _ = motion
@@ -128,7 +136,7 @@ def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: Pro
         turn=rotations.relative(probe.orientation, last_probe.orientation),
         free=vec3.add(vec3.add(vec3.sub(probe.position, last_probe.position), by_push), by_rotation),
         blocked=vec3.scale(-1.0, by_push),
-        center=state.center,
+        reference=displaced_by(last_probe.position, state.contacts),
     )
 
 
@@ -183,7 +191,7 @@ def predict(objects: Any, contact: ContactState, shear: Shear, roll: ContactRoll
     if contact.body < 0.0:
         return NO_PREDICTION
     normal, carried = contact.normal, carry(objects, contact.body)
-    object_motion = vec3.sub(move_point(carried, shear.center), shear.center)
+    object_motion = vec3.sub(move_point(carried, shear.reference), shear.reference)
     shear_motion = vec3.reject(vec3.sub(shear.free, object_motion), normal)
     roll_motion = vec3.sub(roll.probe, vec3.reject(tilted, normal))
     deflection = vec3.add(vec3.sub(contact.deflection, shear_motion), roll_motion)
