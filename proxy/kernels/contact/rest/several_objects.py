@@ -17,7 +17,15 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     one_constraint,
     sort_by_load,
 )
-from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, NEARLY, SOON, Rest, settle_by_planes
+from softfinger.proxy.kernels.contact.rest.cutting_planes import (
+    AT_REST,
+    EDGES,
+    NEARLY,
+    SOON,
+    Rest,
+    settle_by_planes,
+    solve_tangent_planes,
+)
 from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, project_until_rest, relax
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -126,6 +134,8 @@ def settle_on_facets(
     center, support, late, budget = settle_by_planes(objects, radius, probe, anchor, active, budget)
     if support[0].body < 0.0:
         support = one_constraint(active[0].body, active[0].normal, 0.0)
+    if not late:  # the planes are those at the anchor; the proxy has moved round edges since
+        support, _ = solve_tangent_planes(objects, radius, probe, center, support)
     return Rest(center, sort_by_load(objects, support), late, budget)
 
 
