@@ -1,0 +1,163 @@
+"""Symmetries of contact: another frame, order or size of a scene changes no force.
+
+Random scenes of two or three shapes, meshes and height maps around a fingertip that comes from outside, presses, slides
+and rolls on all of them. All quantities are compared in the frame of the first scene.
+"""
+
+import numpy as np
+import pytest
+from helpers import meshes
+from helpers.touching import R, engine, facing, make_object, visit, write_part
+from references.rotation import matrix, multiply, quaternion
+
+from softfinger.proxy.record import AT
+
+TICKS, ARRIVAL, DT = 600, 40, 1e-3
+EXACT_N, SEARCHED_N = 1e-9, 1e-5
+"""Tolerances: rounding of forces of 10 N. A search of a mesh or height map ends within 1e-6 of the fingertip's radius,
+which is multiplied by the stiffness."""
+EVEN = {"friction": {"static": 0.5, "kinetic": 0.5}}
+"""Material without the drop from static to kinetic friction, whose end depends on the slip speed in m/s."""
+SIZES = {  # keys of a shape, and the distance of its origin from its surface along its z axis
+    "plane": ({}, 0.0),
+    "box": ({"size_m": [0.05, 0.06, 0.04]}, 0.02),
+    "sphere": ({"radius_m": 0.03}, 0.03),
+    "capsule": ({"radius_m": 0.02, "length_m": 0.04}, 0.04),
+    "torus": ({"major_radius_m": 0.03, "minor_radius_m": 0.01}, 0.01),
+    "ellipsoid": ({"semi_axes_m": [0.03, 0.025, 0.02]}, 0.02),
+    "mesh": ({"file": "ball.ply"}, 0.0297),
+    "heightmap": ({"file": "hills.npy", "pitch_m": 1e-3, "level_m": 1.0}, 0.005),
+}
+SYMMETRIC = ["plane", "box", "sphere", "capsule", "torus", "ellipsoid"]
+"""Shapes that are their own mirror image in x."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("parts")
+    write_part(path, *meshes.geodesic(8, 0.03), name="ball.ply")
+    x = 1e-3 * (np.arange(40) - 19.5)
+    np.save(path / "hills.npy", 5e-3 * np.cos(200.0 * x[:, None]) * np.cos(170.0 * x))
+    return path
+
+
+def smooth(rng, waves, largest_rad_per_s):
+    """Return a random sum (TICKS, 3) of sine waves."""
+    t = DT * np.arange(TICKS)[:, None]
+    return sum(
+        rng.normal(size=3) * np.sin(rng.uniform(3.0, largest_rad_per_s) * t + rng.uniform(0.0, 6.0))
+        for _ in range(waves)
+    )
+
+
+def draw(seed, folder, kinds, **material):
+    """Return objects, points (TICKS, 3) m and orientations (TICKS, 4) of a random scene."""
+    rng, normals, objects = np.random.default_rng(seed), [], []
+    while len(normals) < 2 + seed % 2:
+        normal = rng.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        if all(normal @ other > -0.3 for other in normals):
+            normals.append(normal)
+    for index, normal in enumerate(normals):
+        kind = str(rng.choice(kinds))
+        keys, height = SIZES[kind]
+        if "file" in keys:
+            keys = keys | {"file": str(folder / keys["file"])}
+        turn = multiply(facing(normal), quaternion([0.0, 0.0, rng.uniform(0.0, 6.0)]))
+        place = -(R + height - rng.uniform(0.0, 1.5e-3)) * normal
+        if kind == "torus":  # on the ring, not in the hole
+            place = place + 0.03 * (matrix(turn) @ [1.0, 0.0, 0.0])
+        objects.append(
+            make_object(f"{kind} {index}", kind, position_m=place, orientation_wxyz=turn, **keys, material=material)
+        )
+    points, turns = 2e-3 * smooth(rng, 4, 25.0), quaternion(0.4 * smooth(rng, 3, 15.0))
+    arrival = np.sum(normals, axis=0)
+    points[:ARRIVAL] += np.linspace(0.03, 0.0, ARRIVAL)[:, None] * arrival / np.linalg.norm(arrival)
+    return objects, points, turns
+
+
+def run(objects, points, turns, **tables):
+    """Return force (TICKS, 3) N and torque (TICKS, 3) N m."""
+    lists = {"position_m", "orientation_wxyz", "size_m", "semi_axes_m"}
+    plain = [{key: list(map(float, v)) if key in lists else v for key, v in each.items()} for each in objects]
+    records = visit(engine(*plain, **tables), points, turns)
+    return records[:, AT.force : AT.force + 3], records[:, AT.torque : AT.torque + 3]
+
+
+def check_equal(objects, results, expected):
+    atol = SEARCHED_N if any("file" in each for each in objects) else EXACT_N
+    assert np.abs(expected[0]).max() > 0.1
+    np.testing.assert_allclose(results[0], expected[0], rtol=0, atol=atol)
+    np.testing.assert_allclose(results[1], expected[1], rtol=0, atol=R * atol)
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_a_rotated_scene(seed, folder):
+    objects, points, turns = draw(seed, folder, list(SIZES))
+    rng = np.random.default_rng(seed)
+    q, shift = quaternion(rng.normal(size=3)), 0.05 * rng.normal(size=3)
+    rotated = [
+        each | {
+            "position_m": matrix(q) @ each["position_m"] + shift,
+            "orientation_wxyz": multiply(q, each["orientation_wxyz"]),
+        }
+        for each in objects
+    ]  # fmt: skip
+    results = run(rotated, points @ matrix(q).T + shift, multiply(q, turns))
+    check_equal(objects, [each @ matrix(q) for each in results], run(objects, points, turns))
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_a_scene_that_rotates_with_the_hand(seed, folder):
+    objects, points, turns = draw(seed, folder, list(SIZES))
+    rng = np.random.default_rng(seed)
+    axis, rate = rng.normal(size=3), rng.uniform(-3.0, 3.0)
+    axis /= np.linalg.norm(axis)
+    turning = []
+    for each in objects:
+        into = matrix(each["orientation_wxyz"]).T
+        pivot = into @ -each["position_m"]
+        motion = {"kind": "turntable", "axis": (into @ axis).tolist(), "pivot_m": pivot.tolist()}
+        turning.append(each | {"motion": motion | {"rate_rad_per_s": rate}})
+    q = quaternion(rate * DT * np.arange(1, TICKS + 1)[:, None] * axis)
+    rotations = np.array([matrix(each) for each in q])
+    results = run(turning, np.einsum("tij,tj->ti", rotations, points), multiply(q, turns))
+    results = [np.einsum("tji,tj->ti", rotations, each) for each in results]
+    check_equal(objects, results, run(objects, points, turns))
+
+
+@pytest.mark.sampled(10)
+@pytest.mark.parametrize("seed", range(100))
+def test_a_mirrored_scene(seed, folder):
+    objects, points, turns = draw(seed, folder, SYMMETRIC)
+    flip, turned = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0, -1.0])
+    mirrored = [
+        each | {"position_m": flip * each["position_m"], "orientation_wxyz": turned * each["orientation_wxyz"]}
+        for each in objects
+    ]
+    force, torque = run(mirrored, flip * points, turned * turns)
+    check_equal(objects, (flip * force, -flip * torque), run(objects, points, turns))
+
+
+@pytest.mark.sampled(10)
+@pytest.mark.parametrize("seed", range(100))
+def test_objects_in_another_order(seed, folder):
+    objects, points, turns = draw(seed, folder, list(SIZES))
+    check_equal(objects, run(objects[::-1], points, turns), run(objects, points, turns))
+
+
+@pytest.mark.sampled(10)
+@pytest.mark.parametrize("seed", range(100))
+def test_a_scene_ten_times_as_large(seed, folder):
+    """Lengths and forces are ten times as large, and torques a hundred times, with the same stiffness."""
+    objects, points, turns = draw(seed, folder, list(SIZES), **EVEN)
+    lengths = {key for keys, _ in SIZES.values() for key in keys if key.endswith("_m")} | {"position_m"}
+    torsion = {"stiffness_nm_per_rad": 5.0, "friction_length_m": 0.04}
+    large = [
+        {key: 10.0 * np.array(v) if key in lengths else v for key, v in each.items()}
+        | {"material": each["material"] | {"torsion": torsion}}
+        | ({"scale": 10.0} if each["shape"] == "mesh" else {})
+        for each in objects
+    ]
+    force, torque = run(large, 10.0 * points, turns, fingertip={"radius_m": 10.0 * R})
+    check_equal(objects, (force / 10.0, torque / 100.0), run(objects, points, turns))
