@@ -79,12 +79,6 @@ def constraint_of(
 
 
 @jit
-def normal_law_of(objects: Any, index: float) -> Any:
-    """Return the law of the normal force of object `index`; the only part of a material that bare objects have."""
-    return object_at(objects, index).material.normal
-
-
-@jit
 def material_of(objects: Any, index: float) -> Material:
     """Return the material of object `index`. All materials of a scene have the same types; not for bare objects."""
     return object_at(objects, index).material
