@@ -15,7 +15,7 @@ from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.objects import material_of
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.record import ROLLING
 
 Contacts = tuple[ContactState, ContactState, ContactState]
@@ -52,7 +52,7 @@ def load_share_lost(contact: ContactState, active: ActiveSet, shares: Vec3) -> f
 @jit
 def winding_stiffness(contact: ContactState, objects: Any) -> float:
     """Return the stiffness of the torsional spring of a contact, that of the first object for NO_CONTACT."""
-    return torsional_stiffness(material_of(objects, contact.body).torsion)
+    return torsional_stiffness(object_at(objects, contact.body).material.torsion)
 
 
 class LostWindUp(NamedTuple):
@@ -115,7 +115,7 @@ def contact_after_hand_over(
         deflection = vec3.add_scaled(deflection, gain, vec3.reject(lost.deflection, normal))
         rolled_part = vec3.add_scaled(rolled_part, gain, vec3.reject(lost.rolled_part, normal))
         bend = vec3.add_scaled(bend, gain, vec3.reject(lost.bend, normal))
-        stiffness = torsional_stiffness(material_of(objects, body).torsion)
+        stiffness = torsional_stiffness(object_at(objects, body).material.torsion)
         spins = map_each(lost_spin, (contacts, losses, stiffnesses), normal, stiffness)
         spin += gain * (spins[0] + spins[1] + spins[2])
     return ContactState(

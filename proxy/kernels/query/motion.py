@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.bodies import pose_of_body
+from softfinger.proxy.kernels.query.bodies import POSITION, pose_of_body
 
 TURNS_CEILING = 1e15
 """Number of turns beyond which float64 cannot represent a fraction of a turn."""
@@ -73,14 +73,9 @@ def pose_of_moving(motion: Any, pose: Pose) -> Pose:
     return pose
 
 
-@pose_at.of(None)
-def pose_at_rest(motion: None, pose: Pose, time: float) -> Pose:
-    return pose
-
-
-@pose_at.of(Driven)
-def pose_of_driven(motion: Driven, pose: Pose, time: float) -> Pose:
-    """Return the base pose, which commands from outside set."""
+@pose_at.of(None, Driven)
+def pose_at_rest(motion: Any, pose: Pose, time: float) -> Pose:
+    """Return the base pose; commands from outside set that of a driven object."""
     return pose
 
 
@@ -101,7 +96,7 @@ def pose_of_turntable(motion: Turntable, pose: Pose, time: float) -> Pose:
 @pose_at.of(Simulated)
 def pose_of_simulated(motion: Simulated, pose: Pose, time: float) -> Pose:
     """Return the pose of an object attached to a body; its base pose is in the frame of the body."""
-    return pose_in_world(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
+    return pose_in_world(pose_of_body(motion.block, motion.body, POSITION), pose.position, pose.orientation)
 
 
 @pose_at.of(Motion)
@@ -112,7 +107,7 @@ def pose_of_any(motion: Motion, pose: Pose, time: float) -> Pose:
     if motion.kind == TURNTABLE:
         return pose_of_turntable(Turntable(motion.axis, motion.rate, motion.pivot), pose, time)
     if motion.kind == SIMULATED:
-        return pose_in_world(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
+        return pose_in_world(pose_of_body(motion.block, motion.body, POSITION), pose.position, pose.orientation)
     return pose
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import Many, Material, Single, Smooth, Vec3
+from softfinger.proxy.kernels.model import Many, Single, Smooth, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.container import (
@@ -76,12 +76,6 @@ def constraint_of(
     pose = body.pose
     foot, up, budget = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), budget)
     return out_of(pose, foot), turn_out_of(pose, up), budget
-
-
-@jit
-def material_of(objects: Any, index: float) -> Material:
-    """Return the material of object `index`. All materials of a scene have the same types; not for bare objects."""
-    return object_at(objects, index).material
 
 
 @jit
