@@ -19,7 +19,6 @@ from softfinger.proxy.kernels.query.container import (
 from softfinger.proxy.kernels.shapes import (
     bend,
     closest,
-    closest_or_bound,
     closest_within,
     constraint_at,
     curvature,
@@ -42,13 +41,6 @@ def closest_on(shape: Any, pose: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Return `closest` of a shape with that pose, in the world frame."""
     gap, point, normal = closest(shape, into(pose, x))
     return gap, out_of(pose, point), turn_out_of(pose, normal)
-
-
-@jit
-def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
-    """Return `closest_or_bound` of one object in the world frame."""
-    gap, point, normal, unsearched = closest_or_bound(body.shape, into(body.pose, x))
-    return gap, out_of(body.pose, point), turn_out_of(body.pose, normal), unsearched
 
 
 @jit
