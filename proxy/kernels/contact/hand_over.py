@@ -50,22 +50,24 @@ def load_share_lost(contact: ContactState, active: ActiveSet, shares: Vec3) -> f
 
 
 @jit
+def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
+    if losses[0] >= losses[1] and losses[0] >= losses[2]:
+        return contacts[0]
+    return contacts[1] if losses[1] >= losses[2] else contacts[2]
+
+
+@jit
 def winding_stiffness(contact: ContactState, objects: Any) -> float:
     """Return the stiffness of the torsional spring of a contact, that of the first object for NO_CONTACT."""
     return torsional_stiffness(object_at(objects, contact.body).material.torsion)
 
 
 class LostWindUp(NamedTuple):
-    """State of the contacts that lose load.
-
-    deflection, rolled_part  (3,) m  summed, each times the load share that its contact loses; `bend` (3,), too
-    largest                          contact that loses most
-    """
+    """Deflection and rolled part (3,) m and bend (3,) of the contacts, times the load share that each loses, summed."""
 
     deflection: Vec3
     rolled_part: Vec3
     bend: Vec3
-    largest: ContactState
 
 
 @jit
@@ -100,7 +102,7 @@ def contact_after_hand_over(
     previous = contact_on(contacts, body)
     total_loss = losses[0] + losses[1] + losses[2]
     continues = previous.body >= 0.0
-    source = previous if continues or total_loss == 0.0 else lost.largest
+    source = previous if continues or total_loss == 0.0 else largest_loser(contacts, losses)
     remainder, gain = 0.0, 0.0
     if share > 0.0:
         remainder = min(previous.share, share) / share
@@ -144,16 +146,10 @@ def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
         shares = loads[0] / load, loads[1] / load, loads[2] / load
     losses = map_each(load_share_lost, (contacts,), active, shares)
     one, two, three = contacts
-    largest = three
-    if losses[0] >= losses[1] and losses[0] >= losses[2]:
-        largest = one
-    elif losses[1] >= losses[2]:
-        largest = two
     lost = LostWindUp(
         vec3.weighted_sum(losses, one.deflection, two.deflection, three.deflection),
         vec3.weighted_sum(losses, one.rolled_part, two.rolled_part, three.rolled_part),
         vec3.weighted_sum(losses, one.bend, two.bend, three.bend),
-        largest,
     )
     stiffnesses = map_each(winding_stiffness, (contacts,), objects)
     return map_each(contact_after_hand_over, (active, shares), objects, contacts, losses, lost, stiffnesses)
