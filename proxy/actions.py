@@ -43,20 +43,16 @@ def _effect(effect: schema.Effect | schema.ObjectEffect) -> Any:
                 return model.NormalVibration(effect.amplitude_n, effect.frequency_hz)
             return model.Vibration(effect.amplitude_n, effect.frequency_hz, _unit(effect.direction), touching)
         case schema.Boundary():
-            return _boundary(effect)
+            spring = effect.stiffness_n_per_m, effect.damping_ns_per_m, effect.force_max_n
+            if effect.size_m is not None:
+                return model.BoxBoundary(effect.position_m, _halve(effect.size_m), *spring)
+            assert effect.radius_m is not None
+            return model.SphereBoundary(effect.position_m, effect.radius_m, *spring)
         case schema.Magnet():
             return model.Magnet(effect.force_n, effect.range_m, effect.exponent)
         case schema.StickSlip():
             return model.StickSlip(effect.stiffness_n_per_m, effect.force_max_n)
     raise TypeError(f"{type(effect).__name__} is not an effect of config.schema")
-
-
-def _boundary(effect: schema.Boundary) -> model.BoxBoundary | model.SphereBoundary:
-    spring = effect.stiffness_n_per_m, effect.damping_ns_per_m, effect.force_max_n
-    if effect.size_m is not None:
-        return model.BoxBoundary(effect.position_m, _halve(effect.size_m), *spring)
-    assert effect.radius_m is not None
-    return model.SphereBoundary(effect.position_m, effect.radius_m, *spring)
 
 
 def _region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegion | None:

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
-from softfinger.proxy.kernels.jit.tuples import rows_of
+from softfinger.proxy.kernels.jit.tuples import map_each, rows_of
 from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.query.bodies import step_bodies
-from softfinger.proxy.kernels.record_writer import poses_in, write_contacts, write_surfaces
+from softfinger.proxy.kernels.record_writer import poses_in, write_surfaces, write_timed_contact
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.pose_checks import PoseError, check_poses, poses_together
 from softfinger.proxy.record import POSITION_MAX_M, RECORD_SIZE
@@ -64,7 +64,7 @@ def step_many(
         probes = poses_in(rows_of(parameters.fingers, poses[i], 0))
         state, contacts = step(parameters, state, probes, dt)
         rows = rows_of(parameters.fingers, records[i], 0)
-        write_contacts(contacts, rows, probes, first_tick + i, dt)
+        map_each(write_timed_contact, (contacts, rows, probes), first_tick + i, dt)
         write_surfaces(state.world.surfaces, rows)
         step_bodies(parameters.bodies)
     pack(state_values, state)

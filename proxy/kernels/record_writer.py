@@ -103,12 +103,7 @@ def poses_in(rows: Any) -> Any:
 
 
 @jit
-def write_contacts(contacts: Any, rows: Any, probes: Any, tick: int, dt: float) -> None:
-    """Fill a record for each finger for tick number `tick`; its timestamp is that number times dt (s)."""
-    map_each(write_timed_contact, (contacts, rows, probes), tick, dt)
-
-
-@jit
 def write_timed_contact(contact: Any, row: Any, probe: Pose, tick: int, dt: float) -> None:
+    """Fill a record with tick number `tick`; its timestamp is that number times dt (s)."""
     row[AT.timestamp] = tick * dt
     write_contact(row, tick, dt, probe.position, probe.orientation, contact, contact.force, contact.torque)

@@ -18,11 +18,11 @@ from softfinger.proxy.kernels.contact.detection import is_clear
 from softfinger.proxy.kernels.contact.effects import effects_of_tick
 from softfinger.proxy.kernels.contact.fingertip import minkowski_objects
 from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one
-from softfinger.proxy.kernels.contact.outcome import make_contact, make_free_contact, make_free_state, make_state
+from softfinger.proxy.kernels.contact.outcome import end_contact_tick, make_free_contact, make_free_state
 from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
 from softfinger.proxy.kernels.contact.several_contacts import (
     approach_among_several,
-    friction_of_contacts,
+    friction_of_contact,
     land_among_several,
     make_no_approach,
 )
@@ -43,7 +43,6 @@ from softfinger.proxy.kernels.model import (
     Scene,
     State,
     Vec3,
-    World,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, has_fault, push_bodies, step_bodies
@@ -97,15 +96,9 @@ def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
                 state, contacts = step_once(scene, state, substep_poses, dt / count)
                 push_bodies(bodies, contacts, state.fingers)
     if has_fault(bodies):
-        return release_all(scene, state.world, start, poses, dt)
+        fingers, contacts = unzip(map_each(release_finger, (scene.fingers, start, poses), dt))
+        state = State(world=state.world, fingers=fingers)
     return state, contacts
-
-
-@jit
-def release_all(scene: Scene, world: World, fingers: Any, poses: Any, dt: float) -> Any:
-    """Return State and Contacts for an unchanged world without contact; `fingers` are the states before the tick."""
-    states, contacts = unzip(map_each(release_finger, (scene.fingers, fingers, poses), dt))
-    return State(world=world, fingers=states), contacts
 
 
 @jit
@@ -176,7 +169,7 @@ def contact_with_one_object(
     load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
     effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)
     outcome = outcome_of_one(finger, ground, probe, approach, forces, landing, load, effects)
-    return make_state(probe, outcome), make_contact(finger, probe, outcome)
+    return end_contact_tick(finger, probe, outcome)
 
 
 @update_contact.of(SEVERAL_PATCHES)
@@ -188,7 +181,7 @@ def contact_with_several_objects(
         state, approach = approach_among_several(scene, finger, objects, shapes, state, motion)
     if approach.active[0].body < 0.0:
         return step_without_contact(scene, finger, objects, state, probe, dt, approach.budget)
-    forces = friction_of_contacts(finger, objects, approach, motion)
+    forces = map_each(friction_of_contact, (approach.predicted,), finger, objects, approach, motion)
     landing, is_alone = land_among_several(finger, shapes, approach, forces[0], probe.position)
     active = landing.active
     if not is_alone:
@@ -201,7 +194,7 @@ def contact_with_several_objects(
         outcome = outcome_of_one(finger, ground, probe, approach, forces[0], landing, load, effects)
     else:
         outcome = outcome_of_several(finger, objects, shapes, motion, approach, forces, settled, effects)
-    return make_state(probe, outcome), make_contact(finger, probe, outcome)
+    return end_contact_tick(finger, probe, outcome)
 
 
 @jit

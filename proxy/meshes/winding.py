@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.meshes.pieces import Edges, Pieces, corners_in_blocks, pieces_of
+from softfinger.proxy.meshes.pieces import Edges, corners_in_blocks, pieces_of
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 
 HOLDERS: Final = 16
@@ -38,7 +38,9 @@ def wind(mesh: Arrays, edges: Edges) -> Winding:
     """Wind the triangles of a mesh (m) consistently within each piece, with the front outside."""
     pieces = pieces_of(edges)
     bodies = len(pieces.one_sided)
-    turned = _majority(pieces) & ~pieces.one_sided[pieces.body]
+    against = np.bincount(pieces.body, pieces.turned, bodies)
+    most = 2.0 * against > np.bincount(pieces.body, minlength=bodies)
+    turned = (pieces.turned ^ most[pieces.body]) & ~pieces.one_sided[pieces.body]
     triangles = _reverse(mesh.triangles, turned)
     closed = ~pieces.one_sided
     # An edge without exactly two triangles is a boundary of all pieces that it belongs to.
@@ -62,14 +64,6 @@ def wind(mesh: Arrays, edges: Edges) -> Winding:
         one_sided=int(pieces.one_sided.sum()),
         volume=float(volumes.sum()),
     )
-
-
-def _majority(pieces: Pieces) -> NDArray[np.bool_]:
-    """Return which triangles to turn so that each piece has the winding of its majority."""
-    bodies = len(pieces.one_sided)
-    against = np.bincount(pieces.body, pieces.turned, bodies)
-    most = 2.0 * against > np.bincount(pieces.body, minlength=bodies)
-    return pieces.turned ^ most[pieces.body]
 
 
 def _reverse(triangles: Triangles, which: NDArray[np.bool_]) -> Triangles:

@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
-from softfinger.proxy.kernels.query.bodies import has_fault, pose_of_body
+from softfinger.proxy.kernels.query.bodies import POSITION, has_fault, pose_of_body
 from softfinger.server.loop.guard import GuardState
 from softfinger.server.loop.passivity import Energy, Passivity
 
@@ -97,7 +97,7 @@ def reaction(
 ) -> Reaction:
     body = bodies.riders[int(outcome.object)] if outcome.object >= 0.0 else 0.0
     force, torque = vec3.scale(force_share, outcome.force), vec3.scale(torque_share, outcome.torque)
-    return Reaction(body, force, torque, center, pose_of_body(bodies.block, body))
+    return Reaction(body, force, torque, center, pose_of_body(bodies.block, body, POSITION))
 
 
 @by_type
@@ -133,7 +133,7 @@ def work_of_all(bodies: Bodies, last_reactions: Any) -> float:
     work = 0.0
     if not has_fault(bodies):
         for reaction in last_reactions:
-            now, before = pose_of_body(bodies.block, reaction.body), reaction.pose
+            now, before = pose_of_body(bodies.block, reaction.body, POSITION), reaction.pose
             turned = relative(now.orientation, before.orientation)
             target = vec3.add(now.position, rotate(turned, vec3.sub(reaction.center, before.position)))
             work += vec3.dot(reaction.force, vec3.sub(target, reaction.center)) + vec3.dot(reaction.torque, log(turned))

@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import nnls
 
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.numerics.half_spaces import FACING, displacement, solve_half_spaces
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.half_spaces import FACING, solve_half_spaces
 
 pytestmark = pytest.mark.plain
 
@@ -13,7 +14,7 @@ pytestmark = pytest.mark.plain
 @entry
 def solve(count, n1, n2, n3, b1, b2, b3):
     solution = solve_half_spaces(count, n1, n2, n3, b1, b2, b3)
-    return solution.push, displacement(solution.place, n1, n2, n3)
+    return solution.push, vec3.weighted_sum(solution.place, n1, n2, n3)
 
 
 def unit(rng):

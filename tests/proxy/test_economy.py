@@ -68,7 +68,6 @@ STAND_INS = {
     "shapes.plane.transport_on_plane",
     "shapes.plane.travel_to_plane",
     "contact.texture.texture_friction",
-    "contact.texture.texture_depth_on",
     "contact.texture.texture_depth",
 }
 """All kernels of the modules below that a bare plane compiles: those for absent parts, and those of the plane."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.fingertip import radius_of_curvature, velocity_at
 from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
-from softfinger.proxy.kernels.contact.texture import texture_depth_on, texture_friction
+from softfinger.proxy.kernels.contact.texture import texture_depth, texture_friction
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
@@ -103,18 +103,15 @@ class ContactForces(NamedTuple):
 @jit
 def ground_at(objects: Any, index: float) -> Ground:
     """Return the Ground of object `index`; `objects` have complete materials."""
-    return ground_of(object_at(objects, index))
+    body = object_at(objects, index)
+    return Ground(body.number, body.material, pose_values(body.pose).orientation, carry_of(body))
 
 
 @jit
 def textured_ground_at(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Ground:
     """Return `ground_at` with the friction that its texture has under the proxy's `center` (3,) m."""
     body = object_at(objects, index)
-    return ground_of(texture_friction(body.texture, body, index, active, center))
-
-
-@jit
-def ground_of(body: Any) -> Ground:
+    body = texture_friction(body.texture, body, index, active, center)
     return Ground(body.number, body.material, pose_values(body.pose).orientation, carry_of(body))
 
 
@@ -126,7 +123,8 @@ def load_on(
     probe, last, dt = motion
     speed = relative_velocity(ground.carried, probe.velocity, last.position, dt)
     speed = velocity_at(finger.form, speed, ground.carried, probe, last, constraint.normal, 0.0 if touches else dt)
-    depth, direction = texture_depth_on(objects, constraint.body, constraint.depth, constraint.normal, probe.position)
+    body = object_at(objects, constraint.body)
+    depth, direction = texture_depth(body.texture, body, constraint.depth, constraint.normal, probe.position)
     return NormalForce(normal_force_of(ground.material.normal, depth, vec3.dot(speed, direction)), direction)
 
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.effects.forces import Situation, apply_effects
 from softfinger.proxy.kernels.effects.objects import TouchedObjects, apply_objects_effects
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import ActiveSet, Finger, FingerState, Probe, Scene, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
@@ -39,9 +40,7 @@ def effects_of_tick(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None
     )  # fmt: skip
     force, states = apply_effects(scene.effects, state.effects[0], around)
-    contact = Situation(
-        position=probe.position, velocity=probe.velocity, dt=dt, touched=0.0, gap=0.0, normal=up, carrier=None
-    )  # fmt: skip
+    contact = replace(around, "touched", 0.0)
     touched = TouchedObjects(active, state.probe.position)
     more, states_of_objects, unknown = apply_objects_effects(objects, state.effects[1], finger.radius, touched, contact)
     return Effects(vec3.add(force, more), (states, states_of_objects), unknown)

@@ -8,13 +8,14 @@ continuous, and the energy of the springs does not increase, because it is conve
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.active_set import loads_of
+from softfinger.proxy.kernels.contact.rest.active_set import spring_load
 from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.objects import material_of
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.record import ROLLING
 
 Contacts = tuple[ContactState, ContactState, ContactState]
@@ -34,49 +35,31 @@ def contact_on(contacts: Contacts, body: float) -> ContactState:
 
 
 @jit
-def load_shares(objects: Any, active: ActiveSet) -> Vec3:
-    """Return the load shares of the three constraints; they sum to 1."""
-    one, two, three = loads_of(objects, active)
-    load = one + two + three
-    if load > 0.0:
-        return one / load, two / load, three / load
-    return 1.0, 0.0, 0.0
-
-
-@jit
-def load_share_on(active: ActiveSet, shares: Vec3, body: float) -> float:
-    """Return the current load share of object `body`."""
-    first, second, third = active
-    if body == first.body:
-        return shares[0]
-    if body == second.body:
-        return shares[1]
-    if body == third.body:
-        return shares[2]
-    return 0.0
-
-
-@jit
-def load_share_lost(active: ActiveSet, shares: Vec3, contact: ContactState) -> float:
+def load_share_lost(contact: ContactState, active: ActiveSet, shares: Vec3) -> float:
     """Return the part of the load that a contact loses in this tick."""
     if contact.body < 0.0:
         return 0.0
-    return max(contact.share - load_share_on(active, shares, contact.body), 0.0)
+    share = 0.0
+    if contact.body == active[0].body:
+        share = shares[0]
+    elif contact.body == active[1].body:
+        share = shares[1]
+    elif contact.body == active[2].body:
+        share = shares[2]
+    return max(contact.share - share, 0.0)
 
 
 @jit
 def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
     if losses[0] >= losses[1] and losses[0] >= losses[2]:
         return contacts[0]
-    if losses[1] >= losses[2]:
-        return contacts[1]
-    return contacts[2]
+    return contacts[1] if losses[1] >= losses[2] else contacts[2]
 
 
 @jit
-def winding_stiffness(objects: Any, contact: ContactState) -> float:
+def winding_stiffness(contact: ContactState, objects: Any) -> float:
     """Return the stiffness of the torsional spring of a contact, that of the first object for NO_CONTACT."""
-    return torsional_stiffness(material_of(objects, contact.body).torsion)
+    return torsional_stiffness(object_at(objects, contact.body).material.torsion)
 
 
 class LostWindUp(NamedTuple):
@@ -85,21 +68,6 @@ class LostWindUp(NamedTuple):
     deflection: Vec3
     rolled_part: Vec3
     bend: Vec3
-
-
-@jit
-def sum_weighted(weights: Vec3, one: Vec3, two: Vec3, three: Vec3) -> Vec3:
-    return vec3.add_scaled(vec3.add_scaled(vec3.scale(weights[0], one), weights[1], two), weights[2], three)
-
-
-@jit
-def lost_wind_up(contacts: Contacts, losses: Vec3) -> LostWindUp:
-    one, two, three = contacts
-    return LostWindUp(
-        sum_weighted(losses, one.deflection, two.deflection, three.deflection),
-        sum_weighted(losses, one.rolled_part, two.rolled_part, three.rolled_part),
-        sum_weighted(losses, one.bend, two.bend, three.bend),
-    )
 
 
 @jit
@@ -115,16 +83,16 @@ def lost_spin(contact: ContactState, loss: float, of_contact: float, normal: Vec
 
 @jit
 def contact_after_hand_over(
-    objects: Any, contacts: Contacts, losses: Vec3, lost: LostWindUp, stiffnesses: Vec3, constraint: Constraint,
-    share: float,
+    constraint: Constraint, share: float, objects: Any, contacts: Contacts, losses: Vec3, lost: LostWindUp,
+    stiffnesses: Vec3,
 ) -> ContactState:  # fmt: skip
     """Return the contact of a constraint: the remainder of its last state, plus the state of the share it gained.
 
+    share       current load share of the constraint
     contacts    of the last tick, moved with their objects
     losses      of these contacts, see `load_share_lost`
     lost        their wind-up
     stiffnesses of their torsional springs
-    share       current load share of the constraint
 
     Vectors are projected onto the tangent plane of the constraint, and the spins onto its normal.
     """
@@ -149,11 +117,9 @@ def contact_after_hand_over(
         deflection = vec3.add_scaled(deflection, gain, vec3.reject(lost.deflection, normal))
         rolled_part = vec3.add_scaled(rolled_part, gain, vec3.reject(lost.rolled_part, normal))
         bend = vec3.add_scaled(bend, gain, vec3.reject(lost.bend, normal))
-        stiffness = torsional_stiffness(material_of(objects, body).torsion)
-        total = lost_spin(contacts[0], losses[0], stiffnesses[0], normal, stiffness)
-        total += lost_spin(contacts[1], losses[1], stiffnesses[1], normal, stiffness)
-        total += lost_spin(contacts[2], losses[2], stiffnesses[2], normal, stiffness)
-        spin += gain * total
+        stiffness = torsional_stiffness(object_at(objects, body).material.torsion)
+        spins = map_each(lost_spin, (contacts, losses, stiffnesses), normal, stiffness)
+        spin += gain * (spins[0] + spins[1] + spins[2])
     return ContactState(
         body=body,
         normal=normal,
@@ -174,17 +140,16 @@ def contact_after_hand_over(
 @jit
 def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
     """Return the contacts of this tick, one per constraint of the proxy, before they are moved."""
-    shares = load_shares(objects, active)
-    losses = (
-        load_share_lost(active, shares, contacts[0]),
-        load_share_lost(active, shares, contacts[1]),
-        load_share_lost(active, shares, contacts[2]),
-    )
+    loads, shares = map_each(spring_load, (active,), objects), (1.0, 0.0, 0.0)
+    load = loads[0] + loads[1] + loads[2]
+    if load > 0.0:
+        shares = loads[0] / load, loads[1] / load, loads[2] / load
+    losses = map_each(load_share_lost, (contacts,), active, shares)
     one, two, three = contacts
-    lost = lost_wind_up(contacts, losses)
-    stiffnesses = winding_stiffness(objects, one), winding_stiffness(objects, two), winding_stiffness(objects, three)
-    return (
-        contact_after_hand_over(objects, contacts, losses, lost, stiffnesses, active[0], shares[0]),
-        contact_after_hand_over(objects, contacts, losses, lost, stiffnesses, active[1], shares[1]),
-        contact_after_hand_over(objects, contacts, losses, lost, stiffnesses, active[2], shares[2]),
+    lost = LostWindUp(
+        vec3.weighted_sum(losses, one.deflection, two.deflection, three.deflection),
+        vec3.weighted_sum(losses, one.rolled_part, two.rolled_part, three.rolled_part),
+        vec3.weighted_sum(losses, one.bend, two.bend, three.bend),
     )
+    stiffnesses = map_each(winding_stiffness, (contacts,), objects)
+    return map_each(contact_after_hand_over, (active, shares), objects, contacts, losses, lost, stiffnesses)

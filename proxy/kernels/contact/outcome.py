@@ -57,9 +57,9 @@ class Outcome(NamedTuple):
 
 
 @jit
-def make_state(probe: Probe, outcome: Outcome) -> FingerState:
-    """Return the FingerState after a tick in contact."""
-    return FingerState(
+def end_contact_tick(finger: Finger, probe: Probe, outcome: Outcome) -> tuple[FingerState, Contact]:
+    """Return the FingerState after a tick in contact, and its Contact, with the wrench on the hand."""
+    state = FingerState(
         started=1.0,
         probe=probe,
         mode=outcome.mode,
@@ -69,17 +69,12 @@ def make_state(probe: Probe, outcome: Outcome) -> FingerState:
         stuck=outcome.stuck,
         effects=outcome.effect_states,
     )
-
-
-@jit
-def make_contact(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
-    """Return the Contact of this tick, with the wrench on the hand."""
     # On a curved surface, a proxy displaced by friction is below the tangent plane of its rest position: the depth is
     # that of the rest position. It is 0 in the tick in which a slip moves the proxy to where the probe is outside.
     depth = max(vec3.dot(vec3.sub(outcome.center, probe.position), outcome.normal), 0.0)
     to_fingertip, normal = rotations.conjugate(probe.orientation), outcome.normal
     inward = rotations.rotate(to_fingertip, normal)
-    return Contact(
+    contact = Contact(
         mode=outcome.mode,
         object=outcome.object,
         cause=outcome.cause,
@@ -102,6 +97,7 @@ def make_contact(finger: Finger, probe: Probe, outcome: Outcome) -> Contact:
         contacts=outcome.reported,
         budget=outcome.budget,
     )
+    return state, contact
 
 
 @jit

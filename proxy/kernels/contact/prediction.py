@@ -12,8 +12,8 @@ from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, han
 from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import ActiveSet, Constraint, ContactState, FingerState, Quaternion, Scene, Vec3
+from softfinger.proxy.kernels.jit.tuples import map_each, replace
+from softfinger.proxy.kernels.model import Constraint, ContactState, FingerState, Quaternion, Scene, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.carry import carry, move_point, relative_rotation, turn_direction
@@ -24,10 +24,10 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 class Shear(NamedTuple):
     """Motion of all contacts in a tick.
 
-    turn              rotation of the fingertip
-    free     (3,)  m  motion of the probe, plus the change of its displacement by the pushes
-    blocked  (3,)  m  motion of the probe that the proxy could not follow because of the pushes
-    reference (3,) m  the probe at the last tick, displaced by the pushes
+    turn               rotation of the fingertip
+    free       (3,) m  motion of the probe, plus the change of its displacement by the pushes
+    blocked    (3,) m  motion of the probe that the proxy could not follow because of the pushes
+    reference  (3,) m  the probe at the last tick, displaced by the pushes
     """
 
     turn: Quaternion
@@ -39,41 +39,30 @@ class Shear(NamedTuple):
 class ContactRoll(NamedTuple):
     """Roll of one contact in a tick.
 
-    proxy  (3,) m  motion of the proxy
+    proxy  (3,) m  motion of the proxy, u
     probe  (3,) m  motion of a probe that winds up nothing
+    tilt   (3,) m  d W u: displacement of the proxy from the probe as its normal rotates, see `predict`
     spin   rad     rotation about the normal
     theta  rad     roll angle
     """
 
     proxy: Vec3
     probe: Vec3
+    tilt: Vec3
     spin: float
     theta: float
-
-
-class Lever(NamedTuple):
-    """Fractions by which the probe moves less than a proxy that rolls on a curved surface; negative in a hollow.
-
-    first        along the unit tangent `along`
-    second       across it
-    along  (3,)
-    """
-
-    first: float
-    second: float
-    along: Vec3
 
 
 @jit
 def lag_of(contacts: Contacts) -> Vec3:
     """Return the mean deflection (3,) m of the contacts, weighted by their load shares."""
     one, two, three = contacts
-    lag = vec3.scale(one.share, one.deflection)
-    return vec3.add_scaled(vec3.add_scaled(lag, two.share, two.deflection), three.share, three.deflection)
+    shares = one.share, two.share, three.share
+    return vec3.weighted_sum(shares, one.deflection, two.deflection, three.deflection)
 
 
 @jit
-def move_contact(objects: Any, contact: ContactState) -> ContactState:
+def move_contact(contact: ContactState, objects: Any) -> ContactState:
     """Return the contact moved with its object."""
     if contact.body < 0.0:
         return contact
@@ -84,105 +73,66 @@ def move_contact(objects: Any, contact: ContactState) -> ContactState:
 
 
 @jit
-def move_contacts(objects: Any, contacts: Any) -> Contacts:
-    return (
-        move_contact(objects, contacts[0]),
-        move_contact(objects, contacts[1]),
-        move_contact(objects, contacts[2]),
-    )
-
-
-@jit
-def constraints_of_contacts(contacts: Contacts) -> ActiveSet:
-    """Return the constraints of contacts, with the pushes of the last tick."""
-    one, two, three = contacts
-    return (
-        Constraint(one.body, one.normal, one.push),
-        Constraint(two.body, two.normal, two.push),
-        Constraint(three.body, three.normal, three.push),
-    )
-
-
-@jit
-def displacement_by_push(before: Contacts, contact: ContactState) -> Vec3:
+def displacement_by_push(contact: ContactState, before: Contacts) -> Vec3:
     """Return the displacement (3,) m of the proxy in this tick because the push of a contact has changed."""
     return vec3.scale(contact.push - contact_on(before, contact.body).push, contact.normal)
-
-
-@jit
-def displacement_by_rotation(before: ContactState, carried: ContactState) -> Vec3:
-    """Return the displacement (3,) m of the proxy in this tick because the object of a contact rotates."""
-    return vec3.scale(before.push, vec3.sub(carried.normal, before.normal))
 
 
 @jit
 def displaced_by(position: Vec3, contacts: Contacts) -> Vec3:
     """Return `position` (3,) m displaced by the pushes of the contacts."""
     one, two, three = contacts
-    position = vec3.add_scaled(position, one.push, one.normal)
-    return vec3.add_scaled(vec3.add_scaled(position, two.push, two.normal), three.push, three.normal)
+    pushes = one.push, two.push, three.push
+    return vec3.add(position, vec3.weighted_sum(pushes, one.normal, two.normal, three.normal))
 
 
 @jit
 def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: ProbeMotion) -> Shear:
     """Return the motion of the contacts; `last` are the contacts of the last tick, moved with their objects."""
     probe, last_probe, _ = motion
-    by_push = vec3.add(displacement_by_push(last, contacts[0]), displacement_by_push(last, contacts[1]))
-    by_push = vec3.add(by_push, displacement_by_push(last, contacts[2]))
-    one, two, three = state.contacts
-    by_rotation = vec3.add(displacement_by_rotation(one, last[0]), displacement_by_rotation(two, last[1]))
-    by_rotation = vec3.add(by_rotation, displacement_by_rotation(three, last[2]))
+    one, two, three = map_each(displacement_by_push, (contacts,), last)
+    by_push = vec3.add(vec3.add(one, two), three)
+    reference = displaced_by(last_probe.position, state.contacts)
     return Shear(
         turn=rotations.relative(probe.orientation, last_probe.orientation),
-        free=vec3.add(vec3.add(vec3.sub(probe.position, last_probe.position), by_push), by_rotation),
+        free=vec3.add(vec3.sub(displaced_by(probe.position, last), reference), by_push),
         blocked=vec3.scale(-1.0, by_push),
-        reference=displaced_by(last_probe.position, state.contacts),
+        reference=reference,
     )
 
 
 @jit
-def lever_of(objects: Any, contact: ContactState, radius: float, center: Vec3) -> Lever:
-    """Return depth times curvature of the surface on which the proxy, at `center` (3,) m, moves.
-
-    Neither product exceeds 1 in size. At 1, the probe is at the centre of curvature and does not move.
-    """
-    k1, k2, along = curvature_of(objects, contact.body, radius, center, contact.normal)
-    largest = max(abs(k1), abs(k2)) * contact.push
-    depth = contact.push / largest if largest > 1.0 else contact.push
-    return Lever(depth * k1, depth * k2, along)
-
-
-@jit
-def apply_lever(lever: Lever, normal: Vec3, v: Vec3) -> Vec3:
-    """Convert a tangential motion `v` (3,) of the proxy to that of the probe: v - depth dn/dp v."""
-    if lever.first == 0.0 and lever.second == 0.0:
-        return v
-    across = vec3.cross(normal, lever.along)
-    v = vec3.add_scaled(v, -lever.first * vec3.dot(v, lever.along), lever.along)
-    return vec3.add_scaled(v, -lever.second * vec3.dot(v, across), across)
-
-
-@jit
 def roll_contact(
-    method: Any, objects: Any, radius: float, center: Vec3, contact: ContactState, turn: Quaternion
+    contact: ContactState, method: Any, objects: Any, radius: float, center: Vec3, turn: Quaternion
 ) -> ContactRoll:
-    """Roll a contact by the rotation `turn` of the fingertip in this tick, in its tangent plane."""
+    """Roll a contact by the rotation `turn` of the fingertip in this tick, in its tangent plane.
+
+    center  (3,) m  proxy before the roll
+    """
     if contact.body < 0.0:
-        return ContactRoll(ZERO, ZERO, 0.0, 0.0)
+        return ContactRoll(ZERO, ZERO, ZERO, 0.0, 0.0)
     normal, carried = contact.normal, carry(objects, contact.body)
     rolled = roll_flat_on(method, objects, contact.body, radius, normal, relative_rotation(carried, turn))
-    motion_of_probe = apply_lever(lever_of(objects, contact, radius, center), normal, rolled.motion)
-    return ContactRoll(rolled.motion, motion_of_probe, rolled.spin, rolled.theta)
+    k1, k2, along = curvature_of(objects, contact.body, radius, center, normal)
+    largest = max(abs(k1), abs(k2)) * contact.push
+    # At a product of 1 of depth and curvature, the probe is at the centre of curvature and does not move.
+    depth = contact.push / largest if largest > 1.0 else contact.push
+    first, second, probe = depth * k1, depth * k2, rolled.motion
+    if first != 0.0 or second != 0.0:  # u - d dn/dp u
+        across = vec3.cross(normal, along)
+        probe = vec3.add_scaled(probe, -first * vec3.dot(probe, along), along)
+        probe = vec3.add_scaled(probe, -second * vec3.dot(probe, across), across)
+    return ContactRoll(rolled.motion, probe, vec3.sub(rolled.motion, probe), rolled.spin, rolled.theta)
 
 
 @jit
-def predict(objects: Any, contact: ContactState, shear: Shear, roll: ContactRoll, tilted: Vec3) -> Prediction:
+def predict(contact: ContactState, roll: ContactRoll, tilted: Vec3, objects: Any, shear: Shear) -> Prediction:
     """Compute the deflection of a sticking contact after the motions of probe, object and fingertip.
 
-    tilted  (3,) m  displacement of the proxy as its normals at the other contacts rotate, see `tilt_of`
+    tilted  (3,) m  displacement of the proxy as its normals at the other contacts rotate
 
     e <- e - (dx - do) + (1 - d W) r theta (a x n) - sum d_j W_j u_j, all in the tangent plane: x the probe, including
-    the change of its displacement by the pushes, o the object at the probe, d the depth, W = dn/dp of the surface on
+    its displacement by the pushes, o the object at that point, d the depth, W = dn/dp of the surface on
     which the proxy moves, and j the other contacts. If the proxy rolls by u on all of them and the probe moves by
     u - sum d_j W_j u, nothing is wound up.
     The part of the probe's motion that the proxy could not follow counts only if it unwinds e. So the contact
@@ -205,37 +155,32 @@ def predict(objects: Any, contact: ContactState, shear: Shear, roll: ContactRoll
 
 
 @jit
-def tilt_of(roll: ContactRoll) -> Vec3:
-    """Return d W u (3,) m: the displacement of the proxy from the probe as its normal rotates in a roll by u."""
-    return vec3.sub(roll.proxy, roll.probe)
-
-
-@jit
 def continue_several(
     scene: Scene, objects: Any, shapes: Any, radius: float, state: FingerState, motion: ProbeMotion
 ) -> Approach:
     """Continue all contacts of the last tick, each moved with its object."""
-    last = move_contacts(shapes, state.contacts)
+    last = map_each(move_contact, (state.contacts,), shapes)
     center = move_point(carry(shapes, last[0].body), state.center)
     base = vec3.add(motion.probe.position, lag_of(last))
-    active, _ = solve_tangent_planes(shapes, radius, base, center, constraints_of_contacts(last))
+    active = (
+        Constraint(last[0].body, last[0].normal, last[0].push),
+        Constraint(last[1].body, last[1].normal, last[1].push),
+        Constraint(last[2].body, last[2].normal, last[2].push),
+    )
+    active, _ = solve_tangent_planes(shapes, radius, base, center, active)
     contacts = hand_over(objects, last, active)
     shear = shear_of(state, last, contacts, motion)
-    roll1 = roll_contact(scene.rolling, shapes, radius, center, contacts[0], shear.turn)
-    roll2 = roll_contact(scene.rolling, shapes, radius, center, contacts[1], shear.turn)
-    roll3 = roll_contact(scene.rolling, shapes, radius, center, contacts[2], shear.turn)
-    tilt1, tilt2, tilt3 = tilt_of(roll1), tilt_of(roll2), tilt_of(roll3)
-    one = predict(shapes, contacts[0], shear, roll1, vec3.add(tilt2, tilt3))
-    two = predict(shapes, contacts[1], shear, roll2, vec3.add(tilt1, tilt3))
-    three = predict(shapes, contacts[2], shear, roll3, vec3.add(tilt1, tilt2))
-    rolled = vec3.add_scaled(vec3.add_scaled(center, contacts[0].share, roll1.proxy), contacts[1].share, roll2.proxy)
+    rolls = map_each(roll_contact, (contacts,), scene.rolling, shapes, radius, center, shear.turn)
+    one, two, three = rolls
+    tilts = vec3.add(two.tilt, three.tilt), vec3.add(one.tilt, three.tilt), vec3.add(one.tilt, two.tilt)
+    rolled = vec3.add_scaled(vec3.add_scaled(center, contacts[0].share, one.proxy), contacts[1].share, two.proxy)
     return Approach(
         start=state.center,
         outside=center,
-        center=vec3.add_scaled(rolled, contacts[2].share, roll3.proxy),
+        center=vec3.add_scaled(rolled, contacts[2].share, three.proxy),
         active=active,
-        predicted=(one, two, three),
-        rolled=state.rolled + roll1.theta,
+        predicted=map_each(predict, (contacts, rolls, tilts), shapes, shear),
+        rolled=state.rolled + one.theta,
         strays=True,
         single=False,
         began=False,

@@ -70,15 +70,10 @@ def resist_by_loss(
         turn = rotations.relative(probe.orientation, last.orientation)
         theta, axis = rotations.tilt(relative_rotation(carried, turn), bent.normal)
         roll = vec3.scale(theta, axis)
-    return wind_resistance(rolling.share, area, bent.share, vec3.reject(bent.bend, bent.normal), roll)
-
-
-@jit
-def wind_resistance(loss: float, area: ContactPatch, share: float, bend: Vec3, roll: Vec3) -> Resistance:
-    """Add a roll to the wind-up; its energy is constant while load and share change, see `winding_unit`."""
-    stiffness = max(loss * area.bending, MIN_STIFFNESS)
-    unit = sqrt(stiffness / max(share, LEAST_SHARE))
-    angle = vec3.add(vec3.scale(1.0 / unit, bend), roll)
+    stiffness = max(rolling.share * area.bending, MIN_STIFFNESS)
+    # The energy of the wind-up is constant while load and share change, see `winding_unit`.
+    unit = sqrt(stiffness / max(bent.share, LEAST_SHARE))
+    angle = vec3.add(vec3.scale(1.0 / unit, vec3.reject(bent.bend, bent.normal)), roll)
     size = vec3.norm(angle)
     if size > area.bend_max:
         angle = vec3.scale(area.bend_max / size, angle)

@@ -94,17 +94,6 @@ def is_clear_of_others(
 
 
 @jit
-def rolls_clear_of_others(objects: Any, radius: float, approach: Approach) -> bool:
-    """Return True if the only contact rolls on no other object: past a seam it rolls on the next one."""
-    if approach.center == approach.outside:
-        return True
-    index = approach.active[0].body
-    # Facets that share an edge are both touched there, and form one surface.
-    room = -1.0 if is_mesh_at(objects, index) else 1.0
-    return is_clear_of_others(objects, radius, approach.center, approach.center, index, approach.budget, room)
-
-
-@jit
 def approach_among_several(
     scene: Scene, finger: Finger, objects: Any, shapes: Any, state: FingerState, motion: ProbeMotion
 ) -> tuple[FingerState, Approach]:
@@ -118,7 +107,12 @@ def approach_among_several(
         if single:
             index = state.contacts[0].body
             approach = continue_contact(scene, finger, shapes, index, state, motion.probe, motion.dt)
-            single = rolls_clear_of_others(shapes, finger.radius, approach)
+            if approach.center != approach.outside:
+                # Past a seam it rolls on the next object. Facets that share an edge are both touched there, and form
+                # one surface.
+                index, center = approach.active[0].body, approach.center
+                room = -1.0 if is_mesh_at(shapes, index) else 1.0
+                single = is_clear_of_others(shapes, finger.radius, center, center, index, approach.budget, room)
         if not single:
             approach = continue_several(scene, objects, shapes, finger.radius, state, motion)
         if not has_ended(approach.active):
@@ -129,7 +123,7 @@ def approach_among_several(
 
 @jit
 def friction_of_contact(
-    finger: Finger, objects: Any, approach: Approach, predicted: Prediction, motion: ProbeMotion
+    predicted: Prediction, finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> ContactForces:
     """Compute the friction of one of several contacts."""
     contact = predicted.contact
@@ -137,19 +131,6 @@ def friction_of_contact(
         return NO_FORCES
     ground = textured_ground_at(objects, contact.body, approach.active, approach.center)
     return apply_friction(finger, objects, ground, predicted, contact.share, motion)
-
-
-@jit
-def friction_of_contacts(
-    finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
-) -> tuple[ContactForces, ContactForces, ContactForces]:
-    """Compute the friction of each contact."""
-    one, two, three = approach.predicted
-    return (
-        friction_of_contact(finger, objects, approach, one, motion),
-        friction_of_contact(finger, objects, approach, two, motion),
-        friction_of_contact(finger, objects, approach, three, motion),
-    )
 
 
 @by_multipoint

@@ -9,6 +9,7 @@ from softfinger.proxy.kernels.contact.approach import Approach, stuck_ticks
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     NormalForce,
+    Prediction,
     ProbeMotion,
     ground_at,
     load_on,
@@ -25,9 +26,9 @@ from softfinger.proxy.kernels.friction.contact_patch import contact_patch, windi
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import limit_to_cone
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import field_of_each, map_each
 from softfinger.proxy.kernels.model import (
     NO_OUTCOME,
-    ActiveSet,
     Constraint,
     ContactOutcome,
     ContactState,
@@ -72,19 +73,8 @@ class FrictionShare(NamedTuple):
     bending: Vec3
 
 
-class LoadTransfer(NamedTuple):
-    """Load shares that the contacts lose in this tick.
-
-    remainders (3,)  fraction of its load share that each predicted contact retains
-    total            sum of the lost shares
-    """
-
-    remainders: Vec3
-    total: float
-
-
 @jit
-def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeMotion, touches: bool) -> NormalForce:
+def load_of(constraint: Constraint, finger: Finger, objects: Any, motion: ProbeMotion, touches: bool) -> NormalForce:
     """Return the normal force of a constraint, zero without one."""
     if constraint.body < 0.0:
         return NormalForce(0.0, ZERO)
@@ -92,26 +82,29 @@ def load_of(finger: Finger, objects: Any, constraint: Constraint, motion: ProbeM
 
 
 @jit
-def remaining_share(giver: ContactState, after: Contacts) -> float:
+def remaining_share(predicted: Prediction, after: Contacts) -> float:
     """Return the fraction of its load share that a contact still has after this tick."""
+    giver = predicted.contact
     if giver.body < 0.0 or giver.share <= 0.0:
         return 1.0
     return min(contact_on(after, giver.body).share / giver.share, 1.0)
 
 
 @jit
-def transfer_of(approach: Approach, after: Contacts) -> LoadTransfer:
-    one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
-    remainders = remaining_share(one, after), remaining_share(two, after), remaining_share(three, after)
-    total = (1.0 - remainders[0]) * one.share + (1.0 - remainders[1]) * two.share + (1.0 - remainders[2]) * three.share
-    return LoadTransfer(remainders, total)
-
-
-@jit
 def add_part_of(
-    friction: FrictionShare, giver: ContactState, forces: ContactForces, normal: Vec3, weight: float
+    friction: FrictionShare,
+    giver: ContactState,
+    forces: ContactForces,
+    remainder: float,
+    gain: float,
+    constraint: Constraint,
 ) -> FrictionShare:
-    """Add a part of the friction of the contact `giver`, projected onto the tangent plane of `normal`."""
+    """Add a part of the friction of the contact `giver`, projected onto the tangent plane of a constraint.
+
+    gain  fraction of the lost load shares that the constraint receives
+    """
+    normal = constraint.normal
+    weight = remainder if giver.body == constraint.body else (1.0 - remainder) * gain
     if weight <= 0.0 or giver.body < 0.0 or giver.share <= 0.0:
         return friction
     return FrictionShare(
@@ -123,47 +116,32 @@ def add_part_of(
 
 @jit
 def friction_share_on(
-    approach: Approach, forces: Any, transfer: LoadTransfer, after: Contacts, constraint: Constraint
+    constraint: Constraint, approach: Approach, forces: Any, remainders: Vec3, lost: float, after: Contacts
 ) -> FrictionShare:
     """Return the friction of a constraint: the remainder of its contact, and its part of the loss of other contacts.
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
+
+    remainders  fraction of its load share that each predicted contact retains
+    lost        sum of the lost shares
     """
     result = FrictionShare(ZERO, 0.0, ZERO)
     if constraint.body < 0.0:
         return result
     one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
-    remainders = transfer.remainders
-    body, normal, gain = constraint.body, constraint.normal, 0.0
-    if transfer.total > 0.0:
-        previous = contact_on((one, two, three), body)
-        gain = max(contact_on(after, body).share - previous.share, 0.0) / transfer.total
-    result = add_part_of(
-        result, one, forces[0], normal, remainders[0] if one.body == body else (1.0 - remainders[0]) * gain
-    )
-    result = add_part_of(
-        result, two, forces[1], normal, remainders[1] if two.body == body else (1.0 - remainders[1]) * gain
-    )
-    weight = remainders[2] if three.body == body else (1.0 - remainders[2]) * gain
-    return add_part_of(result, three, forces[2], normal, weight)
-
-
-@jit
-def friction_shares(
-    approach: Approach, forces: Any, after: Contacts, active: ActiveSet
-) -> tuple[FrictionShare, FrictionShare, FrictionShare]:
-    transfer = transfer_of(approach, after)
-    return (
-        friction_share_on(approach, forces, transfer, after, active[0]),
-        friction_share_on(approach, forces, transfer, after, active[1]),
-        friction_share_on(approach, forces, transfer, after, active[2]),
-    )
+    gain = 0.0
+    if lost > 0.0:
+        previous = contact_on((one, two, three), constraint.body)
+        gain = max(contact_on(after, constraint.body).share - previous.share, 0.0) / lost
+    result = add_part_of(result, one, forces[0], remainders[0], gain, constraint)
+    result = add_part_of(result, two, forces[1], remainders[1], gain, constraint)
+    return add_part_of(result, three, forces[2], remainders[2], gain, constraint)
 
 
 @jit
 def share_of_wrench(
-    finger: Finger, objects: Any, probe: Probe, settled: Equilibrium, constraint: Constraint, load: NormalForce,
-    friction: FrictionShare, scale: float,
+    constraint: Constraint, load: NormalForce, friction: FrictionShare, finger: Finger, objects: Any, probe: Probe,
+    settled: Equilibrium, scale: float,
 ) -> Share:  # fmt: skip
     """Compute the wrench of one constraint; `scale` is the remaining part of the normal force during friction."""
     if constraint.body < 0.0:
@@ -205,18 +183,21 @@ def outcome_of_several(
 ) -> Outcome:  # fmt: skip
     """Sum the wrenches of the contacts, and collect their states."""
     probe, active, began = motion.probe, settled.active, approach.began
-    loads = (
-        load_of(finger, objects, active[0], motion, began),
-        load_of(finger, objects, active[1], motion, began),
-        load_of(finger, objects, active[2], motion, began),
-    )
+    loads = map_each(load_of, (active,), finger, objects, motion, began)
     load = loads[0].size + loads[1].size + loads[2].size
     friction_load = forces[0].load + forces[1].load + forces[2].load
     scale = load / friction_load if friction_load > load else 1.0
-    friction = friction_shares(approach, forces, settled.contacts, active)
-    one = share_of_wrench(finger, objects, probe, settled, active[0], loads[0], friction[0], scale)
-    two = share_of_wrench(finger, objects, probe, settled, active[1], loads[1], friction[1], scale)
-    three = share_of_wrench(finger, objects, probe, settled, active[2], loads[2], friction[2], scale)
+    # Fractions of their load shares that the predicted contacts retain, and the sum of the lost shares.
+    remainders = map_each(remaining_share, (approach.predicted,), settled.contacts)
+    first, second, third = approach.predicted
+    lost = (
+        (1.0 - remainders[0]) * first.contact.share
+        + (1.0 - remainders[1]) * second.contact.share
+        + (1.0 - remainders[2]) * third.contact.share
+    )
+    friction = map_each(friction_share_on, (active,), approach, forces, remainders, lost, settled.contacts)
+    shares = map_each(share_of_wrench, (active, loads, friction), finger, objects, probe, settled, scale)
+    one, two, three = shares
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     extra, budget = effects.force, 0.0
     on_its_way = settled.late and any_multipoint(shapes)
@@ -237,7 +218,7 @@ def outcome_of_several(
         normal=active[0].normal,
         center=settled.center,
         contacts=settled.contacts,
-        reported=(one.reported, two.reported, three.reported),
+        reported=field_of_each(shares, "reported"),
         pressing=pressing,
         normal_force=vec3.norm(pressing),
         tangential=vec3.add(vec3.add(one.tangential, two.tangential), three.tangential),

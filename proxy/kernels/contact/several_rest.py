@@ -11,7 +11,7 @@ from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_p
 from softfinger.proxy.kernels.contact.rest.facets import constraints_over_edges
 from softfinger.proxy.kernels.contact.rest.several_objects import settle_among_several
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.jit.tuples import map_each, replace
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Finger, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
@@ -57,31 +57,8 @@ def move_to_constraint(contact: ContactState, constraint: Constraint) -> Contact
 
 
 @jit
-def update_pushes(contacts: Contacts, active: ActiveSet) -> Contacts:
-    """Return the contacts at the constraints of a proxy that has moved."""
-    one, two, three = contacts
-    return move_to_constraint(one, active[0]), move_to_constraint(two, active[1]), move_to_constraint(three, active[2])
-
-
-@jit
-def ease_depths(active: ActiveSet, ease: float) -> ActiveSet:
-    """Return the constraints with their depths times `ease`."""
-    one, two, three = active
-    return (
-        Constraint(one.body, one.normal, ease * one.depth),
-        Constraint(two.body, two.normal, ease * two.depth),
-        Constraint(three.body, three.normal, ease * three.depth),
-    )
-
-
-@jit
-def predict_lag(approach: Approach) -> Vec3:
-    """Return the mean deflection (3,) m of the contacts if all stick."""
-    one, two, three = approach.predicted
-    lag = vec3.scale(one.contact.share, one.deflection)
-    return vec3.add_scaled(
-        vec3.add_scaled(lag, two.contact.share, two.deflection), three.contact.share, three.deflection
-    )
+def ease_depth(constraint: Constraint, ease: float) -> Constraint:
+    return replace(constraint, "depth", ease * constraint.depth)
 
 
 @jit
@@ -102,32 +79,29 @@ def settle_after_friction(
     sticking contact would swing round its object. So a probe deeper than `DEEP` is raised to that depth, towards the
     position of the proxy if all contacts stick.
     """
-    after = (
-        contact_after_friction(approach.predicted[0], forces[0]),
-        contact_after_friction(approach.predicted[1], forces[1]),
-        contact_after_friction(approach.predicted[2], forces[2]),
-    )
+    after = map_each(contact_after_friction, (approach.predicted, forces))
     radius, lag, budget = finger.radius, lag_of(after), approach.budget
     goal, active, ease = vec3.add(position, lag), approach.active, 1.0
-    to_proxy = vec3.sub(approach.center, vec3.add(position, predict_lag(approach)))
+    one, two, three = approach.predicted
+    shares = one.contact.share, two.contact.share, three.contact.share
+    lag_if_stuck = vec3.weighted_sum(shares, one.deflection, two.deflection, three.deflection)
+    to_proxy = vec3.sub(approach.center, vec3.add(position, lag_if_stuck))
     depth = vec3.norm(to_proxy)
     if lag != ZERO and depth > DEEP * radius:
         ease = DEEP * radius / depth
-        goal, active = vec3.add_scaled(goal, 1.0 - ease, to_proxy), ease_depths(active, ease)
+        goal, active = vec3.add_scaled(goal, 1.0 - ease, to_proxy), map_each(ease_depth, (active,), ease)
     if approach.single and has_creases_at(shapes, approach.active[0].body):
         budget = budget // 4  # the height map was already searched as the only object
     rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
     active = constraints_over_edges(shapes, rest.active, rest.center)
-    if active_objects(active) == (after[0].body, after[1].body, after[2].body):
-        contacts = update_pushes(after, active)
-    else:
-        contacts = update_pushes(hand_over(objects, after, active), active)
+    contacts = after
+    if active_objects(active) != (after[0].body, after[1].body, after[2].body):
+        contacts = hand_over(objects, after, active)
+    contacts = map_each(move_to_constraint, (contacts, active))
     displaced = vec3.add(position, lag_of(contacts))
     if displaced != goal:
         active, place = solve_tangent_planes(shapes, radius, displaced, rest.center, active)
-        contacts = update_pushes(contacts, active)
+        contacts = map_each(move_to_constraint, (contacts, active))
         if ease < 1.0 and not rest.late and not leaves_no_room(active):
-            one, two, three = contacts
-            shift = vec3.sub(rest.center, place)
-            contacts = shift_deflection(one, shift), shift_deflection(two, shift), shift_deflection(three, shift)
+            contacts = map_each(shift_deflection, (contacts,), vec3.sub(rest.center, place))
     return Equilibrium(rest.center, active, contacts, rest.late, rest.budget)

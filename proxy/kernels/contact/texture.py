@@ -8,7 +8,7 @@ path neither gains nor loses energy; damping also acts along m, and dissipates B
 Friction. The coefficients of the law and the torsional limit are multiplied by the texture's factor at the contact
 point.
 
-    texture_depth_on(objects, index, depth, normal, position)      -> d, m
+    texture_depth(texture, body, depth, normal, position)          -> d, m
     texture_friction(texture, body, index, active, center)         -> body with the friction of its material there
 """
 
@@ -23,7 +23,6 @@ from softfinger.proxy.kernels.model import ActiveSet, Texture, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.scalars import clamp
-from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
 from softfinger.proxy.kernels.shapes.composite import shade_normal
 
@@ -122,13 +121,6 @@ def raise_by(
     rise = vec3.add(vec3.scale(z.by_u, at.along_u), vec3.scale(z.by_v, at.along_v))
     uphill = vec3.add_scaled(vec3.scale(relief.height * at.inside, rise), -drop, at.inward)
     return depth - at.inside * drop, vec3.sub(normal, turn_out_of(body.pose, uphill))
-
-
-@jit
-def texture_depth_on(objects: Any, index: float, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    """Return `texture_depth` on object `index`."""
-    body = object_at(objects, index)
-    return texture_depth(body.texture, body, depth, normal, position)
 
 
 # --- friction ------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ An effect without memory has the state None. Without effects the tuple is empty,
 gives finite force at any position and velocity: products are clamped to FORCE_CEILING_N.
 """
 
-from math import floor, pi, sin
+from math import pi, sin
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -34,12 +34,10 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
-from softfinger.proxy.kernels.numerics.scalars import clamp
+from softfinger.proxy.kernels.numerics.scalars import clamp, fraction
 
 FORCE_CEILING_N = 1e6
 """Limit that only keeps products of absurd numbers finite; the guard limits the force on the hand."""
-TURNS_CEILING = 1e15
-"""Number of turns above which float64 cannot represent a fraction of a turn."""
 NO_FORCE: Vec3 = (-0.0, -0.0, -0.0)
 """Negative zeros: adding them changes no bit of any number, so the compiler leaves the addition out."""
 NO_LENGTH_M = 1e-100
@@ -188,13 +186,6 @@ def sphere_boundary_force(effect: SphereBoundary, state: None, situation: Situat
 
 
 # --- vibration -----------------------------------------------------------------------------------
-
-
-@jit
-def fraction(turns: float) -> float:
-    """Return the fraction of a turn in [0, 1)."""
-    turns = clamp(turns, TURNS_CEILING)
-    return turns - floor(turns)
 
 
 @jit

@@ -8,10 +8,12 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
 from softfinger.proxy.kernels.model import ActiveSet, Carrier, Many, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.frames import into, turn_out_of
 from softfinger.proxy.kernels.query.carry import carry_of, move_point
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.motion import moving_pose
-from softfinger.proxy.kernels.query.objects import closest_or_bound_on, number_of
+from softfinger.proxy.kernels.query.objects import number_of
+from softfinger.proxy.kernels.shapes import closest_or_bound
 
 
 class TouchedObjects(NamedTuple):
@@ -48,8 +50,9 @@ def effects_of(
 ) -> tuple[tuple[Vec3, float], Any]:
     """Force (3,) N of one object's effects and, as above, whether a search did not end; and their states."""
     body = object_at(objects, carrier.row)
-    gap, _, normal, unsearched = closest_or_bound_on(whole_object(objects, body), contact.position)
-    is_touched, normal = contact_normal_on(objects, touched.active, body.number, normal)
+    whole = whole_object(objects, body)
+    gap, _, normal, unsearched = closest_or_bound(whole.shape, into(whole.pose, contact.position))
+    is_touched, normal = contact_normal_on(objects, touched.active, body.number, turn_out_of(whole.pose, normal))
     frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # relative to this object
         displacement = vec3.sub(move_point(carry_of(body), touched.before), touched.before)

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.normal import normal_force_of
 from softfinger.proxy.kernels.friction.stick_slip import ROUNDING, SLIP_TIME_CONSTANT_S
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic
@@ -103,18 +102,11 @@ def spot_on(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3
     return spot_without_load(nodes, (of_a, of_b, of_c), (to_a, to_b, to_c))
 
 
-@by_type
-def friction_on(law: Any, force: Vec3, normal: Vec3) -> Any:
+@jit
+def friction_on(law: Any, force: Vec3, normal: Vec3) -> Vec3:
     """Return the friction (3,) N in a force."""
-
-
-@friction_on.of(None)
-def friction_of_none(law: None, force: Vec3, normal: Vec3) -> Vec3:
-    return ZERO
-
-
-@friction_on.otherwise
-def tangential_part(law: Any, force: Vec3, normal: Vec3) -> Vec3:
+    if law is None:
+        return ZERO
     return vec3.reject(force, normal)
 
 

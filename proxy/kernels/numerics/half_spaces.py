@@ -9,6 +9,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
@@ -21,20 +22,6 @@ FACING = -0.98
 is then pinched between them, not pushed out of the wedge: a friction coefficient of 0.1 is enough to hold it."""
 
 
-class Depths(NamedTuple):
-    """Non-negative weights of the three normals, m; the displacement is the sum of the weighted normals."""
-
-    first: float
-    second: float
-    third: float
-
-
-@jit
-def displacement(push: Depths, n1: Vec3, n2: Vec3, n3: Vec3) -> Vec3:
-    """Return first n1 + second n2 + third n3."""
-    return vec3.add_scaled(vec3.add_scaled(vec3.scale(push.first, n1), push.second, n2), push.third, n3)
-
-
 class Cosines(NamedTuple):
     """Cosines of the angles between the three normals."""
 
@@ -44,12 +31,7 @@ class Cosines(NamedTuple):
 
 
 @jit
-def cosines(n1: Vec3, n2: Vec3, n3: Vec3) -> Cosines:
-    return Cosines(vec3.dot(n1, n2), vec3.dot(n1, n3), vec3.dot(n2, n3))
-
-
-@jit
-def _violates(push: Depths, c: Cosines, b1: float, b2: float, b3: float, slack: float) -> bool:
+def _violates(push: Vec3, c: Cosines, b1: float, b2: float, b3: float, slack: float) -> bool:
     one, two, three = push
     if not (one >= 0.0 and two >= 0.0 and three >= 0.0):
         return True
@@ -72,8 +54,8 @@ def _pair(c: float, b1: float, b2: float) -> tuple[float, float]:
 
 
 @jit
-def _solve(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Depths, bool]:
-    """Return the weights of the first active set that has no negative weight and satisfies all demands, and True.
+def _solve(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Vec3, bool]:
+    """Return the weights, m, of the first active set that has no negative weight and satisfies all demands, and True.
 
     The problem is convex, so that set is the solution. False if no set satisfies them. With `count` 2, the third
     normal and demand are copies of the second.
@@ -86,55 +68,49 @@ def _solve(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Dep
         volume = 1.0 + 2.0 * c12 * c13 * c23 - c12 * c12 - c13 * c13 - c23 * c23
         if volume > PARALLEL:
             scale = 1.0 / volume
-            push = Depths(
+            push = (
                 scale * (b1 * (1.0 - c23 * c23) - b2 * (c12 - c13 * c23) - b3 * (c13 - c12 * c23)),
                 scale * (b2 * (1.0 - c13 * c13) - b1 * (c12 - c13 * c23) - b3 * (c23 - c12 * c13)),
                 scale * (b3 * (1.0 - c12 * c12) - b1 * (c13 - c12 * c23) - b2 * (c23 - c12 * c13)),
             )
-            if push.first >= 0.0 and push.second >= 0.0 and push.third >= 0.0:
+            if push[0] >= 0.0 and push[1] >= 0.0 and push[2] >= 0.0:
                 return push, True
     if 1.0 - c12 * c12 > PARALLEL:
         one, two = _pair(c12, b1, b2)
-        push = Depths(one, two, 0.0)
+        push = (one, two, 0.0)
         if not _violates(push, c, b1, b2, b3, slack):
             return push, True
     if count == 3:
         if 1.0 - c13 * c13 > PARALLEL:
             one, three = _pair(c13, b1, b3)
-            push = Depths(one, 0.0, three)
+            push = (one, 0.0, three)
             if not _violates(push, c, b1, b2, b3, slack):
                 return push, True
         if 1.0 - c23 * c23 > PARALLEL:
             two, three = _pair(c23, b2, b3)
-            push = Depths(0.0, two, three)
+            push = (0.0, two, three)
             if not _violates(push, c, b1, b2, b3, slack):
                 return push, True
     # A single normal is enough only if its demand is the largest. With nearly parallel normals, another one would be
     # within rounding, too, but its push would be tilted.
-    push = Depths(max(b1, 0.0), 0.0, 0.0)
+    push = (max(b1, 0.0), 0.0, 0.0)
     if b2 > b1:
-        push = Depths(0.0, max(b2, 0.0), 0.0)
+        push = (0.0, max(b2, 0.0), 0.0)
     if count == 3 and b3 > max(b1, b2):
-        push = Depths(0.0, 0.0, max(b3, 0.0))
+        push = (0.0, 0.0, max(b3, 0.0))
     return push, not _violates(push, c, b1, b2, b3, slack)
 
 
 class HalfSpaceSolution(NamedTuple):
     """Loads of the constraints, and the displacement of the proxy.
 
-    push     m     depth that the spring of each constraint bears
-    place    m     weights of the normals; their weighted sum is the displacement from probe to proxy. Equal to `push`
-                   unless pinched
+    push     (3,) m  depth that the spring of each constraint bears
+    place    (3,) m  weights of the normals; their weighted sum is the displacement from probe to proxy. Equal to
+                     `push` unless pinched
     """
 
-    push: Depths
-    place: Depths
-
-
-@jit
-def _drop_facing(c: float) -> float:
-    """Return the cosine, or 0 if the walls face each other: neither bears any of the other's load."""
-    return 0.0 if c < FACING else c
+    push: Vec3
+    place: Vec3
 
 
 @jit
@@ -158,7 +134,7 @@ def _ease_demands(c: float, b1: float, b2: float) -> tuple[float, float]:
     return min(b1, b2 - PARALLEL * abs(b2)), b2
 
 
-@jit
+@outlined
 def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: float, b3: float) -> HalfSpaceSolution:
     """Return the weights of the smallest displacement d with n_i . d >= b_i (m), for 1 to 3 unit normals.
 
@@ -169,13 +145,15 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
     bears t plus its weight in the smallest push for the demands b_i - t. As t approaches 0, so does the difference from
     the push of constraints that can be satisfied.
     """
-    single = Depths(max(b1, 0.0), 0.0, 0.0)
+    single = (max(b1, 0.0), 0.0, 0.0)
     if count == 1:
         return HalfSpaceSolution(single, single)
     if count == 2:
         n3, b3 = n2, b2
-    true = cosines(n1, n2, n3)
-    c = Cosines(_drop_facing(true.c12), _drop_facing(true.c13), _drop_facing(true.c23))
+    true = Cosines(vec3.dot(n1, n2), vec3.dot(n1, n3), vec3.dot(n2, n3))
+    # Of two walls that face each other, neither bears any of the other's load.
+    c12, c13 = 0.0 if true.c12 < FACING else true.c12, 0.0 if true.c13 < FACING else true.c13
+    c = Cosines(c12, c13, 0.0 if true.c23 < FACING else true.c23)
     push, met = _solve(count, c, b1, b2, b3)
     if not met:  # the larger demand of two nearly parallel normals satisfies both
         one, two = _ease_demands(c.c12, b1, b2)
@@ -187,10 +165,10 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
         v1, v2, v3 = sqrt(1.0 - c.c23 * c.c23), sqrt(1.0 - c.c13 * c.c13), sqrt(1.0 - c.c12 * c.c12)
         t = (v1 * b1 + v2 * b2 + v3 * b3) / (v1 + v2 + v3)
         place, _ = _solve(count, c, b1 - t, b2 - t, b3 - t)
-        return HalfSpaceSolution(Depths(place.first + t, place.second + t, place.third + t), place)
-    one, two = _weights_between(true.c12, push.first, push.second, b1, b2)
-    three = push.third
+        return HalfSpaceSolution((place[0] + t, place[1] + t, place[2] + t), place)
+    one, two = _weights_between(true.c12, push[0], push[1], b1, b2)
+    three = push[2]
     if count == 3:
         one, three = _weights_between(true.c13, one, three, b1, b3)
         two, three = _weights_between(true.c23, two, three, b2, b3)
-    return HalfSpaceSolution(push, Depths(one, two, three))
+    return HalfSpaceSolution(push, (one, two, three))

@@ -27,6 +27,11 @@ def add_scaled(a: Vec3, s: float, b: Vec3) -> Vec3:
     return (a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2])
 
 
+@jit
+def weighted_sum(weights: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Vec3:
+    return add_scaled(add_scaled(scale(weights[0], a), weights[1], b), weights[2], c)
+
+
 LEAST = 1e-300
 """Smaller components of a decaying vector become 0. A tick with a denormal number (below 2e-308) takes 1.3 to 2 times
 as long."""

@@ -26,7 +26,7 @@ FIRST_HALF: Final = 2
 SECOND_HALF: Final = 3
 """Address of mj_step2: forces, accelerations, and the next state."""
 POSITION: Final = 4
-"""xpos (bodies, 3) m; ORIENTATION is xquat (bodies, 4): frame of a body in the world."""
+"""xpos (bodies, 3) m; ORIENTATION, the next element, is xquat (bodies, 4): frame of a body in the world."""
 ORIENTATION: Final = 5
 MASS_CENTER: Final = 6
 """xipos (bodies, 3) m."""
@@ -74,20 +74,13 @@ SLOW: Final = 3
 
 
 @jit
-def pose_of_body(block: Any, body: float) -> Pose:
-    """Return the current frame of a body in the world."""
-    return frame_in(float64_at(block[POSITION]), float64_at(block[ORIENTATION]), int(body))
+def pose_of_body(block: Any, body: float, positions: int) -> Pose:
+    """Return the frame of a body in the world.
 
-
-@jit
-def last_pose_of_body(block: Any, body: float) -> Pose:
-    """Return the frame of a body in the world before the last step; only for a body that can move."""
-    return frame_in(float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION]), int(body))
-
-
-@jit
-def frame_in(x: Any, q: Any, body: int) -> Pose:
-    i, j = 3 * body, 4 * body
+    positions  POSITION, or LAST_POSITION for the frame before the last step of a body that can move
+    """
+    x, q = float64_at(block[positions]), float64_at(block[positions + 1])
+    i, j = 3 * int(body), 4 * int(body)
     return Pose((x[i], x[i + 1], x[i + 2]), (q[j], q[j + 1], q[j + 2], q[j + 3]))
 
 
@@ -143,7 +136,7 @@ def write_motion(bodies: Bodies, tick: int, motion: Any) -> None:
     motion[0] = tick
     for i in range(block[MOVING]):
         body, at = bodies.moving[i], 1 + MOTION_SIZE * i
-        x, q = pose_of_body(block, float(body))
+        x, q = pose_of_body(block, float(body), POSITION)
         root, v = 3 * roots[body], 6 * body
         rate = (twist[v], twist[v + 1], twist[v + 2])
         arm = vec3.sub(x, (centers[root], centers[root + 1], centers[root + 2]))
@@ -164,25 +157,18 @@ def step_bodies(bodies: Any) -> int:
     block = bodies.block
     fault = int64_at(block[FAULT])
     if fault[0] == NO_FAULT:
-        store_poses(bodies)
+        x, q = float64_at(block[POSITION]), float64_at(block[ORIENTATION])
+        last_x, last_q = float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION])
+        for i in range(block[MOVING]):
+            body = bodies.moving[i]
+            for k in range(3):
+                last_x[3 * body + k] = x[3 * body + k]
+            for k in range(4):
+                last_q[4 * body + k] = q[4 * body + k]
         fault[0] = step_half(block, SECOND_HALF)
     if fault[0] == NO_FAULT:
         fault[0] = step_half(block, FIRST_HALF)
     return int(fault[0])
-
-
-@jit
-def store_poses(bodies: Bodies) -> None:
-    """Store the current frames as the frames before the last step."""
-    block = bodies.block
-    x, q = float64_at(block[POSITION]), float64_at(block[ORIENTATION])
-    last_x, last_q = float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION])
-    for i in range(block[MOVING]):
-        body = bodies.moving[i]
-        for k in range(3):
-            last_x[3 * body + k] = x[3 * body + k]
-        for k in range(4):
-            last_q[4 * body + k] = q[4 * body + k]
 
 
 @jit

@@ -88,12 +88,8 @@ def not_of_many(objects: Single, index: float) -> tuple[bool, Plane]:
 
 @world_plane.of(Many)
 def plane_of_many(objects: Many, index: float) -> tuple[bool, Plane]:
-    return plane_under(objects.tip, objects.entries[row_of(index)].shape)
-
-
-@jit
-def plane_under(tip: Any, shape: AnyShape) -> tuple[bool, Plane]:
-    if tip is None and shape.surface == WORLD_PLANE:
+    shape = objects.entries[row_of(index)].shape
+    if objects.tip is None and shape.surface == WORLD_PLANE:
         return True, plane_of(shape)
     return False, NO_PLANE
 

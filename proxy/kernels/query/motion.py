@@ -7,7 +7,7 @@ path, too. Without a motion (None), and for an object driven from outside (Drive
 velocity of a driven object is unknown here. The pose of a Simulated object depends on its body, not on time.
 """
 
-from math import cos, floor, pi, sin
+from math import cos, pi, sin
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -27,21 +27,12 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.bodies import pose_of_body
-
-TURNS_CEILING = 1e15
-"""Number of turns beyond which float64 cannot represent a fraction of a turn."""
+from softfinger.proxy.kernels.numerics.scalars import fraction
+from softfinger.proxy.kernels.query.bodies import POSITION, pose_of_body
 
 
 @by_type
 def pose_at(motion: Any, pose: Pose, time: float) -> Any: ...
-
-
-@jit
-def angle_after(turns: float) -> float:
-    """Return the angle in [0, 2 pi) of a number of turns; the sine of an unreduced angle would be inexact."""
-    turns = min(max(turns, -TURNS_CEILING), TURNS_CEILING)
-    return 2.0 * pi * (turns - floor(turns))
 
 
 @jit
@@ -73,35 +64,31 @@ def pose_of_moving(motion: Any, pose: Pose) -> Pose:
     return pose
 
 
-@pose_at.of(None)
-def pose_at_rest(motion: None, pose: Pose, time: float) -> Pose:
-    return pose
-
-
-@pose_at.of(Driven)
-def pose_of_driven(motion: Driven, pose: Pose, time: float) -> Pose:
-    """Return the base pose, which commands from outside set."""
+@pose_at.of(None, Driven)
+def pose_at_rest(motion: Any, pose: Pose, time: float) -> Pose:
+    """Return the base pose; commands from outside set that of a driven object."""
     return pose
 
 
 @pose_at.of(Sinusoid)
 def pose_of_sinusoid(motion: Sinusoid, pose: Pose, time: float) -> Pose:
     """Translate by s A and rotate by s alpha about the axis through the origin, with s = sin(2 pi f t + phase)."""
-    s = sin(angle_after(motion.frequency * time) + motion.phase)
+    # The sine of an unreduced angle would be inexact.
+    s = sin(2.0 * pi * fraction(motion.frequency * time) + motion.phase)
     return pose_in_world(pose, vec3.scale(s, motion.translation), rotation_about(motion.axis, s * motion.angle))
 
 
 @pose_at.of(Turntable)
 def pose_of_turntable(motion: Turntable, pose: Pose, time: float) -> Pose:
     """Rotate by rate * t about the axis through the pivot, the point of the object that does not move."""
-    turn = rotation_about(motion.axis, angle_after(motion.rate * time / (2.0 * pi)))
+    turn = rotation_about(motion.axis, 2.0 * pi * fraction(motion.rate * time / (2.0 * pi)))
     return pose_in_world(pose, vec3.sub(motion.pivot, rotations.rotate(turn, motion.pivot)), turn)
 
 
 @pose_at.of(Simulated)
 def pose_of_simulated(motion: Simulated, pose: Pose, time: float) -> Pose:
     """Return the pose of an object attached to a body; its base pose is in the frame of the body."""
-    return pose_in_world(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
+    return pose_in_world(pose_of_body(motion.block, motion.body, POSITION), pose.position, pose.orientation)
 
 
 @pose_at.of(Motion)
@@ -112,7 +99,7 @@ def pose_of_any(motion: Motion, pose: Pose, time: float) -> Pose:
     if motion.kind == TURNTABLE:
         return pose_of_turntable(Turntable(motion.axis, motion.rate, motion.pivot), pose, time)
     if motion.kind == SIMULATED:
-        return pose_in_world(pose_of_body(motion.block, motion.body), pose.position, pose.orientation)
+        return pose_in_world(pose_of_body(motion.block, motion.body, POSITION), pose.position, pose.orientation)
     return pose
 
 

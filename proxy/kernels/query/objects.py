@@ -4,7 +4,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import Many, Material, Single, Smooth, Vec3
+from softfinger.proxy.kernels.model import Many, Single, Smooth, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.container import (
@@ -19,13 +19,12 @@ from softfinger.proxy.kernels.query.container import (
 from softfinger.proxy.kernels.shapes import (
     bend,
     closest,
-    closest_or_bound,
     closest_within,
     constraint_at,
     curvature,
     is_hollow,
 )
-from softfinger.proxy.kernels.shapes.composite import Deepest, has_creases, nearest_of_shape, neighbour_of
+from softfinger.proxy.kernels.shapes.composite import Deepest, nearest_of_shape, neighbour_of
 from softfinger.proxy.kernels.shapes.plane import closest_on_plane
 
 NOBODY: Vec3 = (-1.0, -1.0, -1.0)
@@ -42,13 +41,6 @@ def closest_on(shape: Any, pose: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Return `closest` of a shape with that pose, in the world frame."""
     gap, point, normal = closest(shape, into(pose, x))
     return gap, out_of(pose, point), turn_out_of(pose, normal)
-
-
-@jit
-def closest_or_bound_on(body: Any, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
-    """Return `closest_or_bound` of one object in the world frame."""
-    gap, point, normal, unsearched = closest_or_bound(body.shape, into(body.pose, x))
-    return gap, out_of(body.pose, point), turn_out_of(body.pose, normal), unsearched
 
 
 @jit
@@ -76,18 +68,6 @@ def constraint_of(
     pose = body.pose
     foot, up, budget = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), budget)
     return out_of(pose, foot), turn_out_of(pose, up), budget
-
-
-@jit
-def normal_law_of(objects: Any, index: float) -> Any:
-    """Return the law of the normal force of object `index`; the only part of a material that bare objects have."""
-    return object_at(objects, index).material.normal
-
-
-@jit
-def material_of(objects: Any, index: float) -> Material:
-    """Return the material of object `index`. All materials of a scene have the same types; not for bare objects."""
-    return object_at(objects, index).material
 
 
 @jit
@@ -122,10 +102,7 @@ def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, th
 
 @jit
 def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    """Return `curvature` of object `index` in the world frame.
-
-    0 for a plane, and for a height map, which may be touched on both sides of a valley at once.
-    """
+    """Return `curvature` of object `index` in the world frame."""
     is_plane, _ = world_plane(objects, index)
     if is_plane:
         return 0.0, 0.0, normal

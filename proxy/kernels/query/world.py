@@ -6,12 +6,11 @@ read the resulting poses from the World; the kind of motion makes no difference 
 
 from typing import Any
 
-from softfinger.proxy.kernels.jit.arrays import Mutable
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import SIMULATED, Entry, Many, Material, Single, World
-from softfinger.proxy.kernels.query.bodies import last_pose_of_body
+from softfinger.proxy.kernels.model import SIMULATED, Many, Material, Single, World
+from softfinger.proxy.kernels.query.bodies import LAST_POSITION, pose_of_body
 from softfinger.proxy.kernels.query.container import AT_TIME, MEMORY, read_pose, write_pose
 from softfinger.proxy.kernels.query.motion import moving_pose, pose_at, pose_in_world
 
@@ -31,26 +30,23 @@ def advance_one(objects: Single, world: World, dt: float) -> World:
 
 @advance.of(Many)
 def advance_many(objects: Many, world: World, dt: float) -> World:
-    time = world.time + dt
+    """Write the pose of each object that can move, and that of the last tick, to its memory."""
+    time, memory = world.time + dt, world.poses
     for i in range(int(objects.moving)):
         row = objects.movers[i]
-        move_one(objects.entries[row], world, world.poses, MEMORY * row, time)
+        entry, at = objects.entries[row], MEMORY * row
+        motion, rest = entry.motion, entry.pose
+        pose = pose_at(motion, rest, time)
+        before = pose
+        if motion.kind == SIMULATED:
+            body = pose_of_body(motion.block, motion.body, LAST_POSITION)
+            before = pose_in_world(body, rest.position, rest.orientation)
+        elif world.started != 0.0 and memory[at + AT_TIME] == world.time:
+            before = read_pose(memory, at)
+        write_pose(memory, at + 7, before)
+        write_pose(memory, at, pose)
+        memory[at + AT_TIME] = time
     return World(started=1.0, time=time, poses=world.poses, was=None, surfaces=world.surfaces)
-
-
-@jit
-def move_one(entry: Entry, world: World, memory: Mutable, at: int, time: float) -> None:
-    """Write the pose of one object at `time` (s) and that of the last tick to its memory, from `at` on."""
-    motion, rest = entry.motion, entry.pose
-    pose = pose_at(motion, rest, time)
-    before = pose
-    if motion.kind == SIMULATED:
-        before = pose_in_world(last_pose_of_body(motion.block, motion.body), rest.position, rest.orientation)
-    elif world.started != 0.0 and memory[at + AT_TIME] == world.time:
-        before = read_pose(memory, at)
-    write_pose(memory, at + 7, before)
-    write_pose(memory, at, pose)
-    memory[at + AT_TIME] = time
 
 
 @jit

@@ -17,7 +17,6 @@ default if it has a better method, as the plane does.
     travel(shape, start, end, radius, leaves)  -> 0 to 1            share of the path until the fingertip hits the shape
     rest_on(shape, pose, radius, ...)                               rest position of the proxy
     ahead(shape, radius, center, ...)                               centre after a straight motion on the surface
-    tangent_plane(shape, normal)                                    plane through the origin with that normal
     unroll(shape, radius, center, ...)                              rolling in closed form; no default
 
 Expensive functions take a `budget` and return the remaining one, below 0 if it was exhausted. Only queries of meshes
@@ -38,7 +37,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_with_default
-from softfinger.proxy.kernels.model import Plane, Vec3
+from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
 X_AXIS: Vec3 = (1.0, 0.0, 0.0)
@@ -142,12 +141,6 @@ def ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, along: Vec3, le
 @by_type
 def unroll(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Any:
     """Roll by the rotation vector `w` (3,) rad at a constant rate; return a Roll."""
-
-
-@by_type_with_default
-def tangent_plane(shape: Any, normal: Vec3) -> Plane:
-    """Return a plane on which a roll starts as on this shape at a point with that normal."""
-    return Plane(normal, 0.0)
 
 
 @by_type_with_default

@@ -4,10 +4,12 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.normal import spring
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import FACING, Depths, displacement
-from softfinger.proxy.kernels.query.objects import closest_to_within, normal_law_of
+from softfinger.proxy.kernels.numerics.half_spaces import FACING
+from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.objects import closest_to_within
 from softfinger.proxy.kernels.shapes.budget import INSIDE
 from softfinger.proxy.kernels.shapes.composite import Deepest
 from softfinger.proxy.kernels.shapes.protocol import direction
@@ -41,7 +43,7 @@ def active_objects(active: ActiveSet) -> Vec3:
 def displacement_of(active: ActiveSet) -> Vec3:
     """Return the displacement (3,) m from the probe to the proxy."""
     one, two, three = active
-    return displacement(Depths(one.depth, two.depth, three.depth), one.normal, two.normal, three.normal)
+    return vec3.weighted_sum((one.depth, two.depth, three.depth), one.normal, two.normal, three.normal)
 
 
 @jit
@@ -87,15 +89,11 @@ def drop_weakest(active: ActiveSet) -> ActiveSet:
 
 
 @jit
-def loads_of(objects: Any, active: ActiveSet) -> Vec3:
-    """Return the elastic normal forces of the three constraints, N; 0 for an unused one."""
-    one = spring(normal_law_of(objects, active[0].body), active[0].depth)
-    two, three = 0.0, 0.0
-    if active[1].body >= 0.0:
-        two = spring(normal_law_of(objects, active[1].body), active[1].depth)
-    if active[2].body >= 0.0:
-        three = spring(normal_law_of(objects, active[2].body), active[2].depth)
-    return one, two, three
+def spring_load(constraint: Constraint, objects: Any) -> float:
+    """Return the elastic normal force of a constraint, N; 0 for an unused one."""
+    if constraint.body < 0.0:
+        return 0.0
+    return spring(object_at(objects, constraint.body).material.normal, constraint.depth)
 
 
 @jit
@@ -104,7 +102,7 @@ def sort_by_load(objects: Any, active: ActiveSet) -> ActiveSet:
 
     A plain comparison of two equal walls would change with every rounding error.
     """
-    load = loads_of(objects, active)
+    load = map_each(spring_load, (active,), objects)
     one, two, three = active
     if two.body >= 0.0 and load[1] > 1.5 * load[0] and load[1] >= load[2]:
         one, two = two, one

@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
+from softfinger.proxy.kernels.numerics.half_spaces import solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import is_mesh_at
 from softfinger.proxy.kernels.query.objects import closest_to_within, constraint_of, deepest, neighbour_on
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, SPENT, STRIDE
@@ -66,7 +66,7 @@ class CuttingPlanes(NamedTuple):
     two: CuttingPlane
     three: CuttingPlane
     center: Vec3
-    push: Depths
+    push: Vec3
 
 
 class Rest(NamedTuple):
@@ -113,7 +113,7 @@ def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlan
     """Return the planes with their solution: the point nearest to the probe that is in front of all by `lift` m."""
     one, two, three = planes.one, planes.two, planes.three
     if one.body < 0.0:
-        return CuttingPlanes(one, two, three, probe, Depths(0.0, 0.0, 0.0))
+        return CuttingPlanes(one, two, three, probe, (0.0, 0.0, 0.0))
     count = 1
     n2, n3 = one.normal, one.normal
     b1 = one.offset + lift - vec3.dot(one.normal, probe)
@@ -125,7 +125,7 @@ def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlan
         count, n3 = 3, three.normal
         b3 = three.offset + lift - vec3.dot(n3, probe)
     held = solve_half_spaces(count, one.normal, n2, n3, b1, b2, b3)
-    return CuttingPlanes(one, two, three, vec3.add(probe, displacement(held.place, one.normal, n2, n3)), held.push)
+    return CuttingPlanes(one, two, three, vec3.add(probe, vec3.weighted_sum(held.place, one.normal, n2, n3)), held.push)
 
 
 @jit
@@ -141,7 +141,7 @@ def add_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: 
     Of four planes, an old one is dropped: the one that the solution of the other three satisfies, or violates least.
     """
     one, two, three = planes.one, planes.two, planes.three
-    nowhere, nothing = probe, Depths(0.0, 0.0, 0.0)
+    nowhere, nothing = probe, (0.0, 0.0, 0.0)
     if one.body < 0.0:
         return solve_planes(CuttingPlanes(plane, two, three, nowhere, nothing), probe, lift)
     if two.body < 0.0:
@@ -190,7 +190,7 @@ def planes_at(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Cuttin
         two, three = three, NO_PLANE
     if one.body < 0.0:
         one, two, three = two, three, NO_PLANE
-    return CuttingPlanes(one, two, three, anchor, Depths(0.0, 0.0, 0.0))
+    return CuttingPlanes(one, two, three, anchor, (0.0, 0.0, 0.0))
 
 
 @jit
@@ -206,9 +206,9 @@ def constraints_of(planes: CuttingPlanes) -> ActiveSet:
     n2 = two.normal if two.body >= 0.0 else n1
     n3 = three.normal if three.body >= 0.0 else n2
     return (
-        Constraint(one.body, n1, push.first),
-        Constraint(two.body, n2, push.second),
-        Constraint(three.body, n3, push.third),
+        Constraint(one.body, n1, push[0]),
+        Constraint(two.body, n2, push[1]),
+        Constraint(three.body, n3, push[2]),
     )
 
 
@@ -329,5 +329,5 @@ def solve_tangent_planes(
     one = plane_at(objects, active[0], radius, center)
     two = plane_at(objects, active[1], radius, center)
     three = plane_at(objects, active[2], radius, center)
-    planes = solve_planes(CuttingPlanes(one, two, three, center, Depths(0.0, 0.0, 0.0)), probe, 0.0)
+    planes = solve_planes(CuttingPlanes(one, two, three, center, (0.0, 0.0, 0.0)), probe, 0.0)
     return constraints_of(planes), planes.center

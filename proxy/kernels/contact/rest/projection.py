@@ -8,7 +8,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement, solve_half_spaces
+from softfinger.proxy.kernels.numerics.half_spaces import solve_half_spaces
 from softfinger.proxy.kernels.query.objects import constraint_of, is_inside, is_world_plane
 from softfinger.proxy.kernels.shapes.budget import SETTLED, STRIDE
 
@@ -18,21 +18,6 @@ def is_safe_step(start: Vec3, end: Vec3, radius: float) -> bool:
     """Return True if a fingertip outside at both positions cannot cross anything thin between them."""
     step = vec3.sub(end, start)
     return vec3.dot(step, step) <= (STRIDE * radius) ** 2
-
-
-@jit
-def relax(
-    objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
-) -> tuple[Vec3, ActiveSet, int]:
-    """Return the point nearest to `base` in front of the tangent planes of all active objects, active set, and budget.
-
-    Each round computes the tangent planes at the last point. For a pinched proxy the point is between the planes, see
-    `solve_half_spaces`. In a hollow, the plane is computed at the probe, displaced by the other constraints, as in
-    `rest_on_curved`: from the tangent plane, a depth greater than the radius of the surface that the centre moves on
-    would diverge.
-    """
-    center, active, _, budget = project_until_rest(objects, radius, base, center, active, rounds, budget)
-    return center, active, budget
 
 
 @jit
@@ -48,12 +33,20 @@ def linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec
 def project_until_rest(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
 ) -> tuple[Vec3, ActiveSet, float, int]:
-    """Return `relax`, and the distance, m, that the proxy moved in the last round."""
+    """Return the point nearest to `base` in front of the tangent planes of all active objects, and their active set.
+
+    Each round computes the tangent planes at the last point. For a pinched proxy the point is between the planes, see
+    `solve_half_spaces`. In a hollow, the plane is computed at the probe, displaced by the other constraints, as in
+    `rest_on_curved`: from the tangent plane, a depth greater than the radius of the surface that the centre moves on
+    would diverge.
+
+    Returns also the distance, m, that the proxy moved in the last round, and the remaining budget.
+    """
     square = 1e300
     tolerance = (SETTLED * radius) ** 2
     one, two, three = active
     n1, n2, n3 = one.normal, two.normal, three.normal
-    push = Depths(one.depth, two.depth, three.depth)
+    push = (one.depth, two.depth, three.depth)
     inside1, inside2, inside3 = (
         is_inside(objects, one.body), is_inside(objects, two.body), is_inside(objects, three.body)
     )  # fmt: skip
@@ -87,15 +80,15 @@ def project_until_rest(
         solution = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
         push = solution.push
         p1, p2, p3 = solution.place
-        landing = vec3.add(base, displacement(solution.place, n1, n2, n3))
+        landing = vec3.add(base, vec3.weighted_sum(solution.place, n1, n2, n3))
         step = vec3.sub(landing, center)
         center = landing
         square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
         if square <= tolerance:
             break
     constraints = (
-        Constraint(one.body, n1, push.first),
-        Constraint(two.body, n2, push.second),
-        Constraint(three.body, n3, push.third),
+        Constraint(one.body, n1, push[0]),
+        Constraint(two.body, n2, push[1]),
+        Constraint(three.body, n3, push[2]),
     )
     return center, constraints, sqrt(square), budget

@@ -12,10 +12,10 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     drop_weakest,
     is_support_point_of,
     leaves_no_room,
-    loads_of,
     merge_support_points,
     one_constraint,
     sort_by_load,
+    spring_load,
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import (
     AT_REST,
@@ -27,12 +27,13 @@ from softfinger.proxy.kernels.contact.rest.cutting_planes import (
     solve_tangent_planes,
 )
 from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SLIDING_ROUNDS
-from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, project_until_rest, relax
+from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, project_until_rest
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
+from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import ActiveSet, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import Depths, displacement
+from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
     SINGLE_POINT,
     WITH_HEIGHTMAP,
@@ -43,7 +44,7 @@ from softfinger.proxy.kernels.query.kinds import (
     has_creases_at,
     takes_long,
 )
-from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, neighbour_on, normal_law_of
+from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, neighbour_on
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, SETTLED, STRIDE
 
@@ -92,10 +93,10 @@ def settle_in_steps(
             break
         depth = vec3.sub(probe, center)
         target = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(depth), 0.5), depth)
-        _, constraints, _ = relax(objects, radius, target, center, active, 1, rest.budget)
+        _, constraints, _, _ = project_until_rest(objects, radius, target, center, active, 1, rest.budget)
     if target == probe:
         return rest
-    _, constraints, _ = relax(objects, radius, probe, rest.center, rest.active, 1, rest.budget)
+    _, constraints, _, _ = project_until_rest(objects, radius, probe, rest.center, rest.active, 1, rest.budget)
     return Rest(rest.center, constraints, True, rest.budget)
 
 
@@ -158,7 +159,9 @@ def settle_for(
             goal = stop
             break
         active = add_constraint(active, hit, normal)
-        goal, active, left = relax(objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left)
+        goal, active, _, left = project_until_rest(
+            objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left
+        )
     center = goal
     if not is_multipoint:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
@@ -166,7 +169,7 @@ def settle_for(
         active, left = add_touched(objects, radius, goal, active, near)
     is_clear, lift, budget = False, 0.0, left
     for attempt in range(ATTEMPTS_ON_MANY if is_multipoint else ATTEMPTS):
-        center, active, left = relax(objects, radius + lift, probe, center, active, rounds, left)
+        center, active, _, left = project_until_rest(objects, radius + lift, probe, center, active, rounds, left)
         if is_multipoint and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
         gap, at, left = deepest(objects, center, radius, active_objects(active), left)
@@ -191,7 +194,7 @@ def settle_for(
         late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
         if late:
             center = last_center
-            _, active, left = relax(objects, radius, probe, last_center, last_active, 1, left)
+            _, active, _, left = project_until_rest(objects, radius, probe, last_center, last_active, 1, left)
     if any_creases(objects):
         active = merge_support_points(active)
     return Rest(center, sort_by_load(objects, active), late, left)
@@ -210,7 +213,7 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
         if neighbour == active[0].body:
             break
         active = one_constraint(neighbour, active[0].normal, 0.0)
-        goal, active, _ = relax(objects, radius, probe, goal, active, 1, BUDGET)
+        goal, active, _, _ = project_until_rest(objects, radius, probe, goal, active, 1, BUDGET)
     return goal, active
 
 
@@ -222,9 +225,9 @@ def trailing_force(objects: Any, active: ActiveSet, to_proxy: Vec3) -> Vec3:
     change while the proxy moves to its rest position, but its distance from the probe does not jump, nor does the
     spring's force.
     """
-    distance, (one, two, three) = vec3.norm(to_proxy), loads_of(objects, active)
-    pull = 0.0
+    distance, pull = vec3.norm(to_proxy), 0.0
     if distance > 0.0:
-        pull = spring(normal_law_of(objects, active[0].body), distance) / distance
-    supported = displacement(Depths(one, two, three), active[0].normal, active[1].normal, active[2].normal)
+        pull = spring(object_at(objects, active[0].body).material.normal, distance) / distance
+    loads = map_each(spring_load, (active,), objects)
+    supported = vec3.weighted_sum(loads, active[0].normal, active[1].normal, active[2].normal)
     return vec3.sub(vec3.scale(pull, to_proxy), supported)

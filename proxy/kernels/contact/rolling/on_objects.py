@@ -4,11 +4,11 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll, roll
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Quaternion, Vec3
+from softfinger.proxy.kernels.model import Plane, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.container import object_at, world_plane
-from softfinger.proxy.kernels.shapes import follows, tangent_plane
+from softfinger.proxy.kernels.shapes import follows
 
 
 @jit
@@ -31,13 +31,12 @@ def roll_on(method: Any, body: Any, radius: float, center: Vec3, normal: Vec3, t
 @jit
 def roll_flat_on(method: Any, objects: Any, index: float, radius: float, normal: Vec3, turn: Quaternion) -> Roll:
     """Return `roll` in the tangent plane of object `index`; only `motion` and the angles of the Roll are valid."""
-    body = object_at(objects, index)
-    pose, n, axis = body.pose, normal, (turn[1], turn[2], turn[3])
+    pose, n, axis = object_at(objects, index).pose, normal, (turn[1], turn[2], turn[3])
     is_plane, _ = world_plane(objects, index)
     if not is_plane:
         n, axis = turn_into(pose, n), turn_into(pose, axis)
     turned = (turn[0], axis[0], axis[1], axis[2])
-    local = roll(method, tangent_plane(body.shape, n), radius, vec3.scale(radius, n), n, turned)
+    local = roll(method, Plane(n, 0.0), radius, vec3.scale(radius, n), n, turned)
     motion = local.motion if is_plane else turn_out_of(pose, local.motion)
     return Roll(normal, normal, motion, local.theta, local.spin, True)
 

@@ -14,6 +14,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Capsule, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import transport, unroll
+from softfinger.proxy.kernels.shapes.protocol import direction
 
 ToRim = tuple[float, Vec3, Vec3, float]
 
@@ -69,12 +70,6 @@ def with_item(v: Vec3, index: int, value: float) -> Vec3:
 
 
 @jit
-def unit(v: Vec3, otherwise: Vec3) -> Vec3:
-    size = vec3.norm(v)
-    return vec3.scale(1.0 / size, v) if size > 0.0 else otherwise
-
-
-@jit
 def leaving_barrel(
     half_length: float, z: float, share: float, radius: float, normal: Vec3, w: Vec3
 ) -> tuple[float, float]:
@@ -96,7 +91,7 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
     cap = 0.0 if beyond <= 0.0 else (1.0 if center[2] > 0.0 else -1.0)
     z, n = min(max(center[2], -shape.half_length), shape.half_length), normal
     if cap == 0.0:
-        n = unit((n[0], n[1], 0.0), normal)
+        _, n = direction((n[0], n[1], 0.0), normal)
     motion, spin, left = (0.0, 0.0, 0.0), 0.0, 1.0
     for _ in range(MAX_PIECES):
         time, to = 0.0, 0.0
@@ -118,7 +113,7 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
             break
         left -= time
         z, cap = (to * shape.half_length, to) if cap == 0.0 else (z, 0.0)
-        n = unit((n[0], n[1], 0.0), n)
+        _, n = direction((n[0], n[1], 0.0), n)
     end = vec3.add_scaled((0.0, 0.0, cap * shape.half_length if cap != 0.0 else z), distance, n)
     center, n = land(shape, radius, end)
     return Roll(center, n, motion, vec3.norm(motion) / radius, spin, True)
@@ -166,7 +161,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
         min(max(center[1], -h[1]), h[1]),
         min(max(center[2], -h[2]), h[2]),
     )
-    n = unit(vec3.sub(center, point), normal)
+    _, n = direction(vec3.sub(center, point), normal)
     sides = (
         1.0 if n[0] > 0.0 else (-1.0 if n[0] < 0.0 else 0.0),
         1.0 if n[1] > 0.0 else (-1.0 if n[1] < 0.0 else 0.0),
@@ -192,7 +187,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
             break
         left -= time
         if side == 0.0:
-            n = unit(with_item(n, axis, 0.0), n)
+            _, n = direction(with_item(n, axis, 0.0), n)
         else:
             point = with_item(point, axis, side * h[axis])
         sides = with_item(sides, axis, side)
@@ -203,7 +198,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
 @jit
 def to_the_rim_by_barrel(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
     """Return the share of the tick, at most 1, until a path on the barrel is at the rim; centre, motion, spin there."""
-    distance, n = radius + shape.radius, unit((normal[0], normal[1], 0.0), normal)
+    distance, (_, n) = radius + shape.radius, direction((normal[0], normal[1], 0.0), normal)
     share = turning_share(radius, distance)
     time = min(leaving_barrel(shape.half_length, center[2], share, radius, n, w)[0], 1.0)
     n, motion, spin = roll_over_cylinder(radius, share, (0.0, 0.0, 1.0), n, vec3.scale(time, w))

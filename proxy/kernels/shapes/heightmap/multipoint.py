@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
-from softfinger.proxy.kernels.numerics.half_spaces import displacement, solve_half_spaces
+from softfinger.proxy.kernels.numerics.half_spaces import solve_half_spaces
 from softfinger.proxy.kernels.shapes.budget import INSIDE, SETTLED, STRIDE
 from softfinger.proxy.kernels.shapes.composite import has_creases, raised_clear
 from softfinger.proxy.kernels.shapes.heightmap.nearest import (
@@ -115,7 +115,7 @@ def solve_support_points(
     b2 = vec3.dot(n2, vec3.sub(feet.two, goal)) + radius
     b3 = vec3.dot(n3, vec3.sub(feet.three, goal)) + radius
     solution = solve_half_spaces(feet.many, n1, n2, n3, b1, b2, b3)
-    return displacement(solution.push, n1, n2, n3), vec3.add(goal, displacement(solution.place, n1, n2, n3))
+    return vec3.weighted_sum(solution.push, n1, n2, n3), vec3.add(goal, vec3.weighted_sum(solution.place, n1, n2, n3))
 
 
 @outlined
