@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Prediction, with_friction_result
-from softfinger.proxy.kernels.contact.hand_over import Contacts, hand_over
+from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
 from softfinger.proxy.kernels.contact.prediction import lag_of
-from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
+from softfinger.proxy.kernels.contact.rest.active_set import active_objects, count_of, leaves_no_room
 from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
 from softfinger.proxy.kernels.contact.rest.facets import constraints_over_edges
 from softfinger.proxy.kernels.contact.rest.several_objects import settle_among_several
@@ -70,6 +70,11 @@ def shift_deflection(contact: ContactState, displacement: Vec3) -> ContactState:
 
 
 @jit
+def contact_at(constraint: Constraint, contacts: Contacts) -> ContactState:
+    return contact_on(contacts, constraint.body)
+
+
+@jit
 def settle_after_friction(
     finger: Finger, objects: Any, shapes: Any, approach: Approach, forces: Any, position: Vec3
 ) -> Equilibrium:
@@ -94,8 +99,8 @@ def settle_after_friction(
         budget = budget // 4  # the height map was already searched as the only object
     rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
     active = constraints_over_edges(shapes, rest.active, rest.center)
-    contacts = after
-    if active_objects(active) != (after[0].body, after[1].body, after[2].body):
+    contacts = map_each(contact_at, (active,), after)
+    if active_objects(contacts) != active_objects(active) or count_of(after) != count_of(active):
         contacts = hand_over(objects, after, active)
     contacts = map_each(move_to_constraint, (contacts, active))
     displaced = vec3.add(position, lag_of(contacts))
