@@ -209,7 +209,9 @@ class Daemon:
             return self._wait(timeout_s)
         except Exception as error:
             self.states.fail(str(error))
-            self._publish_failure(error)
+            if str(error) not in self._published_faults:
+                name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()  # such as device_lost
+                self._event("fault", name, message=str(error))
             raise
 
     def _wait(self, timeout_s: float | None) -> bool:
@@ -267,11 +269,6 @@ class Daemon:
         event = event_map(self.servo.last_tick_and_time(), kind, name, fields)
         for receive in (self.publisher.send_event, self.recordings.record_event, self.blackbox.record_event):
             receive(event)
-
-    def _publish_failure(self, error: Exception) -> None:
-        """Publish the error of the run, named by its class, unless a fault with this message was published."""
-        if str(error) not in self._published_faults:
-            self._event("fault", fault_name(error), message=str(error))
 
     def _publish_state(self, before: DaemonState, now: DaemonState, cause: str) -> None:
         self._send("state", now.value, {"before": before.value, "cause": cause})
@@ -362,8 +359,3 @@ class Daemon:
         if self._report is not None:
             self._report(settings.settings)
         return settings.undo
-
-
-def fault_name(error: Exception) -> str:
-    """Return the event name of an error: its class name in snake case, such as `device_lost`."""
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()

@@ -343,7 +343,9 @@ class Exchange:
                     part = self._parts.get_nowait()
                 except queue.Empty:
                     part = waiting
-                ending, status, count = exchange_loop(*self._arguments(part))
+                ending, status, count = exchange_loop(
+                    *self._devices, part.span, part.push, self._guard, self._words, self._scratch, part.rows
+                )
                 if ending in (shutdown.READ_FAILED, shutdown.WRITE_FAILED) or status == END:
                     self.ended = shutdown.LoopEnd(ending, status)
                 part.rows = part.rows[:count]
@@ -359,9 +361,6 @@ class Exchange:
         if self.ended is None and failed is not None:
             self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, failed)
         self._stop_event.set()
-
-    def _arguments(self, part: _RecordedPart) -> tuple[Any, ...]:
-        return (*self._devices, part.span, part.push, self._guard, self._words, self._scratch, part.rows)
 
     def _raise_crash(self) -> None:
         if self.ended is not None and self.ended.error is not None:

@@ -132,14 +132,14 @@ class SerialDevice(BlockDevice):
                     f"{self.info.name} sends no frame within {self._options.wake_s:g} s: check its power and its "
                     f"firmware, or give it more time with wake_s{self._unanswered_hint()}"
                 )
+            spec = self._options.frames
+            expected = "eight numbers in 64 bytes"
+            if spec is not None:
+                expected = f"{spec.input.bytes} bytes as the rig describes them"
             raise DeviceError(
-                f"{self.info.name} sends no frame of {self._expected_frame()} ({self.reason()}): is it this device, "
+                f"{self.info.name} sends no frame of {expected} ({self.reason()}): is it this device, "
                 "and does it run this firmware?"
             )
-
-    def _expected_frame(self) -> str:
-        spec = self._options.frames
-        return "eight numbers in 64 bytes" if spec is None else f"{spec.input.bytes} bytes as the rig describes them"
 
     def _unanswered_hint(self) -> str:
         spec = self._options.frames

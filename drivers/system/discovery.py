@@ -124,7 +124,10 @@ def usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every USB device except hubs, from sysfs, or through pyusb if there is no sysfs."""
     folder = root / USB
     if not os.path.isdir(folder):
-        yield from _usb_devices_of_pyusb()
+        for device in find_usb():
+            if device.bDeviceClass != 0x09:
+                node = _usb_node(device.bus or 0, device.address or 0)
+                yield SystemDevice("usb", device.idVendor, device.idProduct, "USB device", "", node)
         return
     for name in sorted(_list_names(folder)):
         if _is_device(name) and (device := _usb_device(folder / name)) is not None:
@@ -258,19 +261,6 @@ def find_usb(**ids: int) -> list[Any]:
         return libusb.find(**ids)
     except (usb.core.USBError, DeviceError):
         return []
-
-
-def _usb_devices_of_pyusb() -> Iterator[SystemDevice]:
-    for device in find_usb():
-        if device.bDeviceClass != 0x09:
-            yield SystemDevice(
-                "usb",
-                device.idVendor,
-                device.idProduct,
-                "USB device",
-                "",
-                _usb_node(device.bus or 0, device.address or 0),
-            )
 
 
 def _pids_with_lock(inode: int) -> Iterator[int]:

@@ -147,14 +147,10 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         """Return goals (ticks + 1, hands, 7) from the current ones on."""
         goals = np.empty((self.setup.step_ticks + 1, len(self._homes), 7))
         goals[0] = self._goals
-        plan_goals(goals, self._velocities(action), self._lowest, self._highest, self._dt)
-        return goals
-
-    def _velocities(self, action: Array) -> Array:
-        """Return the velocity (hands, 6) of each goal, m/s and rad/s; `action` has the translations (3 hands,)."""
         velocities = np.zeros((len(self._homes), 6))
         velocities[:, :3] = self.setup.speed_m_per_s * action.reshape(-1, 3)
-        return velocities
+        plan_goals(goals, velocities, self._lowest, self._highest, self._dt)
+        return goals
 
     def _run(self, goals: Array) -> Any:
         """Run the ticks along goals (ticks + 1, hands, 7), of which the first is the current one.

@@ -40,15 +40,12 @@ class RowReader:
         head = self._words[_HEAD]
         while self._next < head:
             if head - self._next >= self._capacity:
-                self._skip(head)
+                to = head - self._capacity // 2
+                self.lost += to - self._next
+                self._next = to
             slot = self._next & (self._capacity - 1)
             row = self._row.unpack_from(self._memory, _PAGE_BYTES + slot * self._row.size)
             head = self._words[_HEAD]
             if head - self._next < self._capacity:  # it was not overwritten during the copy
                 self._next += 1
                 yield row
-
-    def _skip(self, head: int) -> None:
-        to = head - self._capacity // 2
-        self.lost += to - self._next
-        self._next = to

@@ -243,20 +243,14 @@ def scene_of(table: dict[str, Any], sticks: bool) -> schema.Scene:
 
 def save_mesh(folder: Path, vertices: Array, triangles: NDArray[np.int64]) -> str:
     """Write an OBJ file with all digits of the numbers, and return its path."""
-    if (why := missing()) is not None:
-        raise ConfigError(f"accuracy --meshes needs trimesh: pip install 'softfinger[mesh]' ({why})")
+    try:
+        import trimesh  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(f"accuracy --meshes needs trimesh: pip install 'softfinger[mesh]' ({error})") from error
     path = folder / "surface.obj"
     rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     path.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist())]) + "\n")
     return str(path)
-
-
-def missing() -> ImportError | None:
-    try:
-        import trimesh  # noqa: F401
-    except ImportError as error:
-        return error
-    return None
 
 
 def along(records: Records) -> Array:

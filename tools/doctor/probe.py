@@ -13,7 +13,6 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
-from softfinger.config.schema import Rig
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
 from softfinger.tools.doctor import motions
@@ -33,19 +32,16 @@ PEAK: Final = 3.0 * 3.0**0.5 / 8.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the report of `--probe`; returns the exit code. Raises as `report.make_report`."""
+    """Make the report of `--probe`; returns the exit code.
+
+    Raises as `report.make_report`, and ConfigError if the rig allows less force than a push has.
+    """
     rig = load_rig(args.rig if args.rig is not None else attached_rig())
-    if args.push:
-        check_push(rig)
+    if args.push and rig.guard.force_max_n < PUSH_N:
+        raise ConfigError(f"--push: guard.force_max_n = {rig.guard.force_max_n:g} is below the push of {PUSH_N:g} N")
     force_n, guided = PUSH_N if args.push else None, sys.stdin.isatty()
     request = ReportRequest("--probe", args.probe, "--push", force_n, PART_S, guided, args.json)
     return make_report(rig, request, ProbeSession, summarize)
-
-
-def check_push(rig: Rig) -> None:
-    """Raise ConfigError if the rig allows less force than a push has."""
-    if rig.guard.force_max_n < PUSH_N:
-        raise ConfigError(f"--push: guard.force_max_n = {rig.guard.force_max_n:g} is below the push of {PUSH_N:g} N")
 
 
 def attached_rig() -> str:

@@ -231,7 +231,9 @@ class FingerNodes:
             if not 0 <= scene_index < len(self._bodies.poses):  # a tick of another scene
                 mode = FREE
             if mode == FREE or scene_index != self._touched_object:
-                self._break_lines(scene_index if mode != FREE else -1)
+                self._touched_object = scene_index if mode != FREE else -1
+                for trace, _ in self._traces():
+                    trace.break_line()
             if mode == FREE:
                 continue
             trace = self._object_trace(scene_index)[0]
@@ -257,11 +259,6 @@ class FingerNodes:
 
     def _traces(self) -> list[tuple[Trace, Any]]:
         return [(self._tip_trace, self._tip_trace_node), *self._object_traces.values()]
-
-    def _break_lines(self, scene_index: int) -> None:
-        self._touched_object = scene_index
-        for trace, _ in self._traces():
-            trace.break_line()
 
     def clear_traces(self) -> None:
         for trace, node in self._traces():
