@@ -110,10 +110,10 @@ def silence(handle: int) -> int:
     return 1
 
 
-class WrenchLog:
-    """Log in a block that starts with LOG, with room for at least `rows` wrenches and 10 s.
+class LoggedDevice(BlockDevice):
+    """Device that logs the written wrenches in its block, which starts with LOG.
 
-    `forces` is the file that `close` writes; None for no file.
+    The log has room for at least `rows` wrenches and 10 s. `forces` is the file that `close` writes; None for no file.
     """
 
     def __init__(self, block: Block, rows: int, rate_hz: float, forces: str | None) -> None:
@@ -172,22 +172,6 @@ class WrenchLog:
                     np.savez(file, read=read, force=wrench[:, :3], torque=wrench[:, 3:])
         except OSError as error:
             raise RecordingError(f"{path}: the forces cannot be saved: {error.strerror or error}") from error
-
-
-class LoggedDevice(BlockDevice):
-    """Device that logs the written wrenches."""
-
-    _log: WrenchLog
-
-    def stop(self) -> None:
-        self._log.stop()
-
-    def close(self) -> None:
-        self._log.close()
-
-    def read_log(self) -> LoggedWrenches:
-        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.read_log()
 
 
 def _forces_path(name: str) -> Path:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, DeviceInfo, DeviceIO
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
@@ -58,6 +58,8 @@ class Transfer(ctypes.Structure):
 
 class Falcon(BlockDevice):
     """Open device, owner of a line to a device with running firmware. No force until `arm`."""
+
+    _functions = exchange.read, exchange.write
 
     def __init__(self, options: Options, chip: usb.SerialChip) -> None:
         self._options, self._chip = options, chip
@@ -154,9 +156,6 @@ class Falcon(BlockDevice):
                 )
             write(self._block.handle, zero.ctypes.data_as(pointer))
             time.sleep(PAUSE_S)
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         # The device has no timeout: the light and the force of the last packet persist, here a zero.

@@ -19,7 +19,7 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
-from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
@@ -59,6 +59,8 @@ LIBRARY_FUNCTIONS: Final = {
 class ForceDimension(BlockDevice):
     """Open device with its force off until `arm`. `stop` is final: to resume, open the device again."""
 
+    _functions = exchange.read, exchange.write
+
     def __init__(self, options: Options, rate_hz: float) -> None:
         _check_watchdog(options.watchdog_s, rate_hz)
         self._library = selection.load(options.library_file)
@@ -73,9 +75,6 @@ class ForceDimension(BlockDevice):
         except BaseException:
             self.close()
             raise
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         block = self._block.handle

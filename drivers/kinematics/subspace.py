@@ -70,9 +70,9 @@ def read_subspace(table: DeviceConfig) -> MotionSubspace | None:
         return None
 
 
-def subspace_rows(kinematics: Kinematics | None, mounting: Mounting) -> list[tuple[str, str]]:
-    """Return rows for `softfinger check`: one for fewer than three degrees of freedom, else none."""
-    subspace = make_subspace(kinematics, mounting)
+def rows(options: Any) -> list[tuple[str, str]]:
+    """Return rows for `softfinger check` from a board's options: one for fewer than three degrees of freedom."""
+    subspace = make_subspace(options.kinematics, options.mounting)
     return [] if subspace is None else [("  moves", subspace.describe())]
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Final, NoReturn
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
-from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.block import AT
@@ -67,6 +67,8 @@ class OpenHaptics(BlockDevice):
     calibrates  False: open a device that is not calibrated too, to identify it
     """
 
+    _functions = exchange.read, exchange.write
+
     def __init__(self, options: Options, calibrates: bool = True) -> None:
         self._library = library.load(options.library_file)
         self._options = options
@@ -89,9 +91,6 @@ class OpenHaptics(BlockDevice):
         except BaseException:
             self._release()
             raise
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         word = self._word
