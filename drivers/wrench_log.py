@@ -117,7 +117,11 @@ class LoggedDevice(BlockDevice):
     """
 
     def __init__(self, block: Block, rows: int, rate_hz: float, forces: str | None) -> None:
-        self._path = _forces_path(forces) if forces else None
+        self._path = Path(forces) if forces else None
+        if self._path is not None and self._path.suffix.lower() not in FORCE_ENDINGS:
+            raise RecordingError(f"forces = '{forces}': must end in {' or '.join(FORCE_ENDINGS)}")
+        if self._path is not None and not self._path.parent.is_dir():
+            raise RecordingError(f"forces = '{forces}': there is no folder {self._path.parent}: create it first")
         self._block, word = block, block.word
         capacity = max(rows, math.ceil(LOG_MIN_S * rate_hz)) + LOG_MARGIN
         self._rows = np.full((capacity, 7), 0.0)  # written here, so that the loop causes no page fault on first access
@@ -172,12 +176,3 @@ class LoggedDevice(BlockDevice):
                     np.savez(file, read=read, force=wrench[:, :3], torque=wrench[:, 3:])
         except OSError as error:
             raise RecordingError(f"{path}: the forces cannot be saved: {error.strerror or error}") from error
-
-
-def _forces_path(name: str) -> Path:
-    path = Path(name)
-    if path.suffix.lower() not in FORCE_ENDINGS:
-        raise RecordingError(f"forces = '{name}': must end in {' or '.join(FORCE_ENDINGS)}")
-    if not path.parent.is_dir():
-        raise RecordingError(f"forces = '{name}': there is no folder {path.parent}: create it first")
-    return path

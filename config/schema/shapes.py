@@ -277,11 +277,9 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
         endings = self.endings if self.elastic is None else (*self.endings, *self.volumes)
         if self.mesh is None and not self.file.lower().endswith(endings):
             yield "file", self.file, f"must end in {', '.join(endings)}: export the mesh as one of these"
-        if self.elastic is not None:
-            yield from self._elastic_faults()
-
-    def _elastic_faults(self) -> Iterator[Complaint]:
-        """Check that an elastic object has no key that a deformable surface cannot support."""
+        if self.elastic is None:
+            return
+        # keys that a deformable surface cannot support
         for key, table in (("motion", self.motion), ("effect", self.effect or None)):
             if is_usable(table) and table is not None:
                 yield key, msgspec.UNSET, "cannot be combined with [object.elastic]: remove one of them"

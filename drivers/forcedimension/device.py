@@ -62,7 +62,12 @@ class ForceDimension(BlockDevice):
     _functions = exchange.read, exchange.write
 
     def __init__(self, options: Options, rate_hz: float) -> None:
-        _check_watchdog(options.watchdog_s, rate_hz)
+        if options.watchdog_s != 0.0 and options.watchdog_s < 2.0 / rate_hz:
+            least = math.ceil(2e3 / rate_hz * 1e3) / 1e6
+            raise DeviceError(
+                f"watchdog_s = {options.watchdog_s:g} is shorter than two ticks at {rate_hz:g} Hz: "
+                f"give at least {least:g}, or 0 for none"
+            )
         self._library = selection.load(options.library_file)
         self._options = options
         self._block = Block(AT)
@@ -304,13 +309,3 @@ def open_device(options: Options, rate_hz: float) -> ForceDimension:
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with the remedy.
     """
     return ForceDimension(options, rate_hz)
-
-
-def _check_watchdog(watchdog_s: float, rate_hz: float) -> None:
-    if watchdog_s == 0.0 or watchdog_s >= 2.0 / rate_hz:
-        return
-    least = math.ceil(2e3 / rate_hz * 1e3) / 1e6
-    raise DeviceError(
-        f"watchdog_s = {watchdog_s:g} is shorter than two ticks at {rate_hz:g} Hz: "
-        f"give at least {least:g}, or 0 for none"
-    )

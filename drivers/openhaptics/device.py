@@ -13,6 +13,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from itertools import chain
 from typing import Final, NoReturn
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
@@ -177,7 +178,10 @@ class OpenHaptics(BlockDevice):
         has_torque = self._integer(library.OUTPUT_DOF) == FULL_DOF and limits.torque_max_nm > 0.0
         self._word[AT.has_torque] = has_torque
         nominal_force = self._doubles(library.NOMINAL_MAX_FORCE, 1)[0]
-        (x0, y0, z0), (x1, y1, z1) = self._workspace_mm()
+        corners = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, FULL_DOF)  # in the library's frame
+        if not all(-1e4 < a < b < 1e4 for a, b in zip(corners[:3], corners[3:], strict=True)):
+            corners = [*chain(*WORKSPACE_MM)]
+        x0, y0, z0, x1, y1, z1 = corners
         library.errors(self._library)
         return DeviceInfo(
             name=f"{self.model or 'device of 3D Systems'}, serial {self.serial or 'not known'}",
@@ -192,14 +196,6 @@ class OpenHaptics(BlockDevice):
             workspace_min_m=(x0 * 1e-3, -z1 * 1e-3, y0 * 1e-3),
             workspace_max_m=(x1 * 1e-3, -z0 * 1e-3, y1 * 1e-3),
         )
-
-    def _workspace_mm(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the device's workspace corners in the library's frame; the corners of a Touch if they are unusable."""
-        messages = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, FULL_DOF)
-        low, high = tuple(messages[:3]), tuple(messages[3:])
-        if all(-1e4 < a < b < 1e4 for a, b in zip(low, high, strict=True)):
-            return low, high
-        return WORKSPACE_MM
 
     def _calibrate(self, is_needed: bool) -> bool:
         """Calibrate the device in its best style: automatic, by the inkwell, or at the present position."""

@@ -79,15 +79,12 @@ class RecordService(Worker):
                 sink.take(records, drops)
             except Exception as error:
                 self._sinks.remove(sink)
-                self._report_failure(sink, error)
-
-    def _report_failure(self, sink: Sink, error: Exception) -> None:
-        if sink.vital is not None:
-            log.exception("%s failed; stopping", sink.name)
-            self._fail(sink.vital(error))
-            return
-        log.exception("%s failed; going on without it", sink.name)
-        self._event("fault", "sink", sink=sink.name, message=str(error))
+                if sink.vital is not None:
+                    log.exception("%s failed; stopping", sink.name)
+                    self._fail(sink.vital(error))
+                else:
+                    log.exception("%s failed; going on without it", sink.name)
+                    self._event("fault", "sink", sink=sink.name, message=str(error))
 
     def handle_failure(self, error: Exception) -> None:
         """End the run: without records, rendering cannot be monitored."""

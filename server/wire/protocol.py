@@ -237,12 +237,6 @@ SCHEMA_KEYS: Final = (
 _TYPES: Final[dict[str, Any]] = {"int": int, "float": float, "str": str}
 
 
-def _type(text: str) -> Any:
-    """Return the Python type of a key's type; `[3]` makes it a tuple of that size."""
-    kind, _, size = text.partition("[")
-    return GenericAlias(tuple, (_TYPES[kind],) * int(size[:-1])) if size else _TYPES[kind]
-
-
 def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
     """Return the struct type for messages with these keys; dotted names become structs, `[]` tuples of structs."""
     nested: dict[str, list[Key]] = {}
@@ -252,7 +246,8 @@ def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
         if child:
             nested.setdefault(parent, []).append(key._replace(name=child))
         else:
-            fields[parent] = _type(key.type)
+            kind, _, size = key.type.partition("[")  # `[3]` is a tuple of that size
+            fields[parent] = GenericAlias(tuple, (_TYPES[kind],) * int(size[:-1])) if size else _TYPES[kind]
     for parent, children in nested.items():
         element = _struct(f"{name}_{parent.removesuffix('[]')}", children)
         fields[parent.removesuffix("[]")] = GenericAlias(tuple, (element, ...)) if parent.endswith("[]") else element
