@@ -48,8 +48,7 @@ def draw_run(curves: Array, path: Path) -> None:
     forces.set_ylabel("force on the hand [N]")
     draw(turns, np.rad2deg(rolled), "rolled")
     draw(turns, np.rad2deg(spin), "torsion")
-    turns.set_ylabel("angle [deg]")
-    turns.set_xlabel("time [s]")
+    turns.set(xlabel="time [s]", ylabel="angle [deg]")
     for axes in (depth, forces, turns):
         _shade(axes, seconds, mode, has_legend=axes is depth)
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")

@@ -143,8 +143,7 @@ def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: Moti
             line = 1e3 * reachable_curve(wall, freedom)
             axes.plot(line[:, axis], line[:, 2], "r-", linewidth=1.5)
         axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal", title=name)
-        axes.set_xlabel(f"{letter} [mm]")
-        axes.set_ylabel("z [mm]")
+        axes.set(xlabel=f"{letter} [mm]", ylabel="z [mm]")
     axes.plot([], [], "k--", label="soft wall")
     if freedom is not None:
         axes.plot([], [], "r-", label="the handle's arc" if freedom.degrees == 1 else "edge of the handle's plane")

@@ -287,7 +287,6 @@ def draw(result: dict[str, Any], file: Path) -> None:
         for key, text in MEASURES.items():
             axes.loglog(edges, [row[key] for row in rows], "o-", label=f"{text} ({result['orders'][name][key]:.1f})")
         axes.loglog(edges, 1e-6 * edges**2, "k:", label="second order")
-        axes.set_title(name)
-        axes.set_xlabel("longest edge, mm")
+        axes.set(title=name, xlabel="longest edge, mm")
         axes.legend(fontsize="x-small")
     save(drawing, file)

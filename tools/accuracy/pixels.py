@@ -118,7 +118,6 @@ def draw(rows: Sequence[dict[str, Any]], file: Path) -> None:
         for kind in KINDS:
             of_kind = [row for row in rows if row["kind"] == kind]
             axes.loglog([1e3 * row["pitch_m"] for row in of_kind], [row[key] for row in of_kind], "o-", label=kind)
-        axes.set_title(key)
-        axes.set_xlabel("pitch, mm")
+        axes.set(title=key, xlabel="pitch, mm")
         axes.legend(fontsize="x-small")
     save(drawing, file)

@@ -87,8 +87,7 @@ def friction(axes: Any) -> None:
     for limit, name, above in ((0.6, "$\\mu_s f_N$", -10), (0.5, "$\\mu_d f_N$", 4)):
         axes.axhline(-limit, linewidth=0.6, linestyle=":", color="0.4")
         axes.annotate(name, (1.2, -limit), xytext=(0, above), textcoords="offset points", fontsize="small")
-    axes.set_ylim(-0.72, 0.72)
-    axes.set(xlabel="position of the probe [mm]", ylabel="tangential force [N]")
+    axes.set(ylim=(-0.72, 0.72), xlabel="position of the probe [mm]", ylabel="tangential force [N]")
 
 
 def patch(axes: Any) -> None:
