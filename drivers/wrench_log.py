@@ -16,6 +16,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import new_file
 from softfinger.drivers.base import OK, WITHHELD
@@ -23,8 +24,6 @@ from softfinger.drivers.block import Block, BlockDevice, address, counter, lay_o
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.decorators import PLAIN, c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
-
-Array = NDArray[np.float64]
 
 ROW_BYTES: Final = 56
 

@@ -42,8 +42,7 @@ from softfinger.server.loop.clock import (
 from softfinger.server.loop.guard import INITIAL_GUARD_STATE, Guard, GuardState, guard_wrench
 from softfinger.server.loop.health import STALL_POLL_S, Watchdog
 from softfinger.server.progress import progress
-
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 # Columns of a row; times in s.
 START: Final = 0  # since the start of the part

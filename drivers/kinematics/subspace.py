@@ -6,14 +6,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers.kinematics.options import Kinematics, Paddle, Pantograph
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.kernels.numerics.rotations import rotate
-
-Array = NDArray[np.float64]
 
 
 class MotionSubspace(NamedTuple):

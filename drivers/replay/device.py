@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import is_same_file
 from softfinger.config.schema import doc
@@ -18,7 +19,7 @@ from softfinger.drivers import wrench_log
 from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, DeviceInfo
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.poses import load_poses
-from softfinger.drivers.resample import Array, close_loop, resample
+from softfinger.drivers.resample import close_loop, resample
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.drivers.wrench_log import LOG, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function

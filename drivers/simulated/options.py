@@ -13,10 +13,11 @@ import numpy as np
 from msgspec import Meta
 
 from softfinger.config import limits
+from softfinger.config.arrays import Array
 from softfinger.config.devices import Preset, presets
 from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
 from softfinger.drivers.poses import load_poses
-from softfinger.drivers.resample import Array, close_loop, resample
+from softfinger.drivers.resample import close_loop, resample
 from softfinger.drivers.simulated.plant import (
     Handle,
     Impedance,

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, load_rig, load_scene
 from softfinger.drivers.simulated.options import Options, make_simulation
@@ -30,7 +30,6 @@ except ImportError as missing:
 
 __all__ = ["POSITION_BOUND_M", "Array", "LedHands", "Observation", "Point", "box_space", "gymnasium", "spaces"]
 
-Array = NDArray[np.float64]
 Observation = dict[str, Any]
 Point = tuple[float, float, float]
 

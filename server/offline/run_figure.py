@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT, FREE, MODE_NAMES
 from softfinger.server.offline.figures import figure, save
-
-Array = NDArray[np.float64]
 
 POINTS_MAX: Final = 2000
 """Largest number of ticks drawn; evenly selected from a longer run."""

@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.schema import Object, Plane, Scene, Workspace
 from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.rotation import matrix_of
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.surface_meshes import plane, surface_mesh
-
-Array = NDArray[np.float64]
 
 VIEWS: Final = (("from the front", 0, "x"), ("from the right", 1, "y"))
 """Name of each view, and index and name of the axis that points right; z points up."""

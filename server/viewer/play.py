@@ -7,15 +7,13 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.gestures import ONE_FINGER, Gesture, LiftedBox, Stage, half_width, lift
 from softfinger.server.viewer.hand import HandControls
 from softfinger.server.viewer.nodes.bodies import BodyNodes
-
-Array = NDArray[np.float64]
 
 LIFT: Final = "lift a box"
 LIFT_SCENE: Final = "lift-a-box"

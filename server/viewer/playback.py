@@ -7,9 +7,9 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import build, load_scene
 from softfinger.proxy.pictures import Filed, picture_of
@@ -24,8 +24,6 @@ from softfinger.server.viewer.inputs import is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page, parse_scene_start
 from softfinger.server.viewer.timeline import Events, band, pointer
-
-Array = NDArray[np.float64]
 
 TRACE_TICKS: Final = 2000
 """Ticks before the new position that are drawn as a trace after a seek."""

@@ -27,9 +27,8 @@ from softfinger.proxy.records import Records
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy.reference import roll_path
-from softfinger.tools.measure import show
+from softfinger.tools.measure import Array, show
 
-Array = NDArray[np.float64]
 Arrays = tuple[Array, NDArray[np.int64]]
 
 RADIUS_M: Final = 0.01

@@ -21,7 +21,6 @@ from softfinger.server.progress import progress
 from softfinger.tools.accuracy.meshes import (
     HEADINGS_RAD,
     TICKS,
-    Array,
     LedPath,
     differences,
     lead_path,
@@ -30,7 +29,7 @@ from softfinger.tools.accuracy.meshes import (
     visit,
 )
 from softfinger.tools.accuracy.reference import Hills, normal_and_curvature
-from softfinger.tools.measure import show
+from softfinger.tools.measure import Array, show
 
 HILLS: Final = Hills(0.004, 0.06)
 """The smallest radius of curvature of their valleys is 23 mm."""

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config.load import build, describe, load_scene
 from softfinger.config.materials import fingertips
@@ -25,9 +24,8 @@ from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline import feel_figure, library_texts
 from softfinger.server.offline.figures import figure, legends_below, save
+from softfinger.tools.measure import Array
 from softfinger.tools.pages import moving, sketches, states
-
-Array = NDArray[np.float64]
 
 RADIUS_M: Final = 0.01
 STIFFNESS_N_PER_M: Final = 1000.0

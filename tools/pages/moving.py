@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config.load import describe, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
-
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 RATE_HZ: Final = 1000.0
 BLOCK: Final = 50

@@ -23,9 +23,8 @@ from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import tick_many
 from softfinger.server.progress import map_with_progress
+from softfinger.tools.measure import Array
 from softfinger.tools.stability.wrenches import try_wrenches
-
-Array = NDArray[np.float64]
 
 R: Final = 0.01
 TICKS: Final = 400

@@ -7,9 +7,9 @@ from math import radians
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.surface_meshes import cone
 from softfinger.server.viewer.nodes.below import UP
@@ -18,8 +18,6 @@ from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, dis
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
 from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, NORMAL, PLUMB, SKIN, TORSION, Colour, Looks
 from softfinger.server.viewer.nodes.states import COLOURS, STATE_TICKS, VisibleState, classify_contact
-
-Array = NDArray[np.float64]
 
 MIN_SEPARATION_M: Final = 2e-5
 """Proxy and probe closer than this are drawn as one."""
