@@ -99,7 +99,7 @@ class Experiment:
             Path(folder), self.file, _check_participant(participant), files.hashes(self.file, self._folder)
         )
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
-        session.check(participant_folder)
+        participant_folder.check_design(self.file, session.conditions, session.trials)
         participant_folder.check_answer_kind(running.dry_run)
         with ExitStack() as stack:
             # Lock an existing journal before the device is opened: another session may be using both.
