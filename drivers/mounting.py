@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import hypot
 from typing import Annotated
 
-from softfinger.config.schema import Complaint, Component, Coordinate, Table, doc, is_usable
+from softfinger.config.schema import Complaint, Orientation, Point, Table, doc, is_usable
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics.rotations import normalize
 
@@ -14,9 +14,9 @@ from softfinger.proxy.kernels.numerics.rotations import normalize
 class Mounting(Table, frozen=True, kw_only=True):
     """Pose of the device's frame in the world."""
 
-    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("origin", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
+    position_m: Annotated[Point, doc("origin", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component],
+        Orientation,
         doc("device to world: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Resolved, Table, doc, is_usable, sized, within
+from softfinger.config.fields import Complaint, Resolved, Table, Vector, doc, is_usable, sized, within
 from softfinger.config.materials import MATERIALS, Library
 
 TorsionModel = Literal["independent", "limit_surface", "soft_finger_proxy"]
@@ -71,7 +71,7 @@ class Friction(Table, frozen=True, kw_only=True):
     ) = None
     direction_x: (
         Annotated[
-            tuple[Component, Component, Component],
+            Vector,
             doc(
                 "first principal direction of anisotropic friction, in the object frame, projected onto the surface; "
                 "default: isotropic",

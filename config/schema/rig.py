@@ -10,7 +10,7 @@ import msgspec
 from softfinger.config import limits
 from softfinger.config.fields import (
     Complaint,
-    Component,
+    Orientation,
     Table,
     TopicPart,
     doc,
@@ -32,7 +32,7 @@ class Tool(Table, frozen=True, kw_only=True):
         tuple[Arm, Arm, Arm], doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component],
+        Orientation,
         doc("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 

@@ -10,10 +10,10 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Point, Table, doc, is_usable, sized, within
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import TEXT, CatchTrials, Confidence, Positive, Screen, Survey
-from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Point, Procedure, Task
+from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Procedure, Task
 
 SECONDS: Final = Range(0.0, 600.0, "longer than any touch")
 SHARE: Final = Range(0.0, 0.5, "an observer with half of the answers at random is useless")
