@@ -81,22 +81,14 @@ class ProbeSession(DeviceSession):
             self._report["exchange"] = figures(together, self._exchange.rate_hz)
             self._report["buttons"] = {"masks": motions.masks(together)}
         if force_n is not None:
-            self._push_each(force_n)
+            warning = f"hold the handle lightly: it pushes with {force_n:g} N along each axis and back"
+            for axis, result in self._push_each(warning, force_n / PEAK, 1.0 / PUSH_S, PUSH_S):
+                self._report["pushes"].append(result | {"felt": self._ask_direction(motions.AXES[axis])})
 
     def _record_motion(self, words: str) -> Array:
         if self._guided and self._exchange.ended is None:
             print(words, file=sys.stderr, flush=True)
         return self._record(words, self._seconds)
-
-    def _push_each(self, force_n: float) -> None:
-        warning = f"hold the handle lightly: it pushes with {force_n:g} N along each axis and back"
-        if not self._guided:
-            print(warning, file=sys.stderr, flush=True)
-        self._ask(warning)
-        for axis in self._pushed_axes():
-            result = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
-            if result is not None:
-                self._report["pushes"].append(result | {"felt": self._ask_direction(motions.AXES[axis])})
 
     def _ask_direction(self, name: str) -> str:
         """Return the user's answer in one line; empty if the probe is not guided."""
