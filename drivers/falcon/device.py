@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, DeviceInfo
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
@@ -20,8 +20,6 @@ from softfinger.drivers.system.discovery import SystemDevice
 
 log: Final = logging.getLogger(__name__)
 
-TORQUE_MAX_NM: Final = 1e2
-"""No motor turns the knob, but torque is accepted: contact and telemetry use it."""
 FORCE_MAX_N: Final = 8.0
 STIFFNESS_MAX_N_PER_M: Final = 3000.0
 DAMPING_MAX_NS_PER_M: Final = 20.0

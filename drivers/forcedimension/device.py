@@ -19,7 +19,7 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
-from softfinger.drivers.base import DeviceInfo
+from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
@@ -28,9 +28,6 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
-
-TORQUE_MAX_NM: Final = 1e2
-"""If no motor turns the handle, torque is accepted but not sent: contact and telemetry use it."""
 
 ZERO: Final = (0.0,) * 7
 ZERO_TRIES: Final = 20

@@ -11,9 +11,8 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout
-from softfinger.drivers.base import DeviceInfo
+from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.board_exchange import TORQUE_MAX_NM
 from softfinger.drivers.haply import exchange, opening
 from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, FrameConversion
 from softfinger.drivers.haply.exchange_thread import ExchangeThread

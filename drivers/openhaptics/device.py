@@ -17,7 +17,7 @@ from itertools import chain
 from typing import Final, NoReturn
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
-from softfinger.drivers.base import DeviceInfo
+from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.block import AT
@@ -29,9 +29,6 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
-
-TORQUE_MAX_NM: Final = 1e2
-"""If no motor turns the handle, torque is accepted but not sent: contact and telemetry use it."""
 
 FIRST_FRAMES_S: Final = 2.0
 """Maximum wait of opening for the library's thread."""

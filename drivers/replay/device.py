@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import is_same_file
 from softfinger.config.schema import doc
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, DeviceInfo
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import close_loop, resample
@@ -40,7 +40,6 @@ AT: Final = lay_out(Fields, after=LOG)
 
 # A recording displays no force, so its limits are wide: the rig's guard limits.
 FORCE_MAX_N: Final = 1e3
-TORQUE_MAX_NM: Final = 1e2
 STIFFNESS_MAX_N_PER_M: Final = 1e6
 DAMPING_MAX_NS_PER_M: Final = 1e3
 

@@ -15,7 +15,7 @@ from numba import carray
 
 from softfinger.config.devices import presets
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, DeviceInfo
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.simulated import hand as led_hand
 from softfinger.drivers.simulated.options import Options, make_simulation
@@ -40,9 +40,6 @@ from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack, unpack_at
 from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Vec3
-
-# No motor turns the handle, but torque is accepted: contact and telemetry use it.
-TORQUE_MAX_NM: Final = 1e2
 
 _PLANT_LIKE: Final = make_plant(1.0, Handle((1.0, 1.0, 1.0)))
 _STATE_LIKE: Final = make_rest_state((0.0, 0.0, 0.0))

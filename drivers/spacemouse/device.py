@@ -22,10 +22,11 @@ from softfinger.drivers.base import (
     SAMPLE_GRIPPER,
     SAMPLE_TIME,
     STALE,
+    TORQUE_MAX_NM,
     DeviceInfo,
 )
 from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
-from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M, TORQUE_MAX_NM
+from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M
 from softfinger.drivers.spacemouse.puck import (
     BUTTONS,
     REPORT_MAX,
