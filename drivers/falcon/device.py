@@ -64,7 +64,7 @@ class Falcon(BlockDevice):
         self._block = Block(AT)
         self._word = self._block.word
         self.info = DeviceInfo(
-            name=f"Novint Falcon {usb.VENDOR:04x}:{usb.PRODUCT:04x}",
+            name=f"Novint Falcon {usb.IDS}",
             sensed_dof=3,
             actuated_dof=3,
             force_max_n=FORCE_MAX_N,

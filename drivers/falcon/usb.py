@@ -20,6 +20,7 @@ from softfinger.drivers.system.rules import how_to_permit
 
 VENDOR: Final = 0x0403
 PRODUCT: Final = 0xCB48
+IDS: Final = f"{VENDOR:04x}:{PRODUCT:04x}"
 INTERFACE: Final = 0
 ENDPOINT_OUT: Final = 0x02
 ENDPOINT_IN: Final = 0x81
@@ -131,9 +132,9 @@ def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
     if node is not None:
         devices = [device for device in devices if _node(device) == node]
     if not devices:
-        raise DeviceNotFound(f"no Falcon ({_ids()}) is attached: plug in its USB cable and its power")
+        raise DeviceNotFound(f"no Falcon ({IDS}) is attached: plug in its USB cable and its power")
     device = _choose(devices, serial)
-    name = f"Falcon ({_ids()}) at {_node(device)}"
+    name = f"Falcon ({IDS}) at {_node(device)}"
     try:
         with contextlib.suppress(NotImplementedError):  # libusb on a system without drivers to detach
             if device.is_kernel_driver_active(INTERFACE):
@@ -143,10 +144,6 @@ def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
         usb.util.dispose_resources(device)
         raise _open_error(name, error) from error
     return SerialChip(device)
-
-
-def _ids() -> str:
-    return f"{VENDOR:04x}:{PRODUCT:04x}"
 
 
 def _node(device: Any) -> str:
