@@ -44,10 +44,7 @@ _quiet: Final = threading.Event()
 
 
 def set_enabled(enabled: bool) -> None:
-    if enabled:
-        _quiet.clear()
-    else:
-        _quiet.set()
+    (_quiet.clear if enabled else _quiet.set)()
 
 
 def on_terminal() -> bool:

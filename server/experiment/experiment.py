@@ -160,11 +160,9 @@ def _begin_run(
     run_files  additional files of the start, by name
     """
     session.begin(participant_folder)
-    number = participant_folder.next_run()
     if journal is None:
         journal = stack.enter_context(Journal(participant_folder.journal))
-    for name, values in run_files.items():
-        participant_folder.write_json(participant_folder.name(number, name), values)
+    number = participant_folder.add_run(run_files)
     journal.write("started", run=number, dry_run=dry_run, time=time.time())
     return journal, number
 

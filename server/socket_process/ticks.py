@@ -30,11 +30,6 @@ class RowReader:
         self.lost = 0
         """Rows that were overwritten before they were read."""
 
-    def reset_bell(self) -> None:
-        """Reset the eventfd after it has signalled."""
-        # The call orders this reader's loads after the writes that precede the signal.
-        os.eventfd_read(self.bell)
-
     def take(self) -> Iterator[tuple[float, ...]]:
         """Yield every available row, oldest first; skip to the middle of the ring if a full ring behind."""
         head = self._words[_HEAD]

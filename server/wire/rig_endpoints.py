@@ -37,14 +37,6 @@ class Endpoints:
         self.public: Final[dict[str, str]] = {}
         """Endpoints that other machines can reach, by the name of their table."""
 
-    @property
-    def announced_commands(self) -> str:
-        """Command endpoint announced in the telemetry; empty without commands.
-
-        It is the endpoint that other machines can reach, if there is one.
-        """
-        return self.public.get(COMMANDS, self.commands or "")
-
     def close(self) -> None:
         """Free all endpoints; may be called repeatedly."""
         self.files.close()
