@@ -17,6 +17,7 @@ from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
 from softfinger.drivers.system.discovery import SystemDevice
+from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
@@ -93,12 +94,12 @@ class Falcon(BlockDevice):
         self._libusb = libusb = self._chip.libusb()
         call = libusb.library
         # pyusb has declared these already with its types: calls by address need none
-        self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(call, "libusb_free_transfer"))
-        allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(_address(call, "libusb_alloc_transfer"))
+        self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(address(call, "libusb_free_transfer"))
+        allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(address(call, "libusb_alloc_transfer"))
         word[AT.context] = libusb.context
-        word[AT.submit] = _address(call, "libusb_submit_transfer")
-        word[AT.handle_events] = _address(call, "libusb_handle_events_timeout_completed")
-        word[AT.cancel] = _address(call, "libusb_cancel_transfer")
+        word[AT.submit] = address(call, "libusb_submit_transfer")
+        word[AT.handle_events] = address(call, "libusb_handle_events_timeout_completed")
+        word[AT.cancel] = address(call, "libusb_cancel_transfer")
         word[AT.kick] = round(options.kick_s * 1e9)
         word[AT.timeout_after] = round(options.timeout_s * 1e9)
         word[AT.opened_at] = time.monotonic_ns()
@@ -114,11 +115,11 @@ class Falcon(BlockDevice):
             (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, IN_BYTES),
             (AT.transfer_out, usb.ENDPOINT_OUT, AT.out_done, AT.buffer_out, packets.SIZE),
         ):
-            address = allocate(0)
-            if not address:
+            transfer_at = allocate(0)
+            if not transfer_at:
                 raise DeviceError("libusb cannot allocate a transfer: close other programs")
-            word[field] = address
-            transfer = Transfer.from_address(address)
+            word[field] = transfer_at
+            transfer = Transfer.from_address(transfer_at)
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
             transfer.callback, transfer.user_data = exchange.on_complete.address, at + 8 * flag
             transfer.buffer, transfer.length = at + 8 * buffer, length
@@ -215,10 +216,6 @@ class Falcon(BlockDevice):
 
 _active_blocks: Final[dict[int, Any]] = {}
 """Blocks that libusb may write to, by address: they outlive a device that is deleted without `close`."""
-
-
-def _address(library: ctypes.CDLL, name: str) -> int:
-    return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
 
 
 def identify(device: SystemDevice, options: Options) -> dict[str, bool]:

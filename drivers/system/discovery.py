@@ -126,7 +126,7 @@ def usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
     if not os.path.isdir(folder):
         for device in find_usb():
             if device.bDeviceClass != 0x09:
-                node = _usb_node(device.bus or 0, device.address or 0)
+                node = usb_node(device.bus or 0, device.address or 0)
                 yield SystemDevice("usb", device.idVendor, device.idProduct, "USB device", "", node)
         return
     for name in sorted(_list_names(folder)):
@@ -233,7 +233,7 @@ def _usb_device(path: Path) -> SystemDevice | None:
     if vendor is None or product is None or _read_text(path / "bDeviceClass") == "09":  # a hub
         return None
     bus, number = (_parse_int(_read_text(path / key), 10) for key in ("busnum", "devnum"))
-    node = "" if bus is None or number is None else _usb_node(bus, number)
+    node = "" if bus is None or number is None else usb_node(bus, number)
     return SystemDevice(
         "usb", vendor, product, _read_text(path / "product") or "USB device", _read_text(path / "serial"), node
     )
@@ -249,7 +249,7 @@ def _serial_port(path: Path) -> SystemDevice | None:
     return None
 
 
-def _usb_node(bus: int, number: int) -> str:
+def usb_node(bus: int, number: int) -> str:
     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
 
 
