@@ -22,11 +22,8 @@ class Mounting(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.orientation_wxyz) and hypot(*self.orientation_wxyz) == 0.0:
-            yield (
-                "orientation_wxyz",
-                self.orientation_wxyz,
-                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
-            )
+            fault = "all zero is not an orientation: [1, 0, 0, 0] turns nothing"
+            yield "orientation_wxyz", self.orientation_wxyz, fault
 
     def frame(self) -> tuple[Vec3, Quaternion]:
         """Return the device's origin in the world (m), and the unit quaternion from device to world."""

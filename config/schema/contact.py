@@ -74,12 +74,11 @@ class Form(Table, frozen=True, kw_only=True):
             return
         low, high = limits.LENGTH_M.low, limits.LENGTH_M.high
         if self.radius_m is None and self.radii_m is None:
-            yield (
-                "radius_m",
-                msgspec.UNSET,
+            fault = (
                 f"is missing: give a number from {low:g} to {high:g} m, such as radius_m = 0.01, or the radii_m of an "
-                "ellipsoid",
+                "ellipsoid"
             )
+            yield "radius_m", msgspec.UNSET, fault
         elif self.radii_m is None:
             if self.orientation_wxyz is not None:
                 fault = "turns an ellipsoid, and this is a sphere: leave it out"

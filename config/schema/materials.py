@@ -103,12 +103,11 @@ class Friction(Table, frozen=True, kw_only=True):
             static, kinetic = self.static_scale or (1.0, 1.0), self.kinetic_scale or (1.0, 1.0)
             for direction, before, after in zip(("along", "across"), static, kinetic, strict=True):
                 if self.kinetic * after > self.static * before:
-                    yield (
-                        "kinetic_scale",
-                        kinetic,
+                    fault = (
                         f"makes kinetic friction {self.kinetic * after:g} {direction}, above the static "
-                        f"{self.static * before:g}: lower it, or raise static_scale",
+                        f"{self.static * before:g}: lower it, or raise static_scale"
                     )
+                    yield "kinetic_scale", kinetic, fault
 
 
 class Torsion(Table, frozen=True, kw_only=True):
@@ -230,8 +229,7 @@ class Material(Table, frozen=True, kw_only=True):
         if not is_usable(self.friction, self.torsion) or self.torsion is None:
             return
         if self.torsion.model == "limit_surface" and self.friction is None:
-            yield (
-                "torsion.model",
-                self.torsion.model,
-                "needs friction to share its limit with: give the material `friction`, or take the model independent",
+            fault = (
+                "needs friction to share its limit with: give the material `friction`, or take the model independent"
             )
+            yield "torsion.model", self.torsion.model, fault

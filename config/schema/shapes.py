@@ -142,12 +142,11 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
         around, wide = 2.0 * math.pi * self.radius_m, self.texture.size_m[0]
         if abs(around / wide - max(round(around / wide), 1)) > CLOSES:
             nearest = around / max(round(around / wide), 1)
-            yield (
-                "texture.size_m",
-                self.texture.size_m,
+            fault = (
                 f"goes {around / wide:g} times round the cylinder, must be an integer of times to meet itself: "
-                f"make it {nearest:.6g} m wide",
+                f"make it {nearest:.6g} m wide"
             )
+            yield "texture.size_m", self.texture.size_m, fault
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         if not is_usable(self.inside) or not self.inside:
