@@ -259,18 +259,16 @@ HealthMessage: Final = _struct("HealthMessage", HEALTH_KEYS)
 StateMessage: Final = _struct("StateMessage", STATE_KEYS)
 WorldMessage: Final = _struct("WorldMessage", WORLD_KEYS)
 DeformationMessage: Final = _struct("DeformationMessage", DEFORMATION_KEYS)
-_EventHead: Final = _struct("EventHead", EVENT_KEYS)
-_SchemaHead: Final = _struct("SchemaHead", SCHEMA_KEYS[:2])
 
 _ENCODER: Final = msgspec.msgpack.Encoder()
 _DECODERS: Final[dict[str, msgspec.msgpack.Decoder[Any]]] = {
     CONTACT: msgspec.msgpack.Decoder(ContactMessage),
     HEALTH: msgspec.msgpack.Decoder(HealthMessage),
-    EVENT: msgspec.msgpack.Decoder(_EventHead),
+    EVENT: msgspec.msgpack.Decoder(_struct("EventHead", EVENT_KEYS)),
     STATE: msgspec.msgpack.Decoder(StateMessage),
     WORLD: msgspec.msgpack.Decoder(WorldMessage),
     DEFORMATION: msgspec.msgpack.Decoder(DeformationMessage),
-    SCHEMA_TOPIC: msgspec.msgpack.Decoder(_SchemaHead),
+    SCHEMA_TOPIC: msgspec.msgpack.Decoder(_struct("SchemaHead", SCHEMA_KEYS[:2])),
 }
 _OPEN: Final = (EVENT, SCHEMA_TOPIC)
 """Topics with messages that may have further keys."""
