@@ -115,7 +115,10 @@ TopicPart = Annotated[
 Coordinate = Annotated[float, Meta(ge=limits.COORDINATE_M.low, le=limits.COORDINATE_M.high)]
 Length = Annotated[float, Meta(ge=limits.LENGTH_M.low, le=limits.LENGTH_M.high)]
 Component = Annotated[float, Meta(ge=limits.QUATERNION.low, le=limits.QUATERNION.high)]
-
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Lengths = tuple[Length, Length, Length]
+Vector = tuple[Component, Component, Component]
+Orientation = tuple[Component, Component, Component, Component]
 
 Resolved = Annotated[
     bool | None, doc("true, as in recordings and telemetry: all values are given here, and the library is not used")

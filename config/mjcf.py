@@ -22,7 +22,7 @@ from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
 from softfinger.config.mjcf_files import check_flexes, check_place, place_files
 from softfinger.config.mjcf_size import check_files, read_text
-from softfinger.config.urdf import complete, is_urdf
+from softfinger.config.urdf import complete
 
 if TYPE_CHECKING:
     import mujoco
@@ -122,7 +122,7 @@ def _compile(path: str, root: str | None) -> CompiledModel:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # MuJoCo's, of deprecated attributes
             spec = package.MjSpec.from_file(path)
-            if is_urdf(path):
+            if path.lower().endswith(".urdf"):
                 complete(spec, Path(folder), home, name)
             _remove_pictures(spec)
             files = [*parts, *place_files(spec, listed, bool(names.attaches), home, name)]

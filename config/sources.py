@@ -66,14 +66,10 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
 def read_toml(path: str | Path, where: str | None = None) -> dict[str, Any]:
     """Read the tables of a TOML file; raises ConfigError with the file, and line and column of a syntax error."""
     name = printable(path) if where is None else where
-    return parse_toml(_text(Path(path), name), name)
-
-
-def _text(path: Path, name: str) -> str:
     try:
         data = read_input(path, _SIZE_MAX)
     except FileNotFoundError as error:
-        raise ConfigError(f"{name}: no such file{_sibling(path)}") from error
+        raise ConfigError(f"{name}: no such file{_sibling(Path(path))}") from error
     except IsADirectoryError as error:
         raise ConfigError(f"{name}: is a folder: name a .toml file in it") from error
     except (OSError, ValueError) as error:
@@ -82,12 +78,13 @@ def _text(path: Path, name: str) -> str:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{name}: cannot be read: {reason}") from error
     try:
-        return data.decode("utf-8-sig")  # editors on Windows put a byte order mark in front
+        text = data.decode("utf-8-sig")  # editors on Windows put a byte order mark in front
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError(
             f"{name}: not UTF-8: byte 0x{data[error.start]:02x} at line {line}: save the file as UTF-8"
         ) from error
+    return parse_toml(text, name)
 
 
 def printable(path: str | Path) -> str:

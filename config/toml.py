@@ -45,7 +45,8 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise ConfigError(f"{name}: not usable: {error}") from error
     level: list[Any] = [tables]
     for _ in range(DEPTH_MAX):
-        level = [below for value in level for below in _inside(value)]
+        values = [below for value in level for below in (value.values() if isinstance(value, dict) else value)]
+        level = [value for value in values if isinstance(value, dict | list)]
     if level:
         raise ConfigError(
             f"{name}: tables or lists more than {DEPTH_MAX} deep in one another: this is not a scene or rig"
@@ -57,8 +58,3 @@ def _blank(match: re.Match[str]) -> str:
     """Return spaces in as many lines and columns; a string on one line may be part of a key and becomes a letter."""
     spaces = re.sub(r"[^\n]", " ", match[0])
     return spaces if match["blank"] else f"s{spaces[1:]}"
-
-
-def _inside(value: Any) -> list[Any]:
-    values = value.values() if isinstance(value, dict) else value
-    return [below for below in values if isinstance(below, dict | list)]

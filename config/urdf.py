@@ -17,10 +17,6 @@ from softfinger.config.mjcf_files import check_place
 PACKAGES: Final = ("package://", "model://")
 
 
-def is_urdf(path: str) -> bool:
-    return path.lower().endswith(".urdf")
-
-
 def locate(uri: str, folder: Path, home: Path) -> Path:
     """Return the path of a file that a URDF in `folder` names; of a package, the first that exists.
 

@@ -55,6 +55,9 @@ PROTOCOL: Final = -3
 FORCE_OFF: Final = -4
 """The device answers, but has switched its force off; `Device.reason` returns the cause."""
 
+TORQUE_MAX_NM: Final = 1e2
+"""Torque limit without a motor that turns the handle: torque is accepted but not sent; contact and telemetry use it."""
+
 SAMPLE_SIZE: Final = 10
 SAMPLE_TIME: Final = 7
 SAMPLE_BUTTONS: Final = 8

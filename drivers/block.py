@@ -22,7 +22,7 @@ from typing import Any, TypeVar, cast, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.drivers.base import Device
+from softfinger.drivers.base import Device, DeviceIO
 
 Layout = TypeVar("Layout", bound=tuple[int, ...])
 
@@ -118,10 +118,16 @@ class Block:
 
 
 class BlockDevice(Device):
-    """Device with a block that contains its counters. A driver stores there why the zero of its last `stop` failed."""
+    """Device with a block that its C functions `read` and `write` receive, and that contains its counters."""
 
     _block: Block
+    _functions: tuple[Any, Any]
     _zero_failure = ""
+    """Why the zero of the last `stop` failed."""
+
+    def io(self) -> DeviceIO:
+        read, write = self._functions
+        return DeviceIO(read.address, write.address, self._block.handle)
 
     def zero_failure(self) -> str:
         return self._zero_failure

@@ -27,6 +27,7 @@ from softfinger.drivers.base import (
     SAMPLE_TIME,
     STALE,
     TIMEOUT,
+    TORQUE_MAX_NM,
     WITHHELD,
     DeviceInfo,
 )
@@ -38,8 +39,6 @@ from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 
-TORQUE_MAX_NM: Final = 1e2
-"""No motor turns the handle, but torque is accepted: contact and telemetry use it."""
 WAIT_MS: Final = 10
 """Duration of one wait for a current sample."""
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import hypot
 from typing import Annotated
 
-from softfinger.config.schema import Complaint, Component, Coordinate, Table, doc, is_usable
+from softfinger.config.schema import Complaint, Orientation, Point, Table, doc, is_usable
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics.rotations import normalize
 
@@ -14,19 +14,16 @@ from softfinger.proxy.kernels.numerics.rotations import normalize
 class Mounting(Table, frozen=True, kw_only=True):
     """Pose of the device's frame in the world."""
 
-    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("origin", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
+    position_m: Annotated[Point, doc("origin", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component],
+        Orientation,
         doc("device to world: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.orientation_wxyz) and hypot(*self.orientation_wxyz) == 0.0:
-            yield (
-                "orientation_wxyz",
-                self.orientation_wxyz,
-                "all zero is not an orientation: [1, 0, 0, 0] turns nothing",
-            )
+            fault = "all zero is not an orientation: [1, 0, 0, 0] turns nothing"
+            yield "orientation_wxyz", self.orientation_wxyz, fault
 
     def frame(self) -> tuple[Vec3, Quaternion]:
         """Return the device's origin in the world (m), and the unit quaternion from device to world."""

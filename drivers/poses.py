@@ -18,15 +18,13 @@ from typing import IO, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
 from softfinger.config.words import near
 from softfinger.drivers.containers import mcap_messages
-
-Array = NDArray[np.float64]
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "config" / "recordings"
 """Folder of the shipped recordings."""

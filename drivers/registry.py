@@ -53,7 +53,10 @@ def load(name: str) -> ModuleType:
         return _registered[name]
     entry = _entry_points().get(name)
     if entry is None:
-        raise DeviceNotFound(_unknown_message(name))
+        driver_names = names()
+        close = difflib.get_close_matches(name, driver_names, n=1)
+        hint = f"did you mean '{close[0]}'? " if close else ""
+        raise DeviceNotFound(f"no driver is called '{name}': {hint}Drivers are {', '.join(driver_names)}")
     try:
         module = entry.load()
     except Exception as error:  # the import of another package may raise any error
@@ -100,10 +103,3 @@ def _check_driver(name: str, module: Any, source: str) -> ModuleType:
 
 def _entry_points() -> dict[str, metadata.EntryPoint]:
     return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT_GROUP)}
-
-
-def _unknown_message(name: str) -> str:
-    driver_names = names()
-    close = difflib.get_close_matches(name, driver_names, n=1)
-    hint = f"did you mean '{close[0]}'? " if close else ""
-    return f"no driver is called '{name}': {hint}Drivers are {', '.join(driver_names)}"

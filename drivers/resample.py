@@ -7,11 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.drivers import quaternions
 from softfinger.drivers.poses import Poses
-
-Array = NDArray[np.float64]
 
 SAMPLES_MAX: Final = 10_000_000  # 2.8 h at 1 kHz, 560 MB
 BLOCK: Final = 16384  # ticks interpolated at a time: the intermediate arrays need five times the memory

@@ -16,6 +16,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import new_file
 from softfinger.drivers.base import OK, WITHHELD
@@ -23,8 +24,6 @@ from softfinger.drivers.block import Block, BlockDevice, address, counter, lay_o
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.decorators import PLAIN, c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
-
-Array = NDArray[np.float64]
 
 ROW_BYTES: Final = 56
 
@@ -110,14 +109,18 @@ def silence(handle: int) -> int:
     return 1
 
 
-class WrenchLog:
-    """Log in a block that starts with LOG, with room for at least `rows` wrenches and 10 s.
+class LoggedDevice(BlockDevice):
+    """Device that logs the written wrenches in its block, which starts with LOG.
 
-    `forces` is the file that `close` writes; None for no file.
+    The log has room for at least `rows` wrenches and 10 s. `forces` is the file that `close` writes; None for no file.
     """
 
     def __init__(self, block: Block, rows: int, rate_hz: float, forces: str | None) -> None:
-        self._path = _forces_path(forces) if forces else None
+        self._path = Path(forces) if forces else None
+        if self._path is not None and self._path.suffix.lower() not in FORCE_ENDINGS:
+            raise RecordingError(f"forces = '{forces}': must end in {' or '.join(FORCE_ENDINGS)}")
+        if self._path is not None and not self._path.parent.is_dir():
+            raise RecordingError(f"forces = '{forces}': there is no folder {self._path.parent}: create it first")
         self._block, word = block, block.word
         capacity = max(rows, math.ceil(LOG_MIN_S * rate_hz)) + LOG_MARGIN
         self._rows = np.full((capacity, 7), 0.0)  # written here, so that the loop causes no page fault on first access
@@ -172,28 +175,3 @@ class WrenchLog:
                     np.savez(file, read=read, force=wrench[:, :3], torque=wrench[:, 3:])
         except OSError as error:
             raise RecordingError(f"{path}: the forces cannot be saved: {error.strerror or error}") from error
-
-
-class LoggedDevice(BlockDevice):
-    """Device that logs the written wrenches."""
-
-    _log: WrenchLog
-
-    def stop(self) -> None:
-        self._log.stop()
-
-    def close(self) -> None:
-        self._log.close()
-
-    def read_log(self) -> LoggedWrenches:
-        """Return the logged wrenches, oldest first; while the servo runs, up to the last complete one."""
-        return self._log.read_log()
-
-
-def _forces_path(name: str) -> Path:
-    path = Path(name)
-    if path.suffix.lower() not in FORCE_ENDINGS:
-        raise RecordingError(f"forces = '{name}': must end in {' or '.join(FORCE_ENDINGS)}")
-    if not path.parent.is_dir():
-        raise RecordingError(f"forces = '{name}': there is no folder {path.parent}: create it first")
-    return path

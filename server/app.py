@@ -178,9 +178,6 @@ class Daemon:
         self._event("lifecycle", "replaced", device=base.names(self.devices), first=first)
         return first
 
-    def _replace_scene(self, scene: schema.Scene, name: str) -> int:
-        return self.replace(scene, scene_name=name)
-
     def _publish_scene_info(self, scene_name: str) -> None:
         self._scene_name = scene_name
         self.publisher.set_state_info(StateInfo(scene_name, NS_PER_S / self.servo.period_ns, self.servo.epoch_s))
@@ -206,28 +203,27 @@ class Daemon:
             defects of the program are raised unchanged.
         """
         try:
-            return self._wait(timeout_s)
+            until = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
+            while (end := self.servo.join(max(0.0, min(WAIT_POLL_S, until - time.monotonic())))) is None:
+                if self._failure is not None and time.monotonic() - self._failed_at > STUCK_S:
+                    raise self._failure
+                if time.monotonic() >= until:
+                    return False
+            if self._failure is not None:
+                raise self._failure
+            if end.error is not None:
+                raise end.error
+            failed = shutdown.device_failure(self.devices[end.finger], end, self._fingers[end.finger])
+            failed = failed or shutdown.loop_failure(end, self.servo.ticks, self.servo.missed, self.servo.woken_late)
+            if failed is not None:
+                raise failed
+            return True
         except Exception as error:
             self.states.fail(str(error))
-            self._publish_failure(error)
+            if str(error) not in self._published_faults:
+                name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()  # such as device_lost
+                self._event("fault", name, message=str(error))
             raise
-
-    def _wait(self, timeout_s: float | None) -> bool:
-        until = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
-        while (end := self.servo.join(max(0.0, min(WAIT_POLL_S, until - time.monotonic())))) is None:
-            if self._failure is not None and time.monotonic() - self._failed_at > STUCK_S:
-                raise self._failure
-            if time.monotonic() >= until:
-                return False
-        if self._failure is not None:
-            raise self._failure
-        if end.error is not None:
-            raise end.error
-        error = shutdown.device_failure(self.devices[end.finger], end, self._fingers[end.finger])
-        failed = error or shutdown.loop_failure(end, self.servo.ticks, self.servo.missed, self.servo.woken_late)
-        if failed is not None:
-            raise failed
-        return True
 
     def close(self, first: BaseException | None = None) -> None:
         """Stop all services and the servo, release the devices, send pending messages; may be called repeatedly.
@@ -265,13 +261,8 @@ class Daemon:
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
         """Send an event with the present tick and time to the publisher, the recordings and the black box."""
         event = event_map(self.servo.last_tick_and_time(), kind, name, fields)
-        for receive in (self.publisher.send_event, self.recordings.record_event, self.blackbox.record_event):
+        for receive in (self.publisher.send_event, self.recordings.record_event, self.blackbox.box.event):
             receive(event)
-
-    def _publish_failure(self, error: Exception) -> None:
-        """Publish the error of the run, named by its class, unless a fault with this message was published."""
-        if str(error) not in self._published_faults:
-            self._event("fault", fault_name(error), message=str(error))
 
     def _publish_state(self, before: DaemonState, now: DaemonState, cause: str) -> None:
         self._send("state", now.value, {"before": before.value, "cause": cause})
@@ -319,8 +310,9 @@ class Daemon:
         optional_services: list[CommandService | MetricsService] = []
         if self.commands_endpoint is not None:
             interface = DaemonInterface(
-                self._replace_scene, self.publisher.ring, self.publisher.endpoint, self.publisher.serve,
-                self.publisher.reply, self._event, self.stop, self.fail, self.recordings, self.publisher.set_preparing,
+                lambda scene, name: self.replace(scene, scene_name=name),
+                self.publisher.ring, self.publisher.endpoint, self.publisher.serve, self.publisher.reply,
+                self._event, self.stop, self.fail, self.recordings, self.publisher.set_preparing,
             )  # fmt: skip
             optional_services.append(CommandService(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
@@ -362,8 +354,3 @@ class Daemon:
         if self._report is not None:
             self._report(settings.settings)
         return settings.undo
-
-
-def fault_name(error: Exception) -> str:
-    """Return the event name of an error: its class name in snake case, such as `device_lost`."""
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()

@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NoReturn, Self
+from typing import Any, Final, Self
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.wire import DEFAULT_ENDPOINT
@@ -36,7 +36,13 @@ class Parser(argparse.ArgumentParser):
         self._add_options()
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            self._refuse(unknown)
+            from softfinger.config.words import near  # importing it takes longer than parsing a command line
+
+            flags = [flag for action in self._actions for flag in action.option_strings]
+            suggestions = [
+                word + (near(word.partition("=")[0], flags) if word.startswith("--") else "") for word in unknown
+            ]
+            self.error(f"unrecognized arguments: {' '.join(suggestions)}")
         return namespace, unknown
 
     def complete(self) -> Self:
@@ -56,13 +62,6 @@ class Parser(argparse.ArgumentParser):
     def _parse_optional(self, arg_string: str) -> Any:
         """Accept the columns `-,t,x` as a value: no option has a comma."""
         return None if arg_string.startswith("-,") else super()._parse_optional(arg_string)
-
-    def _refuse(self, words: Sequence[str]) -> NoReturn:
-        from softfinger.config.words import near  # importing it takes longer than parsing a command line
-
-        flags = [flag for action in self._actions for flag in action.option_strings]
-        suggestions = [word + (near(word.partition("=")[0], flags) if word.startswith("--") else "") for word in words]
-        self.error(f"unrecognized arguments: {' '.join(suggestions)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:
@@ -165,15 +164,11 @@ def parse_parameter(word: str) -> tuple[str, Any]:
         from softfinger.config.words import format_value
 
         raise ConfigError(f"{format_value(word)} is not a parameter: write key=value")
-    return key, _parse_value(text)
-
-
-def _parse_value(text: str) -> Any:
     import json
     import tomllib
 
     with suppress(ValueError, RecursionError):
-        return json.loads(text)
+        return key, json.loads(text)
     with suppress(ValueError, RecursionError):
-        return tomllib.loads(f"value = {text}")["value"]
-    return text
+        return key, tomllib.loads(f"value = {text}")["value"]
+    return key, text

@@ -12,15 +12,18 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.server.standard_error import write_line
 
 if TYPE_CHECKING:  # importing rich takes 50 ms, and only terminals need it
     from rich.progress import Progress, Task
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 log: Final = logging.getLogger(__name__)
 
@@ -41,10 +44,7 @@ _quiet: Final = threading.Event()
 
 
 def set_enabled(enabled: bool) -> None:
-    if enabled:
-        _quiet.clear()
-    else:
-        _quiet.set()
+    (_quiet.clear if enabled else _quiet.set)()
 
 
 def on_terminal() -> bool:
@@ -80,6 +80,16 @@ def progress(
             yield operation.set_count
         finally:
             operations.remove(operation)
+
+
+def map_with_progress(label: str, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """Return `function(item)` of each item; report the progress of `label` after each."""
+    results: list[Result] = []
+    with progress(label, len(items)) as update:
+        for item in items:
+            results.append(function(item))
+            update(len(results))
+    return results
 
 
 class _Operation:

@@ -12,9 +12,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.schema import shapes
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.uint32]
 
 CIRCLE_CORNERS: Final = 40

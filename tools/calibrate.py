@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceLost
 from softfinger.config.load import load_rig
@@ -28,6 +27,7 @@ from softfinger.drivers.falcon.device import Falcon
 from softfinger.drivers.registry import open_device
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools import measure
+from softfinger.tools.measure import Array
 
 GRAVITY: Final = 9.80665
 MASS_KG: Final = (0.02, 0.4)
@@ -46,8 +46,6 @@ STEADY_N: Final = 0.05
 """Largest change of the holding force between two windows that counts as steady."""
 HUNG: Final = 0.1
 """Fraction of the weight, at the gain in use, by which the holding force changes when the weight is hung."""
-
-Array = NDArray[np.float64]
 
 
 class HoldController:

@@ -42,8 +42,7 @@ from softfinger.server.loop.clock import (
 from softfinger.server.loop.guard import INITIAL_GUARD_STATE, Guard, GuardState, guard_wrench
 from softfinger.server.loop.health import STALL_POLL_S, Watchdog
 from softfinger.server.progress import progress
-
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 # Columns of a row; times in s.
 START: Final = 0  # since the start of the part
@@ -343,7 +342,9 @@ class Exchange:
                     part = self._parts.get_nowait()
                 except queue.Empty:
                     part = waiting
-                ending, status, count = exchange_loop(*self._arguments(part))
+                ending, status, count = exchange_loop(
+                    *self._devices, part.span, part.push, self._guard, self._words, self._scratch, part.rows
+                )
                 if ending in (shutdown.READ_FAILED, shutdown.WRITE_FAILED) or status == END:
                     self.ended = shutdown.LoopEnd(ending, status)
                 part.rows = part.rows[:count]
@@ -359,9 +360,6 @@ class Exchange:
         if self.ended is None and failed is not None:
             self.ended = shutdown.LoopEnd(shutdown.CRASHED, 0, failed)
         self._stop_event.set()
-
-    def _arguments(self, part: _RecordedPart) -> tuple[Any, ...]:
-        return (*self._devices, part.span, part.push, self._guard, self._words, self._scratch, part.rows)
 
     def _raise_crash(self) -> None:
         if self.ended is not None and self.ended.error is not None:

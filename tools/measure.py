@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from softfinger.server.offline.figures import figure, save
 
 Array = NDArray[np.float64]
 
@@ -28,6 +31,19 @@ def quantiles(values: Array, block: int) -> dict[str, Any]:
 
 def show(result: Mapping[str, Any], as_json: bool, lines: Sequence[str]) -> None:
     print(json.dumps(result, indent=2) if as_json else "\n".join(lines))
+
+
+def draw_exceedance(path: Path, seconds: Mapping[str, Array], least_us: float, time: str, of: str, title: str) -> None:
+    """Draw the share of values above each duration: a line for each name, in us, those below `least_us` at its left."""
+    drawing = figure()
+    axes = drawing.add_subplot()
+    for name, values in seconds.items():
+        us = np.sort(values).clip(1e-6 * least_us) * 1e6
+        axes.loglog(us, 1.0 - np.arange(len(us)) / len(us), label=name)
+    axes.set(xlabel=f"{time}, us", ylabel=f"share of {of}", title=title)
+    axes.legend()
+    axes.grid(True, alpha=0.3)
+    save(drawing, path)
 
 
 def microseconds(seconds: float) -> str:

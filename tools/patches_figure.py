@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 from softfinger.config.load import build
@@ -20,8 +19,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.accuracy.report import WIDTH, table
-
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 RADIUS_M: Final = 0.01
 """Fingertip of the paper."""

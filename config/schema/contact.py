@@ -10,8 +10,8 @@ import msgspec
 from softfinger.config import limits
 from softfinger.config.fields import (
     Complaint,
-    Component,
-    Length,
+    Lengths,
+    Orientation,
     Resolved,
     Table,
     TopicPart,
@@ -52,14 +52,11 @@ class Form(Table, frozen=True, kw_only=True):
         Annotated[float, within(limits.LENGTH_M, "radius of a sphere; required without pad or radii_m", 0.01)] | None
     ) = None
     radii_m: (
-        Annotated[
-            tuple[Length, Length, Length], doc("semi-axes of an ellipsoid, in place of radius_m", [0.008, 0.007, 0.012])
-        ]
-        | None
+        Annotated[Lengths, doc("semi-axes of an ellipsoid, in place of radius_m", [0.008, 0.007, 0.012])] | None
     ) = None
     orientation_wxyz: (
         Annotated[
-            tuple[Component, Component, Component, Component],
+            Orientation,
             doc(
                 "axes of the ellipsoid in the fingertip frame: quaternion w, x, y, z, normalised on load; default: "
                 "no rotation",
@@ -77,12 +74,11 @@ class Form(Table, frozen=True, kw_only=True):
             return
         low, high = limits.LENGTH_M.low, limits.LENGTH_M.high
         if self.radius_m is None and self.radii_m is None:
-            yield (
-                "radius_m",
-                msgspec.UNSET,
+            fault = (
                 f"is missing: give a number from {low:g} to {high:g} m, such as radius_m = 0.01, or the radii_m of an "
-                "ellipsoid",
+                "ellipsoid"
             )
+            yield "radius_m", msgspec.UNSET, fault
         elif self.radii_m is None:
             if self.orientation_wxyz is not None:
                 fault = "turns an ellipsoid, and this is a sphere: leave it out"

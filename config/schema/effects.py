@@ -11,10 +11,10 @@ from msgspec import Meta
 from softfinger.config import limits
 from softfinger.config.fields import (
     Complaint,
-    Component,
-    Coordinate,
-    Length,
+    Lengths,
+    Point,
     Table,
+    Vector,
     direction_faults,
     doc,
     is_usable,
@@ -23,12 +23,10 @@ from softfinger.config.fields import (
 )
 
 Force = Annotated[float, Meta(ge=-limits.EFFECT_FORCE_N.high, le=limits.EFFECT_FORCE_N.high)]
-Middle = Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("centre in the world", [0.0, 0.0, 0.0])]
-Edges = Annotated[tuple[Length, Length, Length], doc("edge lengths of a box along the world axes", [0.2, 0.2, 0.2])]
+Middle = Annotated[Point, doc("centre in the world", [0.0, 0.0, 0.0])]
+Edges = Annotated[Lengths, doc("edge lengths of a box along the world axes", [0.2, 0.2, 0.2])]
 BallRadius = Annotated[float, within(limits.LENGTH_M, "radius of a ball, in place of size_m", 0.1)]
-Direction = Annotated[
-    tuple[Component, Component, Component], doc("direction in the world; normalised", [0.0, 0.0, 1.0])
-]
+Direction = Annotated[Vector, doc("direction in the world; normalised", [0.0, 0.0, 1.0])]
 EffectDamping = Annotated[float, within(limits.DAMPING_NS_PER_M, "force per speed, against the velocity", 2.0)]
 EffectStiffness = Annotated[float, within(limits.STIFFNESS_N_PER_M, "stiffness", 200.0)]
 ForceVector = Annotated[tuple[Force, Force, Force], doc("force on the hand in the world", [0.0, 0.0, -1.0])]
@@ -78,7 +76,7 @@ class ConstantForce(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag
 class Spring(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="spring"):
     """Spring to a fixed point."""
 
-    position_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("anchor in the world", [0.0, 0.0, 0.05])]
+    position_m: Annotated[Point, doc("anchor in the world", [0.0, 0.0, 0.05])]
     stiffness_n_per_m: EffectStiffness
     rest_length_m: Annotated[float, within(limits.EDGE_M, "free length; a shorter spring pushes", 0.0)] = 0.0
     force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "largest force", 3.0)]
@@ -133,10 +131,7 @@ class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", t
     amplitude_n: Amplitude
     frequency_hz: Frequency
     direction: (
-        Annotated[
-            tuple[Component, Component, Component],
-            doc("direction in the world, normalised; default: the contact normal", [1.0, 0.0, 0.0]),
-        ]
+        Annotated[Vector, doc("direction in the world, normalised; default: the contact normal", [1.0, 0.0, 0.0])]
         | None
     ) = None
 

@@ -8,19 +8,7 @@ from typing import Annotated
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import (
-    Complaint,
-    Component,
-    Coordinate,
-    Table,
-    direction_faults,
-    doc,
-    is_usable,
-    sized,
-    within,
-)
-
-Point = tuple[Coordinate, Coordinate, Coordinate]
+from softfinger.config.fields import Complaint, Point, Table, Vector, direction_faults, doc, is_usable, sized, within
 
 
 class Below(Table, frozen=True, kw_only=True, tag_field="region", tag="below"):
@@ -44,9 +32,7 @@ class HalfSpace(Table, frozen=True, kw_only=True, tag_field="region", tag="half_
     """Part of the object behind a plane."""
 
     point_m: Annotated[Point, doc("point of the plane, in the object frame", [0.0, 0.0, 0.0])]
-    normal: Annotated[
-        tuple[Component, Component, Component], doc("normal of the plane, away from the region", [1.0, 0.0, 0.0])
-    ]
+    normal: Annotated[Vector, doc("normal of the plane, away from the region", [1.0, 0.0, 0.0])]
 
     def faults(self) -> Iterator[Complaint]:
         yield from direction_faults("normal", self.normal)

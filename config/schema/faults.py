@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Final, Literal
 from msgspec import UNSET
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, table_tag, within
+from softfinger.config.fields import Complaint, Point, Table, doc, is_usable, sized, table_tag, within
 
 Number = Literal["x", "y", "z", "qw", "qx", "qy", "qz"]
 Side = Literal["read", "write"]
@@ -73,7 +73,7 @@ class Infinite(FaultBase, frozen=True, kw_only=True, tag="infinite"):
 class Teleport(FaultBase, frozen=True, kw_only=True, tag="teleport"):
     """The position jumps by an offset."""
 
-    offset_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("added to the position", [0.0, 0.0, -0.05])]
+    offset_m: Annotated[Point, doc("added to the position", [0.0, 0.0, -0.05])]
 
 
 class Slow(FaultBase, frozen=True, kw_only=True, tag="slow"):

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Resolved, Table, doc, is_usable, sized, within
+from softfinger.config.fields import Complaint, Resolved, Table, Vector, doc, is_usable, sized, within
 from softfinger.config.materials import MATERIALS, Library
 
 TorsionModel = Literal["independent", "limit_surface", "soft_finger_proxy"]
@@ -71,7 +71,7 @@ class Friction(Table, frozen=True, kw_only=True):
     ) = None
     direction_x: (
         Annotated[
-            tuple[Component, Component, Component],
+            Vector,
             doc(
                 "first principal direction of anisotropic friction, in the object frame, projected onto the surface; "
                 "default: isotropic",
@@ -103,12 +103,11 @@ class Friction(Table, frozen=True, kw_only=True):
             static, kinetic = self.static_scale or (1.0, 1.0), self.kinetic_scale or (1.0, 1.0)
             for direction, before, after in zip(("along", "across"), static, kinetic, strict=True):
                 if self.kinetic * after > self.static * before:
-                    yield (
-                        "kinetic_scale",
-                        kinetic,
+                    fault = (
                         f"makes kinetic friction {self.kinetic * after:g} {direction}, above the static "
-                        f"{self.static * before:g}: lower it, or raise static_scale",
+                        f"{self.static * before:g}: lower it, or raise static_scale"
                     )
+                    yield "kinetic_scale", kinetic, fault
 
 
 class Torsion(Table, frozen=True, kw_only=True):
@@ -230,8 +229,7 @@ class Material(Table, frozen=True, kw_only=True):
         if not is_usable(self.friction, self.torsion) or self.torsion is None:
             return
         if self.torsion.model == "limit_surface" and self.friction is None:
-            yield (
-                "torsion.model",
-                self.torsion.model,
-                "needs friction to share its limit with: give the material `friction`, or take the model independent",
+            fault = (
+                "needs friction to share its limit with: give the material `friction`, or take the model independent"
             )
+            yield "torsion.model", self.torsion.model, fault

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from typing import Annotated, ClassVar
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Component, Coordinate, Table, direction_faults, doc, sized, within
+from softfinger.config.fields import Complaint, Point, Table, Vector, direction_faults, doc, sized, within
 
-Axis = Annotated[
-    tuple[Component, Component, Component], doc("rotation axis in the object frame, normalised", [0.0, 0.0, 1.0])
-]
+Axis = Annotated[Vector, doc("rotation axis in the object frame, normalised", [0.0, 0.0, 1.0])]
 
 
 class Sinusoid(Table, frozen=True, kw_only=True, tag_field="kind", tag="sinusoid"):
@@ -18,7 +16,7 @@ class Sinusoid(Table, frozen=True, kw_only=True, tag_field="kind", tag="sinusoid
 
     kind: ClassVar[str] = "sinusoid"
     translation_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate],
+        Point,
         doc("amplitude of the translation, in the object frame", [0.0, 0.0, 0.01]),
     ] = (0.0, 0.0, 0.0)
     rotation_rad: Annotated[float, within(limits.ANGLE_RAD, "amplitude of the rotation about axis", 0.2)] = 0.0
@@ -36,9 +34,7 @@ class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntab
     kind: ClassVar[str] = "turntable"
     rate_rad_per_s: Annotated[float, within(limits.TURN_RATE_RAD_PER_S, "angular velocity, right-handed", 1.0)]
     axis: Axis = (0.0, 0.0, 1.0)
-    pivot_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], doc("a point on the axis, in the object frame", [0.0, 0.0, 0.0])
-    ] = (0.0, 0.0, 0.0)
+    pivot_m: Annotated[Point, doc("a point on the axis, in the object frame", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
         yield from direction_faults("axis", self.axis)

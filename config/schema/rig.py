@@ -10,7 +10,7 @@ import msgspec
 from softfinger.config import limits
 from softfinger.config.fields import (
     Complaint,
-    Component,
+    Orientation,
     Table,
     TopicPart,
     doc,
@@ -32,7 +32,7 @@ class Tool(Table, frozen=True, kw_only=True):
         tuple[Arm, Arm, Arm], doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component],
+        Orientation,
         doc("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
@@ -221,11 +221,10 @@ class Rig(Table, frozen=True, kw_only=True):
             fault = "is missing: add the table [device], or a table [devices.NAME] for each of several fingers"
             yield "device", msgspec.UNSET, fault
         if self.device is not None and self.devices:
-            yield (
-                "device",
-                msgspec.UNSET,
-                "cannot be combined with [devices]: it is for a single finger; remove it, or the tables [devices.NAME]",
+            fault = (
+                "cannot be combined with [devices]: it is for a single finger; remove it, or the tables [devices.NAME]"
             )
+            yield "device", msgspec.UNSET, fault
 
     def _endpoint_faults(self) -> Iterator[Complaint]:
         if not is_usable(self.telemetry, self.commands) or not is_usable(
@@ -236,11 +235,10 @@ class Rig(Table, frozen=True, kw_only=True):
             return
         commands = self.commands_endpoint
         if commands is not None and endpoint_complaint(commands) is not None and self.commands.endpoint is None:
-            yield (
-                "commands.endpoint",
-                msgspec.UNSET,
-                f"{commands}, which follows from the telemetry's, is none: give one, of at most {IPC_PATH_MAX} bytes",
+            fault = (
+                f"{commands}, which follows from the telemetry's, is none: give one, of at most {IPC_PATH_MAX} bytes"
             )
+            yield "commands.endpoint", msgspec.UNSET, fault
         elif commands == self.telemetry.endpoint and not commands.endswith((":*", ":0")):
             yield "commands.endpoint", commands, "is the telemetry's: give another"
         elif is_usable(self.security):
@@ -253,11 +251,10 @@ class Rig(Table, frozen=True, kw_only=True):
             ("commands.endpoint", commands, "commanders", "command"),
         ):
             if endpoint is not None and is_public(endpoint) and getattr(self.security, folder, None) is None:
-                yield (
-                    key,
-                    endpoint,
+                fault = (
                     f"is open to the network, and it has no keys of clients that may {use}: add [security] with key "
-                    f"and {folder} (create one with softfinger keys), or take tcp://127.0.0.1:PORT or ipc://PATH",
+                    f"and {folder} (create one with softfinger keys), or take tcp://127.0.0.1:PORT or ipc://PATH"
                 )
+                yield key, endpoint, fault
                 if self.commands.endpoint is None:  # it is derived, and its fault would be a repetition
                     return

@@ -98,18 +98,14 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger):
         return
     if scene.fingertip is None and not scene.finger:
-        yield (
-            "fingertip",
-            msgspec.UNSET,
-            "is missing: add the table [fingertip], or a table [[finger]] for each of several fingers",
-        )
+        fault = "is missing: add the table [fingertip], or a table [[finger]] for each of several fingers"
+        yield "fingertip", msgspec.UNSET, fault
     if scene.fingertip is not None and scene.finger:
-        yield (
-            "fingertip",
-            msgspec.UNSET,
+        fault = (
             "cannot be combined with [[finger]]: it is the short form for one finger; remove it, or the tables "
-            "[[finger]]",
+            "[[finger]]"
         )
+        yield "fingertip", msgspec.UNSET, fault
     for key in ("name", "device"):
         first: dict[str, int] = {}
         for index, item in enumerate(scene.finger):
@@ -120,12 +116,11 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
                 if key == "device" and name == earlier_name and name != item.name:
                     yield (f"finger[{index}].device", name, f"moves finger[{earlier}] already: name another")
                 elif key == "name" and (name.startswith(earlier_name) or earlier_name.startswith(name)):
-                    yield (
-                        f"finger[{index}].name",
-                        name,
+                    fault = (
                         f"overlaps with the name of finger[{earlier}], {earlier_name!r}: a subscriber to the "
-                        "telemetry of the shorter name would get both; choose another",
+                        "telemetry of the shorter name would get both; choose another"
                     )
+                    yield f"finger[{index}].name", name, fault
             first.setdefault(name, index)
 
 
@@ -140,11 +135,8 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
         if scene.world is None:
             yield f"object[{scene_index}].motion", "body", "needs a table [world], with the model that the body is of"
         elif is_usable(item.effect) and item.effect:
-            yield (
-                f"object[{scene_index}].effect",
-                item.effect[0].kind,
-                "would push the hand and not the body: remove it, or the motion of the object",
-            )
+            fault = "would push the hand and not the body: remove it, or the motion of the object"
+            yield f"object[{scene_index}].effect", item.effect[0].kind, fault
 
 
 def _patch_faults(scene: Scene) -> Iterator[Complaint]:
@@ -156,11 +148,8 @@ def _patch_faults(scene: Scene) -> Iterator[Complaint]:
         return
     for index, item in enumerate(scene.finger):
         if is_usable(item) and is_usable(item.patch) and item.patch is None:
-            yield (
-                f"finger[{index}].patch",
-                msgspec.UNSET,
-                "is missing, and another finger has one: give it to all of them, or to none",
-            )
+            fault = "is missing, and another finger has one: give it to all of them, or to none"
+            yield f"finger[{index}].patch", msgspec.UNSET, fault
 
 
 def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
@@ -175,12 +164,11 @@ def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
             continue
         k_t = coupling.stiffness_n_per_m
         if is_usable(k_t) and k_tau > k_t:
-            yield (
-                "rolling.torque_stiffness_n_per_m",
-                k_tau,
+            fault = (
                 f"must be at most {path}.stiffness_n_per_m = {k_t:g} N/m, or a roll gives back more than was put in; "
-                "leave it out to have the coupling's",
+                "leave it out to have the coupling's"
             )
+            yield "rolling.torque_stiffness_n_per_m", k_tau, fault
 
 
 def _method_faults(scene: Scene) -> Iterator[Complaint]:
@@ -188,12 +176,11 @@ def _method_faults(scene: Scene) -> Iterator[Complaint]:
         return
     for scene_index, item in enumerate(scene.object):
         if is_usable(item) and is_usable(item.shape) and not item.unrolls:
-            yield (
-                "rolling.method",
-                "rotation_vector",
+            fault = (
                 f"has no closed form on object[{scene_index}], which is of shape {item.shape}: choose montana_rk4, "
-                "or midpoint for half the cost",
+                "or midpoint for half the cost"
             )
+            yield "rolling.method", "rotation_vector", fault
 
 
 def _form_faults(scene: Scene) -> Iterator[Complaint]:
@@ -210,30 +197,23 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
     if is_usable(scene.rolling) and scene.rolling is not None and is_usable(scene.rolling.method):
         method = scene.rolling.method
         if method not in ("midpoint", "montana_rk4", "montana_rk45"):
-            yield (
-                "rolling.method",
-                method,
-                f"rolls a sphere, and {key} are an ellipsoid's: choose midpoint, or montana_rk4 for long ticks",
-            )
+            fault = f"rolls a sphere, and {key} are an ellipsoid's: choose midpoint, or montana_rk4 for long ticks"
+            yield "rolling.method", method, fault
     if not is_usable(scene.object):
         return
     for scene_index, item in enumerate(scene.object):
         if not is_usable(item) or not is_usable(item.shape):
             continue
         if all(is_usable(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
-            yield (
-                f"object[{scene_index}].shape",
-                item.shape,
+            fault = (
                 f"as it is cannot be touched by an ellipsoid, and {key} are those of one: planes can, spheres and "
-                "cylinders without ends from outside, and boxes from inside; take one of these, or radius_m",
+                "cylinders without ends from outside, and boxes from inside; take one of these, or radius_m"
             )
+            yield f"object[{scene_index}].shape", item.shape, fault
         texture = getattr(item, "texture", None)
         if is_usable(texture) and texture is not None:
-            yield (
-                f"object[{scene_index}].texture",
-                msgspec.UNSET,
-                f"is felt under a sphere, and {key} are an ellipsoid's: leave it out, or take radius_m",
-            )
+            fault = f"is felt under a sphere, and {key} are an ellipsoid's: leave it out, or take radius_m"
+            yield f"object[{scene_index}].texture", msgspec.UNSET, fault
 
 
 def _tips(scene: Scene) -> list[Fingertip | Finger]:
@@ -277,12 +257,11 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
             yield f"{path}.torsion.model", torsion.model, _not_in_the_paper("independent limits")
         coupled.setdefault(torsion.model == "limit_surface", f"object[{scene_index}]")
         if len(coupled) > 1:
-            yield (
-                f"{path}.torsion.model",
-                torsion.model,
+            fault = (
                 f"{coupled[torsion.model != 'limit_surface']} has another: either all objects with torsion have the "
-                "model limit_surface, or none has",
+                "model limit_surface, or none has"
             )
+            yield f"{path}.torsion.model", torsion.model, fault
             return
 
 
@@ -328,12 +307,11 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
     if scene.rolling is None or not is_usable(scene.rolling, *materials):
         return
     if scene.object and all(item.material.friction is None for item in scene.object):
-        yield (
-            "rolling",
-            msgspec.UNSET,
+        fault = (
             "needs friction to roll on, and no object has any: give one "
-            "`friction = { static = 0.6, kinetic = 0.5 }` in its material, or leave [rolling] out",
+            "`friction = { static = 0.6, kinetic = 0.5 }` in its material, or leave [rolling] out"
         )
+        yield "rolling", msgspec.UNSET, fault
 
 
 def _elastic_faults(scene: Scene) -> Iterator[Complaint]:

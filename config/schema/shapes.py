@@ -12,9 +12,9 @@ from msgspec import Struct
 from softfinger.config import limits
 from softfinger.config.fields import (
     Complaint,
-    Component,
-    Coordinate,
-    Length,
+    Lengths,
+    Orientation,
+    Point,
     Table,
     doc,
     is_usable,
@@ -58,12 +58,9 @@ class ObjectBase(Table, frozen=True, kw_only=True):
     """Tables of shapes from other packages, in the order of the calls of `add_shape`."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "name, unique in the scene", "table")]
-    position_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], doc("origin of the object frame in the world", [0.0, 0.0, 0.0])
-    ] = (0.0, 0.0, 0.0)
+    position_m: Annotated[Point, doc("origin of the object frame in the world", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        tuple[Component, Component, Component, Component],
-        doc("object to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
+        Orientation, doc("object to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0])
     ] = (1.0, 0.0, 0.0, 0.0)
     material: Material
     effect: Annotated[tuple[ObjectEffect, ...], sized(limits.EFFECTS, "further forces on the hand")] = ()
@@ -145,12 +142,11 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
         around, wide = 2.0 * math.pi * self.radius_m, self.texture.size_m[0]
         if abs(around / wide - max(round(around / wide), 1)) > CLOSES:
             nearest = around / max(round(around / wide), 1)
-            yield (
-                "texture.size_m",
-                self.texture.size_m,
+            fault = (
                 f"goes {around / wide:g} times round the cylinder, must be an integer of times to meet itself: "
-                f"make it {nearest:.6g} m wide",
+                f"make it {nearest:.6g} m wide"
             )
+            yield "texture.size_m", self.texture.size_m, fault
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         if not is_usable(self.inside) or not self.inside:
@@ -178,7 +174,7 @@ class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
     """Box along the axes, centred on the origin."""
 
     unrolls: ClassVar[bool] = True
-    size_m: Annotated[tuple[Length, Length, Length], doc("edge lengths along x, y, z", [0.1, 0.1, 0.04])]
+    size_m: Annotated[Lengths, doc("edge lengths along x, y, z", [0.1, 0.1, 0.04])]
     inside: Inside = False
 
     @property
@@ -193,7 +189,7 @@ class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
 class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="ellipsoid"):
     """Ellipsoid along the axes, centred on the origin."""
 
-    semi_axes_m: Annotated[tuple[Length, Length, Length], doc("semi-axes along x, y, z", [0.06, 0.04, 0.03])]
+    semi_axes_m: Annotated[Lengths, doc("semi-axes along x, y, z", [0.06, 0.04, 0.03])]
     inside: Inside = False
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
@@ -277,11 +273,9 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
         endings = self.endings if self.elastic is None else (*self.endings, *self.volumes)
         if self.mesh is None and not self.file.lower().endswith(endings):
             yield "file", self.file, f"must end in {', '.join(endings)}: export the mesh as one of these"
-        if self.elastic is not None:
-            yield from self._elastic_faults()
-
-    def _elastic_faults(self) -> Iterator[Complaint]:
-        """Check that an elastic object has no key that a deformable surface cannot support."""
+        if self.elastic is None:
+            return
+        # keys that a deformable surface cannot support
         for key, table in (("motion", self.motion), ("effect", self.effect or None)):
             if is_usable(table) and table is not None:
                 yield key, msgspec.UNSET, "cannot be combined with [object.elastic]: remove one of them"

@@ -11,17 +11,16 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, DeviceInfo, DeviceIO
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
 from softfinger.drivers.system.discovery import SystemDevice
+from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
-TORQUE_MAX_NM: Final = 1e2
-"""No motor turns the knob, but torque is accepted: contact and telemetry use it."""
 FORCE_MAX_N: Final = 8.0
 STIFFNESS_MAX_N_PER_M: Final = 3000.0
 DAMPING_MAX_NS_PER_M: Final = 20.0
@@ -59,12 +58,14 @@ class Transfer(ctypes.Structure):
 class Falcon(BlockDevice):
     """Open device, owner of a line to a device with running firmware. No force until `arm`."""
 
+    _functions = exchange.read, exchange.write
+
     def __init__(self, options: Options, chip: usb.SerialChip) -> None:
         self._options, self._chip = options, chip
         self._block = Block(AT)
         self._word = self._block.word
         self.info = DeviceInfo(
-            name=f"Novint Falcon {usb.VENDOR:04x}:{usb.PRODUCT:04x}",
+            name=f"Novint Falcon {usb.IDS}",
             sensed_dof=3,
             actuated_dof=3,
             force_max_n=FORCE_MAX_N,
@@ -93,12 +94,12 @@ class Falcon(BlockDevice):
         self._libusb = libusb = self._chip.libusb()
         call = libusb.library
         # pyusb has declared these already with its types: calls by address need none
-        self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_address(call, "libusb_free_transfer"))
-        allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(_address(call, "libusb_alloc_transfer"))
+        self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(address(call, "libusb_free_transfer"))
+        allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(address(call, "libusb_alloc_transfer"))
         word[AT.context] = libusb.context
-        word[AT.submit] = _address(call, "libusb_submit_transfer")
-        word[AT.handle_events] = _address(call, "libusb_handle_events_timeout_completed")
-        word[AT.cancel] = _address(call, "libusb_cancel_transfer")
+        word[AT.submit] = address(call, "libusb_submit_transfer")
+        word[AT.handle_events] = address(call, "libusb_handle_events_timeout_completed")
+        word[AT.cancel] = address(call, "libusb_cancel_transfer")
         word[AT.kick] = round(options.kick_s * 1e9)
         word[AT.timeout_after] = round(options.timeout_s * 1e9)
         word[AT.opened_at] = time.monotonic_ns()
@@ -114,11 +115,11 @@ class Falcon(BlockDevice):
             (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, IN_BYTES),
             (AT.transfer_out, usb.ENDPOINT_OUT, AT.out_done, AT.buffer_out, packets.SIZE),
         ):
-            address = allocate(0)
-            if not address:
+            transfer_at = allocate(0)
+            if not transfer_at:
                 raise DeviceError("libusb cannot allocate a transfer: close other programs")
-            word[field] = address
-            transfer = Transfer.from_address(address)
+            word[field] = transfer_at
+            transfer = Transfer.from_address(transfer_at)
             transfer.dev_handle, transfer.endpoint, transfer.type = libusb.handle, endpoint, _TRANSFER_BULK
             transfer.callback, transfer.user_data = exchange.on_complete.address, at + 8 * flag
             transfer.buffer, transfer.length = at + 8 * buffer, length
@@ -154,9 +155,6 @@ class Falcon(BlockDevice):
                 )
             write(self._block.handle, zero.ctypes.data_as(pointer))
             time.sleep(PAUSE_S)
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         # The device has no timeout: the light and the force of the last packet persist, here a zero.
@@ -218,10 +216,6 @@ class Falcon(BlockDevice):
 
 _active_blocks: Final[dict[int, Any]] = {}
 """Blocks that libusb may write to, by address: they outlive a device that is deleted without `close`."""
-
-
-def _address(library: ctypes.CDLL, name: str) -> int:
-    return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
 
 
 def identify(device: SystemDevice, options: Options) -> dict[str, bool]:

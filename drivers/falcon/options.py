@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated, Final
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
+from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
 
 GAIN: Final = Range(100.0, 1e6, "4095 counts, the maximum, are then 41 N m and 4 mN m at a leg")
 SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; after a longer silence the force is outdated")
@@ -31,8 +31,7 @@ class Options(Table, frozen=True, kw_only=True):
         True
     )
     centre_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate],
-        doc("the world's origin, in the device's frame: right, up, out to the user", [0.0, 0.0, 0.11]),
+        Point, doc("the world's origin, in the device's frame: right, up, out to the user", [0.0, 0.0, 0.11])
     ] = (0.0, 0.0, 0.11)
     homing_s: Annotated[float, within(HOMING_S, "wait so long for the user to home it", 60.0)] = 60.0
     kick_s: Annotated[float, within(SILENCE_S, "no force after so long without a reply, and zeros instead", 0.02)] = (

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import usb.core
@@ -16,10 +15,12 @@ import usb.util
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DevicePermission
 from softfinger.drivers.system import libusb
+from softfinger.drivers.system.discovery import usb_node
 from softfinger.drivers.system.rules import how_to_permit
 
 VENDOR: Final = 0x0403
 PRODUCT: Final = 0xCB48
+IDS: Final = f"{VENDOR:04x}:{PRODUCT:04x}"
 INTERFACE: Final = 0
 ENDPOINT_OUT: Final = 0x02
 ENDPOINT_IN: Final = 0x81
@@ -28,7 +29,6 @@ STATUS_BYTES: Final = 2
 """Modem status before every packet from the chip."""
 TIMEOUT_MS: Final = 1000
 
-NODES: Final = Path("/dev/bus/usb")
 
 # Requests of the chip, and their values.
 _TO_CHIP: Final = 0x40  # vendor request, host to device
@@ -129,11 +129,11 @@ def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
     except usb.core.USBError as error:
         raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb is there") from error
     if node is not None:
-        devices = [device for device in devices if _node(device) == node]
+        devices = [device for device in devices if usb_node(device.bus, device.address) == node]
     if not devices:
-        raise DeviceNotFound(f"no Falcon ({_ids()}) is attached: plug in its USB cable and its power")
+        raise DeviceNotFound(f"no Falcon ({IDS}) is attached: plug in its USB cable and its power")
     device = _choose(devices, serial)
-    name = f"Falcon ({_ids()}) at {_node(device)}"
+    name = f"Falcon ({IDS}) at {usb_node(device.bus, device.address)}"
     try:
         with contextlib.suppress(NotImplementedError):  # libusb on a system without drivers to detach
             if device.is_kernel_driver_active(INTERFACE):
@@ -145,23 +145,15 @@ def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
     return SerialChip(device)
 
 
-def _ids() -> str:
-    return f"{VENDOR:04x}:{PRODUCT:04x}"
-
-
-def _node(device: Any) -> str:
-    return f"{NODES}/{device.bus:03d}/{device.address:03d}"
-
-
 def _choose(devices: list[Any], serial: str | None) -> Any:
     if serial is None and len(devices) == 1:
         return devices[0]
     serials = {}
     for device in devices:
         try:
-            serials[device.serial_number or f"none, at {_node(device)}"] = device
+            serials[device.serial_number or f"none, at {usb_node(device.bus, device.address)}"] = device
         except (usb.core.USBError, ValueError):  # ValueError: pyusb has no permission to open the device
-            serials[f"? at {_node(device)}"] = device
+            serials[f"? at {usb_node(device.bus, device.address)}"] = device
         usb.util.dispose_resources(device)  # reading the serial number opened it
     serial_list = ", ".join(f"'{serial}'" for serial in sorted(serials))
     if serial is None:

@@ -75,11 +75,8 @@ def layout_faults(
         for byte in range(field.offset, min(end, bytes_)):
             first_index = field_of_byte.setdefault(byte, index)
             if first_index != index:
-                yield (
-                    f"field[{index}].offset",
-                    field.offset,
-                    f"byte {byte} belongs to field[{first_index}] already: move one",
-                )
+                fault = f"byte {byte} belongs to field[{first_index}] already: move one"
+                yield f"field[{index}].offset", field.offset, fault
                 break
 
 

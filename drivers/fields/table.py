@@ -13,11 +13,10 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.drivers.fields.options import COMMANDED, SENSED, TYPES, InputField, OutputField
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import float32_at, float64_at, int64_at, uint8_at
-
-Array = NDArray[np.float64]
 
 ROW: Final = 9
 """Columns of a row.

@@ -19,7 +19,7 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
-from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
@@ -28,9 +28,6 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
-
-TORQUE_MAX_NM: Final = 1e2
-"""If no motor turns the handle, torque is accepted but not sent: contact and telemetry use it."""
 
 ZERO: Final = (0.0,) * 7
 ZERO_TRIES: Final = 20
@@ -59,8 +56,15 @@ LIBRARY_FUNCTIONS: Final = {
 class ForceDimension(BlockDevice):
     """Open device with its force off until `arm`. `stop` is final: to resume, open the device again."""
 
+    _functions = exchange.read, exchange.write
+
     def __init__(self, options: Options, rate_hz: float) -> None:
-        _check_watchdog(options.watchdog_s, rate_hz)
+        if options.watchdog_s != 0.0 and options.watchdog_s < 2.0 / rate_hz:
+            least = math.ceil(2e3 / rate_hz * 1e3) / 1e6
+            raise DeviceError(
+                f"watchdog_s = {options.watchdog_s:g} is shorter than two ticks at {rate_hz:g} Hz: "
+                f"give at least {least:g}, or 0 for none"
+            )
         self._library = selection.load(options.library_file)
         self._options = options
         self._block = Block(AT)
@@ -73,9 +77,6 @@ class ForceDimension(BlockDevice):
         except BaseException:
             self.close()
             raise
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         block = self._block.handle
@@ -305,13 +306,3 @@ def open_device(options: Options, rate_hz: float) -> ForceDimension:
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError, each with the remedy.
     """
     return ForceDimension(options, rate_hz)
-
-
-def _check_watchdog(watchdog_s: float, rate_hz: float) -> None:
-    if watchdog_s == 0.0 or watchdog_s >= 2.0 / rate_hz:
-        return
-    least = math.ceil(2e3 / rate_hz * 1e3) / 1e6
-    raise DeviceError(
-        f"watchdog_s = {watchdog_s:g} is shorter than two ticks at {rate_hz:g} Hz: "
-        f"give at least {least:g}, or 0 for none"
-    )

@@ -11,9 +11,8 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout
-from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.board_exchange import TORQUE_MAX_NM
 from softfinger.drivers.haply import exchange, opening
 from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, FrameConversion
 from softfinger.drivers.haply.exchange_thread import ExchangeThread
@@ -33,6 +32,8 @@ POLL_S: Final = 2e-4
 class HaplyDevice(BlockDevice):
     """Open device, owner of the connection in `connection`."""
 
+    _functions = exchange.read, exchange.write
+
     def __init__(self, options: Options, connection: opening.Connection) -> None:
         self._options = options
         self._block = Block(AT)
@@ -50,9 +51,6 @@ class HaplyDevice(BlockDevice):
         self.info = _info(options, f"haply {connection.device}{grip}", sensed_dof=3 if connection.grip is None else 6)
         self._thread = ExchangeThread(connection, self._block)
         self._thread.start()
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         """Wait for a current state, and allow forces."""

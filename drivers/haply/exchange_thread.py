@@ -16,7 +16,7 @@ import select
 import threading
 import time
 from collections import deque
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -43,13 +43,6 @@ CLOSE_WAIT_S: Final = 1.0
 _ZERO: Final = (0.0, 0.0, 0.0)
 
 
-class PendingMessage(NamedTuple):
-    """Message without an answer yet: number of its wrench, and number of stops requested before it."""
-
-    number: int
-    stops: int
-
-
 class ExchangeThread:
     """Exchange thread, owner of the link in `connection`; AT lays out `block`."""
 
@@ -62,7 +55,8 @@ class ExchangeThread:
         self._sequence = self._stops = 0
         self._sent_at = self._number = 0
         self._has_force = False
-        self._pending: deque[PendingMessage] = deque()
+        self._pending: deque[tuple[int, int]] = deque()
+        """Messages without an answer yet: number of the wrench, and number of stops requested before it."""
         self._is_closing = threading.Event()
         self._warning = ""
         self._message_bytes_max, self._has_unread = 0, False
@@ -146,7 +140,7 @@ class ExchangeThread:
             if self._pending or self._has_unread or not is_due:
                 return
         self._number, self._stops, self._sent_at = number, stops, now
-        self._pending.append(PendingMessage(number, stops))
+        self._pending.append((number, stops))
         message = command(self._connection.device, self._connection.key, force)
         self._message_bytes_max = max(self._message_bytes_max, len(message))
         link.send(message)
@@ -178,8 +172,7 @@ class ExchangeThread:
             if self._word[AT.unasked] > SURPLUS_MAX:
                 raise Malformed(f"the service sent {SURPLUS_MAX} unexpected states")
             return
-        answered_message = self._pending.popleft()
-        self._word[AT.answered], self._word[AT.stops_answered] = answered_message.number, answered_message.stops
+        self._word[AT.answered], self._word[AT.stops_answered] = self._pending.popleft()
 
     def _publish(self, reading: PoseReading) -> None:
         self._pose[:] = (*reading.position, *reading.orientation, reading.buttons, time.monotonic_ns())

@@ -71,11 +71,8 @@ class Options(Table, frozen=True, kw_only=True):
         if is_usable(self.port) and self.port == OLD_FORMAT_PORT:
             yield "port", self.port, "is that of the old format 3.0, which this driver does not speak: 10001"
         if is_usable(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
-            yield (
-                "timeout_s",
-                self.timeout_s,
-                f"must be at least quiet_s = {self.quiet_s:g}, so that a zero is sent first",
-            )
+            fault = f"must be at least quiet_s = {self.quiet_s:g}, so that a zero is sent first"
+            yield "timeout_s", self.timeout_s, fault
 
 
 def rows(options: Options) -> list[tuple[str, str]]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, DeviceIO, LastWord
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, LastWord
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
 from softfinger.drivers.fields import table
@@ -22,7 +22,7 @@ from softfinger.drivers.hid.options import Options, OutputReport
 from softfinger.drivers.hid.report_threads import ReportThreads
 from softfinger.drivers.kinematics.mechanism import SINGULAR_POSE, kind_of, make_mechanism
 from softfinger.drivers.kinematics.options import Chain
-from softfinger.drivers.kinematics.subspace import subspace_rows
+from softfinger.drivers.kinematics.subspace import rows as rows
 from softfinger.proxy.kernels.jit.pack import flatten
 
 log: Final = logging.getLogger(__name__)
@@ -36,6 +36,8 @@ PRESET_NEAR: Final = 20.0
 
 class HidDevice(BlockDevice):
     """Open device, owner of the file descriptor `fd` (of its node or of `threads`) and of `threads`."""
+
+    _functions = exchange.read, exchange.write
 
     def __init__(self, options: Options, fd: int, threads: ReportThreads | None = None, node: str = "") -> None:
         self._options, self.threads, self._node = options, threads, node
@@ -82,9 +84,6 @@ class HidDevice(BlockDevice):
     def _set_model(self, block: Block) -> None:
         model = FrameConversion(self._mechanism, *self._options.mounting.frame())
         block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         """Wake the board and wait for a current report: minutes may have passed since the device was opened."""
@@ -203,10 +202,6 @@ def _encode_report(report: OutputReport, commanded: dict[int, float]) -> bytes:
         values[place] = value
     table.encode_once(values, table.output_table(report.field), np.zeros(1, np.int64), out)
     return out.tobytes()
-
-
-def rows(options: Options) -> list[tuple[str, str]]:
-    return subspace_rows(options.kinematics, options.mounting)
 
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:

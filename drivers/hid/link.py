@@ -46,10 +46,11 @@ def open_link(options: Options) -> ReportLink:
     if not path.startswith("/"):
         opened = usb.open_usb(path, options)
         return link_by_threads(opened.device, options, opened.lock_fd)
-    fd = _open_node(path, options)
-    if options.through != "thread":
-        return ReportLink(fd, None, path)
+    fd = open_path(path, options.vendor_id, options.product_id)
     try:
+        check_reports(_descriptor(fd, path), path, options.reports)
+        if options.through != "thread":
+            return ReportLink(fd, None, path)
         return link_by_threads(_open_hidapi(path), options, fd)._replace(node=path)
     except BaseException:
         os.close(fd)
@@ -119,21 +120,6 @@ def _choose(options: Options, serials: dict[str, str]) -> str:
     raise DeviceNotFound(
         f"no HID device {usb_ids} has the serial number '{options.serial}': attached are {serial_list}"
     )
-
-
-def _open_node(path: str, options: Options) -> int:
-    """Open the device's node, non-blocking and locked, and return its file descriptor.
-
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
-    than the rig.
-    """
-    fd = open_path(path, options.vendor_id, options.product_id)
-    try:
-        check_reports(_descriptor(fd, path), path, options.reports)
-    except BaseException:
-        os.close(fd)
-        raise
-    return fd
 
 
 def _open_hidapi(path: str) -> HidApi:

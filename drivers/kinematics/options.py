@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Final
 from msgspec import Meta
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
+from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
 from softfinger.drivers.fields.options import InputField, OutputField, find_missing_meanings, meanings
 
 RATIO_M: Final = Range(1e-4, 1.0, "from the thinnest capstan to a wheel of 1 m")
@@ -51,9 +51,7 @@ class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
     capstan_m: Annotated[Lengths, doc("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
     body_m: Annotated[Lengths, doc("diameters of the bodies that they drive", [0.16, 0.12, 0.12])]
     link_m: Annotated[tuple[Link, Link, Link], doc("lengths of bodies a, b, c", [0.08, 0.205, 0.245])]
-    origin_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], doc("workspace centre, from the foot of the arm", [0.22, 0.0, 0.08])
-    ]
+    origin_m: Annotated[Point, doc("workspace centre, from the foot of the arm", [0.22, 0.0, 0.08])]
     counts_per_turn: Annotated[float, within(COUNTS, "counts per turn of a motor", 2000.0)]
     torque_constant_nm_per_a: Annotated[
         tuple[TorqueConstant, TorqueConstant, TorqueConstant], doc("motors a, b, c", [0.321, 0.0603, 0.0603])
@@ -95,9 +93,7 @@ class Pantograph(Table, frozen=True, kw_only=True, tag_field="kind", tag="pantog
     base_m: Annotated[float, within(APART_M, "between the motors' axes", 0.038)]
     inner_m: Annotated[float, within(LINK_M, "links at the motors", 0.07)]
     outer_m: Annotated[float, within(LINK_M, "links at the end", 0.09)]
-    origin_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], doc("workspace centre, from the axis of motor a", [0.019, 0.1, 0.0])
-    ] = (0.0, 0.0, 0.0)
+    origin_m: Annotated[Point, doc("workspace centre, from the axis of motor a", [0.019, 0.1, 0.0])] = (0.0, 0.0, 0.0)
     torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of a joint; all are scaled down together", 0.12)]
 
 
@@ -117,9 +113,7 @@ class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
         120.0,
         240.0,
     )
-    origin_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], doc("workspace centre, from the base's centre", [0.0, 0.0, 0.2])
-    ] = (0.0, 0.0, 0.0)
+    origin_m: Annotated[Point, doc("workspace centre, from the base's centre", [0.0, 0.0, 0.2])] = (0.0, 0.0, 0.0)
     torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of a joint; all are scaled down together", 0.2)]
 
     def faults(self) -> Iterator[Complaint]:

@@ -6,14 +6,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers.kinematics.options import Kinematics, Paddle, Pantograph
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.kernels.numerics.rotations import rotate
-
-Array = NDArray[np.float64]
 
 
 class MotionSubspace(NamedTuple):
@@ -70,9 +68,9 @@ def read_subspace(table: DeviceConfig) -> MotionSubspace | None:
         return None
 
 
-def subspace_rows(kinematics: Kinematics | None, mounting: Mounting) -> list[tuple[str, str]]:
-    """Return rows for `softfinger check`: one for fewer than three degrees of freedom, else none."""
-    subspace = make_subspace(kinematics, mounting)
+def rows(options: Any) -> list[tuple[str, str]]:
+    """Return rows for `softfinger check` from a board's options: one for fewer than three degrees of freedom."""
+    subspace = make_subspace(options.kinematics, options.mounting)
     return [] if subspace is None else [("  moves", subspace.describe())]
 
 

@@ -13,10 +13,11 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from itertools import chain
 from typing import Final, NoReturn
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
-from softfinger.drivers.base import DeviceInfo, DeviceIO
+from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.block import AT
@@ -28,9 +29,6 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
-
-TORQUE_MAX_NM: Final = 1e2
-"""If no motor turns the handle, torque is accepted but not sent: contact and telemetry use it."""
 
 FIRST_FRAMES_S: Final = 2.0
 """Maximum wait of opening for the library's thread."""
@@ -67,6 +65,8 @@ class OpenHaptics(BlockDevice):
     calibrates  False: open a device that is not calibrated too, to identify it
     """
 
+    _functions = exchange.read, exchange.write
+
     def __init__(self, options: Options, calibrates: bool = True) -> None:
         self._library = library.load(options.library_file)
         self._options = options
@@ -89,9 +89,6 @@ class OpenHaptics(BlockDevice):
         except BaseException:
             self._release()
             raise
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         word = self._word
@@ -178,7 +175,10 @@ class OpenHaptics(BlockDevice):
         has_torque = self._integer(library.OUTPUT_DOF) == FULL_DOF and limits.torque_max_nm > 0.0
         self._word[AT.has_torque] = has_torque
         nominal_force = self._doubles(library.NOMINAL_MAX_FORCE, 1)[0]
-        (x0, y0, z0), (x1, y1, z1) = self._workspace_mm()
+        corners = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, FULL_DOF)  # in the library's frame
+        if not all(-1e4 < a < b < 1e4 for a, b in zip(corners[:3], corners[3:], strict=True)):
+            corners = [*chain(*WORKSPACE_MM)]
+        x0, y0, z0, x1, y1, z1 = corners
         library.errors(self._library)
         return DeviceInfo(
             name=f"{self.model or 'device of 3D Systems'}, serial {self.serial or 'not known'}",
@@ -193,14 +193,6 @@ class OpenHaptics(BlockDevice):
             workspace_min_m=(x0 * 1e-3, -z1 * 1e-3, y0 * 1e-3),
             workspace_max_m=(x1 * 1e-3, -z0 * 1e-3, y1 * 1e-3),
         )
-
-    def _workspace_mm(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the device's workspace corners in the library's frame; the corners of a Touch if they are unusable."""
-        messages = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, FULL_DOF)
-        low, high = tuple(messages[:3]), tuple(messages[3:])
-        if all(-1e4 < a < b < 1e4 for a, b in zip(low, high, strict=True)):
-            return low, high
-        return WORKSPACE_MM
 
     def _calibrate(self, is_needed: bool) -> bool:
         """Calibrate the device in its best style: automatic, by the inkwell, or at the present position."""

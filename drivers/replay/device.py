@@ -11,16 +11,17 @@ from typing import Annotated, Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import is_same_file
 from softfinger.config.schema import doc
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, DeviceInfo, DeviceIO
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.poses import load_poses
-from softfinger.drivers.resample import Array, close_loop, resample
+from softfinger.drivers.resample import close_loop, resample
 from softfinger.drivers.system.libc import IO_SIGNATURE
-from softfinger.drivers.wrench_log import LOG, LoggedDevice, WrenchLog
+from softfinger.drivers.wrench_log import LOG, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
@@ -39,7 +40,6 @@ AT: Final = lay_out(Fields, after=LOG)
 
 # A recording displays no force, so its limits are wide: the rig's guard limits.
 FORCE_MAX_N: Final = 1e3
-TORQUE_MAX_NM: Final = 1e2
 STIFFNESS_MAX_N_PER_M: Final = 1e6
 DAMPING_MAX_NS_PER_M: Final = 1e3
 
@@ -83,14 +83,16 @@ class Replay(LoggedDevice):
     After `stop` the device remains disarmed, and the last logged wrench is zero.
     """
 
+    _functions = _read, wrench_log.write
+
     def __init__(self, options: Options, rate_hz: float) -> None:
         if options.forces is not None and is_same_file(options.recording, options.forces):
             raise ConfigError(f"forces = {options.forces!r}: is the replayed recording: choose another output file")
         samples = resample(load_poses(options.recording, options.finger), rate_hz)
         self.samples: Array = np.ascontiguousarray(close_loop(samples, rate_hz) if options.loop else samples)
         """Poses (M, 7) that reads return in order."""
-        self._block = block = Block(LOG, AT)
-        self._log = WrenchLog(block, len(self.samples), rate_hz, options.forces)
+        block = Block(LOG, AT)
+        super().__init__(block, len(self.samples), rate_hz, options.forces)
         block.set_address(AT.samples, self.samples)
         block.word[AT.length], block.word[AT.loop] = len(self.samples), options.loop
         block.numbers(AT.period, 1)[:] = 1.0 / rate_hz
@@ -108,18 +110,10 @@ class Replay(LoggedDevice):
             own_clock=True,
         )
 
-    def io(self) -> DeviceIO:
-        return DeviceIO(_read.address, wrench_log.write.address, self._block.handle)
-
     @property
     def reads(self) -> int:
         """Number of reads."""
         return int(self._block.word[LOG.reads])
-
-    @property
-    def overwritten_count(self) -> int:
-        """Number of wrenches overwritten because a loop ran longer than the log."""
-        return self._log.overwritten_count
 
     def forces(self) -> Array:
         """Return the logged wrenches (k, 6), oldest first: force N, torque N m in the world frame."""

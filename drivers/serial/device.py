@@ -12,12 +12,12 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, DeviceIO, LastWord
+from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
 from softfinger.drivers.fields import table
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE, kind_of, make_mechanism
-from softfinger.drivers.kinematics.subspace import subspace_rows
+from softfinger.drivers.kinematics.subspace import rows as rows
 from softfinger.drivers.serial import exchange, frames, packets
 from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, FrameConversion
 from softfinger.drivers.serial.line import check as check
@@ -44,6 +44,8 @@ class SerialDevice(BlockDevice):
 
     Raises DeviceTimeout if it does not wake up, DeviceError if it sends no valid frame, DeviceLost if it disconnects.
     """
+
+    _functions = exchange.read, exchange.write
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
         self._options, self._path = options, path
@@ -101,11 +103,11 @@ class SerialDevice(BlockDevice):
         has_orientation = has_orientation or getattr(kinematics, "wrist_counts_per_turn", None) is not None
         word[AT.kind], word[AT.has_orientation] = kind_of(kinematics, has_orientation), has_orientation
         word[AT.by_length] = spec.mode == "answer" and not spec.input.is_searchable()
-        for rows, shape, fields, frame, table_of in (
+        for row_count, shape, fields, frame, table_of in (
             (AT.in_rows, AT.in_shape, AT.in_table, spec.input, table.input_table(spec.input.field, big_endian)),
             (AT.out_rows, AT.out_shape, AT.out_table, spec.output, table.output_table(spec.output.field, big_endian)),
         ):
-            word[rows] = len(table_of)
+            word[row_count] = len(table_of)
             block.set_address(shape, packets.make_shape(frame, big_endian))
             block.set_address(fields, table_of)
         block.set_address(AT.stream, np.zeros(2 * spec.input.bytes + CHUNK, np.uint8))
@@ -132,14 +134,14 @@ class SerialDevice(BlockDevice):
                     f"{self.info.name} sends no frame within {self._options.wake_s:g} s: check its power and its "
                     f"firmware, or give it more time with wake_s{self._unanswered_hint()}"
                 )
+            spec = self._options.frames
+            expected = "eight numbers in 64 bytes"
+            if spec is not None:
+                expected = f"{spec.input.bytes} bytes as the rig describes them"
             raise DeviceError(
-                f"{self.info.name} sends no frame of {self._expected_frame()} ({self.reason()}): is it this device, "
+                f"{self.info.name} sends no frame of {expected} ({self.reason()}): is it this device, "
                 "and does it run this firmware?"
             )
-
-    def _expected_frame(self) -> str:
-        spec = self._options.frames
-        return "eight numbers in 64 bytes" if spec is None else f"{spec.input.bytes} bytes as the rig describes them"
 
     def _unanswered_hint(self) -> str:
         spec = self._options.frames
@@ -156,9 +158,6 @@ class SerialDevice(BlockDevice):
             with contextlib.suppress(OSError):
                 self._block.word[AT.queued_bytes] += os.write(int(self._block.word[BOARD.fd]), data)
                 self._block.word[AT.writes] += 1
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
 
     def arm(self) -> None:
         """Wake the board again and wait for a current frame: minutes may have passed since the port was opened."""
@@ -232,10 +231,6 @@ def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:
     table.encode_once(kinematics, table.output_table(frame.field, big_endian), np.zeros(1, np.int64), out)
     packets.complete_frame_once(out[1:], packets.make_shape(frame, big_endian))
     return out[1:].tobytes()
-
-
-def rows(options: Options) -> list[tuple[str, str]]:
-    return subspace_rows(options.kinematics, options.mounting)
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:

@@ -150,11 +150,8 @@ class Frames(Table, frozen=True, kw_only=True):
         if is_usable(self.mode, self.input) and self.mode == "stream":
             marks = (self.input.start, self.input.end, self.input.check)
             if is_usable(*marks) and not self.input.is_searchable():
-                yield (
-                    "input",
-                    msgspec.UNSET,
-                    "a stream needs a check, or both start and end: its frames cannot be found",
-                )
+                fault = "a stream needs a check, or both start and end: its frames cannot be found"
+                yield "input", msgspec.UNSET, fault
         if (
             is_usable(self.setup)
             and self.setup is not None

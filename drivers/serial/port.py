@@ -67,15 +67,6 @@ def close_port(fd: int) -> None:
     os.close(fd)
 
 
-def _set_low_latency(fd: int) -> None:
-    """Make a chip such as FTDI's deliver bytes after 1 ms instead of 16; ports without such a timer reject it."""
-    with contextlib.suppress(OSError):
-        settings = bytearray(fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
-        (flags,) = struct.unpack_from("i", settings, FLAGS_AT)
-        struct.pack_into("i", settings, FLAGS_AT, flags | ASYNC_LOW_LATENCY)
-        fcntl.ioctl(fd, TIOCSSERIAL, bytes(settings))
-
-
 def count_unsent(fd: int) -> int:
     """Return the number of written bytes not sent yet; 1 if all of them are in the chip.
 
@@ -164,4 +155,9 @@ def _set_raw(fd: int, baud: int) -> None:
     settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
     termios.tcsetattr(fd, termios.TCSANOW, settings)
     termios.tcflush(fd, termios.TCIOFLUSH)
-    _set_low_latency(fd)
+    # A chip such as FTDI's then delivers bytes after 1 ms instead of 16; ports without such a timer reject it.
+    with contextlib.suppress(OSError):
+        timer = bytearray(fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
+        (flags,) = struct.unpack_from("i", timer, FLAGS_AT)
+        struct.pack_into("i", timer, FLAGS_AT, flags | ASYNC_LOW_LATENCY)
+        fcntl.ioctl(fd, TIOCSSERIAL, bytes(timer))

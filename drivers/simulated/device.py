@@ -15,7 +15,7 @@ from numba import carray
 
 from softfinger.config.devices import presets
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, DeviceInfo, DeviceIO
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.simulated import hand as led_hand
 from softfinger.drivers.simulated.options import Options, make_simulation
@@ -34,15 +34,12 @@ from softfinger.drivers.simulated.plant import (
 from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.drivers.spacemouse.device import Puck, button_mask, fingertip_pose, read_setup, update_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
-from softfinger.drivers.wrench_log import LOG, ROW_BYTES, LoggedDevice, WrenchLog
+from softfinger.drivers.wrench_log import LOG, ROW_BYTES, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack, unpack_at
 from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Vec3
-
-# No motor turns the handle, but torque is accepted: contact and telemetry use it.
-TORQUE_MAX_NM: Final = 1e2
 
 _PLANT_LIKE: Final = make_plant(1.0, Handle((1.0, 1.0, 1.0)))
 _STATE_LIKE: Final = make_rest_state((0.0, 0.0, 0.0))
@@ -153,8 +150,8 @@ class SimulatedDevice(LoggedDevice):
         preset = presets()[options.preset]
         self.simulation = make_simulation(options, rate_hz)
         plant, state, intention, poses = self.simulation
-        self._block = block = Block(LOG, AT)
-        self._log = WrenchLog(block, int(intention.length), rate_hz, options.forces)
+        block = Block(LOG, AT)
+        super().__init__(block, int(intention.length), rate_hz, options.forces)
         block.numbers(AT.plant, _PLANT_SIZE)[:] = flatten(plant)
         stored_state = block.numbers(AT.state, _STATE_SIZE)
         stored_state[:] = flatten(state)
@@ -171,6 +168,7 @@ class SimulatedDevice(LoggedDevice):
             turning = options.puck if preset.sensed_dof == 6 else replace(options.puck, gain_rad_per_s=0.0)
             self._puck = Puck(turning, fd, self._puck_block)
             block.word[AT.puck] = self._puck_block.handle
+        self._functions = _read if self._puck is None else _read_led_by_puck, wrench_log.write
         reach = preset.workspace_radius_m
         self.info = DeviceInfo(
             name=f"simulated {preset.name}",
@@ -185,13 +183,9 @@ class SimulatedDevice(LoggedDevice):
             own_clock=True,
         )
 
-    def io(self) -> DeviceIO:
-        read = _read if self._puck is None else _read_led_by_puck
-        return DeviceIO(read.address, wrench_log.write.address, self._block.handle)
-
     def close(self) -> None:
         try:
-            self._log.close()
+            super().close()
         finally:
             if self._puck is not None:
                 self._puck.close()

@@ -13,10 +13,11 @@ import numpy as np
 from msgspec import Meta
 
 from softfinger.config import limits
+from softfinger.config.arrays import Array
 from softfinger.config.devices import Preset, presets
-from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
+from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
 from softfinger.drivers.poses import load_poses
-from softfinger.drivers.resample import Array, close_loop, resample
+from softfinger.drivers.resample import close_loop, resample
 from softfinger.drivers.simulated.plant import (
     Handle,
     Impedance,
@@ -64,14 +65,8 @@ class Options(Table, frozen=True, kw_only=True):
     hand: Hand = Hand()
     recording: Annotated[str, doc("poses the hand intends: file or shipped recording", RECORDING)] | None = None
     loop: Annotated[bool, doc("start again at the end, over a smooth return; false: stop after one pass")] = True
-    position_m: (
-        Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("fixed position of the hand instead")] | None
-    ) = None
-    sway_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("amplitude of a sinusoid about it")] = (
-        0.0,
-        0.0,
-        0.0,
-    )
+    position_m: Annotated[Point, doc("fixed position of the hand instead")] | None = None
+    sway_m: Annotated[Point, doc("amplitude of a sinusoid about it")] = (0.0, 0.0, 0.0)
     sway_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "cycles per second of the sinusoid")] = 0.0
     sway_phase_rad: Annotated[float, within(limits.ANGLE_RAD, "where in its cycle it starts")] = 0.0
     puck: Annotated[PuckOptions, doc("a SpaceMouse moves the intended position instead")] | None = None

@@ -23,14 +23,12 @@ from math import exp, expm1, floor, inf, pi, sin, sqrt
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.drivers.simulated.axis import Axis, Inputs, move
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-
-Array = NDArray[np.float64]
 
 DELAY_MAX: Final = 16
 """Maximum transport delay, ticks."""

@@ -22,11 +22,11 @@ from softfinger.drivers.base import (
     SAMPLE_GRIPPER,
     SAMPLE_TIME,
     STALE,
+    TORQUE_MAX_NM,
     DeviceInfo,
-    DeviceIO,
 )
 from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
-from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M, TORQUE_MAX_NM
+from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M
 from softfinger.drivers.spacemouse.puck import (
     BUTTONS,
     REPORT_MAX,
@@ -41,7 +41,7 @@ from softfinger.drivers.system.claims import PUCKS
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.hidraw import open_path
 from softfinger.drivers.system.libc import EAGAIN, IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, read_now
-from softfinger.drivers.wrench_log import LOG, LoggedDevice, WrenchLog
+from softfinger.drivers.wrench_log import LOG, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
@@ -213,9 +213,10 @@ class Puck:
 class SpaceMouse(LoggedDevice):
     """Fingertip of the puck as a device. Written wrenches are only logged."""
 
+    _functions = read, wrench_log.write
+
     def __init__(self, options: Options, fd: int, rate_hz: float, name: str = "puck") -> None:
-        self._block = Block(LOG, AT)
-        self._log = WrenchLog(self._block, 0, rate_hz, None)
+        super().__init__(Block(LOG, AT), 0, rate_hz, None)
         self._puck = Puck(options, fd, self._block)
         x0, y0, z0 = (float(a) for a in options.workspace_min_m)
         x1, y1, z1 = (float(a) for a in options.workspace_max_m)
@@ -231,9 +232,6 @@ class SpaceMouse(LoggedDevice):
             workspace_min_m=(x0, y0, z0),
             workspace_max_m=(x1, y1, z1),
         )
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(read.address, wrench_log.write.address, self._block.handle)
 
     def close(self) -> None:
         """Close the node. May be called repeatedly, but not while the loop reads."""

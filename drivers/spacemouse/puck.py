@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Coordinate, Table, doc, is_usable, within
+from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
 from softfinger.drivers.base import OK, PROTOCOL, STALE
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
@@ -41,17 +41,9 @@ class Options(Table, frozen=True, kw_only=True):
     invert: Annotated[
         tuple[bool, bool, bool, bool, bool, bool], doc("axes to turn round: x, y, z, about x, about y, about z")
     ] = (False, False, False, False, False, False)
-    start_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], doc("initial position of the fingertip", [0.0, 0.0, 0.03])
-    ] = (0.0, 0.0, 0.03)
-    workspace_min_m: Annotated[
-        tuple[Coordinate, Coordinate, Coordinate], doc("lower corner of its box", [-0.1, -0.1, -0.1])
-    ] = (-0.1, -0.1, -0.1)
-    workspace_max_m: Annotated[tuple[Coordinate, Coordinate, Coordinate], doc("upper corner", [0.1, 0.1, 0.1])] = (
-        0.1,
-        0.1,
-        0.1,
-    )
+    start_m: Annotated[Point, doc("initial position of the fingertip", [0.0, 0.0, 0.03])] = (0.0, 0.0, 0.03)
+    workspace_min_m: Annotated[Point, doc("lower corner of its box", [-0.1, -0.1, -0.1])] = (-0.1, -0.1, -0.1)
+    workspace_max_m: Annotated[Point, doc("upper corner", [0.1, 0.1, 0.1])] = (0.1, 0.1, 0.1)
     hold_s: Annotated[float, within(HOLD_S, "after so long without a report the puck counts as let go", 2.0)] = 2.0
     led: Annotated[bool, doc("light the puck while it is in use", True)] = True
 

@@ -124,7 +124,10 @@ def usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every USB device except hubs, from sysfs, or through pyusb if there is no sysfs."""
     folder = root / USB
     if not os.path.isdir(folder):
-        yield from _usb_devices_of_pyusb()
+        for device in find_usb():
+            if device.bDeviceClass != 0x09:
+                node = usb_node(device.bus or 0, device.address or 0)
+                yield SystemDevice("usb", device.idVendor, device.idProduct, "USB device", "", node)
         return
     for name in sorted(_list_names(folder)):
         if _is_device(name) and (device := _usb_device(folder / name)) is not None:
@@ -230,7 +233,7 @@ def _usb_device(path: Path) -> SystemDevice | None:
     if vendor is None or product is None or _read_text(path / "bDeviceClass") == "09":  # a hub
         return None
     bus, number = (_parse_int(_read_text(path / key), 10) for key in ("busnum", "devnum"))
-    node = "" if bus is None or number is None else _usb_node(bus, number)
+    node = "" if bus is None or number is None else usb_node(bus, number)
     return SystemDevice(
         "usb", vendor, product, _read_text(path / "product") or "USB device", _read_text(path / "serial"), node
     )
@@ -246,7 +249,7 @@ def _serial_port(path: Path) -> SystemDevice | None:
     return None
 
 
-def _usb_node(bus: int, number: int) -> str:
+def usb_node(bus: int, number: int) -> str:
     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
 
 
@@ -258,19 +261,6 @@ def find_usb(**ids: int) -> list[Any]:
         return libusb.find(**ids)
     except (usb.core.USBError, DeviceError):
         return []
-
-
-def _usb_devices_of_pyusb() -> Iterator[SystemDevice]:
-    for device in find_usb():
-        if device.bDeviceClass != 0x09:
-            yield SystemDevice(
-                "usb",
-                device.idVendor,
-                device.idProduct,
-                "USB device",
-                "",
-                _usb_node(device.bus or 0, device.address or 0),
-            )
 
 
 def _pids_with_lock(inode: int) -> Iterator[int]:

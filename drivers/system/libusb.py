@@ -5,6 +5,7 @@ Every search for USB devices through pyusb uses this module, so that a process l
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -19,10 +20,14 @@ def backend() -> Any | None:
     """Return the backend of pyusb; None if no libusb can be loaded."""
     import usb.backend.libusb1
 
-    for find in (_system_soname, _package_finder()):
-        if find is not None and (library := usb.backend.libusb1.get_backend(find_library=find)) is not None:
-            return library
-    return None
+    # By name: pyusb's default search runs ldconfig, a compiler and a linker if it finds no library.
+    finders: list[Callable[[str], str | None]] = [lambda _: SONAME]
+    with contextlib.suppress(ImportError):  # a distribution with a system libusb may omit the package
+        import libusb_package
+
+        finders.append(libusb_package.find_library)
+    libraries = (usb.backend.libusb1.get_backend(find_library=find) for find in finders)
+    return next((library for library in libraries if library is not None), None)
 
 
 def origin() -> str:
@@ -41,16 +46,3 @@ def find(**ids: int) -> list[Any]:
     if usb_backend is None:
         raise DeviceError(f"{MISSING}: `{REMEDY}`")
     return list(usb.core.find(find_all=True, backend=usb_backend, **ids))
-
-
-def _system_soname(_: str) -> str:
-    """Return the soname: pyusb's default search runs ldconfig, a compiler and a linker if it finds no library."""
-    return SONAME
-
-
-def _package_finder() -> Callable[[str], str | None] | None:
-    try:
-        import libusb_package
-    except ImportError:  # a distribution with a system libusb may omit the package
-        return None
-    return libusb_package.find_library

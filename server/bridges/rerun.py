@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Body, Object, Scene
 from softfinger.proxy.records import Records
@@ -22,8 +22,6 @@ from softfinger.server.recording.contents import read_recording
 from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
 from softfinger.server.recording.writer import apply_drive, event_time_ns, parse_scene, times_ns
 from softfinger.server.wire.protocol import WORLD
-
-Array = NDArray[np.float64]
 
 PLOTTED: Final = (
     "force", "torque", "contact.mode", "contact.penetration", "contact.spin", "contact.torsion", "servo.late",

@@ -27,7 +27,12 @@ def run(args: argparse.Namespace) -> int:
     if args.viewer == "foxglove":
         if args.recording or args.save or args.connect:
             raise ConfigError("Foxglove opens a recording (.mcap) itself; --save and --connect are for Rerun")
-        return to_foxglove(args)
+        server = foxglove.Server(args.port)
+        try:
+            log.info("in Foxglove open the connection %s, or %s", server.url, server.app)
+            return follow(args, lambda fingers, scene: foxglove.FoxgloveSink(server, fingers, scene))
+        finally:
+            server.close()
     stream = rerun.stream(args.save and Path(args.save), args.connect)
     try:
         if args.recording:
@@ -36,16 +41,6 @@ def run(args: argparse.Namespace) -> int:
         return follow(args, lambda fingers, scene: rerun.RerunSink(stream, fingers, scene))
     finally:
         stream.flush()
-
-
-def to_foxglove(args: argparse.Namespace) -> int:
-    """Serve until the end of the daemon, or a signal."""
-    server = foxglove.Server(args.port)
-    try:
-        log.info("in Foxglove open the connection %s, or %s", server.url, server.app)
-        return follow(args, lambda fingers, scene: foxglove.FoxgloveSink(server, fingers, scene))
-    finally:
-        server.close()
 
 
 def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], live.TickReceiver]) -> int:

@@ -73,7 +73,8 @@ class Participant:
             prompt = self._prompt(task.question, choices=CHOICES)
             answer = self._ask(prompt, f"{task.question} 1: the first, 2: the second")
             if trial.practice:
-                self._show_feedback(is_right_answer(trial, answer.value))
+                text = "That was right." if is_right_answer(trial, answer.value) else "That was wrong."
+                self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
             return answer
         if task.scale is None:
             prompt = self._prompt(task.question, number=NUMBERS)
@@ -103,11 +104,6 @@ class Participant:
         choices = question.marks if question.kind == "likert" else question.options
         answer = self._ask(prompt(choices=choices), f"{line} One of {', '.join(choices)}, then Enter")
         return answer._replace(value=float(answer.value)) if question.kind == "likert" else answer
-
-    def _show_feedback(self, is_right: bool) -> None:
-        """Show whether the answer to a practice trial was right, so that the participant learns the question."""
-        text = "That was right." if is_right else "That was wrong."
-        self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
 
     def pause(self, completed: int, total: int) -> None:
         progress_text = f"{completed} of {total} trials are done."

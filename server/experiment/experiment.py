@@ -99,7 +99,7 @@ class Experiment:
             Path(folder), self.file, _check_participant(participant), files.hashes(self.file, self._folder)
         )
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
-        session.check(participant_folder)
+        participant_folder.check_design(self.file, session.conditions, session.trials)
         participant_folder.check_answer_kind(running.dry_run)
         with ExitStack() as stack:
             # Lock an existing journal before the device is opened: another session may be using both.
@@ -160,11 +160,9 @@ def _begin_run(
     run_files  additional files of the start, by name
     """
     session.begin(participant_folder)
-    number = participant_folder.next_run()
     if journal is None:
         journal = stack.enter_context(Journal(participant_folder.journal))
-    for name, values in run_files.items():
-        participant_folder.write_json(participant_folder.name(number, name), values)
+    number = participant_folder.add_run(run_files)
     journal.write("started", run=number, dry_run=dry_run, time=time.time())
     return journal, number
 

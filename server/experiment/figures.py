@@ -54,9 +54,9 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         (_draw_power_law if isinstance(group.fit, PowerLaw) else _draw_psychometric)(
             axes, group, is_faint=group.participant != main_participant
         )
-    axes.set(xscale="log", title=_wrap_title(experiment, main_participant), xlabel=_level(experiment))
+    axes.set(xscale="log", title=_wrap_title(experiment, main_participant), xlabel=experiment.task.parameter)
     if experiment.task.kind == "compare":
-        axes.set(ylabel="share of right answers", ylim=(0.0, 1.02))
+        axes.set(xlabel="difference, as a share of the reference", ylabel="share of right answers", ylim=(0.0, 1.02))
     else:
         axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
     _plain_ticks(axes)
@@ -189,11 +189,6 @@ def _plain_ticks(axes: Axes) -> None:
             axis.set_minor_formatter(Plain(minor_thresholds=(2.0, 0.4)))
 
 
-def _level(experiment: ExperimentFile) -> str:
-    task = experiment.task
-    return "difference, as a share of the reference" if task.kind == "compare" else task.parameter
-
-
 def _draw_psychometric(axes: Axes, group: Group, is_faint: bool) -> None:
     fit: Any = group.fit
     x, chance, low, high = fit.curve.T
@@ -228,7 +223,7 @@ def _draw_power_law(axes: Axes, group: Group, is_faint: bool) -> None:
 def _draw_means(axes: Axes, groups: Sequence[Group], name: str) -> None:
     """Draw the values of all trials of each condition, and their mean."""
     for index, group in enumerate(groups):
-        values = _values(group.rows, name)
+        values = [row[name] for row in group.rows if name in row]
         if values:
             spread = np.linspace(-0.15, 0.15, len(values))
             axes.plot(index + spread, values, ".", ms=3, alpha=0.5)
@@ -236,10 +231,6 @@ def _draw_means(axes: Axes, groups: Sequence[Group], name: str) -> None:
     axes.set_xticks(range(len(groups)), [group.condition for group in groups])
     axes.set(ylabel=LABELS[name], xlim=(-0.5, len(groups) - 0.5))
     axes.set_ylim(bottom=0.0)
-
-
-def _values(rows: Sequence[Entry], name: str) -> list[float]:
-    return [row[name] for row in rows if name in row]
 
 
 def _save(figures: Mapping[str, Any], out: Path) -> list[Path]:

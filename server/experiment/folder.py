@@ -96,14 +96,15 @@ class ParticipantFolder:
                 kind = "participants" if dry_run else "the simulated observer (--dry-run)"
                 raise ConfigError(f"{journal}: has answers of {kind}: give another folder, --out FOLDER")
 
-    def next_run(self) -> int:
-        return 1 + len(list(self.participant_dir.glob(f"{self.label}_run-*_about.json")))
+    def add_run(self, files: Mapping[str, Any]) -> int:
+        """Write the files of a new start, by name, and return its number."""
+        number = 1 + len(list(self.participant_dir.glob(f"{self.label}_run-*_about.json")))
+        for name, values in files.items():
+            _write_new(self.participant_dir / self.name(number, name), _json(values))
+        return number
 
     def name(self, run: int, suffix: str) -> str:
         return f"{self.label}_run-{run:02d}_{suffix}"
-
-    def write_json(self, name: str, values: Any) -> None:
-        _write_new(self.participant_dir / name, _json(values))
 
     def ticks(self, number: int, attempt: int, rows: Iterable[Mapping[str, Any]]) -> None:
         suffix = f"_attempt-{attempt}" if attempt > 1 else ""

@@ -176,18 +176,16 @@ class Haptics:
 
     def _run_touch(self, start_s: float) -> float | None:
         """Run a touch and lead hands along their paths; return when a target was reached, s from `start_s`, or None."""
-        experiment = self._experiment
+        experiment, task = self._experiment, self._experiment.task
         while (elapsed_s := time.monotonic() - start_s) < experiment.trial.touch_s:
             self._hands.lead(elapsed_s)
             self._read_recorded_tick()  # end a long touch early if its recording failed
             self.wait(POLL_S)
-            target = experiment.task.target_m
-            if target is not None and self._is_near(target, experiment.task.target_radius_m):
+            positions = [sample.data.probe.position for sample in self.latest.values()]
+            target = task.target_m
+            if target is not None and any(math.dist(place, target) <= task.target_radius_m for place in positions):
                 return time.monotonic() - start_s
         return None
-
-    def _is_near(self, target: tuple[float, float, float], radius: float) -> bool:
-        return any(math.dist(sample.data.probe.position, target) <= radius for sample in self.latest.values())
 
     # --- telemetry --------------------------------------------------------------------------------------
 

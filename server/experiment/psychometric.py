@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from softfinger.config.arrays import Array
 
 GUESS: Final = 0.5
 """Probability of a right answer by chance, one of two touches."""

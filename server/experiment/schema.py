@@ -10,10 +10,10 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Point, Table, doc, is_usable, sized, within
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import TEXT, CatchTrials, Confidence, Positive, Screen, Survey
-from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Point, Procedure, Task
+from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Procedure, Task
 
 SECONDS: Final = Range(0.0, 600.0, "longer than any touch")
 SHARE: Final = Range(0.0, 0.5, "an observer with half of the answers at random is useless")
@@ -106,11 +106,8 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         yield from self._participant_faults()
         if is_usable(self.motion, self.turn):
             for finger in self.turn.keys() - self.motion.keys():
-                yield (
-                    f"turn.{finger}",
-                    msgspec.UNSET,
-                    "turns a hand that [motion] does not move: give the finger a path",
-                )
+                fault = "turns a hand that [motion] does not move: give the finger a path"
+                yield f"turn.{finger}", msgspec.UNSET, fault
         if is_usable(self.motion, self.turn, self.trial) and is_usable(self.trial.touch_s):
             for key, paths in (("motion", self.motion), ("turn", self.turn)):
                 for finger, path in paths.items():
@@ -140,8 +137,5 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
             if is_usable(self.design) and is_usable(self.design.order) and self.design.order == "random":
                 for survey in self.survey:
                     if is_usable(survey) and is_usable(survey.at) and "between" in survey.at:
-                        yield (
-                            f"survey.{survey.name}.at",
-                            list(survey.at),
-                            "random order has no blocks: take latin-square",
-                        )
+                        fault = "random order has no blocks: take latin-square"
+                        yield f"survey.{survey.name}.at", list(survey.at), fault

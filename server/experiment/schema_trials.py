@@ -7,14 +7,12 @@ from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
-from softfinger.config.fields import Complaint, Coordinate, Table, doc, is_usable, sized, within
+from softfinger.config.fields import Complaint, Point, Table, doc, is_usable, sized, within
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import MARKS_MAX, TEXT, Label, Positive
 
 LEVELS: Final = Range(1, 200, "more levels cannot be told apart")
 TRIALS: Final = Range(1, 2000, "longer than any session")
-
-Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class Task(Table, frozen=True, kw_only=True):

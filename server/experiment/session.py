@@ -39,10 +39,6 @@ class Session:
         self._blocks = number_blocks(self.trials, experiment.design.order == "random")
         self._procedures = [make_procedures(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
-    def check(self, folder: ParticipantFolder) -> None:
-        """Raise ConfigError if the participant's folder has another design; write nothing."""
-        folder.check_design(self.experiment, self.conditions, self.trials)
-
     def begin(self, folder: ParticipantFolder) -> None:
         folder.begin(self.experiment, self.conditions, self.trials)
 

@@ -67,13 +67,10 @@ class Outlets:
             self.markers += 1
         else:
             self._newest = (message.tick, message.timestamp)
-            self._send_tick(name, finger, message)
-
-    def _send_tick(self, topic: str, finger: str, message: Any) -> None:
-        if finger not in self._outlets:
-            self._outlets[finger] = self._lsl.StreamOutlet(self._describe_stream(finger))
-        self._outlets[finger].push_sample(record_of(Sample(topic, message)), message.timestamp + self._to_local_s)
-        self.samples += 1
+            if finger not in self._outlets:
+                self._outlets[finger] = self._lsl.StreamOutlet(self._describe_stream(finger))
+            self._outlets[finger].push_sample(record_of(Sample(name, message)), message.timestamp + self._to_local_s)
+            self.samples += 1
 
     def _set_clock(self, tick: int, monotonic_s: float) -> None:
         """Set the offset from a tick with a known time on both clocks.

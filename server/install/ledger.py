@@ -66,7 +66,11 @@ class Ledger:
     def check(self, paths: Iterable[Path] = ()) -> None:
         """Raise ConfigError if this user may not change a recorded file, the record, or one of `paths`."""
         for path in (*paths, *map(Path, self._files), self._record):
-            self._check_writable(path)
+            folder = self._at(path).parent
+            while not folder.exists():
+                folder = folder.parent
+            if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
+                raise self._permission_error(path, PermissionError(13, "Permission denied"))
 
     def state(self, file: File) -> State:
         """Return how the file at the path of `file` compares with `file` and with the record."""
@@ -171,13 +175,6 @@ class Ledger:
             return None
         except OSError as error:
             raise self._permission_error(path, error) from error
-
-    def _check_writable(self, path: Path) -> None:
-        folder = self._at(path).parent
-        while not folder.exists():
-            folder = folder.parent
-        if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
-            raise self._permission_error(path, PermissionError(13, "Permission denied"))
 
     def _permission_error(self, path: Path, error: OSError) -> ConfigError:
         return ConfigError(

@@ -30,16 +30,12 @@ def manual(parser: argparse.ArgumentParser) -> str:
         *(".SH OPTIONS", *_options(parser)),
         ".SH VERBS",
     ]
-    for name, verb in _verbs(parser):
-        lines += [f".SS softfinger {_roff(name)}", _roff(verb.description or ""), *_options(verb)]
-    lines += [".SH EXIT STATUS", _roff(" ".join((parser.epilog or "").split()).removeprefix("Exit codes: "))]
-    return "\n".join(lines) + ENDING
-
-
-def _verbs(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            yield from action.choices.items()
+            for name, verb in action.choices.items():
+                lines += [f".SS softfinger {_roff(name)}", _roff(verb.description or ""), *_options(verb)]
+    lines += [".SH EXIT STATUS", _roff(" ".join((parser.epilog or "").split()).removeprefix("Exit codes: "))]
+    return "\n".join(lines) + ENDING
 
 
 def _options(parser: argparse.ArgumentParser) -> Iterator[str]:

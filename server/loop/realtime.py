@@ -161,7 +161,10 @@ def _set_fifo(applied: AppliedSettings, priority: int) -> Setting:
         refusal = f"priority {priority}: {_reason(error.errno)}"
         return Setting("sched_fifo", False, refusal, _fifo_advice(error.errno))
     applied._undo_thread.append(lambda: os.sched_setscheduler(0, policy, parameters))
-    return Setting("sched_fifo", True, f"priority {priority}{_throttle_note()}", "")
+    # The kernel's limit for a thread that never sleeps; it does not affect a servo that meets its deadlines.
+    runtime = _read(RT_RUNTIME)
+    note = "" if runtime in ("", "-1") else f", paused if ever busy for {runtime} us of {_read(RT_PERIOD)} us"
+    return Setting("sched_fifo", True, f"priority {priority}{note}", "")
 
 
 def _fifo_advice(number: int | None) -> str:
@@ -183,17 +186,17 @@ def _group_advice() -> str:
     return f"`{install_command()}` gives it to the group {GROUP}: {join}"
 
 
-def _throttle_note() -> str:
-    """Return the kernel's limit for a thread that never sleeps; it does not affect a servo that meets its deadlines."""
-    runtime = _read(RT_RUNTIME)
-    return "" if runtime in ("", "-1") else f", paused if ever busy for {runtime} us of {_read(RT_PERIOD)} us"
-
-
 def _lock_memory(applied: AppliedSettings) -> Setting:
     """Lock present pages now and others on first touch, and load the pages that a tick may touch."""
-    _drop_library_pages()
+    for mapping in _mappings():
+        # Drop the code of large libraries, such as the compiler. It is mapped from a file and never written: if it is
+        # called again, it is read from there. Kernels are code too, but without a file.
+        if mapping.size > LOCKED_MAPPING_MAX_BYTES and mapping.permissions == "r-xp" and mapping.inode != 0:
+            _libc("madvise", mapping.begin, mapping.size, MADV_DONTNEED)
     # Under a finite limit, locking future mappings would make a later malloc fail.
-    later = MCL_FUTURE if _may_lock_without_limit() else 0
+    capabilities = int(_status("CapEff") or "0", 16)
+    has_no_limit = capabilities >> CAP_IPC_LOCK & 1 or _limit("RLIMIT_MEMLOCK") == "unlimited"
+    later = MCL_FUTURE if has_no_limit else 0
     call = _libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
     if call.result < 0:
         required, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
@@ -207,14 +210,6 @@ def _lock_memory(applied: AppliedSettings) -> Setting:
     locked = f"{_status('VmLck')} locked, {_status('VmRSS')} of them in memory"
     note = "later ones as they come" if later else "memory mapped later is not locked, because of a limit"
     return Setting("mlockall", True, f"{locked}; {note}", "")
-
-
-def _drop_library_pages() -> None:
-    """Drop the code pages of large libraries, such as the compiler; code that is called again is read from its file."""
-    for mapping in _mappings():
-        # Mapped from a file and never written: nothing is lost. Kernels are code too, but without a file.
-        if mapping.size > LOCKED_MAPPING_MAX_BYTES and mapping.permissions == "r-xp" and mapping.inode != 0:
-            _libc("madvise", mapping.begin, mapping.size, MADV_DONTNEED)
 
 
 def _load_small_mappings() -> None:
@@ -287,11 +282,6 @@ def _limit(name: str, unit: int = 1, suffix: str = "") -> str:
 
     soft, _ = resource.getrlimit(getattr(resource, name))
     return "unlimited" if soft == resource.RLIM_INFINITY else f"{soft // unit}{suffix}"
-
-
-def _may_lock_without_limit() -> bool:
-    capabilities = int(_status("CapEff") or "0", 16)
-    return bool(capabilities >> CAP_IPC_LOCK & 1) or _limit("RLIMIT_MEMLOCK") == "unlimited"
 
 
 class _Mapping(NamedTuple):

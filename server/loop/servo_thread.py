@@ -192,7 +192,9 @@ class ServoThread:
         handover.loop_ready.wait()
         if handover.loop is None:
             raise handover.error or SafetyStop("there was no loop to continue")
-        self._loop, self._handover = self._with_continued_limits(handover.loop), None
+        loop = handover.loop
+        memory = continue_memory(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
+        self._loop, self._handover = loop._replace(arguments=(loop.arguments[0], memory, *loop.arguments[2:])), None
         self.records.add(self._loop.shared.ring)
         self.shared.stop[0] = 0
         if self._stopping:  # requested in the meantime
@@ -201,11 +203,6 @@ class ServoThread:
             self._arm()
         handover.first, self._missed_before = self.ticks, self.missed
         handover.loop_started.set()
-
-    def _with_continued_limits(self, loop: Loop) -> Loop:
-        """Return the loop with the state of the limits after the last tick."""
-        start = continue_memory(loop.arguments[1], loop.tuning.guards, self._loop.arguments[5].row)
-        return loop._replace(arguments=(loop.arguments[0], start, *loop.arguments[2:]))
 
     def replace(self, make: Callable[[], Loop], keeps_devices: bool) -> int:
         """End the loop with zero force and start another one in the same thread; return the number of its first tick.

@@ -11,7 +11,6 @@ from importlib.metadata import version
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -21,13 +20,12 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
+from softfinger.config.arrays import Array
 from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.recordings import RecordingTotals
 from softfinger.server.states import DaemonState
-
-Array = NDArray[np.float64]
 
 ROWS: Final = 1024
 """Ticks per computation: a batch of one tick takes as long as one of this size."""

@@ -15,8 +15,8 @@ import numba
 import numpy as np
 from numba import types
 from numba.extending import overload
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Plant, PlantInputs, PlantState, advance, goal_at, sense
 from softfinger.proxy.bodies import begin_bodies, check_bodies
@@ -30,8 +30,6 @@ from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.tick import FingerMemory, Memory, Tuning, begin, tick
 from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.progress import CHUNK, progress
-
-Array = NDArray[np.float64]
 
 FIGURES: Final = ("ticks", "exit_tick", "excursion", "force", "energy")
 """Figures of a case that `close_many` writes: fields of `ClosedLoopResult`."""

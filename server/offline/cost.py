@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.proxy.kernels.contact.fingertip import minkowski_objects
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import Packed, flatten, pack, packed, unpack
@@ -22,8 +23,6 @@ from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import FREE
 from softfinger.proxy.scene import build_scene, start_state
 from softfinger.server.loop.clock import Stopwatch, now_ns, sleep_until, stopwatch, thread_cpu_ns
-
-Array = NDArray[np.float64]
 
 BLOCK: Final = 10_000
 """Steps per block: one pass over the poses."""

@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.materials import LibraryEntry, Measurement
 from softfinger.config.schema import Fingertip, Material
 from softfinger.server.offline.figures import figure, legends_below, save
 from softfinger.server.offline.library_texts import entries, find_entry, library_table
-
-Array = NDArray[np.float64]
 
 LOAD_N: Final = (0.1, 20.0)
 """Range of loads in the figures: from a touch to a firm grip."""

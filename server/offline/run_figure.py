@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT, FREE, MODE_NAMES
 from softfinger.server.offline.figures import figure, save
-
-Array = NDArray[np.float64]
 
 POINTS_MAX: Final = 2000
 """Largest number of ticks drawn; evenly selected from a longer run."""
@@ -48,8 +46,7 @@ def draw_run(curves: Array, path: Path) -> None:
     forces.set_ylabel("force on the hand [N]")
     draw(turns, np.rad2deg(rolled), "rolled")
     draw(turns, np.rad2deg(spin), "torsion")
-    turns.set_ylabel("angle [deg]")
-    turns.set_xlabel("time [s]")
+    turns.set(xlabel="time [s]", ylabel="angle [deg]")
     for axes in (depth, forces, turns):
         _shade(axes, seconds, mode, has_legend=axes is depth)
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize="small")

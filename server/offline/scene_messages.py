@@ -8,9 +8,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.proxy.bodies import body_maps, motion_size
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.query.bodies import write_motion
@@ -19,8 +19,6 @@ from softfinger.server.wire.protocol import DEFORMATION, PICTURE_HZ, SCHEMA, WOR
 
 if TYPE_CHECKING:  # only for scenes with an elastic object
     from softfinger.proxy.elastic.loads import ContactLoad
-
-Array = NDArray[np.float64]
 
 
 class SceneMessages:

@@ -9,9 +9,9 @@ from typing import Any, overload
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, build, load_rig, load_scene
 from softfinger.config.schema.pairing import FingerDevice, pair
@@ -31,8 +31,6 @@ from softfinger.server.loop.tick import Tuning, begin, tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.progress import CHUNK, progress
-
-Array = NDArray[np.float64]
 
 
 @entry

@@ -193,24 +193,21 @@ def _values(table: Struct) -> str:
 def rig_summary(rig: schema.Rig) -> list[tuple[str, str]]:
     servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
+    heat = "no heat limit"
+    if guard.continuous_force_n is not None:
+        heat = f"{guard.continuous_force_n:g} N for ever, heated in {guard.heat_time_s:g} s"
+    hand = f"handle up to {guard.handle_speed_max_m_per_s:g} m/s, {guard.energy_max_j:g} J given, {heat}"
     return [
         *(row for table, device in rig.tables.items() for row in _device(table, device)),
         ("servo", f"{servo.rate_hz:g} Hz, real time {servo.realtime}, priority {servo.priority}, {processor}"),
         ("guard, force", f"{guard.force_max_n:g} N, {guard.force_slew_n_per_s:g} N/s, ramp {guard.ramp_s:g} s"),
         ("guard, torque", f"{guard.torque_max_nm:g} N m, {guard.torque_slew_nm_per_s:g} N m/s"),
-        ("guard, hand", _hand_limits(guard)),
+        ("guard, hand", hand),
         ("guard, workspace", _workspace(guard.workspace)),
         ("telemetry", telemetry.endpoint + (f", one tick in {telemetry.every}" if telemetry.every > 1 else "")),
         ("commands", rig.commands_endpoint or "off"),
         ("metrics", rig.metrics.endpoint or "off"),
     ]
-
-
-def _hand_limits(guard: schema.Guard) -> str:
-    heat = "no heat limit"
-    if guard.continuous_force_n is not None:
-        heat = f"{guard.continuous_force_n:g} N for ever, heated in {guard.heat_time_s:g} s"
-    return f"handle up to {guard.handle_speed_max_m_per_s:g} m/s, {guard.energy_max_j:g} J given, {heat}"
 
 
 def _workspace(workspace: schema.Workspace | None) -> str:

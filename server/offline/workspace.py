@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.schema import Object, Plane, Scene, Workspace
 from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.proxy.pictures import Filed, picture_of
 from softfinger.proxy.rotation import matrix_of
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.surface_meshes import plane, surface_mesh
-
-Array = NDArray[np.float64]
 
 VIEWS: Final = (("from the front", 0, "x"), ("from the right", 1, "y"))
 """Name of each view, and index and name of the axis that points right; z points up."""
@@ -143,8 +141,7 @@ def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: Moti
             line = 1e3 * reachable_curve(wall, freedom)
             axes.plot(line[:, axis], line[:, 2], "r-", linewidth=1.5)
         axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal", title=name)
-        axes.set_xlabel(f"{letter} [mm]")
-        axes.set_ylabel("z [mm]")
+        axes.set(xlabel=f"{letter} [mm]", ylabel="z [mm]")
     axes.plot([], [], "k--", label="soft wall")
     if freedom is not None:
         axes.plot([], [], "r-", label="the handle's arc" if freedom.degrees == 1 else "edge of the handle's plane")

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.files import check_owner, home_folder
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.recording.writer import RecordingFile, round_integer_fields
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.stamps import now_s
-
-Array = NDArray[np.float64]
 
 HISTORY_S: Final = 10.0
 """Duration of the stored ticks, events and log lines."""

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import apply_overrides, describe
 from softfinger.config.overrides import index_entries
@@ -43,7 +44,6 @@ from softfinger.server.offline.simulate import tick_many
 from softfinger.server.progress import CHUNK, progress
 from softfinger.server.recording.run import Run
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 COMPARED: Final = ("force", "torque", "contact.mode", "contact.object", "contact.point")

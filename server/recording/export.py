@@ -21,14 +21,6 @@ GROUP_ROWS: Final = 65536
 """Ticks of a Parquet row group, which is the unit that readers load: 45 MB."""
 
 
-def check_output(path: Path) -> None:
-    """Raise ConfigError if the suffix is unknown or its library is not installed."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise ConfigError(f"--out {path}: must end in {', '.join(SUFFIXES)}")
-    if path.suffix.lower() == ".parquet" and importlib.util.find_spec("pyarrow") is None:
-        raise ConfigError(f"--out {path}: pyarrow is not installed: pip install 'softfinger[parquet]'")
-
-
 def export(recording: str | Path, out: Path, finger: str = "") -> int:
     """Export every tick of a finger and return their number; the file appears only when it is complete.
 
@@ -49,7 +41,10 @@ def export(recording: str | Path, out: Path, finger: str = "") -> int:
     ConfigError
         If the suffix is unknown or its library is not installed.
     """
-    check_output(out)
+    if out.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f"--out {out}: must end in {', '.join(SUFFIXES)}")
+    if out.suffix.lower() == ".parquet" and importlib.util.find_spec("pyarrow") is None:
+        raise ConfigError(f"--out {out}: pyarrow is not installed: pip install 'softfinger[parquet]'")
     ticks = _read_finger(recording, finger)
     first = next(ticks)
     write = {".csv": _csv, ".parquet": _parquet, ".npz": _npz}[out.suffix.lower()]

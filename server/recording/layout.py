@@ -14,10 +14,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import FIELDS, columns
 from softfinger.server.recording.schemas import TICK, message_class
 
-Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 _ORDER: Final = {field.name: index for index, field in enumerate(FIELDS)}

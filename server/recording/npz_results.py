@@ -13,10 +13,9 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.files import follow_links
 from softfinger.proxy.record import FIELDS, RECORD_SIZE
-
-Array = NDArray[np.float64]
 
 CHUNK_ROWS: Final = 4096
 """Number of rows transposed at a time; they fit into the processor's cache."""

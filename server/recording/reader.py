@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
 from softfinger.drivers.containers import mcap_records
@@ -27,8 +27,6 @@ from softfinger.server.recording.layout import Layout, TickField
 from softfinger.server.recording.schemas import decode_event, decode_world, load_message_class
 from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC
 from softfinger.server.wire.protocol import WORLD, finger_of
-
-Array = NDArray[np.float64]
 
 METADATA_MAX: Final = 256
 """Maximum of metadata tables read; this program writes about ten."""

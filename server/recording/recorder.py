@@ -14,13 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT
 from softfinger.server.recording.writer import RecordingFile, round_integer_fields
 from softfinger.server.wire.events import RecordEvents
-
-Array = NDArray[np.float64]
 
 log: Final = logging.getLogger(__name__)
 

@@ -26,6 +26,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import new_file, open_input, open_output
@@ -37,8 +38,6 @@ from softfinger.server.recording.npz_results import prefix, write_npz
 from softfinger.server.recording.reader import End, TickBlock, read_contents, translate_errors
 from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.wire.protocol import contact_topic
-
-Array = NDArray[np.float64]
 
 SUFFIXES: Final = (".csv", ".npz", ".mcap")
 BLOCK_ROWS: Final = 2_000

@@ -9,11 +9,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import POSES_MAX, rate_from_period
 from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, read_contents
-
-Array = NDArray[np.float64]
 
 _REQUIRED: Final = ("tick", "dt", "probe.position", "probe.orientation")
 

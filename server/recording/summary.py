@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import find_recording
@@ -55,17 +54,13 @@ class _Finger:
             values = ticks.column(name)
             if values is not None:
                 key = f"{name.rpartition('.')[2]}_max_{unit}"
-                self.peaks[key] = max(self.peaks.get(key, 0.0), _largest(values))
+                size = np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
+                self.peaks[key] = max(self.peaks.get(key, 0.0), float(np.nanmax(size, initial=0.0)))
 
     def to_dict(self) -> dict[str, Any]:
         modes = {name: self.modes[number] for number, name in enumerate(MODE_NAMES)} if self.modes else {}
         extent = {"position_min_m": self.low.tolist(), "position_max_m": self.high.tolist()}
         return {"ticks": self.ticks, "modes": modes} | self.peaks | (extent if np.isfinite(self.low).all() else {})
-
-
-def _largest(values: NDArray[np.float64]) -> float:
-    size = np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
-    return float(np.nanmax(size, initial=0.0))
 
 
 def summary(recording: str | Path) -> dict[str, Any]:

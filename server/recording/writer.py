@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.proxy.record import AT, FIELDS
@@ -26,7 +27,6 @@ from softfinger.server.recording.layout import tick_layout
 from softfinger.server.recording.mcapfile import McapFile
 from softfinger.server.wire.protocol import WORLD, contact_topic
 
-Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Times = NDArray[np.int64]
 

@@ -9,9 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from softfinger.config.errors import ConfigError
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
@@ -43,7 +40,7 @@ class BlackBoxes(Worker):
         super().__init__("blackbox")
         self._describe = describe
         self.box: Final = BlackBox(fingers, GUARD_NAMES, NS_PER_S / servo.period_ns)
-        self.sink: Final = Sink("blackbox", self._add_records)
+        self.sink: Final = Sink("blackbox", lambda records, drops: self.box.take(records))
         self._due: tuple[float, Path] | None = None
         self._written_s = -APART_S
         self._number = 0
@@ -64,10 +61,6 @@ class BlackBoxes(Worker):
                 self._number += 1
                 self._due = time.monotonic() + AFTER_S, directory / format_file_name(fault, self._number)
             return str(self._due[1])
-
-    def record_event(self, event: Mapping[str, Any]) -> None:
-        """Store a published event; callable from any thread."""
-        self.box.event(event)
 
     def work(self) -> None:
         while not self.closing.wait(POLL_S):
@@ -93,6 +86,3 @@ class BlackBoxes(Worker):
             log.warning("the black box %s cannot be written: %s", path, reason)
             return
         log.info("the last 10 s are in %s", path)
-
-    def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
-        self.box.take(records)

@@ -193,7 +193,11 @@ class CommandHandlers:
         if params.position_m is not msgspec.UNSET:
             turn = None if params.orientation_wxyz is msgspec.UNSET else params.orientation_wxyz
             hand_of(self._rendering.servo.devices[finger_index])  # raises NoSimulatedHand even before the first tick
-            target = RequestedPose(params.position_m, turn, self._orientation(finger_index))
+            if self._latest is None:
+                raise Declined("refused", "there has been no tick yet: ask again later")
+            at = AT.probe_orientation
+            w, x, y, z = self._latest.reshape(-1, RECORD_SIZE)[finger_index][at : at + 4].tolist()
+            target = RequestedPose(params.position_m, turn, (w, x, y, z))
         self._rendering.lead_hand(finger_index, target)
         self._publish_led(finger_index, not params.release, request)
         return wire.Applied(self._rendering.servo.ticks)
@@ -209,13 +213,6 @@ class CommandHandlers:
             (self._led_fingers.add if led else self._led_fingers.discard)(finger_index)
             name = self._rendering.scene.fingers[finger_index].name
             self.publish_change(request.method, request.command_id, {"finger": name, "led": led})
-
-    def _orientation(self, finger_index: int) -> wire.Quaternion:
-        if self._latest is None:
-            raise Declined("refused", "there has been no tick yet: ask again later")
-        at = AT.probe_orientation
-        w, x, y, z = self._latest.reshape(-1, RECORD_SIZE)[finger_index][at : at + 4].tolist()
-        return w, x, y, z
 
     def _finger(self, key: str | int | msgspec.UnsetType) -> int:
         """Return the index of a finger given by name or index; a single finger need not be given. Raises Declined."""

@@ -60,21 +60,18 @@ class RecordService(Worker):
 
     def work(self) -> None:
         try:
-            self._read()
+            batch = np.empty((BATCH, self._servo.width))
+            running = True
+            while running:
+                self._tap.wait()
+                # read before the tap is emptied, so that records from before the end are passed on
+                running = not (self._tap.ended or self._abandoned)
+                while (count := self._tap.take(batch)) > 0:
+                    self._distribute(batch[:count], self._servo.records.drops + self._tap.lost)
+            if self._tap.failed:
+                raise RuntimeError("the thread that forwards ticks has ended")
         finally:
             self._tap.close()
-
-    def _read(self) -> None:
-        batch = np.empty((BATCH, self._servo.width))
-        running = True
-        while running:
-            self._tap.wait()
-            # read before the tap is emptied, so that records from before the end are passed on
-            running = not (self._tap.ended or self._abandoned)
-            while (count := self._tap.take(batch)) > 0:
-                self._distribute(batch[:count], self._servo.records.drops + self._tap.lost)
-        if self._tap.failed:
-            raise RuntimeError("the thread that forwards ticks has ended")
 
     def _distribute(self, records: NDArray[np.float64], drops: int) -> None:
         for sink in list(self._sinks):
@@ -82,15 +79,12 @@ class RecordService(Worker):
                 sink.take(records, drops)
             except Exception as error:
                 self._sinks.remove(sink)
-                self._report_failure(sink, error)
-
-    def _report_failure(self, sink: Sink, error: Exception) -> None:
-        if sink.vital is not None:
-            log.exception("%s failed; stopping", sink.name)
-            self._fail(sink.vital(error))
-            return
-        log.exception("%s failed; going on without it", sink.name)
-        self._event("fault", "sink", sink=sink.name, message=str(error))
+                if sink.vital is not None:
+                    log.exception("%s failed; stopping", sink.name)
+                    self._fail(sink.vital(error))
+                else:
+                    log.exception("%s failed; going on without it", sink.name)
+                    self._event("fault", "sink", sink=sink.name, message=str(error))
 
     def handle_failure(self, error: Exception) -> None:
         """End the run: without records, rendering cannot be monitored."""

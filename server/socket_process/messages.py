@@ -89,13 +89,11 @@ class Messages:
         tick = to_int(row[_TICK])
         if tick % self._every == 0:
             for index, topic in enumerate(self._topics):
-                yield topic, self._encode_finger(row[index * RECORD_SIZE : (index + 1) * RECORD_SIZE])
+                record = row[index * RECORD_SIZE : (index + 1) * RECORD_SIZE]
+                content = self._contact.fill(record)
+                content["contacts"] = [patch.fill(record) for at, patch in self._patches if to_int(record[at]) >= 0]
+                yield topic, self._encode(content)
         if tick % self._state_every == 0:
             state = self._state.fill(row)
             state["timestamp"], state["sequence"] = row[NAMED["timestamp"].at] - self._epoch_s, tick
             yield self._state_topic, self._encode(state)
-
-    def _encode_finger(self, record: tuple[float, ...]) -> bytes:
-        content = self._contact.fill(record)
-        content["contacts"] = [patch.fill(record) for at, patch in self._patches if to_int(record[at]) >= 0]
-        return self._encode(content)

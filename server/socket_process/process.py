@@ -133,7 +133,7 @@ class Publishing:
             timeout_s = 0.0 if has_events else RETRY_S if self._channel.has_queued else PERIOD_S
             ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
             if bell in ready:
-                self._rows.reset_bell()
+                os.eventfd_read(bell)  # orders the loads of rows after the stores that precede the signal
             self._send_ticks()
             if self._channel.fileno() in ready:
                 self._receive()

@@ -30,25 +30,17 @@ class RowReader:
         self.lost = 0
         """Rows that were overwritten before they were read."""
 
-    def reset_bell(self) -> None:
-        """Reset the eventfd after it has signalled."""
-        # The call orders this reader's loads after the writes that precede the signal.
-        os.eventfd_read(self.bell)
-
     def take(self) -> Iterator[tuple[float, ...]]:
         """Yield every available row, oldest first; skip to the middle of the ring if a full ring behind."""
         head = self._words[_HEAD]
         while self._next < head:
             if head - self._next >= self._capacity:
-                self._skip(head)
+                to = head - self._capacity // 2
+                self.lost += to - self._next
+                self._next = to
             slot = self._next & (self._capacity - 1)
             row = self._row.unpack_from(self._memory, _PAGE_BYTES + slot * self._row.size)
             head = self._words[_HEAD]
             if head - self._next < self._capacity:  # it was not overwritten during the copy
                 self._next += 1
                 yield row
-
-    def _skip(self, head: int) -> None:
-        to = head - self._capacity // 2
-        self.lost += to - self._next
-        self._next = to

@@ -105,7 +105,11 @@ def examine_file(file: str) -> FileReport:
         path = _locate(file)
         kind = kind_of(read_toml(path, file), file)
         if kind == "experiment":
-            return _experiment(file, path)
+            from softfinger.server.experiment.checks import load
+            from softfinger.server.experiment.trial_order import describe_session
+
+            experiment = load(path, {}, part_faults)[0]
+            return FileReport(file, "experiment", describe_session(experiment), [], describe(experiment), {})
         with report_compilation("kernels that call the device") if kind == "rig" else nullcontext():
             config = load_scene(path) if kind == "scene" else load_rig(path)
             if faults := part_faults(config, file):
@@ -116,20 +120,9 @@ def examine_file(file: str) -> FileReport:
         return FileReport(file, kind, [], faults, {}, {})
     except (ConfigError, DeviceError) as error:
         return FileReport(file, kind, [], [str(error)], {}, {})
-    return FileReport(file, kind, summary, [], describe(config), _reports(config))
-
-
-def _experiment(file: str, path: Path) -> FileReport:
-    from softfinger.server.experiment.checks import load
-    from softfinger.server.experiment.trial_order import describe_session
-
-    experiment = load(path, {}, part_faults)[0]
-    return FileReport(file, "experiment", describe_session(experiment), [], describe(experiment), {})
-
-
-def _reports(config: Scene | Rig) -> dict[str, Any]:
     meshes = [mesh for mesh in config.object if isinstance(mesh, Mesh)] if isinstance(config, Scene) else []
-    return {mesh.name: msgspec.to_builtins(mesh_report(mesh)) for mesh in meshes}
+    reports = {mesh.name: msgspec.to_builtins(mesh_report(mesh)) for mesh in meshes}
+    return FileReport(file, kind, summary, [], describe(config), reports)
 
 
 def with_costs(finding: FileReport) -> FileReport:

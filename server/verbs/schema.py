@@ -111,11 +111,7 @@ def markdown(kind: str) -> str:
     if kind == "telemetry":
         names = [field.name for field in dataclasses.fields(FIELDS[0])]
         return grid(names, [[str(getattr(field, name)) for name in names] for field in FIELDS])
-    return key_tables(_STRUCTS[kind])
-
-
-def key_tables(struct_type: type[msgspec.Struct], name: str = "") -> str:
-    return "\n\n".join(f"### {heading}\n\n{body}" for heading, body in sections(struct_type, name))
+    return "\n\n".join(f"### {heading}\n\n{body}" for heading, body in sections(_STRUCTS[kind]))
 
 
 def sections(struct_type: type[msgspec.Struct], name: str = "") -> list[tuple[str, str]]:
@@ -226,7 +222,8 @@ def _path(name: str, field: inspect.Field) -> tuple[str, bool]:
 
 
 def _row(field: inspect.Field) -> Row:
-    kind, extra = _bare(field.type)
+    (only,) = options(field.type)
+    kind, extra = unwrap(only)
     allowed = re.sub(r"'([^']*)'", r'`"\1"`', describe_allowed(kind, "").removeprefix("one of "))
     allowed = re.sub(r"^a list of (\d+) numbers from", r"\1 numbers,", allowed)
     allowed = re.sub(
@@ -240,12 +237,6 @@ def _row(field: inspect.Field) -> Row:
     else:
         default = f"`{toml(field.default)}`"
     return Row(field.encode_name, allowed, default, extra.get("description", ""))
-
-
-def _bare(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
-    """Return the type without Meta and `| None`, and the contents of Meta."""
-    (only,) = options(info)
-    return unwrap(only)
 
 
 def _structs(info: inspect.Type) -> Iterator[inspect.StructType]:

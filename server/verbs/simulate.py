@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
@@ -19,8 +19,6 @@ from softfinger.server.offline.simulate import load_finger_poses, simulate_devic
 from softfinger.server.progress import name_warmup
 from softfinger.server.recording.results import RunContext, write_blocks
 from softfinger.server.recording.writer import package_versions
-
-Array = NDArray[np.float64]
 
 DURATION_S = 10.0
 """Default duration of a run with simulated devices."""

@@ -7,15 +7,13 @@ from importlib.metadata import metadata
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.drivers.kinematics.subspace import MotionSubspace, read_subspace
 from softfinger.proxy.record import AT
-
-Array = NDArray[np.float64]
 
 GUIDE: Final = "devices/serial.md#one-or-two-degrees-of-freedom-in-a-three-dimensional-scene"
 DISPLAYED_ALONG: Final = {1: "along its line", 2: "in its plane"}

@@ -10,14 +10,13 @@ from math import cos, pi, radians
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import rotate
 from softfinger.server.viewer.target import Target, nudge_target
 
-Array = NDArray[np.float64]
 Goals = Mapping[str, Target]
 Gesture = Generator[Goals, float, None]
 

@@ -10,8 +10,8 @@ from math import degrees, radians
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.inputs import Nudge, is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.glyphs import inverse, product
@@ -25,8 +25,6 @@ from softfinger.server.viewer.target import (
     nudge_target,
     to_angles,
 )
-
-Array = NDArray[np.float64]
 
 SLIDER_UPDATE_S: Final = 0.2
 """Update period of sliders and handles while something else moves the finger."""

@@ -262,9 +262,9 @@ class LivePage:
         self._scene_commands.submit(name, request)
 
     def _show_refusal(self, text: str) -> None:
-        self._page.show_message(text, "Not done:")
         self._tuning.show()
         self._object_controls.restore()
+        self._page.show_message(text, "Not done:")
 
     def close(self) -> None:
         for part in (self._telemetry, self._commands, self._scene_commands, self._force_commands):

@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.config.load import build
 from softfinger.proxy.record import AT
 from softfinger.server.surface_meshes import SurfaceMesh
@@ -33,8 +33,6 @@ from softfinger.server.viewer.nodes.looks import Looks
 from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
 from softfinger.server.viewer.plots import Plots
 from softfinger.server.viewer.scripts import add_theme
-
-Array = NDArray[np.float64]
 
 FRAME_S: Final = 1.0 / 30.0
 TEXT_S: Final = 0.2

@@ -7,15 +7,13 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.gestures import ONE_FINGER, Gesture, LiftedBox, Stage, half_width, lift
 from softfinger.server.viewer.hand import HandControls
 from softfinger.server.viewer.nodes.bodies import BodyNodes
-
-Array = NDArray[np.float64]
 
 LIFT: Final = "lift a box"
 LIFT_SCENE: Final = "lift-a-box"
@@ -151,17 +149,12 @@ class Play:
                 box = LiftedBox(partial(self._box_centre, scene_index), half, self._actions.reset_world)
                 self._start(lift(stage, sides[0], sides[1], box))
                 return ""
-        return self._request_box_scene()
-
-    def _box_centre(self, scene_index: int) -> Array:
-        assert self._bodies is not None
-        return np.array(self._bodies.poses[scene_index][0])
-
-    def _request_box_scene(self) -> str:
-        """Request the scene with a box, if the fingers match it."""
-        assert self._scene is not None
-        if tuple(finger.name for finger in self._scene.fingers) != FINGERS or not self._hand.sides():
+        if tuple(finger.name for finger in self._scene.fingers) != FINGERS or not sides:
             return "it takes two fingers and a box: end the program, and begin with `run --scene lift-a-box --view`"
         self._after_scene = LIFT
         self._actions.scene(LIFT_SCENE)
         return ""
+
+    def _box_centre(self, scene_index: int) -> Array:
+        assert self._bodies is not None
+        return np.array(self._bodies.poses[scene_index][0])

@@ -7,9 +7,9 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import build, load_scene
 from softfinger.proxy.pictures import Filed, picture_of
@@ -24,8 +24,6 @@ from softfinger.server.viewer.inputs import is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page, parse_scene_start
 from softfinger.server.viewer.timeline import Events, band, pointer
-
-Array = NDArray[np.float64]
 
 TRACE_TICKS: Final = 2000
 """Ticks before the new position that are drawn as a trace after a seek."""
@@ -131,7 +129,10 @@ class Player:
         self._play = gui.add_checkbox("play", False)
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
         self._pointer = gui.add_html(pointer(0.0))
-        gui.add_html(band(recording.fingers, _radii(recording)))
+        radii = {finger.name: max(finger.radii_m or (finger.radius_m,)) for finger in recording.scene.fingers}
+        if len(radii) == 1:  # the records may have another name for a single finger
+            radii = dict.fromkeys(recording.fingers, next(iter(radii.values())))
+        gui.add_html(band(recording.fingers, radii))
         gui.add_button_group("event", EVENTS).on_click(self._on_event_button)
         self._event_list = gui.add_html("")
 
@@ -167,12 +168,6 @@ class Player:
         self._pointer.content = pointer(current / max(self._count - 1, 1))
         self._event_list.content = self._events.format_html(current)
         return {name: rows[first : current + 1] for name, rows in self._fingers.items()}, is_seek
-
-
-def _radii(recording: LoadedRecording) -> dict[str, float]:
-    """Return the largest radius of each finger, m, by its name in the records."""
-    radii = {finger.name: max(finger.radii_m or (finger.radius_m,)) for finger in recording.scene.fingers}
-    return radii if len(radii) > 1 else dict.fromkeys(recording.fingers, next(iter(radii.values())))
 
 
 class RecordedPage:

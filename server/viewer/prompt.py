@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Final
 
 from softfinger.server.gateway.addresses import Addresses
@@ -117,15 +116,12 @@ class PromptPanel:
             else:
                 controls = [gui.add_button(choice) for choice in prompt.choices]
                 for choice, button in zip(prompt.choices, controls, strict=True):
-                    button.on_click(partial(self._on_press, choice, number))
+                    button.on_click(lambda event, choice=choice: self._send_answer(choice, number))
         for key, choice in assign_keys(prompt.choices).items():
             command = gui.add_command(f"answer: {choice}", hotkey=key)
-            command.on_trigger(partial(self._on_press, choice, number))
+            command.on_trigger(lambda event, choice=choice: self._send_answer(choice, number))
             controls.append(command)
         return controls
-
-    def _on_press(self, choice: str, number: int, event: Any) -> None:
-        self._send_answer(choice, number)
 
     def _send_answer(self, value: str | float, number: int) -> None:
         """Send the answer unchecked: the daemon validates it."""

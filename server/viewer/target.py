@@ -6,13 +6,11 @@ from math import asin, atan2
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import IDENTITY, Quaternion, axis_angle_rotation, product
-
-Array = NDArray[np.float64]
 
 MIN_VIEW_SINE: Final = 0.05
 """Minimum sine of the angle between view ray and plane; below it, one pixel would be a long distance."""

@@ -7,14 +7,12 @@ from bisect import bisect_left, bisect_right
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.viewer.nodes.states import COLOURS, STATE_TICKS, VisibleState, classify_contact
 from softfinger.server.wire.events import RecordEvents
-
-Array = NDArray[np.float64]
 
 COLUMNS: Final = 600
 """Columns of a band: two per pixel."""

@@ -333,20 +333,17 @@ class Window(Closeable):
             sample = self._subscription.receive(0.0 if count else max(0.0, until_s - time.monotonic()))
             if sample is None:
                 break
-            self._append(sample)
+            if sample.data.tick <= self._tick:  # the server was restarted: the old ticks belong to another run
+                self._end = 0
+            self._tick = sample.data.tick
+            if self._end == len(self._rows):
+                self._rows[: self._size] = self._rows[self._size :]
+                self._end = self._size
+            self._rows[self._end] = record_of(sample)
+            self._end += 1
+            self.lost += sample.lost
             count += 1
         return count
-
-    def _append(self, sample: Sample) -> None:
-        if sample.data.tick <= self._tick:  # the server was restarted: the old ticks belong to another run
-            self._end = 0
-        self._tick = sample.data.tick
-        if self._end == len(self._rows):
-            self._rows[: self._size] = self._rows[self._size :]
-            self._end = self._size
-        self._rows[self._end] = record_of(sample)
-        self._end += 1
-        self.lost += sample.lost
 
     def __repr__(self) -> str:
         return f"<Window: {len(self)} of {self._size} ticks on {self._subscription.endpoint}, {self.lost} lost>"

@@ -237,12 +237,6 @@ SCHEMA_KEYS: Final = (
 _TYPES: Final[dict[str, Any]] = {"int": int, "float": float, "str": str}
 
 
-def _type(text: str) -> Any:
-    """Return the Python type of a key's type; `[3]` makes it a tuple of that size."""
-    kind, _, size = text.partition("[")
-    return GenericAlias(tuple, (_TYPES[kind],) * int(size[:-1])) if size else _TYPES[kind]
-
-
 def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
     """Return the struct type for messages with these keys; dotted names become structs, `[]` tuples of structs."""
     nested: dict[str, list[Key]] = {}
@@ -252,7 +246,8 @@ def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
         if child:
             nested.setdefault(parent, []).append(key._replace(name=child))
         else:
-            fields[parent] = _type(key.type)
+            kind, _, size = key.type.partition("[")  # `[3]` is a tuple of that size
+            fields[parent] = GenericAlias(tuple, (_TYPES[kind],) * int(size[:-1])) if size else _TYPES[kind]
     for parent, children in nested.items():
         element = _struct(f"{name}_{parent.removesuffix('[]')}", children)
         fields[parent.removesuffix("[]")] = GenericAlias(tuple, (element, ...)) if parent.endswith("[]") else element
@@ -264,18 +259,16 @@ HealthMessage: Final = _struct("HealthMessage", HEALTH_KEYS)
 StateMessage: Final = _struct("StateMessage", STATE_KEYS)
 WorldMessage: Final = _struct("WorldMessage", WORLD_KEYS)
 DeformationMessage: Final = _struct("DeformationMessage", DEFORMATION_KEYS)
-_EventHead: Final = _struct("EventHead", EVENT_KEYS)
-_SchemaHead: Final = _struct("SchemaHead", SCHEMA_KEYS[:2])
 
 _ENCODER: Final = msgspec.msgpack.Encoder()
 _DECODERS: Final[dict[str, msgspec.msgpack.Decoder[Any]]] = {
     CONTACT: msgspec.msgpack.Decoder(ContactMessage),
     HEALTH: msgspec.msgpack.Decoder(HealthMessage),
-    EVENT: msgspec.msgpack.Decoder(_EventHead),
+    EVENT: msgspec.msgpack.Decoder(_struct("EventHead", EVENT_KEYS)),
     STATE: msgspec.msgpack.Decoder(StateMessage),
     WORLD: msgspec.msgpack.Decoder(WorldMessage),
     DEFORMATION: msgspec.msgpack.Decoder(DeformationMessage),
-    SCHEMA_TOPIC: msgspec.msgpack.Decoder(_SchemaHead),
+    SCHEMA_TOPIC: msgspec.msgpack.Decoder(_struct("SchemaHead", SCHEMA_KEYS[:2])),
 }
 _OPEN: Final = (EVENT, SCHEMA_TOPIC)
 """Topics with messages that may have further keys."""

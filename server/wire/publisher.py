@@ -95,11 +95,12 @@ class Publisher(Closeable):
         is_standalone = isinstance(endpoints, str)
         self._endpoints: Final = bind_telemetry(endpoints) if isinstance(endpoints, str) else endpoints
         self.endpoint: Final = self._endpoints.telemetry
+        announced = self._endpoints.public.get(COMMANDS, self._endpoints.commands or "")
         content = {
             "schema": SCHEMA,
             "timestamp": now_s(),
             "topics": self._topics,
-            "commands": commands_address_for(self.endpoint) if is_standalone else self._endpoints.announced_commands,
+            "commands": commands_address_for(self.endpoint) if is_standalone else announced,
             "messages": wire_schema()["messages"],
         }
         self._greeting = encode(content)

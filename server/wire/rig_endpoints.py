@@ -37,14 +37,6 @@ class Endpoints:
         self.public: Final[dict[str, str]] = {}
         """Endpoints that other machines can reach, by the name of their table."""
 
-    @property
-    def announced_commands(self) -> str:
-        """Command endpoint announced in the telemetry; empty without commands.
-
-        It is the endpoint that other machines can reach, if there is one.
-        """
-        return self.public.get(COMMANDS, self.commands or "")
-
     def close(self) -> None:
         """Free all endpoints; may be called repeatedly."""
         self.files.close()
@@ -82,7 +74,10 @@ def bind_rig(rig: schema.Rig) -> Endpoints:
         keys = _keys(rig)
         folder = ""
         if is_public(telemetry) or is_public(commands or ""):
-            folder = endpoints.files.enter_context(_private_folder())
+            runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+            folder = endpoints.files.enter_context(
+                tempfile.TemporaryDirectory(prefix="softfinger-", dir=runtime if os.path.isdir(runtime) else None)
+            )
         if is_public(telemetry):
             endpoints.bind(TELEMETRY, telemetry, keys=keys[TELEMETRY])
             telemetry = f"ipc://{folder}/{TELEMETRY}"
@@ -107,9 +102,3 @@ def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
     assert rig.security is not None  # the rig is refused without it
     readers, commanders = key_folders(rig.security)
     return {TELEMETRY: (rig.security.key, readers), COMMANDS: (rig.security.key, commanders)}
-
-
-def _private_folder() -> tempfile.TemporaryDirectory[str]:
-    """Create a folder that only this user may enter."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    return tempfile.TemporaryDirectory(prefix="softfinger-", dir=runtime if os.path.isdir(runtime) else None)

@@ -81,7 +81,7 @@ def test_a_scene_exchanged_in_contact_is_never_a_step_of_force(rig_name):
         running.stop()
         assert running.wait(60.0)
         ticks = running.servo.ticks
-        written = device._log.read_log().wrench
+        written = device.read_log().wrench
     rows = recorder.all
     assert rows[:, AT.tick].tolist() == list(range(ticks))
     assert rows[first_ticks, AT.servo_missed].tolist() == missed
@@ -105,7 +105,7 @@ def test_a_new_rig_cannot_exceed_the_force_of_the_device():
         running.stop()
         assert running.wait(WAIT_S)
         (plant,) = running.devices
-        written = np.linalg.norm(plant._log.read_log().wrench[:, :3], axis=1)
+        written = np.linalg.norm(plant.read_log().wrench[:, :3], axis=1)
     norms = np.linalg.norm(recorder.all[:, FORCE], axis=1)
     assert norms[:first_tick].max() == pytest.approx(0.2, rel=1e-12)  # rounding of the scaled vector
     assert norms.max() == pytest.approx(most, rel=1e-12) and written.max() <= most * (1.0 + 1e-12)

@@ -7,14 +7,12 @@ from math import atan, cos, pi, sin
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.drivers.quaternions import conjugate, exp, multiply
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.tools.accuracy.options import MOTIONS, Motion
-
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 RADIUS_M: Final = 0.01
 """Radius of the fingertip in every case; curvature ratios are set by the size of the surface."""

@@ -11,16 +11,12 @@ from __future__ import annotations
 from math import cos, sin
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.server.loop.clock import Stopwatch, now_ns
 from softfinger.tools.accuracy.montana import Coordinates, advance, chart, rolling_rates
-
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 RELATIVE_TOLERANCE: Final = 1e-3
 ABSOLUTE_TOLERANCE: Final = 1e-6

@@ -103,15 +103,12 @@ def draw_paper(result: dict[str, Any], path: Path) -> None:
             x, y, _ = 1e3 * method_path(name, motion)[::PLOT_STRIDE].T
             (lines[name],) = axes.plot(x, y, color=colour(name), linewidth=1)
         axes.set_title(f"axes of the {motion.replace('_', ' ')}", fontsize="medium")
-        axes.set_xlabel("x, mm")
-        axes.set_ylabel("y, mm")
+        axes.set(xlabel="x, mm", ylabel="y, mm")
         rows = [row for row in result["paper"] if row["motion"] == motion]
         largest = [max(*row["max_error_mm"], FLOOR_M * 1e3) for row in rows]
         bars.barh([row["method"] for row in rows][::-1], largest[::-1], color="0.6")
         bars.axvline(0.004, color="k", linewidth=0.8, linestyle=":")
-        bars.set_xscale("log")
-        bars.set_xlim(1e-14, 10.0)
-        bars.set_xlabel("largest difference, mm (dotted: as published)")
+        bars.set(xscale="log", xlim=(1e-14, 10.0), xlabel="largest difference, mm (dotted: as published)")
     drawing.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=len(lines), fontsize="small")
     save(drawing, path)
 

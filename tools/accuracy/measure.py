@@ -16,7 +16,6 @@ from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
 from softfinger.tools.accuracy.cases import (
     METHODS,
     RADIUS_M,
-    Array,
     RollingCase,
     Track,
     angular_velocity,
@@ -29,6 +28,7 @@ from softfinger.tools.accuracy.cases import (
 )
 from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.bench.step import reference_ns
+from softfinger.tools.measure import Array
 
 BLOCK_STEPS: Final = 1000
 """Smallest number of steps between two readings of the clock, which then cost less than 0.1 ns per step."""

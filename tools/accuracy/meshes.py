@@ -27,9 +27,8 @@ from softfinger.proxy.records import Records
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy.reference import roll_path
-from softfinger.tools.measure import show
+from softfinger.tools.measure import Array, show
 
-Array = NDArray[np.float64]
 Arrays = tuple[Array, NDArray[np.int64]]
 
 RADIUS_M: Final = 0.01
@@ -243,20 +242,14 @@ def scene_of(table: dict[str, Any], sticks: bool) -> schema.Scene:
 
 def save_mesh(folder: Path, vertices: Array, triangles: NDArray[np.int64]) -> str:
     """Write an OBJ file with all digits of the numbers, and return its path."""
-    if (why := missing()) is not None:
-        raise ConfigError(f"accuracy --meshes needs trimesh: pip install 'softfinger[mesh]' ({why})")
+    try:
+        import trimesh  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(f"accuracy --meshes needs trimesh: pip install 'softfinger[mesh]' ({error})") from error
     path = folder / "surface.obj"
     rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     path.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist())]) + "\n")
     return str(path)
-
-
-def missing() -> ImportError | None:
-    try:
-        import trimesh  # noqa: F401
-    except ImportError as error:
-        return error
-    return None
 
 
 def along(records: Records) -> Array:
@@ -293,7 +286,6 @@ def draw(result: dict[str, Any], file: Path) -> None:
         for key, text in MEASURES.items():
             axes.loglog(edges, [row[key] for row in rows], "o-", label=f"{text} ({result['orders'][name][key]:.1f})")
         axes.loglog(edges, 1e-6 * edges**2, "k:", label="second order")
-        axes.set_title(name)
-        axes.set_xlabel("longest edge, mm")
+        axes.set(title=name, xlabel="longest edge, mm")
         axes.legend(fontsize="x-small")
     save(drawing, file)

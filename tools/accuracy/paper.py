@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.server.loop.clock import stopwatch
 from softfinger.server.progress import progress
-from softfinger.tools.accuracy.cases import METHODS, RADIUS_M, Array
+from softfinger.tools.accuracy.cases import METHODS, RADIUS_M
 from softfinger.tools.accuracy.classical import (
     ABSOLUTE_TOLERANCE,
     MAX_STEP_SHARE,
@@ -34,6 +34,7 @@ from softfinger.tools.accuracy.measure import roll_path_timed
 from softfinger.tools.accuracy.montana import Coordinates
 from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.bench.step import reference_ns
+from softfinger.tools.measure import Array
 
 STEPS: Final = 100
 STEP_S: Final = 0.01

@@ -21,7 +21,6 @@ from softfinger.server.progress import progress
 from softfinger.tools.accuracy.meshes import (
     HEADINGS_RAD,
     TICKS,
-    Array,
     LedPath,
     differences,
     lead_path,
@@ -30,7 +29,7 @@ from softfinger.tools.accuracy.meshes import (
     visit,
 )
 from softfinger.tools.accuracy.reference import Hills, normal_and_curvature
-from softfinger.tools.measure import show
+from softfinger.tools.measure import Array, show
 
 HILLS: Final = Hills(0.004, 0.06)
 """The smallest radius of curvature of their valleys is 23 mm."""
@@ -118,7 +117,6 @@ def draw(rows: Sequence[dict[str, Any]], file: Path) -> None:
         for kind in KINDS:
             of_kind = [row for row in rows if row["kind"] == kind]
             axes.loglog([1e3 * row["pitch_m"] for row in of_kind], [row[key] for row in of_kind], "o-", label=kind)
-        axes.set_title(key)
-        axes.set_xlabel("pitch, mm")
+        axes.set(title=key, xlabel="pitch, mm")
         axes.legend(fontsize="x-small")
     save(drawing, file)

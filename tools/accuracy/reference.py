@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
+from softfinger.tools.measure import Array
 
-Array = NDArray[np.float64]
 Gradient = tuple[Array, Array]
 """First (3,) and second (3, 3) derivatives of F."""
 

@@ -130,17 +130,12 @@ def drift_table(result: dict[str, Any]) -> Any:
     return table("drift off the surface, m", ("surface", "steps", *methods), rows, 1)
 
 
-def at_advised_rate(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the recommendations for RATE_HZ."""
-    rates = {row["rate_hz"] for row in result["recommendations"]}
-    rate = RATE_HZ if RATE_HZ in rates else max(rates)
-    return [row for row in result["recommendations"] if row["rate_hz"] == rate]
-
-
 def advice(result: dict[str, Any]) -> list[str]:
     """Return the recommendations for RATE_HZ; of errors with the same method only the smallest."""
-    cells = []
-    for _, group in group_by(at_advised_rate(result), "surface", "motion", "method"):
+    rates = {row["rate_hz"] for row in result["recommendations"]}
+    rate = RATE_HZ if RATE_HZ in rates else max(rates)
+    rows, cells = [row for row in result["recommendations"] if row["rate_hz"] == rate], []
+    for _, group in group_by(rows, "surface", "motion", "method"):
         pick = min if group[0]["method"] else max
         cells.append(pick(group, key=lambda row: row["error_below_m"])["sentence"])
     return [str(sentence) for sentence in cells]

@@ -29,7 +29,7 @@ from softfinger.server.loop.tick import Memory, Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import TickRange, close_loop
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.progress import progress
+from softfinger.server.progress import map_with_progress
 from softfinger.tools.bench.step import ROUNDS, quiet, reference_ns
 from softfinger.tools.measure import show
 
@@ -95,16 +95,12 @@ def run(args: argparse.Namespace) -> int:
             f"--scene {args.scene}: the simulation moves one finger, but this scene has several: choose another scene"
         )
     tuning = make_tuning(scene, load_rig("replay").guard)
-    turns: list[list[dict[str, Any]]] = []
-    with progress("measuring the closed loop", ROUNDS) as advance:
-        for number in range(ROUNDS):
-            turns.append(
-                [
-                    measure(tuning, scene.fingers[0].radius_m, handle, max(blocks // ROUNDS, 1))
-                    for handle in HANDLES.values()
-                ]
-            )
-            advance(number + 1)
+    radius, blocks_of_turn = scene.fingers[0].radius_m, max(blocks // ROUNDS, 1)
+    turns = map_with_progress(
+        "measuring the closed loop",
+        lambda _: [measure(tuning, radius, handle, blocks_of_turn) for handle in HANDLES.values()],
+        range(ROUNDS),
+    )
     rows = [{"plant": name} | summarize(of) for name, *of in zip(HANDLES, *turns, strict=True)]
     result = {"scene": args.scene, "ticks": TICKS * blocks, "plants": rows}
     lines = [f"closed loop on {args.scene}: contact step, guard and simulated device, in contact, one processor"]

@@ -144,8 +144,7 @@ def run(args: argparse.Namespace) -> int:
         drawing = figure(height=3.0)
         axes = drawing.add_subplot()
         axes.plot(memory)
-        axes.set_xlabel("scenes set")
-        axes.set_ylabel("resident, MB")
+        axes.set(xlabel="scenes set", ylabel="resident, MB")
         save(drawing, args.plot)
     return 0
 

@@ -6,16 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
-from softfinger.server.offline.figures import figure, save
 from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, make_disarmed_guard
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, draw_exceedance, show
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,14 +44,5 @@ def run(args: argparse.Namespace) -> int:
 
 def draw(path: Path, rows: Array, title: str) -> None:
     """Draw the fraction of ticks in which read, write, and the empty pair took longer than a time."""
-    drawing = figure()
-    axes = drawing.add_subplot()
     parts = {"read": rows[:, READ], "write": rows[:, WRITE], "empty pair": rows[:, EMPTY_READ] + rows[:, EMPTY_WRITE]}
-    for name, values in parts.items():
-        axes.loglog(np.sort(values).clip(1e-9) * 1e6, 1.0 - np.arange(len(values)) / len(values), label=name)
-    axes.set_xlabel("time, us")
-    axes.set_ylabel("share of ticks that took longer")
-    axes.set_title(title)
-    axes.legend()
-    axes.grid(True, alpha=0.3)
-    save(drawing, path)
+    draw_exceedance(path, parts, 1e-3, "time", "ticks that took longer", title)

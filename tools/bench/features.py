@@ -15,7 +15,8 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.config.sources import FOLDERS
-from softfinger.server.offline.cost import BLOCK, Array, make_touching_poses
+from softfinger.server.offline.cost import BLOCK, make_touching_poses
+from softfinger.tools.measure import Array
 
 Table = dict[str, Any]
 

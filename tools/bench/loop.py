@@ -29,10 +29,9 @@ from softfinger.server.arguments import default_rig
 from softfinger.server.loop import realtime
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.bench.geoms import scene_of_geoms
-from softfinger.tools.measure import Array, microseconds, quantiles, show
+from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")
@@ -236,14 +235,5 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 def draw(path: Path, runs: dict[str, list[Array]], rate_hz: float) -> None:
-    drawing = figure()
-    axes = drawing.add_subplot()
-    for name, parts in runs.items():
-        late = np.sort(np.concatenate(parts)[:, 0]) * 1e6
-        axes.loglog(late.clip(0.1), 1.0 - np.arange(len(late)) / len(late), label=name)
-    axes.set_xlabel("wake-up lateness, us")
-    axes.set_ylabel("share of ticks later than this")
-    axes.set_title(f"servo loop at {rate_hz:g} Hz")
-    axes.legend()
-    axes.grid(True, alpha=0.3)
-    save(drawing, path)
+    late, title = {name: np.concatenate(parts)[:, 0] for name, parts in runs.items()}, f"servo loop at {rate_hz:g} Hz"
+    draw_exceedance(path, late, 0.1, "wake-up lateness", "ticks later than this", title)

@@ -186,7 +186,6 @@ def draw(result: dict[str, Any], file: Path) -> None:
             label = f"{'bumpy' if bumpy else 'smooth'}, {at}"
             costs = [row["touching_ns"][at] / 1000.0 for row in rows]
             axes.loglog([row["triangles"] for row in rows], costs, "o-", label=label)
-    axes.set_xlabel("triangles")
-    axes.set_ylabel("us per tick, back to back")
+    axes.set(xlabel="triangles", ylabel="us per tick, back to back")
     axes.legend()
     save(drawing, file)

@@ -302,8 +302,7 @@ def draw(path: Path, soaked: Soaked) -> None:
     axes = drawing.add_subplot()
     for name, values in soaked.processes.items():
         axes.plot(soaked.times / 60.0, values[:, 0], label=name)
-    axes.set_xlabel("time, minutes")
-    axes.set_ylabel("resident memory, MB")
+    axes.set(xlabel="time, minutes", ylabel="resident memory, MB")
     axes.legend(fontsize="small")
     axes.grid(True, alpha=0.3)
     save(drawing, path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from fnmatch import fnmatch
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
 from softfinger.server.offline.cost import BLOCK, Cost, keep_contact, make_touching_poses, measure, without_parts
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.progress import progress
+from softfinger.server.progress import map_with_progress
 from softfinger.tools.bench.features import Feature, all_features, corner_poses
 from softfinger.tools.measure import show
 
@@ -52,14 +53,15 @@ def run(args: argparse.Namespace) -> int:
     chosen = [] if args.features is None else select(all_features(), args.features)
     names = list_shipped(Scene) if args.all else args.scene
     blocks = max(args.blocks, 1)
-    scenes = []
-    with progress("measuring the contact step", len(names)) as advance:
-        for number, name in enumerate(names):
-            scenes.append({"scene": name, "variants": variants(name, load_scene(name), blocks)})
-            advance(number + 1)
+    scenes = map_with_progress(
+        "measuring the contact step",
+        lambda name: {"scene": name, "variants": variants(name, load_scene(name), blocks)},
+        names,
+    )
     result = {"steps": BLOCK * blocks, "scenes": scenes} | (scenes[0] if scenes else {})
     if chosen:
-        result["features"] = features(chosen, blocks)
+        cost = partial(cost_of, blocks=blocks)
+        result["features"] = map_with_progress("measuring features", cost, chosen)
     show(result, args.json, table(result))
     if args.plot:
         draw(result, args)
@@ -117,18 +119,11 @@ def quiet(values: Any) -> float:
     return float(np.min(values))
 
 
-def features(chosen: Sequence[Feature], blocks: int) -> list[dict[str, Any]]:
-    """Return the cost of each feature: a scene with it, and the difference from the scene without it, in ns."""
-    rows = []
-    with progress("measuring features", len(chosen)) as advance:
-        for number, feature in enumerate(chosen):
-            rows.append(cost_of(feature, blocks))
-            advance(number + 1)
-    return rows
-
-
 def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
-    """Measure a feature over turns of `blocks` blocks in all; the poses change with the touched surface."""
+    """Return the cost of a scene with a feature, and the difference from the scene without it, in ns.
+
+    Both are measured over turns of `blocks` blocks in all; the poses change with the touched surface.
+    """
     scenes = feature.without, feature.having
     if feature.poses is not None:
         poses = feature.poses()

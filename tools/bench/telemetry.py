@@ -26,13 +26,12 @@ import zmq
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import AT, NAMED, PATCHES, RECORD_SIZE
 from softfinger.server.keys import client_keys, make_pair
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.socket_process.messages import Messages
 from softfinger.server.socket_process.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
-from softfinger.tools.measure import Array, microseconds, quantiles, show
+from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show
 
 START_S: Final = 180.0
 """Longest time for a cold daemon to compile."""
@@ -69,10 +68,12 @@ def run(args: argparse.Namespace) -> int:
             for name, words in sources.items():
                 results[name].append(measure(name, words, args, args.seconds / turns))
     result: dict[str, Any] = {"subscribers": args.subscribers, "rate_hz": args.rate, "seconds": args.seconds}
+    latencies: dict[str, Array] = {}
     for name, parts in results.items():
         arrivals = [rows for part in parts for rows in part.arrivals]
+        latencies[name] = np.concatenate([rows[:, 1] for rows in arrivals])
         result[name] = {
-            "latency": quantiles(np.concatenate([rows[:, 1] for rows in arrivals]), round(args.rate)),
+            "latency": quantiles(latencies[name], round(args.rate)),
             "messages": sum(len(rows) for rows in arrivals),
             "lost": int(sum((np.diff(rows[:, 0]) - 1).sum() for rows in arrivals)),
             "load": float(np.mean([part.load for part in parts])),
@@ -87,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     lines.append("  medians over blocks of a second; in brackets the ratio to the daemon")
     show(result, args.json, lines)
     if args.plot:
-        draw(args.plot, {name: [rows for part in parts for rows in part.arrivals] for name, parts in results.items()})
+        draw_exceedance(args.plot, latencies, 1.0, "tick to subscriber", "messages later than this", "")
     return 0
 
 
@@ -242,19 +243,6 @@ def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
     # subscribers start.
     messages = [(at, msgpack.unpackb(body)) for at, body in arrivals if at > arrivals[0][0] + 1.0]
     np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))
-
-
-def draw(path: Path, results: dict[str, list[Array]]) -> None:
-    drawing = figure()
-    axes = drawing.add_subplot()
-    for name, parts in results.items():
-        latency = np.sort(np.concatenate([part[:, 1] for part in parts])) * 1e6
-        axes.loglog(latency.clip(1.0), 1.0 - np.arange(len(latency)) / len(latency), label=name)
-    axes.set_xlabel("tick to subscriber, us")
-    axes.set_ylabel("share of messages later than this")
-    axes.legend()
-    axes.grid(True, alpha=0.3)
-    save(drawing, path)
 
 
 if __name__ == "__main__":

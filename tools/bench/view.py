@@ -23,11 +23,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.telemetry import await_messages, processor_s, source
-from softfinger.tools.measure import Array, microseconds, quantiles, show
+from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show
 
 TURN_S: Final = 10.0
 SETTLE_S: Final = 8.0
@@ -94,7 +93,8 @@ def run(args: argparse.Namespace) -> int:
     result = {name: summary(rows) for name, rows in parts.items()}
     show({"rig": args.rig, "seconds": args.seconds, "cases": result}, args.json, table(result))
     if args.plot:
-        draw(args.plot, parts)
+        late = {name: np.concatenate([turn.ticks[:, 0] for turn in turns]) for name, turns in parts.items()}
+        draw_exceedance(args.plot, late, 1.0, "woken late", "ticks later than this", "")
     return 0
 
 
@@ -220,16 +220,3 @@ def table(result: dict[str, dict[str, Any]]) -> list[str]:
         load = f"{100.0 * case['viewer_load']:5.1f} %" if case["viewer_load"] else ""
         lines.append(f"  {name:<18} {case['missed_of_1000']:12.2f}   {cells}   {load:<8}   {frames_text}")
     return [*lines, "  us; medians over blocks of 1000 ticks; a viewer: its share of one processor"]
-
-
-def draw(path: Path, results: dict[str, list[TurnResult]]) -> None:
-    drawing = figure()
-    axes = drawing.add_subplot()
-    for name, turns in results.items():
-        late = np.sort(np.concatenate([turn.ticks[:, 0] for turn in turns])) * 1e6
-        axes.loglog(late.clip(1.0), 1.0 - np.arange(len(late)) / len(late), label=name)
-    axes.set_xlabel("woken late, us")
-    axes.set_ylabel("share of ticks later than this")
-    axes.legend()
-    axes.grid(True, alpha=0.3)
-    save(drawing, path)

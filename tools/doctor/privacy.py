@@ -64,7 +64,8 @@ class Privacy:
             for folder in sorted(folders, key=len, reverse=True)
             if folder not in {"", "/", "/usr"}
         ]
-        words = dict.fromkeys(_users(), "<user>") | dict.fromkeys(_hosts(), "<host>")
+        host = platform.node()
+        words = dict.fromkeys(_users(), "<user>") | dict.fromkeys((host, host.partition(".")[0]), "<host>")
         words |= {serial: shorten_serial(serial) for serial in serials}
         words.pop("", None)
         self._words = words
@@ -131,8 +132,3 @@ def _users() -> set[str]:
     with contextlib.suppress(KeyError, OSError):
         names |= {getpass.getuser(), pwd.getpwuid(os.getuid()).pw_name}
     return names
-
-
-def _hosts() -> set[str]:
-    name = platform.node()
-    return {name, name.partition(".")[0]}

@@ -13,7 +13,6 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
-from softfinger.config.schema import Rig
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
 from softfinger.tools.doctor import motions
@@ -33,19 +32,16 @@ PEAK: Final = 3.0 * 3.0**0.5 / 8.0
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the report of `--probe`; returns the exit code. Raises as `report.make_report`."""
+    """Make the report of `--probe`; returns the exit code.
+
+    Raises as `report.make_report`, and ConfigError if the rig allows less force than a push has.
+    """
     rig = load_rig(args.rig if args.rig is not None else attached_rig())
-    if args.push:
-        check_push(rig)
+    if args.push and rig.guard.force_max_n < PUSH_N:
+        raise ConfigError(f"--push: guard.force_max_n = {rig.guard.force_max_n:g} is below the push of {PUSH_N:g} N")
     force_n, guided = PUSH_N if args.push else None, sys.stdin.isatty()
     request = ReportRequest("--probe", args.probe, "--push", force_n, PART_S, guided, args.json)
     return make_report(rig, request, ProbeSession, summarize)
-
-
-def check_push(rig: Rig) -> None:
-    """Raise ConfigError if the rig allows less force than a push has."""
-    if rig.guard.force_max_n < PUSH_N:
-        raise ConfigError(f"--push: guard.force_max_n = {rig.guard.force_max_n:g} is below the push of {PUSH_N:g} N")
 
 
 def attached_rig() -> str:
@@ -85,22 +81,14 @@ class ProbeSession(DeviceSession):
             self._report["exchange"] = figures(together, self._exchange.rate_hz)
             self._report["buttons"] = {"masks": motions.masks(together)}
         if force_n is not None:
-            self._push_each(force_n)
+            warning = f"hold the handle lightly: it pushes with {force_n:g} N along each axis and back"
+            for axis, result in self._push_each(warning, force_n / PEAK, 1.0 / PUSH_S, PUSH_S):
+                self._report["pushes"].append(result | {"felt": self._ask_direction(motions.AXES[axis])})
 
     def _record_motion(self, words: str) -> Array:
         if self._guided and self._exchange.ended is None:
             print(words, file=sys.stderr, flush=True)
         return self._record(words, self._seconds)
-
-    def _push_each(self, force_n: float) -> None:
-        warning = f"hold the handle lightly: it pushes with {force_n:g} N along each axis and back"
-        if not self._guided:
-            print(warning, file=sys.stderr, flush=True)
-        self._ask(warning)
-        for axis in self._pushed_axes():
-            result = self._push(axis, force_n / PEAK, 1.0 / PUSH_S, PUSH_S)
-            if result is not None:
-                self._report["pushes"].append(result | {"felt": self._ask_direction(motions.AXES[axis])})
 
     def _ask_direction(self, name: str) -> str:
         """Return the user's answer in one line; empty if the probe is not guided."""

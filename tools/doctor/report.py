@@ -190,7 +190,9 @@ def record(rig: Rig, report: dict[str, Any], request: ReportRequest, session_typ
     """
     with open_device(single_device(rig), rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
-        report["maker_library"] = loaded_libraries()
+        mapped = {line.split(maxsplit=5)[-1] for line in machine.text(Path("/proc/self/maps")).splitlines()}
+        libraries = {Path(file).name for file in mapped if any(name in file for name in LIBRARIES)}
+        report["maker_library"] = sorted(libraries)
         force_n, freedom = request.force_n, read_subspace(single_device(rig))
         guard = make_disarmed_guard(rig) if force_n is None else pushing(rig, device, force_n, request.force_option)
         exchange = Exchange(device, rig, guard)
@@ -217,11 +219,6 @@ def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-forc
             f"{option} {force_n:g}: {device.info.name} takes {device.info.force_max_n:g} N at most: use less"
         )
     return guard_limits(rig.guard, device.info)._replace(force_max=force_n)
-
-
-def loaded_libraries() -> list[str]:
-    mapped = machine.text(Path("/proc/self/maps")).splitlines()
-    return sorted({Path(line.split(maxsplit=5)[5]).name for line in mapped if any(name in line for name in LIBRARIES)})
 
 
 def write(file: Path, report: dict[str, Any], option: str) -> None:

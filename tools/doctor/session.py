@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -77,7 +78,9 @@ class DeviceSession:
         if self._guided:
             self._record_moves()
         if force_n is not None:
-            self._record_pushes(force_n)
+            warning = f"hold the handle lightly: it pushes to and fro with up to {force_n:g} N along each axis in turn"
+            for _, result in self._push_each(warning, force_n, FORCE_CYCLES / self._seconds, self._seconds):
+                self._report["pushes"].append(result)
 
     def _record_rest(self) -> None:
         self._ask("let go of the handle, or hold it still")
@@ -107,21 +110,21 @@ class DeviceSession:
         self._ask(f"press each button in turn, within {self._seconds:g} s")
         self._report["buttons"] = {"masks": motions.masks(self._record("the buttons", self._seconds))}
 
-    def _record_pushes(self, force_n: float) -> None:
-        warning = f"hold the handle lightly: it pushes to and fro with up to {force_n:g} N along each axis in turn"
+    def _push_each(
+        self, warning: str, force_n: float, frequency_hz: float, seconds: float
+    ) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Push along each axis after a warning; yield the axis and the result of each push with a pose and a force."""
         if not self._guided:
             print(warning, file=sys.stderr, flush=True)
         self._ask(warning)
-        for axis in self._pushed_axes():
-            result = self._push(axis, force_n, FORCE_CYCLES / self._seconds, self._seconds)
-            if result is not None:
-                self._report["pushes"].append(result)
-
-    def _push(self, axis: int, force_n: float, frequency_hz: float, seconds: float) -> dict[str, Any] | None:
-        x, y, z = (force_n if k == axis else 0.0 for k in range(3))
-        push = Push((x, y, z), frequency_hz, seconds)
-        rows = self._record(f"a push along {motions.AXES[axis]}", seconds, push)
-        return motions.push(axis, frequency_hz, self._exchange.rate_hz, rows, self._own_m)
+        for axis in range(3):
+            if float(np.linalg.norm(self._part(axis))) > LEAST_PART:
+                x, y, z = (force_n if k == axis else 0.0 for k in range(3))
+                push = Push((x, y, z), frequency_hz, seconds)
+                rows = self._record(f"a push along {motions.AXES[axis]}", seconds, push)
+                result = motions.push(axis, frequency_hz, self._exchange.rate_hz, rows, self._own_m)
+                if result is not None:
+                    yield axis, result
 
     def _print_freedom(self) -> None:
         if self._freedom is not None:
@@ -139,9 +142,6 @@ class DeviceSession:
     def _translations(self) -> list[RequestedMotion]:
         axes = [motions.axis_of(self._part(k), LEAST_PART) for k in range(len(TRANSLATIONS))]
         return [motion for axis, motion in zip(axes, TRANSLATIONS, strict=True) if axis == motion.expected]
-
-    def _pushed_axes(self) -> list[int]:
-        return [k for k in range(3) if float(np.linalg.norm(self._part(k))) > LEAST_PART]
 
     def _record(self, operation: str, seconds: float, push: Push | None = None) -> Array:
         rows = self._exchange.record(seconds, push or NO_PUSH, operation)

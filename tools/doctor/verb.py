@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from softfinger.config.errors import ConfigError, Unfit
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
-from softfinger.server.progress import progress
+from softfinger.server.progress import map_with_progress
 from softfinger.tools.doctor import attached, loop, machine, report
 from softfinger.tools.doctor.check import STATES, Check, lines
 from softfinger.tools.exchange import check_seconds
@@ -59,11 +60,7 @@ def examine(
         lambda: [loop.endpoint(rig)],
         lambda: attached.checks(rig),
     )
-    checks = []
-    with progress("checking the machine", len(steps)) as advance:
-        for number, step in enumerate(steps, 1):
-            checks += step()
-            advance(number)
+    checks = list(chain(*map_with_progress("checking the machine", lambda step: step(), steps)))
     counted = Counter(check.state for check in checks)
     return {
         "rig": rig_name,

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config.load import build, describe, load_scene
 from softfinger.config.materials import fingertips
@@ -25,9 +24,8 @@ from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline import feel_figure, library_texts
 from softfinger.server.offline.figures import figure, legends_below, save
+from softfinger.tools.measure import Array
 from softfinger.tools.pages import moving, sketches, states
-
-Array = NDArray[np.float64]
 
 RADIUS_M: Final = 0.01
 STIFFNESS_N_PER_M: Final = 1000.0
@@ -87,8 +85,7 @@ def friction(axes: Any) -> None:
     for limit, name, above in ((0.6, "$\\mu_s f_N$", -10), (0.5, "$\\mu_d f_N$", 4)):
         axes.axhline(-limit, linewidth=0.6, linestyle=":", color="0.4")
         axes.annotate(name, (1.2, -limit), xytext=(0, above), textcoords="offset points", fontsize="small")
-    axes.set_ylim(-0.72, 0.72)
-    axes.set(xlabel="position of the probe [mm]", ylabel="tangential force [N]")
+    axes.set(ylim=(-0.72, 0.72), xlabel="position of the probe [mm]", ylabel="tangential force [N]")
 
 
 def patch(axes: Any) -> None:

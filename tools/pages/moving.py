@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config.load import describe, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
-
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 RATE_HZ: Final = 1000.0
 BLOCK: Final = 50
@@ -51,7 +49,8 @@ def simulate_lift(torsion: bool) -> tuple[Array, Array, Array]:
     # A hand yields by as much as the contact: half of the depth in the recording.
     for poses in hands.values():
         touch = HALF_M + RADIUS_M
-        poses[:, 0] = np.sign(poses[:, 0]) * (touch + _scale_gap(np.abs(poses[:, 0]) - touch))
+        gap = np.abs(poses[:, 0]) - touch
+        poses[:, 0] = np.sign(poses[:, 0]) * (touch + np.where(gap < 0.0, 0.5 * gap, gap))
     boxes, fingers = [engine.data.qpos.copy()], [hands["thumb"][0, 1:3]]
     for first in range(0, len(hands["thumb"]) - BLOCK, BLOCK):
         engine.run({name: poses[first : first + BLOCK] for name, poses in hands.items()})
@@ -60,10 +59,6 @@ def simulate_lift(torsion: bool) -> tuple[Array, Array, Array]:
     states = np.array(boxes)
     turn = np.degrees(np.unwrap(2.0 * np.arctan2(states[:, 4], states[:, 3])))
     return states[:, 1:3], turn, np.array(fingers)
-
-
-def _scale_gap(gap: Array) -> Array:
-    return np.where(gap < 0.0, 0.5 * gap, gap)
 
 
 def picture() -> str:

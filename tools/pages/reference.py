@@ -140,18 +140,14 @@ Keys that events of single kinds add. Other kinds add what the event needs."""
         "`deformation`": protocol.DEFORMATION_KEYS,
         "`schema`": protocol.SCHEMA_KEYS,
     }
-    parts = ["## `contact`", " ".join(contact.split()), keys_table(_keys_outside_record(protocol.CONTACT_KEYS))]
+    names = {field.name for field in FIELDS}
+    unrecorded = [key for key in protocol.CONTACT_KEYS if key.name.replace("[]", "0") not in names]
+    parts = ["## `contact`", " ".join(contact.split()), keys_table(unrecorded)]
     for title, keys in tables.items():
         parts += [f"## {title}", keys_table(keys)]
         if keys is protocol.EVENT_KEYS:
             parts += [kinds, _kinds_table(protocol.EVENT_EXTRA_KEYS)]
     return _page(head, *parts)
-
-
-def _keys_outside_record(keys: Iterable[Key]) -> list[Key]:
-    """Return the keys of a tick's message that are not fields of the record."""
-    names = {field.name for field in FIELDS}
-    return [key for key in keys if key.name.replace("[]", "0") not in names]
 
 
 def _kinds_table(kinds: Mapping[str, Iterable[Key]]) -> str:

@@ -6,9 +6,8 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 BLUE: Final = "C0"
 RED: Final = "C3"

@@ -23,7 +23,7 @@ _ALOFT: Final = 0.14
 def tables() -> tuple[str, str]:
     states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
     sources: dict[tuple[Any, DaemonState], list[str]] = {}
-    for (before, trigger), after in _transitions():
+    for (before, trigger), after in TRANSITIONS.items():
         sources.setdefault((trigger, after), []).append(f"`{before}`")
     rows = [
         [", ".join(before), f"{trigger}: {CAUSES[trigger]}", f"`{after}`"]
@@ -32,13 +32,9 @@ def tables() -> tuple[str, str]:
     return states, schema.grid(["from", "by", "to"], rows)
 
 
-def _transitions() -> list[tuple[tuple[DaemonState, Any], DaemonState]]:
-    return list(TRANSITIONS.items())
-
-
 def draw(axes: Any) -> None:
     (axes,) = axes
-    for (before, trigger), after in _transitions():
+    for (before, trigger), after in TRANSITIONS.items():
         start, end = PLACES[before], PLACES[after]
         axes.annotate(
             "",

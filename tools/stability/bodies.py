@@ -23,7 +23,7 @@ import numpy as np
 from softfinger.config.errors import SafetyStop
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import FREE, SLIDING
-from softfinger.server.progress import progress
+from softfinger.server.progress import map_with_progress
 from softfinger.tools.measure import Array
 
 DT: Final = 1e-3
@@ -296,9 +296,4 @@ def judge(result: CellResult, touching: bool) -> CellResult:
 
 
 def measure_all() -> list[CellResult]:
-    results, cells = [], [Cell(*values) for values in product(CASES, MASSES, STIFFNESSES)]
-    with progress("bodies", len(cells)) as update:
-        for number, cell in enumerate(cells):
-            results.append(measure(cell))
-            update(number + 1)
-    return results
+    return map_with_progress("bodies", measure, [Cell(*values) for values in product(CASES, MASSES, STIFFNESSES)])

@@ -22,10 +22,9 @@ from softfinger.server.loop.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import tick_many
-from softfinger.server.progress import progress
+from softfinger.server.progress import map_with_progress
+from softfinger.tools.measure import Array
 from softfinger.tools.stability.wrenches import try_wrenches
-
-Array = NDArray[np.float64]
 
 R: Final = 0.01
 TICKS: Final = 400
@@ -301,16 +300,11 @@ def count_violations(records: Array, period: float) -> int:
 
 
 def try_extremes() -> list[ExtremeResult]:
-    results, todo = [], list(cases())
-    with progress("extremes", len(todo)) as update:
-        for number, case in enumerate(todo):
-            results.append(judge(case, run_case(case)))
-            update(number + 1)
-    results += [
+    results = map_with_progress("extremes", lambda case: judge(case, run_case(case)), list(cases()))
+    return results + [
         ExtremeResult("wrench", wrench, n, force, "-", names, wrong)
         for wrench, n, force, names, wrong in try_wrenches()
     ]
-    return results
 
 
 def table(results: Sequence[ExtremeResult]) -> str:

@@ -14,7 +14,8 @@ from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.offline.simulate import tick_many
 from softfinger.server.progress import progress
-from softfinger.tools.stability.extremes import BALL, BLOCK, WALLS, Array, R, count_violations, scene, tuning_of
+from softfinger.tools.measure import Array
+from softfinger.tools.stability.extremes import BALL, BLOCK, WALLS, R, count_violations, scene, tuning_of
 
 HOSTILE_SCENES: Final = {"plane": scene(), "sphere": scene(BALL), "box": scene(BLOCK), "three walls": scene(*WALLS)}
 HOSTILE_BLOCK: Final = 20_000

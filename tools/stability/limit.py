@@ -13,7 +13,6 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.drivers.simulated.plant import (
     DELAY_LINE_SIZE,
@@ -45,10 +44,9 @@ from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import Memory, Tuning, begin, tick
 from softfinger.server.offline.closed_loop import NULL_RECORD
 from softfinger.server.progress import progress
+from softfinger.tools.measure import Array
 from softfinger.tools.stability.options import CaseOptions
 from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit
-
-Array = NDArray[np.float64]
 
 RADIUS_M: Final = 0.01
 KNOCK_M: Final = 1e-4

@@ -148,8 +148,7 @@ def draw_radius(path: Path, case: WallCase, row: Mapping[str, Any]) -> None:
     if limit is not None:
         axes.axvline(limit, color="C1", label="unstable above: found on the servo step")
     axes.axvline(row["passive_n_per_m"], color="0.4", linestyle="--", label="passive below")
-    axes.set_xlabel("stiffness of the wall, N/m")
-    axes.set_ylabel("spectral radius")
+    axes.set(xlabel="stiffness of the wall, N/m", ylabel="spectral radius")
     axes.legend()
     axes.grid(True, alpha=0.3)
     save(drawing, path)

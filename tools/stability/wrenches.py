@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop.guard import GUARD_NAMES, INITIAL_GUARD_STATE, NOT_FINITE, Guard, guard_wrench
-
-Array = NDArray[np.float64]
+from softfinger.tools.measure import Array
 
 T: Final = 0.001
 LIMITS: Final = Guard(12.0, 0.3, 2000.0, 50.0, 0.1, 1.0)

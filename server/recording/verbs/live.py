@@ -19,7 +19,7 @@ from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.progress import counter
 from softfinger.server.recording.reader import translate_errors
-from softfinger.server.recording.recorder import Recorder, RecorderState
+from softfinger.server.recording.recorder import Recorder
 from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, explain_no_telemetry, record_of, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, SCENE_TOPICS, finger_of
@@ -74,10 +74,6 @@ def record_live(job: RecordingJob, path: Path) -> str:
         finally:
             recorder.note("lost", batcher.lost)
             recorded = recorder.stop(DISK_TIMEOUT_S)
-    return _format_report(path, batcher, recorded, end_reason)
-
-
-def _format_report(path: Path, batcher: TickBatcher, recorded: RecorderState, end_reason: str) -> str:
     if recorded.error:
         raise RecordingError(f"{path}: cannot be written: {recorded.error}; it has {recorded.ticks} ticks")
     loss_text = f"{batcher.lost} did not arrive" if batcher.lost else "no tick lost"

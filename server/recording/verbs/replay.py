@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import ConfigError, Different, RecordingError
 from softfinger.config.files import open_input, read_input
@@ -26,7 +26,6 @@ from softfinger.server.recording.compare import COMPARED, FIELDS, ReplayComparis
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import Run, load_run
 
-Array = NDArray[np.float64]
 Against = dict[str, dict[str, Array]]
 
 FORCES_BYTES_MAX: Final = 1 << 30

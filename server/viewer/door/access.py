@@ -100,7 +100,7 @@ class Access:
         """Return the allowed values of the header Host; numeric addresses cannot belong to a web site's domain."""
         port = int(local[1])
         hosts = {self._host, str(local[0]), *self._allowed}
-        if _is_wildcard(self._host) or _is_loopback(str(local[0])):
+        if _is_wildcard(self._host) or ip_address(str(local[0]).partition("%")[0]).is_loopback:
             hosts |= {"localhost"}
         if _is_wildcard(self._host):
             hosts |= {socket.gethostname()}
@@ -194,7 +194,3 @@ def _with_port(name: str, port: int) -> str:
 
 def _is_wildcard(host: str) -> bool:
     return host in ("", "0.0.0.0", "::")
-
-
-def _is_loopback(address: str) -> bool:
-    return ip_address(address.partition("%")[0]).is_loopback

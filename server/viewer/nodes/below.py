@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from softfinger.config.arrays import Array
 from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.nodes.glyphs import PoseTuple, rotate
-
-Array = NDArray[np.float64]
 
 MIN_GROUND_COSINE: Final = 0.5
 """Minimum cosine of the slope of a plane that counts as ground."""

@@ -7,15 +7,14 @@ from math import sin
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.server.surface_meshes import surface_mesh
 from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import PoseTuple, rotate
 from softfinger.server.viewer.nodes.looks import CM
 
-Array = NDArray[np.float64]
 DrawnObjects = Sequence[tuple[Any, PoseTuple]]
 
 

@@ -7,9 +7,9 @@ from math import radians
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.surface_meshes import cone
 from softfinger.server.viewer.nodes.below import UP
@@ -18,8 +18,6 @@ from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, dis
 from softfinger.server.viewer.nodes.glyphs import DASHES, Trace, arc, circles, dashes, inverse, rotate, rotation_to
 from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, NORMAL, PLUMB, SKIN, TORSION, Colour, Looks
 from softfinger.server.viewer.nodes.states import COLOURS, STATE_TICKS, VisibleState, classify_contact
-
-Array = NDArray[np.float64]
 
 MIN_SEPARATION_M: Final = 2e-5
 """Proxy and probe closer than this are drawn as one."""
@@ -231,7 +229,9 @@ class FingerNodes:
             if not 0 <= scene_index < len(self._bodies.poses):  # a tick of another scene
                 mode = FREE
             if mode == FREE or scene_index != self._touched_object:
-                self._break_lines(scene_index if mode != FREE else -1)
+                self._touched_object = scene_index if mode != FREE else -1
+                for trace, _ in self._traces():
+                    trace.break_line()
             if mode == FREE:
                 continue
             trace = self._object_trace(scene_index)[0]
@@ -257,11 +257,6 @@ class FingerNodes:
 
     def _traces(self) -> list[tuple[Trace, Any]]:
         return [(self._tip_trace, self._tip_trace_node), *self._object_traces.values()]
-
-    def _break_lines(self, scene_index: int) -> None:
-        self._touched_object = scene_index
-        for trace, _ in self._traces():
-            trace.break_line()
 
     def clear_traces(self) -> None:
         for trace, node in self._traces():

@@ -6,15 +6,13 @@ from math import cos, pi, radians, sin
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.config import schema
+from softfinger.config.arrays import Array
 from softfinger.server.surface_meshes import SurfaceMesh, lathe
 from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import rotate
 from softfinger.server.viewer.nodes.looks import CM, NAIL, SHADOW, SKIN
-
-Array = NDArray[np.float64]
 
 TILT_RAD: Final = radians(45.0)
 """Angle of the finger's axis from the vertical, away from the camera, so that the nail faces it."""

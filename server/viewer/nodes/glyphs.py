@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from softfinger.config.arrays import Array
+
 Quaternion = tuple[float, float, float, float]
 PoseTuple = tuple[tuple[float, float, float], Quaternion]
 """Position (3,) m and orientation."""

@@ -5,13 +5,9 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT, FREE, SLIDING
 from softfinger.server.viewer.nodes.looks import Colour
-
-Array = NDArray[np.float64]
 
 MIN_ROLL_SPEED_M_PER_S: Final = 2e-3
 """Minimum visible speed of rolling: one pixel in a tenth of a second."""
