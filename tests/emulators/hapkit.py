@@ -57,8 +57,16 @@ class Hapkit:
         count = self._code.board_changes(out, 1 << 16)
         return [(out[2 * k], out[2 * k + 1]) for k in range(count)]
 
-    def say(self, data: bytes) -> None:
-        os.write(self._far, data)
+    def processed(self) -> int:
+        """Return how many bytes of the host the sketch has processed."""
+        return int(self._code.board_processed())
+
+    def say(self, data: bytes) -> bool:
+        """Send bytes to the host; return False if the terminal has no room for them, because nobody reads it."""
+        try:
+            return os.write(self._far, data) == len(data)
+        except BlockingIOError:
+            return False
 
     def pull(self) -> None:
         if not self.pulled:
