@@ -50,23 +50,24 @@ def _contacts(subscription: Subscription) -> Iterator[Any]:
 
 
 def assert_engine_agrees(records: Array, scene: Scene, rate_hz: float) -> int:
-    """Check the mode of every tick and the forces that the guard did not change against the engine.
+    """Check the mode and the force before the guard of every tick against the engine, and the force after it.
 
-    returns  number of these ticks that had contact
+    returns  number of ticks with contact
     """
     engine = Engine(scene, rate_hz)
-    position, orientation, force = AT.probe_position, AT.probe_orientation, AT.force
-    compared = 0
+    position, orientation, force, before_guard = AT.probe_position, AT.probe_orientation, AT.force, AT.contacts0_force
+    in_contact = 0
     for row in records:
         step = engine.step(row[position : position + 3], row[orientation : orientation + 4], float(row[AT.dt]))
         assert step.mode == row[AT.contact_mode]
+        # The loop and the engine compile the same arithmetic, but the record's orientation has been normalised once
+        # more.
+        np.testing.assert_allclose(row[before_guard : before_guard + 3], step.force, rtol=0, atol=1e-9)
         # If a write was withheld or repeated, the record has the force at the device, from which the guard continues.
         if row[AT.servo_guard] == 0 and row[AT.servo_device] not in (WITHHELD, HELD):
-            # The loop and the engine compile the same arithmetic, but the record's orientation has been normalised once
-            # more.
             np.testing.assert_allclose(row[force : force + 3], step.force, rtol=0, atol=1e-9)
-            compared += step.mode != 0
-    return compared
+        in_contact += step.mode != 0
+    return in_contact
 
 
 if __name__ == "__main__":
