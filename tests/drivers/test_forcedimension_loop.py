@@ -19,6 +19,7 @@ from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.drd_stub import OmegaBench, Stub, bench, stub, stub_library
 from helpers.programs import Program, run_program
 from helpers.rig_files import load_rig_in_process
+from helpers.waits import until
 
 from softfinger.config.errors import DeviceLost, DeviceNotFound, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import build, load_rig, load_scene
@@ -179,7 +180,7 @@ def test_stop_while_a_transfer_hangs(
         servo.compile()
         servo.start()
         run_for(servo, 100)
-        time.sleep(0.05)
+        until(stub.busy)
         device.stop()
         assert stub.busy() and servo.ticks == 100  # the call still hangs
         assert ("blocks all others" in caplog.text) == bool(exclusive)

@@ -35,10 +35,7 @@ TICKS = {"node": 1700, "thread": 2500, "usb": 2500}
 """Ticks that complete a stroke of 1.2 s: each report moves the emulated arm by 1 ms, and threads skip some."""
 CLOSED_LOOP = Path(__file__).parents[1] / "helpers" / "closed_loop.py"
 SYSTEM_PYTHON = "/usr/bin/python3"
-DAEMON = (
-    sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off",
-    "--scene", "frictionless-plane",
-)  # fmt: skip
+DAEMON = (sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
 
 
 def _umockdev() -> str | None:
@@ -84,7 +81,7 @@ def run_beside_device(case: dict[str, Any], *command: str, code: int | None = No
 
 
 def run(case: dict[str, Any], rig: str, *words: str, code: int | None = None) -> Run:
-    return run_beside_device(case, *DAEMON, "--rig", rig, *words, code=code)
+    return run_beside_device(case, *DAEMON, "--rig", rig, "--scene", "frictionless-plane", *words, code=code)
 
 
 @pytest.mark.parametrize(

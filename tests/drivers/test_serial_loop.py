@@ -31,7 +31,7 @@ LIFT_M = 0.012
 
 
 def comes_to_rest(board: Board) -> bool:
-    return eventually(lambda: board.force == (0.0, 0.0, 0.0), 5.0)
+    return eventually(lambda: board.force == (0.0, 0.0, 0.0))
 
 
 def rig(cable: Cable, **changes: Any) -> Rig:
