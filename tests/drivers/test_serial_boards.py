@@ -80,6 +80,7 @@ class HapkitBench(BoardBench):
     def open(self) -> Device:
         if self.case:
             return self.refused()
+        self.undo.close()  # all boards of a library share the variables of the sketch
         self.board = self.undo.enter_context(Hapkit(self.library))
         self.device = opened(self.rig, self.board.path, mounting=ASLANT)
         return self.device
@@ -116,8 +117,6 @@ class TestHapkit(Contract):
             made = HapkitBench(node, undo)
             made.library = library
             yield made
-            if hasattr(made, "board"):
-                made.board.pull()
 
 
 @contextlib.contextmanager
