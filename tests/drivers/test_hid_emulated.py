@@ -31,8 +31,6 @@ TESTBEDS = {"hidraw": "testbed.py", "usb": "hid_usb_testbed.py"}
 """Testbeds by the interface of the emulated device: key `bus` of a case."""
 CONNECTIONS = {"node": ("hidraw", "auto"), "thread": ("hidraw", "thread"), "usb": ("usb", "auto")}
 """Interface of the emulated device, and `through` of the rig."""
-TICKS = {"node": 1700, "thread": 2500, "usb": 2500}
-"""Ticks that complete a stroke of 1.2 s: each report moves the emulated arm by 1 ms, and threads skip some."""
 CLOSED_LOOP = Path(__file__).parents[1] / "helpers" / "closed_loop.py"
 SYSTEM_PYTHON = "/usr/bin/python3"
 DAEMON = (sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
@@ -97,7 +95,7 @@ def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, gener
     records_file = tmp_path / "records.npy"
     bus, through = CONNECTIONS[connection]
     name = patient_rig(tmp_path, rig, through=through)
-    program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[connection]), str(records_file))
+    program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", "stroke", str(records_file))
     _, saw = run_beside_device({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program, code=0)
     records = np.load(records_file)
     assert set(np.diff(records[:, AT.tick])) == {1.0}, "the subscriber has lost ticks"
