@@ -65,7 +65,7 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
 def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Path) -> None:
     gain = -6000.0 if reversed_motors else 6000.0
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
-    process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5", code=0)
+    process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "3", code=0)
     assert "device Novint Falcon 0403:cb48 at 1000 Hz" in process.stderr
     assert "force is zero" in process.stderr
     assert "not calibrated" not in process.stderr
