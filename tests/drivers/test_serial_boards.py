@@ -80,7 +80,7 @@ class HapkitBench(BoardBench):
     def open(self) -> Device:
         if self.case:
             return self.refused()
-        self.undo.close()  # all boards of a library share the variables of the sketch
+        self.undo.close()
         self.board = self.undo.enter_context(Hapkit(self.library))
         self.device = opened(self.rig, self.board.path, mounting=ASLANT)
         return self.device
@@ -96,7 +96,7 @@ class HapkitBench(BoardBench):
         return (*(self.board.torque() / 0.09 * ALONG), 0.0, 0.0, 0.0)
 
     def faults(self) -> Mapping[str, Callable[[], object]]:
-        return {"lost": lambda: self.board.pull(), "timeout": lambda: self.board.mute()}
+        return {"lost": lambda: self.board.pull(), "timeout": lambda: self.board.hush()}
 
 
 class Contract(driver_contract.DriverContract):
