@@ -197,7 +197,7 @@ class DriverContract:
             assert (end.ending, end.error) == (FINISHED, None)
             assert [act for act, _ in acts] == ["prepared", "armed"]
             assert acts[0][1] == acts[1][1]
-            assert last_force(servo) > 0.0  # of 1 N; after a stall of the machine the ramp has restarted
+            assert last_force(servo) > 0.0
             servo.close()
 
     def test_a_device_that_is_not_armed_displays_nothing(self, bench: Bench) -> None:
@@ -273,7 +273,7 @@ class DriverContract:
             assert end.ending == {"last_tick": FINISHED, "stop_word": STOPPED, "crash": CRASHED}[ending]
             assert not any(bench.displayed())
             if ending != "crash":
-                assert last_force(servo) > 0.0  # of 1 N; after a stall of the machine the ramp has restarted
+                assert last_force(servo) > 0.0
             servo.close()
 
     def test_opening_is_refused_by_name(self, bench: Bench) -> None:
@@ -348,7 +348,7 @@ def fail_to_prepare() -> Callable[[], None]:
 
 
 def last_force(servo: ServoThread) -> float:
-    """Return the norm (N) of the force in the last tick."""
+    """Return the largest norm (N) of the force in the last ten ticks: after a stall a ramp starts from zero."""
     out = np.empty((4096, RECORD_SIZE))
     records = out[: servo.records.take(out)]
-    return float(np.linalg.norm(records[-1, AT.force : AT.force + 3]))
+    return float(np.linalg.norm(records[-10:, AT.force : AT.force + 3], axis=1).max())

@@ -69,7 +69,7 @@ def emulated(table: Registers = FEETECH, **how: Any) -> BusServos:
 
 
 def settle(device: leader.LeaderArm) -> None:
-    eventually(device.is_settled, 5.0)
+    eventually(device.is_settled)
 
 
 def force_x(arm: BusServos) -> float:
@@ -79,11 +79,12 @@ def force_x(arm: BusServos) -> float:
 
 def pushed(servo: Servo, arm: BusServos, newtons: float) -> None:
     """Write a force until the motor has it: the bus is slower than the loop."""
-    until = time.monotonic() + 10.0
-    while abs(force_x(arm) - newtons) > NM_PER_COUNT / LEVER_M:
-        assert servo.read()[0] >= 0 and time.monotonic() < until
-        assert servo.write(newtons, 0.0, 0.0, 0.0, 0.0, 0.0) in (OK, HELD, WITHHELD)
-        time.sleep(0.001)
+
+    def has_force() -> bool:
+        assert servo.read()[0] >= 0 and servo.write(newtons, 0.0, 0.0, 0.0, 0.0, 0.0) in (OK, HELD, WITHHELD)
+        return abs(force_x(arm) - newtons) <= NM_PER_COUNT / LEVER_M
+
+    until(has_force)
 
 
 class ArmBench(Bench):
@@ -169,11 +170,13 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
         for newtons in (0.5, -0.5):
             pushed(servo, arm, newtons)
         for wrench in ((0.0, 0.5, 0.5), (0.0, 0.0, -1.0)):  # across the motor's part
-            end = time.monotonic() + 5.0
-            while force_x(arm) != 0.0:
-                assert servo.read()[0] >= 0 and time.monotonic() < end
+
+            def has_no_force(wrench: tuple[float, float, float] = wrench) -> bool:
+                assert servo.read()[0] >= 0
                 servo.write(*wrench, 0.0, 0.0, 0.0)
-                time.sleep(0.001)
+                return force_x(arm) == 0.0
+
+            until(has_no_force)
         assert [arm.servos[number].memory[arm.table.enable] for number in IDS.values()] == [0, 1, 0]
 
 
@@ -197,12 +200,15 @@ def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
         servo = Servo(device)
         arm.damage[2] = 3
-        requests, until = arm.requests, time.monotonic() + 10.0
-        while arm.damage[2] or arm.requests < requests + 10:
+        requests = arm.requests
+
+        def is_read() -> bool:
             status, sample = servo.read()
-            assert status in (OK, 1, WITHHELD) and time.monotonic() < until
+            assert status in (OK, 1, WITHHELD)
             assert sample[:3] == pytest.approx((0.0, 0.0, 0.02), abs=1e-9)
-            time.sleep(0.001)
+            return not arm.damage[2] and arm.requests >= requests + 10
+
+        until(is_read)
 
 
 def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:

@@ -7,6 +7,7 @@ network.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any, Final
 
 import msgspec
@@ -37,10 +38,10 @@ class Outlets:
         self._lsl: Any = pylsl
         self._source = source
         self._outlets: dict[str, Any] = {}
-        self._to_local_s = pylsl.local_clock() - time.time()
+        self._to_local_s = _measure_offset(pylsl.local_clock, time.time)
         """Offset from the epoch of telemetry to LSL's clock."""
-        self._lsl_s = pylsl.local_clock() - time.monotonic()
-        """Offset from CLOCK_MONOTONIC to LSL's clock: 0 on Linux, except for the time between the two calls."""
+        self._lsl_s = _measure_offset(pylsl.local_clock, time.monotonic)
+        """Offset from CLOCK_MONOTONIC to LSL's clock: 0 on Linux, except for the time between the calls."""
         self._newest = (-1, 0.0)
         self._markers = pylsl.StreamOutlet(self._create_stream_info(MARKERS, MARKERS_TYPE, 1, "string"))
         self.samples = self.markers = 0
@@ -93,6 +94,13 @@ class Outlets:
         # Irregular: every sample has its time, and missed ticks have no sample.
         rate = self._lsl.IRREGULAR_RATE
         return self._lsl.StreamInfo(name, kind, channels, rate, form, f"{name} {self._source}")
+
+
+def _measure_offset(local_clock: Callable[[], float], clock: Callable[[], float]) -> float:
+    """Return the offset (s) from a clock to LSL's: the shortest of five measurements, since a call may be delayed."""
+    readings = [(clock(), local_clock(), clock()) for _ in range(5)]
+    before, local, after = min(readings, key=lambda reading: reading[2] - reading[0])
+    return local - (before + after) / 2
 
 
 def marker(event: dict[str, Any]) -> str:

@@ -48,7 +48,7 @@ def test_the_driver_contract() -> None:
 
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     records_file = tmp_path / "records.npy"
-    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "1800", str(records_file))
+    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "stroke", str(records_file))
     _, saw = beside(STROKE, *program, code=0)
     records = np.load(records_file)
     assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
@@ -57,7 +57,7 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     assert saw["state"] == 8, "the last packet leaves the light red"
 
     passed = assert_engine_agrees(records, load_scene("paper-plane"), 1000.0)
-    assert passed > 100, "the guard left too few ticks in contact to compare"
+    assert passed > 100
 
 
 @pytest.mark.sampled(1)
@@ -65,7 +65,7 @@ def test_closed_loop_through_libusb(tmp_path: Path) -> None:
 def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Path) -> None:
     gain = -6000.0 if reversed_motors else 6000.0
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
-    process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "1.5", code=0)
+    process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "3", code=0)
     assert "device Novint Falcon 0403:cb48 at 1000 Hz" in process.stderr
     assert "force is zero" in process.stderr
     assert "not calibrated" not in process.stderr

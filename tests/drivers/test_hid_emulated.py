@@ -31,8 +31,6 @@ TESTBEDS = {"hidraw": "testbed.py", "usb": "hid_usb_testbed.py"}
 """Testbeds by the interface of the emulated device: key `bus` of a case."""
 CONNECTIONS = {"node": ("hidraw", "auto"), "thread": ("hidraw", "thread"), "usb": ("usb", "auto")}
 """Interface of the emulated device, and `through` of the rig."""
-TICKS = {"node": 1700, "thread": 2500, "usb": 2500}
-"""Ticks that complete a stroke of 1.2 s: each report moves the emulated arm by 1 ms, and threads skip some."""
 CLOSED_LOOP = Path(__file__).parents[1] / "helpers" / "closed_loop.py"
 SYSTEM_PYTHON = "/usr/bin/python3"
 DAEMON = (sys.executable, "-m", "softfinger.server.cli", "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off")
@@ -51,6 +49,12 @@ def _umockdev() -> str | None:
 
 WHY_NOT = _umockdev()
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))]
+
+
+def patient_rig(folder: Path, name: str, **keys: object) -> str:
+    """Write a rig that waits ten times as long for a report: on a busy machine the emulated device answers late."""
+    return str(write_rig(folder, name, timeout_s=1.0, **keys))
+
 
 STROKE = {"place": [0.0, 0.0, 0.012], "press": 0.006, "drag": 0.02}
 
@@ -75,7 +79,7 @@ def run_beside_device(case: dict[str, Any], *command: str, code: int | None = No
 
 
 def run(case: dict[str, Any], rig: str, *words: str, code: int | None = None) -> Run:
-    return run_beside_device(case, *DAEMON, "--rig", rig, *words, code=code)
+    return run_beside_device(case, *DAEMON, "--rig", rig, "--scene", "frictionless-plane", *words, code=code)
 
 
 @pytest.mark.parametrize(
@@ -90,8 +94,8 @@ def run(case: dict[str, Any], rig: str, *words: str, code: int | None = None) ->
 def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, generation: int, tmp_path: Path) -> None:
     records_file = tmp_path / "records.npy"
     bus, through = CONNECTIONS[connection]
-    name = str(write_rig(tmp_path, rig, through=through))
-    program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", str(TICKS[connection]), str(records_file))
+    name = patient_rig(tmp_path, rig, through=through)
+    program = (sys.executable, str(CLOSED_LOOP), name, "paper-plane", "stroke", str(records_file))
     _, saw = run_beside_device({"bus": bus, "arm": arm, "generation": generation, **STROKE}, *program, code=0)
     records = np.load(records_file)
     assert set(np.diff(records[:, AT.tick])) == {1.0}, "the subscriber has lost ticks"
@@ -102,13 +106,12 @@ def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, gener
     assert not any(saw["last"])
 
     passed = assert_engine_agrees(records, load_scene("paper-plane"), 1000.0)
-    # After each pause of a busy machine the force fades in again, and those ticks are limited by the guard.
-    assert passed > 50, "the guard left too few ticks in contact to compare"
+    assert passed > 50
 
 
-def test_an_arm_pressed_through_the_plane_is_stopped() -> None:
+def test_an_arm_pressed_through_the_plane_is_stopped(tmp_path: Path) -> None:
     case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.004]}
-    process, saw = run(case, "woodenhaptics-2019", "--duration", "2", "--scene", "frictionless-plane", code=0)
+    process, saw = run(case, patient_rig(tmp_path, "woodenhaptics-2019"), "--duration", "2", code=0)
     assert "device hid woodenhaptics-v2 16c0:0486 at 1000 Hz" in process.stderr
     assert "force is zero" in process.stderr
     assert saw["reports"] >= 2000
@@ -157,8 +160,8 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
 def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, message: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
     whole = {"bus": bus, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.005], **case}
-    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through=through))
-    process, saw = run(whole, rig, "--duration", "3", "--scene", "frictionless-plane", code=code)
+    rig = patient_rig(tmp_path, "woodenhaptics-2019", through=through)
+    process, saw = run(whole, rig, code=code)
     assert re.search(message, process.stderr), process.stderr
     if "short_after" in case or "mute_after" in case:
         assert not any(saw["last"]), "the last report was no zero"
@@ -183,10 +186,8 @@ def test_faults_end_in_order(connection: str, case: dict[str, Any], code: int, m
 def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
-    mine = str(write_rig(tmp_path, rig, through=through, timeout_s=1.0))  # a busy machine answers late
-    _, saw = run(
-        {**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", "--scene", "frictionless-plane", code=0
-    )
+    mine = patient_rig(tmp_path, rig, through=through)
+    _, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", code=0)
     assert saw["astray"] == 0
     assert max(saw["most"]) > 0
     assert not any(saw["last"])
@@ -201,7 +202,7 @@ def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str,
 )
 def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, message: str) -> None:
     case = {"board": board, "arm": "woody-2019", "generation": 1 if board == "lpc1768-8" else 2}
-    process, saw = run(case, rig, "--duration", "0.1", "--scene", "frictionless-plane")
+    process, saw = run(case, rig, "--duration", "0.1")
     assert process.returncode == 4
     assert re.search(message, process.stderr), process.stderr
     assert saw["reports"] == 0
@@ -209,10 +210,8 @@ def test_the_error_names_the_format_of_another_firmware(board: str, rig: str, me
 
 def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
     for serial, message in (("SN42", "stopped after 5 ticks"), ("SN43", "'SN43': attached are 'SN42'")):
-        rig = str(write_rig(tmp_path, "woodenhaptics-2019", serial=serial))
-        process, _ = run(
-            {"arm": "woody-2019", "generation": 2}, rig, "--duration", "0.005", "--scene", "frictionless-plane"
-        )
+        rig = patient_rig(tmp_path, "woodenhaptics-2019", serial=serial)
+        process, _ = run({"arm": "woody-2019", "generation": 2}, rig, "--duration", "0.005")
         assert message in process.stderr
 
 
@@ -244,8 +243,8 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
         ({"path": "/dev/hidraw0"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
         ({"through": "node"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
     ]
-    rigs = [str(write_rig(tmp_path, "woodenhaptics-2019", **keys)) for keys, _ in tries]
-    third_rig = str(write_rig(tmp_path, "woodenhaptics-2015", path="1-1:1.0"))
+    rigs = [patient_rig(tmp_path, "woodenhaptics-2019", **keys) for keys, _ in tries]
+    third_rig = patient_rig(tmp_path, "woodenhaptics-2015", path="1-1:1.0")
     case = {"bus": "usb", "listed": True, "arm": "woody-2019", "generation": 2}
     process, _ = run_beside_device(case, sys.executable, "-c", TRY, *rigs, third_rig, code=0)
     *lines, of_the_other = process.stdout.splitlines()[:-1]
@@ -255,7 +254,7 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
 
 def test_the_error_for_a_missing_node_names_the_module(tmp_path: Path) -> None:
     """For a device without hidraw and a rig with through = "node", the error names the kernel module to load."""
-    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through="node"))
+    rig = patient_rig(tmp_path, "woodenhaptics-2019", through="node")
     process, _ = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, sys.executable, "-c", TRY, rig)
     error = r"DeviceNotFound Emulated arm \(16c0:0486\) at /dev/bus/usb/001/002 has no node .*: `sudo modprobe usbhid`"
     assert re.match(error, process.stdout), process.stderr
@@ -286,7 +285,7 @@ with subprocess.Popen([sys.executable, "-c", hold, sys.argv[1]], stdin=pipe, std
 @pytest.mark.parametrize(("connection", "node"), [("thread", "/dev/hidraw0"), ("usb", "/dev/bus/usb/001/002")])
 def test_a_second_program_names_the_first(connection: str, node: str, tmp_path: Path) -> None:
     bus, through = CONNECTIONS[connection]
-    rig = str(write_rig(tmp_path, "woodenhaptics-2019", through=through))
+    rig = patient_rig(tmp_path, "woodenhaptics-2019", through=through)
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}
     process, _ = run_beside_device(case, sys.executable, "-c", HOLD, rig, "woodenhaptics-2019")
     assert process.stdout.splitlines()[:2] == ["4", "4"], process.stderr

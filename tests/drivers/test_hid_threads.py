@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import select
 import struct
 import threading
 import time
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
 from helpers.hid_devices import RIGS, Answering, Api, described, ends, rig_options
-from helpers.waits import until
+from helpers.waits import WAIT_S, until
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.config.load import build
@@ -35,7 +36,7 @@ def no_thread_is_left() -> Iterator[None]:
     yield
     remaining = [thread for thread in set(threading.enumerate()) - before if thread.name.startswith("hid ")]
     for thread in remaining:  # a hung thread ends once its write returns
-        thread.join(5.0)
+        thread.join(WAIT_S)
     assert not any(thread.is_alive() for thread in remaining)
 
 
@@ -61,12 +62,10 @@ class ThreadedBoard:
     def push(self, newtons: float) -> int:
         return self.servo.write(newtons, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    def until(self, wanted: Callable[[int], bool], within_s: float = 5.0) -> int:
-        end = time.monotonic() + within_s
-        while not wanted(status := self.servo.read()[0]):
-            assert time.monotonic() < end, f"the last status was {status}"
-            time.sleep(0.001)
-        return status
+    def until(self, wanted: Callable[[int], bool]) -> int:
+        statuses: list[int] = []
+        until(lambda: statuses.append(self.servo.read()[0]) or wanted(statuses[-1]))
+        return statuses[-1]
 
     def __enter__(self) -> ThreadedBoard:
         return self
@@ -87,14 +86,8 @@ def test_reports_are_transferred_byte_for_byte() -> None:
     for _ in range(2000):
         sent = generator.bytes(int(generator.integers(1, 64)))
         end.send(sent)
-        until = time.monotonic() + 5.0
-        while True:
-            try:
-                came = os.read(link.fd, 4096)
-                break
-            except BlockingIOError:
-                assert time.monotonic() < until
-        assert came == sent[:longest]
+        assert select.select([link.fd], [], [], WAIT_S)[0]
+        assert os.read(link.fd, 4096) == sent[:longest]
     os.close(link.fd)
     link.threads.close()
     end.close()
@@ -124,7 +117,7 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
         linked.answering.settle(linked.device)
         linked.api.ready.clear()
         linked.push(2.0)
-        assert linked.api.hung.wait(5.0)
+        assert linked.api.hung.wait(WAIT_S)
         begun = time.monotonic()
         while (status := linked.servo.read()[0]) >= 0:
             linked.answering.end.send(GOOD)
@@ -144,7 +137,7 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         linked.answering.settle(linked.device)
         linked.api.ready.clear()
         linked.push(2.0)
-        assert linked.api.hung.wait(5.0)
+        assert linked.api.hung.wait(WAIT_S)
         stop = threading.Event()
 
         def talk() -> None:

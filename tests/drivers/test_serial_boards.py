@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +15,7 @@ from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
 from emulators.haply2diy import Firmware, Port, place
 from helpers.described_boards import ALONG, ASLANT, REST, TO_WORLD, force_of, opened, rig_options, settled
 from helpers.hid_devices import RefusedNode, RefusingBench
-from helpers.waits import fresh
+from helpers.waits import ends_within, fresh, until
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
@@ -79,6 +80,7 @@ class HapkitBench(BoardBench):
     def open(self) -> Device:
         if self.case:
             return self.refused()
+        self.undo.close()
         self.board = self.undo.enter_context(Hapkit(self.library))
         self.device = opened(self.rig, self.board.path, mounting=ASLANT)
         return self.device
@@ -88,11 +90,13 @@ class HapkitBench(BoardBench):
         return (x, y, z)
 
     def displayed(self) -> tuple[float, ...]:
-        time.sleep(0.005)  # a loop of the sketch takes 0.1 ms
+        if not self.board.pulled:
+            written = 4 * self.device.counts()["written"]
+            settled(self.board.processed, lambda processed: processed >= written, 0.5)
         return (*(self.board.torque() / 0.09 * ALONG), 0.0, 0.0, 0.0)
 
     def faults(self) -> Mapping[str, Callable[[], object]]:
-        return {"lost": lambda: self.board.pull(), "timeout": lambda: self.board.mute()}
+        return {"lost": lambda: self.board.pull(), "timeout": lambda: self.board.hush()}
 
 
 class Contract(driver_contract.DriverContract):
@@ -113,8 +117,6 @@ class TestHapkit(Contract):
             made = HapkitBench(node, undo)
             made.library = library
             yield made
-            if hasattr(made, "board"):
-                made.board.pull()
 
 
 @contextlib.contextmanager
@@ -240,21 +242,21 @@ def test_the_sketch_switches_off_by_itself(library: Path) -> None:
 def test_a_hapkit_moves_on_its_arc(library: Path) -> None:
     with Hapkit(library) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
-        fresh(servo)
-        for angle in [*np.linspace(0.0, 0.5, 60), *np.linspace(0.5, -0.5, 120)]:
+
+        def is_at(angle: float) -> bool:
+            place = (-0.09 * (np.cos(angle) - 1.0), 0.0, 0.09 * np.sin(angle))
+            # counts of 20 um, and a fraction of one for the rig's five digits
+            return bool(np.abs(np.subtract(servo.read()[1][:3], place)).max() < 1e-4)
+
+        for angle in [*np.linspace(0.0, 0.5, 20), *np.linspace(0.5, -0.5, 40)]:  # a step is less than the sensor's jump
             board.turn(angle)
-            time.sleep(0.003)
-        time.sleep(0.01)
-        fresh(servo)
-        sample = fresh(servo)
-        wanted = (-0.09 * (np.cos(-0.5) - 1.0), 0.0, 0.09 * np.sin(-0.5))
-        # counts of 20 um, and a fraction of one for the rig's five digits
-        np.testing.assert_allclose(sample[:3], wanted, atol=1e-4)
+            until(partial(is_at, angle), message=f"at {angle}")
         for damaged in (b"\xa5\x00", b"\xa5\x00\x00\x00\x00\x01", b"\xa5" * 7, bytes(40)):
-            board.say(damaged)
-            for _ in range(20):
-                assert np.abs(np.subtract(servo.read()[1][:3], wanted)).max() < 1e-4
-                time.sleep(0.001)
+            until(lambda data=damaged: servo.read() and board.say(data), message="room in the terminal")
+            frames = device.counts()["frames"]
+            with ends_within(60):
+                while device.counts()["frames"] < frames + 20:
+                    assert is_at(-0.5)
         assert servo.read()[0] >= 0
         board.pull()
         assert settled(lambda: servo.read()[0], lambda status: status < 0) == LOST

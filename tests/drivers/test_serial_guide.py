@@ -71,7 +71,7 @@ def test_the_printed_rig_runs(tmp_path: Path) -> None:
             time.sleep(0.1)
             assert board.most == 0.0
             board.angle = 0.12
-            assert settled(lambda: board.torque, lambda torque: torque > 0.01, 20.0) > 0.01
+            assert settled(lambda: board.torque, lambda torque: torque > 0.01) > 0.01
             # 0.3 N of the guard at 0.08 m, and steps of 1 uN m
             assert board.most <= 0.3 * 0.08 + 1e-6
         assert settled(lambda: board.torque, lambda torque: torque == 0.0) == 0.0

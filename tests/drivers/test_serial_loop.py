@@ -31,7 +31,7 @@ LIFT_M = 0.012
 
 
 def comes_to_rest(board: Board) -> bool:
-    return eventually(lambda: board.force == (0.0, 0.0, 0.0), 5.0)
+    return eventually(lambda: board.force == (0.0, 0.0, 0.0))
 
 
 def rig(cable: Cable, **changes: Any) -> Rig:
@@ -48,7 +48,7 @@ def test_closed_loop_through_the_daemon() -> None:
     assert board.faults == []
     compared = assert_engine_agrees(records, scene, 1000.0)
     assert set(records[:, AT.contact_mode]) == set(range(len(MODE_NAMES)))
-    assert compared > 300, "the guard left too few ticks in contact to compare"
+    assert compared > 300
     places = records[:, AT.probe_position : AT.probe_position + 3] * 1e6
     np.testing.assert_allclose(places, np.round(places), atol=1e-6)  # rounding of mm to m
     # The board received forces of the ticks, to the millinewton, in order.

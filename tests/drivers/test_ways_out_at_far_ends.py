@@ -135,7 +135,7 @@ FAULTS: dict[str, dict[str, Fault]] = {
     },
     "hapkit": {
         "unplugged": Fault(lambda far: far.unplug(), "is gone", zero=False),
-        "silent": Fault(lambda far: far.device.mute(), SILENT),
+        "silent": Fault(lambda far: far.device.hush(), SILENT),
         "out of range": Fault(turned_round, "not in its protocol"),
     },
     "serial": {

@@ -24,10 +24,11 @@ class Terminal:
     def _run(self) -> None:
         raise NotImplementedError
 
-    def say(self, data: bytes) -> None:
-        """Send bytes to the host unchanged; they are lost if the buffer is full."""
+    def say(self, data: bytes) -> bool:
+        """Send bytes to the host unchanged; return False if they are lost because the buffer is full."""
         with suppress(OSError):
-            os.write(self._far, data)
+            return os.write(self._far, data) == len(data)
+        return False
 
     def power_off(self) -> None:
         pass

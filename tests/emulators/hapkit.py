@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import shutil
 import subprocess
-import threading
 import tty
 from pathlib import Path
-from typing import Self
+
+from emulators.farterminal import Terminal
 
 STUB = Path(__file__).parents[1] / "stubs" / "arduino" / "hapkit.cpp"
 SKETCH = Path(__file__).parents[2] / "examples" / "hapkit" / "hapkit.ino"
@@ -26,27 +25,28 @@ def compile_sketch(path: Path) -> Path:
     return path
 
 
-class Hapkit:
+class Hapkit(Terminal):
+    """The board; all boards of a library share the variables of the sketch, so that only one may run."""
+
     def __init__(self, library: Path) -> None:
+        super().__init__()
         self._code = ctypes.CDLL(str(library))
         self._code.board_torque.restype = ctypes.c_double
         self._code.board_turn.argtypes = [ctypes.c_double]
-        self._far, self._near = os.openpty()
         tty.setraw(self._near)
-        os.set_blocking(self._far, False)
-        self.path = os.ttyname(self._near)
-        self.pulled = False
         self.turn(0.0)
         self._code.board_start(self._far)
-        self._thread = threading.Thread(target=self._code.board_run, daemon=True)
         self._thread.start()
+
+    def _run(self) -> None:
+        self._code.board_run()
 
     def turn(self, joint_rad: float) -> None:
         motor = joint_rad * SECTOR_M / PULLEY_M
         self._code.board_turn(motor / 3.141592653589793 * COUNTS_PER_HALF_TURN)
 
-    def mute(self, yes: bool = True) -> None:
-        self._code.board_mute(int(yes))
+    def hush(self) -> None:
+        self._code.board_mute(1)
 
     def torque(self) -> float:
         return 0.0 if self.pulled else float(self._code.board_torque()) * SECTOR_M / PULLEY_M
@@ -57,19 +57,11 @@ class Hapkit:
         count = self._code.board_changes(out, 1 << 16)
         return [(out[2 * k], out[2 * k + 1]) for k in range(count)]
 
-    def say(self, data: bytes) -> None:
-        os.write(self._far, data)
+    def processed(self) -> int:
+        """Return how many bytes of the host the sketch has processed."""
+        return int(self._code.board_processed())
 
     def pull(self) -> None:
         if not self.pulled:
-            self.pulled = True
             self._code.board_stop()
-            self._thread.join()
-            os.close(self._near)
-            os.close(self._far)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.pull()
+        super().pull()

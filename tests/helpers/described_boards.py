@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from emulators.haply2diy import Firmware, place
 
-from helpers.waits import eventually
+from helpers.waits import WAIT_S, eventually
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.serial.device import Options, SerialDevice, open_device
 
@@ -31,7 +31,7 @@ def opened(rig: str, path: str, **changes: Any) -> SerialDevice:
     return open_device(rig_options(rig, **{"path": path, **PATIENT, **changes}), 1000.0)
 
 
-def settled(value: Callable[[], Any], wanted: Callable[[Any], bool], within_s: float = 5.0) -> Any:
+def settled(value: Callable[[], Any], wanted: Callable[[Any], bool], within_s: float = WAIT_S) -> Any:
     """Wait until a value is as wanted, at most `within_s`; return its last value."""
     eventually(lambda: wanted(value()), within_s, 0.0005)
     return value()

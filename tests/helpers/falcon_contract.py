@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.remote_bench import RemoteBench
+from helpers.waits import until
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import OK, STALE, WITHHELD
 from softfinger.drivers.falcon.device import Falcon, Options, open_device
@@ -82,7 +83,4 @@ def test_late_replies_cost_ticks(bench: Emulated) -> None:
             statuses.append(status)
         assert set(statuses) <= {OK, STALE, WITHHELD}  # WITHHELD after a pause of this machine
         assert STALE in statuses
-        until = time.monotonic() + 2.0
-        while servo.read()[0] not in (OK, WITHHELD):
-            assert time.monotonic() < until, "the late reply was lost"
-            time.sleep(0.001)
+        until(lambda: servo.read()[0] in (OK, WITHHELD), message="the late reply was lost")

@@ -247,7 +247,7 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
             return rows(*zip(*sketch.changes(), strict=True))
 
         try:
-            yield FarEnd(device, received, most=0.03, hush=sketch.mute)
+            yield FarEnd(device, received, most=0.03, hush=sketch.hush)
         finally:
             ended.set()
             hand.join()

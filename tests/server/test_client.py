@@ -10,6 +10,7 @@ import pytest
 import zmq
 from helpers.encoder import contact_map
 from helpers.telemetry_records import put, synthetic
+from helpers.waits import WAIT_S
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import AT, FIELDS
@@ -251,7 +252,7 @@ def test_an_invalid_message_raises_and_the_next_is_read(frames, says):
     with zmq.Context() as context, context.socket(zmq.XPUB) as peer:
         peer.linger = 0
         port = peer.bind_to_random_port("tcp://127.0.0.1")
-        with subscribe(f"tcp://127.0.0.1:{port}", TOPICS, timeout_s=5.0) as samples:
+        with subscribe(f"tcp://127.0.0.1:{port}", TOPICS, timeout_s=WAIT_S) as samples:
             for _ in TOPICS:
                 peer.recv()  # a subscription has arrived
             peer.send_multipart(frames)
@@ -266,7 +267,7 @@ def test_integers_and_unknown_keys_are_accepted():
     with zmq.Context() as context, context.socket(zmq.XPUB) as peer:
         peer.linger = 0
         port = peer.bind_to_random_port("tcp://127.0.0.1")
-        with subscribe(f"tcp://127.0.0.1:{port}", timeout_s=5.0) as samples:
+        with subscribe(f"tcp://127.0.0.1:{port}", timeout_s=WAIT_S) as samples:
             peer.recv()
             peer.send_multipart([b"contact", msgpack.packb(message)])
             sample = next(samples)

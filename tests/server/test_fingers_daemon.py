@@ -246,7 +246,7 @@ def test_a_signal_zeroes_both_boards(tmp_path: Path) -> None:
         stderr = process.communicate(timeout=END_S)[1]
         assert process.returncode == 0 and "force is zero" in stderr, stderr
         for board in boards:
-            until(lambda board=board: board.force == ZERO, 1.0)
+            until(lambda board=board: board.force == ZERO)
             assert board.faults == []
 
 
@@ -257,7 +257,7 @@ def test_a_silent_board_zeroes_the_other(place: int, tmp_path: Path) -> None:
         stderr = process.communicate(timeout=END_S)[1]
         assert process.returncode == 4, stderr
         assert f"finger '{NAMES[place]}'" in stderr and "Traceback" not in stderr
-        until(lambda: boards[1 - place].force == ZERO, 1.0)
+        until(lambda: boards[1 - place].force == ZERO)
 
 
 def test_watchers_zero_both_boards_of_a_killed_daemon(tmp_path: Path) -> None:
@@ -266,4 +266,4 @@ def test_watchers_zero_both_boards_of_a_killed_daemon(tmp_path: Path) -> None:
         stderr = process.communicate(timeout=END_S)[1]
         assert stderr.count("the daemon has died: zero force was written to /dev/pts/") == 2
         for board in boards:
-            until(lambda board=board: board.force == ZERO, 1.0)
+            until(lambda board=board: board.force == ZERO)

@@ -7,16 +7,19 @@ import os
 import signal
 import subprocess
 import sys
+from itertools import accumulate, chain, repeat
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from helpers.processes import COMMAND
-from helpers.waits import WAIT_S
+from helpers.waits import WAIT_S, until
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
+from softfinger.server.gateway import lsl
 from softfinger.server.loop import servo_thread
 from softfinger.server.recording.run import Run, load_run
 from softfinger.server.remote import Client
@@ -41,13 +44,16 @@ def inlet(name):
     return opened
 ticks, markers = inlet("softfinger"), inlet("softfinger-events")
 print("ready", flush=True)
-seen, told = [], []
-while not any('"the last"' in text for text, _ in told):
+seen, told, last = {}, [], None
+while last not in seen:  # the streams are separate connections: a marker may arrive before its tick
     samples, stamps = ticks.pull_chunk(0.05)
-    seen += [(int(sample[1]), stamp) for sample, stamp in zip(samples, stamps)]
+    seen |= {int(sample[1]): stamp for sample, stamp in zip(samples, stamps)}
     samples, stamps = markers.pull_chunk(0.0)
-    told += [(sample[0], stamp) for sample, stamp in zip(samples, stamps)]
-print(json.dumps({"ticks": seen, "markers": told, "offset": pylsl.local_clock() - time.monotonic()}))
+    told += [(json.loads(sample[0]), stamp) for sample, stamp in zip(samples, stamps)]
+    last = next((event["tick"] for event, _ in told if event.get("label") == "the last"), None)
+pairs = [(time.monotonic(), pylsl.local_clock(), time.monotonic()) for _ in range(10)]
+before, clock, after = min(pairs, key=lambda pair: pair[2] - pair[0])
+print(json.dumps({"ticks": list(seen.items()), "markers": told, "offset": clock - (before + after) / 2}))
 """
 
 
@@ -87,7 +93,7 @@ def marked_run(tmp_path_factory: pytest.TempPathFactory) -> MarkedRun:
         with Daemon(rig, load_scene("paper-plane")) as daemon, Client(*ends.values(), timeout_s=WAIT_S) as client:
             daemon.start()
             try:
-                lsl = start_inlets(started, folder, ends["telemetry.endpoint"])
+                streams = start_inlets(started, folder, ends["telemetry.endpoint"])
                 client.record_start("run.mcap")
                 events = client.subscribe((EVENT,), timeout_s=WAIT_S)
                 published: list[dict[str, Any]] = []
@@ -99,10 +105,9 @@ def marked_run(tmp_path_factory: pytest.TempPathFactory) -> MarkedRun:
                 client.mark("the last")
                 while published[-1].get("label") != "the last":
                     published.append(next(events).data)
-                while client.get_state().sequence < published[-1]["tick"] + 10:  # ticks after the last mark
-                    pass
+                until(lambda: client.get_state().sequence >= published[-1]["tick"] + 10)  # ticks after the last mark
                 client.record_stop()
-                lsl_data = None if lsl is None else json.loads(lsl[1].communicate(timeout=WAIT_S)[0])
+                lsl_data = None if streams is None else json.loads(streams[1].communicate(timeout=WAIT_S)[0])
             finally:
                 for process in started:
                     process.send_signal(signal.SIGINT)
@@ -138,8 +143,7 @@ def test_lsl_has_the_time_of_the_tick(marked_run: MarkedRun) -> None:
         pytest.skip("pylsl is not installed: pip install 'softfinger[lsl]'")
     stamps = dict(marked_run.lsl["ticks"])
     times = dict(zip(marked_run.run.first["tick"].tolist(), marked_run.run.first["timestamp"].tolist(), strict=True))
-    lsl_events = [(json.loads(text), stamp) for text, stamp in marked_run.lsl["markers"]]
-    markers = [(event, stamp) for event, stamp in lsl_events if event.get("label", "").startswith("mark ")]
+    markers = [pair for pair in marked_run.lsl["markers"] if pair[0].get("label", "").startswith("mark ")]
     assert len(markers) == MARKS
     for event, stamp in markers:
         published = next(mark for mark in select_marks(marked_run.published) if mark["label"] == event["label"])
@@ -147,3 +151,14 @@ def test_lsl_has_the_time_of_the_tick(marked_run: MarkedRun) -> None:
         distance = stamp - stamps[event["tick"]]
         assert distance == pytest.approx(published["timestamp"] - times[event["tick"]], abs=DIGIT_S)
         assert stamp - marked_run.lsl["offset"] == pytest.approx(published["timestamp"] - marked_run.epoch_s, abs=LSL_S)
+
+
+def test_a_pause_between_two_clocks_does_not_shift_the_stamps(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = chain([0.0, 0.02, 0.0, 0.02], repeat(1e-6))
+    read = accumulate(steps).__next__
+    fake = SimpleNamespace(local_clock=read, StreamOutlet=lambda _: None, StreamInfo=lambda *_: None, IRREGULAR_RATE=0)
+    monkeypatch.setitem(sys.modules, "pylsl", fake)
+    monkeypatch.setattr(lsl, "time", SimpleNamespace(monotonic=read, time=read))
+    outlets = lsl.Outlets("a daemon")
+    assert outlets._lsl_s == pytest.approx(0.0, abs=LSL_S)
+    assert outlets._to_local_s == pytest.approx(0.0, abs=LSL_S)

@@ -20,6 +20,7 @@ from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.faults_seen import SEEN
 from helpers.processes import find_child, list_children
 from helpers.programs import run_program
+from helpers.serial_devices import at_rest
 from helpers.waits import until
 from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, read_state
 
@@ -71,7 +72,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
         for member in everyone:
             os.kill(member, signal.SIGSTOP)
         until(lambda: all(read_state(member) == "T" for member in everyone), END_S, "the stop")
-        time.sleep(0.05)  # frames in transit have arrived
+        until(lambda: at_rest(lambda: len(board.sent)), END_S, "the end of frames in transit")
         count = len(board.sent)
         time.sleep(SLEPT_S)
         assert len(board.sent) == count
@@ -140,8 +141,8 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
     recording = tmp_path / "slept.mcap"
     environment, set_clocks = make_clocks(tmp_path)
     with pressing(tmp_path, "--record", str(recording), environment=environment) as (board, process):
-        time.sleep(RAMP_TICKS / 1000.0)  # the initial ramp is over
-        count = len(board.sent)
+        count = len(board.sent) + RAMP_TICKS
+        until(lambda: len(board.sent) >= count, END_S, "the end of the initial ramp")
         before = max(frame[2] for frame in board.sent[count - RAMP_TICKS : count])  # some are in a ramp after a stall
         set_clocks(0, slept_s)
         until(lambda: len(board.sent) > count + RAMP_TICKS // 5, END_S, "forces after it")

@@ -12,7 +12,7 @@ import pytest
 from helpers.daemons import make_daemon, subscribed
 from helpers.programs import run_program
 from helpers.telemetry_records import join, put, synthetic
-from helpers.waits import repeated
+from helpers.waits import WAIT_S, repeated
 
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.system.discovery import SystemDevice
@@ -154,7 +154,7 @@ def real_messages():
         publisher.event("state", "armed", before="ready", cause="the force may be switched on")
         publisher.event("lifecycle", "stopped")
         while not {"schema", "event lifecycle"} <= {title for title, _ in messages}:
-            assert socket.poll(5000)
+            assert socket.poll(1000.0 * WAIT_S)
             topic, body = socket.recv_multipart()
             message = msgpack.unpackb(body)
             messages.append((f"event {message['kind']}" if topic == b"event" else topic.decode(), message))

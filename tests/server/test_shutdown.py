@@ -15,6 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from helpers.waits import WAIT_S
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.drivers import open_devices
@@ -195,9 +196,10 @@ def test_a_slow_device_is_awaited() -> None:
     assert open_devices.call_all(lambda _: time.sleep(0.2), [Motor()]) == []
 
 
-def test_devices_are_called_simultaneously() -> None:
+def test_devices_are_called_simultaneously(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each call waits for the other, so sequential calls would not return."""
-    both = threading.Barrier(2, timeout=1.9)
+    monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", WAIT_S)
+    both = threading.Barrier(2, timeout=WAIT_S / 4)
     assert open_devices.call_all(lambda _: both.wait() and None, [Motor(), Motor()]) == []
 
 

@@ -17,6 +17,7 @@ using std::sqrt;
 static volatile double magnet;           // counts, as far as the magnet has turned; the test turns it
 static volatile int forward, duty;       // of the motor
 static volatile bool running, muted;
+static volatile int taken, processed;    // bytes from the host; those of ended loops
 static uint8_t TCCR0B = 3;
 static int line = -1;
 
@@ -48,19 +49,22 @@ static int analogRead(int) {
 static struct {
   void begin(long) {}
   int available() { int n = 0; return ioctl(line, FIONREAD, &n) == 0 ? n : 0; }
-  int read() { byte b; return ::read(line, &b, 1) == 1 ? b : -1; }
+  int read() { byte b; taken = taken + 1; return ::read(line, &b, 1) == 1 ? b : -1; }
   void write(const byte *data, int size) { if (!muted) { ssize_t kept = ::write(line, data, size); (void)kept; } }
 } Serial;
 
 #include SKETCH
 
 extern "C" {
-void board_start(int fd) { line = fd; changed = 0; duty = forward = 0; TCCR0B = 3; muted = false; running = true; setup(); }
-void board_run() { while (running) { loop(); usleep(50); } }
+void board_start(int fd) {
+  line = fd; changed = taken = processed = 0; duty = forward = 0; TCCR0B = 3; muted = false; running = true; setup();
+}
+void board_run() { while (running) { loop(); processed = taken; usleep(50); } }
 void board_stop() { running = false; }
 void board_turn(double counts) { magnet = counts; }
 void board_mute(int yes) { muted = yes; }
 double board_torque() { return torque(); }
+int board_processed() { return processed; }
 int board_changes(double *out, int most) {
   int count = changed < most ? changed : most;
   memcpy(out, changes, count * sizeof(Change));
