@@ -17,9 +17,10 @@ from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
 from emulators.haply2diy import Firmware, Port
 from emulators.slowline import SlowLine
 from helpers.c_stub import compile_stub
-from helpers.described_boards import force_of, settled
+from helpers.described_boards import force_of, lower, settled
 from helpers.programs import Program
 from helpers.rig_files import load_rig_in_process, write_rig
+from helpers.waits import until
 
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
@@ -27,12 +28,8 @@ from softfinger.server.app import Daemon
 
 pytestmark = pytest.mark.real_time
 
-FLOOR = (168.0, 12.0)
-"""Link angles at which the 2DIY's rig has the handle 64 mm above the floor; the fingertip has a radius of 10."""
 ZEROS = bytes.fromhex("5a0000a3") * 2
 """Two frames to a Hapkit, without torque."""
-DEEP = (142.0, 38.0)
-"""Angles at which the fingertip is some 4 mm deep."""
 
 
 def rig(name: str, path: str) -> Rig:
@@ -44,9 +41,7 @@ def pressing() -> Iterator[tuple[Daemon, Firmware, Port]]:
     board = Firmware()
     with Port(board) as port, Daemon(rig("haply-2diy", port.path), load_scene("paper-plane")) as daemon:
         daemon.start()
-        for share in np.linspace(0.0, 1.0, 200):  # slower than 10 m/s
-            board.angles = [a + share * (b - a) for a, b in zip(FLOOR, DEEP, strict=True)]
-            time.sleep(0.002)
+        lower(board)
         assert settled(lambda: force_of(board)[2], lambda up: up > 0.2) > 0.2
         yield daemon, board, port
 
@@ -61,7 +56,8 @@ def test_a_late_board_continues() -> None:
 
             port.spoil = wait
             if stays:
-                time.sleep(0.3)
+                answers = board.answers
+                until(lambda answers=answers: board.answers > answers + 50)
                 assert force_of(board)[2] > 0.1
             else:
                 assert settled(lambda: any(board.torques), lambda on: not on) is False
@@ -88,16 +84,11 @@ def command(
 
 
 def press(board: Firmware, process: subprocess.Popen[str]) -> None:
-    until = time.monotonic() + 120.0
-    while board.commands < 50:
-        assert process.poll() is None and time.monotonic() < until, process.stderr and process.stderr.read()
-        time.sleep(0.01)
-    for share in np.linspace(0.0, 1.0, 200):
-        board.angles = [a + share * (b - a) for a, b in zip(FLOOR, DEEP, strict=True)]
-        time.sleep(0.002)
-    while force_of(board)[2] < 0.2:
-        assert process.poll() is None and time.monotonic() < until
-        time.sleep(0.01)
+    until(lambda: board.commands >= 50 or process.poll() is not None)
+    assert process.poll() is None, process.stderr and process.stderr.read()
+    lower(board)
+    until(lambda: force_of(board)[2] >= 0.2 or process.poll() is not None)
+    assert process.poll() is None
 
 
 @pytest.mark.parametrize("watched", [pytest.param(False, marks=pytest.mark.exhaustive), True])
@@ -117,9 +108,9 @@ def test_a_watcher_ends_the_force_of_a_killed_program(watched: bool, tmp_path: P
 
 def push(board: Hapkit, process: subprocess.Popen[str], down: float) -> float:
     """Turn the handle down from an angle (rad) until it is pushed back; return the angle."""
-    until = time.monotonic() + LIMIT_S
+    end = time.monotonic() + LIMIT_S
     while board.torque() < 0.02:
-        assert process.poll() is None and time.monotonic() < until
+        assert process.poll() is None and time.monotonic() < end
         down = max(down - 0.004, -0.2)
         board.turn(down)  # counted from the position at the opening of the port, or at the start of the board
         time.sleep(0.01)

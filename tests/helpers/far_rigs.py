@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 
 from helpers import haply_devices, usb_stub
 from helpers.c_stub import COMPILER, NO_COMPILER
-from helpers.described_boards import force_at
+from helpers.described_boards import force_at, lower
 from helpers.drd_stub import SOURCE as DRD
 from helpers.drd_stub import Stub
 from helpers.far_ends import RecordingFirmware, Timed, compiled, needs, rows, sketch_library
@@ -231,11 +232,8 @@ def two_diy(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
             forces = [force_at(board.angles, torques) for torques in list(board.sent_torques)[first:]]
             return rows(board.sent_torques.times[first:][: len(forces)], np.array(forces).reshape(-1, 3))
 
-        def press() -> None:
-            slowly(lambda share: board.__setattr__("angles", [168.0 - 26.0 * share, 12.0 + 26.0 * share]))
-
         rig = rig_file(folder, "haply-2diy", path=port.path, **PATIENT)
-        yield Far(rig, port, forces_since, press, port.pull, 1e-6, "xz", powerless=True)
+        yield Far(rig, port, forces_since, partial(lower, board), port.pull, 1e-6, "xz", powerless=True)
 
 
 @contextmanager

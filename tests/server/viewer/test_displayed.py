@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import time
 from typing import Any
 
 import numpy as np
 import pytest
 from emulators.haply2diy import Firmware, Port
 from helpers.browser import eventually, served, why_none
+from helpers.described_boards import lower
 from helpers.pages import running
 from hypothesis import given
 from hypothesis import strategies as st
@@ -117,9 +117,7 @@ def test_the_page_shows_the_force_a_2diy_cannot_display() -> None:
             "device__path": port.path, "device__quiet_s": 0.1, "device__timeout_s": 0.5, "guard__ramp_s": 0.01,
         }  # fmt: skip
         with running("haply-2diy", scene, **changes) as daemon:
-            for share in np.linspace(0.0, 1.0, 200):  # from 64 mm above into the floor, slower than 10 m/s
-                board.angles = [168.0 - 26.0 * share, 12.0 + 26.0 * share]
-                time.sleep(0.002)
+            lower(board)
             with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
                 text = screen.page.get_by_text(re.compile(r"displayed: [\d.]+ N in its plane"))
                 assert eventually(text.count)
