@@ -221,8 +221,7 @@ class Daemon:
         except Exception as error:
             self.states.fail(str(error))
             if str(error) not in self._published_faults:
-                name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()  # such as device_lost
-                self._event("fault", name, message=str(error))
+                self._event("fault", fault_name(error), message=str(error))
             raise
 
     def close(self, first: BaseException | None = None) -> None:
@@ -354,3 +353,8 @@ class Daemon:
         if self._report is not None:
             self._report(settings.settings)
         return settings.undo
+
+
+def fault_name(error: Exception) -> str:
+    """Return the event name of an error: its class name in snake case, such as `device_lost`."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()

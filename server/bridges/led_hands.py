@@ -106,18 +106,13 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         Raises PoseError unless the action is six finite numbers.
         """
         try:
-            values = np.asarray(action, np.float64)
+            velocities = np.asarray(action, np.float64)
         except (TypeError, ValueError):
-            values = np.zeros(0)
-        if values.shape != (6,) or not np.isfinite(values).all():
+            velocities = np.zeros(0)
+        if velocities.shape != (6,) or not np.isfinite(velocities).all():
             raise PoseError(f"action {action!r}: must be 6 finite numbers, each from -1 to 1")
-        clamped: Array = np.minimum(np.maximum(values, -1.0), 1.0)  # a third of the time of np.clip
-        velocities = np.zeros((len(self._homes), 6))
-        velocities[:, :3] = self.setup.speed_m_per_s * clamped.reshape(-1, 3)
-        goals = np.empty((self.setup.step_ticks + 1, len(self._homes), 7))
-        goals[0] = self._goals
-        plan_goals(goals, velocities, self._lowest, self._highest, self._dt)
-        records = self._run(goals)
+        clamped: Array = np.minimum(np.maximum(velocities, -1.0), 1.0)  # a third of the time of np.clip
+        records = self._run(self._plan_goals(clamped))
         self._steps += 1
         is_truncated = self._steps >= self.setup.episode_steps
         return (
@@ -146,6 +141,19 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         self._lines = [np.zeros(DELAY_LINE_SIZE) for _ in self._devices]
         self._goals: Array = np.array([[*home, 1.0, 0.0, 0.0, 0.0] for home in self._homes])
         self._ticks = self._steps = 0
+
+    def _plan_goals(self, action: Array) -> Array:
+        """Return goals (ticks + 1, hands, 7) from the current ones on."""
+        goals = np.empty((self.setup.step_ticks + 1, len(self._homes), 7))
+        goals[0] = self._goals
+        plan_goals(goals, self._velocities(action), self._lowest, self._highest, self._dt)
+        return goals
+
+    def _velocities(self, action: Array) -> Array:
+        """Return the velocity (hands, 6) of each goal, m/s and rad/s; `action` has the translations (3 hands,)."""
+        velocities = np.zeros((len(self._homes), 6))
+        velocities[:, :3] = self.setup.speed_m_per_s * action.reshape(-1, 3)
+        return velocities
 
     def _run(self, goals: Array) -> Any:
         """Run the ticks along goals (ticks + 1, hands, 7), of which the first is the current one.
