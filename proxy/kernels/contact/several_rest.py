@@ -8,7 +8,7 @@ from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, han
 from softfinger.proxy.kernels.contact.prediction import lag_of
 from softfinger.proxy.kernels.contact.rest.active_set import active_objects, count_of, leaves_no_room
 from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
-from softfinger.proxy.kernels.contact.rest.facets import constraints_over_edges
+from softfinger.proxy.kernels.contact.rest.facets import constraints_at_rest
 from softfinger.proxy.kernels.contact.rest.several_objects import settle_among_several
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import map_each, replace
@@ -98,10 +98,12 @@ def settle_after_friction(
     if approach.single and has_creases_at(shapes, approach.active[0].body):
         budget = budget // 4  # the height map was already searched as the only object
     rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
-    active = constraints_over_edges(shapes, rest.active, rest.center)
-    contacts = map_each(contact_at, (active,), after)
-    if active_objects(contacts) != active_objects(active) or count_of(after) != count_of(active):
-        contacts = hand_over(objects, after, active)
+    active = constraints_at_rest(shapes, radius, goal, rest)
+    contacts = after
+    if active_objects(active) != active_objects(after):
+        contacts = map_each(contact_at, (active,), after)  # if only the order changes, no load is transferred
+        if active_objects(active) != active_objects(contacts) or count_of(active) != count_of(after):
+            contacts = hand_over(objects, after, active)
     contacts = map_each(move_to_constraint, (contacts, active))
     displaced = vec3.add(position, lag_of(contacts))
     if displaced != goal:

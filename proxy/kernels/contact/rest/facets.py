@@ -3,7 +3,7 @@
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rest.active_set import active_set_of_one
-from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES
+from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, Rest, solve_tangent_planes
 from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
@@ -40,20 +40,27 @@ def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, oth
 
 
 @by_multipoint
-def constraints_over_edges(objects: Any, active: ActiveSet, center: Vec3) -> Any:
-    """Return the constraints of the facets under a proxy at `center` (3,) m, see `constraint_over_edge`."""
+def constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> Any:
+    """Return the constraints of a proxy at rest: on meshes those of the facets under it, see `constraint_over_edge`.
+
+    In searches of meshes and height maps, the planes may be those before the last motion of the proxy.
+    """
 
 
-@constraints_over_edges.of(SINGLE_POINT, WITH_HEIGHTMAP)
-def keep_constraints(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
-    return active
+@constraints_at_rest.of(SINGLE_POINT)
+def constraints_of_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
+    return rest.active
 
 
-@constraints_over_edges.of(WITH_MESH)
-def constraints_over_edges_of_facets(objects: Any, active: ActiveSet, center: Vec3) -> ActiveSet:
+@constraints_at_rest.of(WITH_MESH, WITH_HEIGHTMAP)
+def constraints_over_edges(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
+    active, center = rest.active, rest.center
     one = constraint_over_edge(objects, active[0], center, active)
     two = constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
-    return one, two, constraint_over_edge(objects, active[2], center, (one, two, active[2]))
+    active = one, two, constraint_over_edge(objects, active[2], center, (one, two, active[2]))
+    if not rest.late:
+        active, _ = solve_tangent_planes(objects, radius, probe, center, active)
+    return active
 
 
 @by_multipoint

@@ -24,7 +24,6 @@ from softfinger.proxy.kernels.contact.rest.cutting_planes import (
     SOON,
     Rest,
     settle_by_planes,
-    solve_tangent_planes,
 )
 from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, project_until_rest
@@ -135,8 +134,6 @@ def settle_on_facets(
     center, support, late, budget = settle_by_planes(objects, radius, probe, anchor, active, budget)
     if support[0].body < 0.0:
         support = one_constraint(active[0].body, active[0].normal, 0.0)
-    if not late:  # the planes are those at the anchor; the proxy has moved round edges since
-        support, _ = solve_tangent_planes(objects, radius, probe, center, support)
     return Rest(center, sort_by_load(objects, support), late, budget)
 
 
