@@ -9,7 +9,6 @@ from softfinger.proxy.kernels.contact.approach import Approach, stuck_ticks
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     NormalForce,
-    Prediction,
     ProbeMotion,
     ground_at,
     load_on,
@@ -38,7 +37,7 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.kinds import any_multipoint
+from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
 from softfinger.proxy.kernels.query.objects import number_of
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, ON_ITS_WAY, UNSEARCHED
 
@@ -82,9 +81,8 @@ def load_of(constraint: Constraint, finger: Finger, objects: Any, motion: ProbeM
 
 
 @jit
-def remaining_share(predicted: Prediction, after: Contacts) -> float:
+def remaining_share(giver: ContactState, after: Contacts) -> float:
     """Return the fraction of its load share that a contact still has after this tick."""
-    giver = predicted.contact
     if giver.body < 0.0 or giver.share <= 0.0:
         return 1.0
     return min(contact_on(after, giver.body).share / giver.share, 1.0)
@@ -116,26 +114,26 @@ def add_part_of(
 
 @jit
 def friction_share_on(
-    constraint: Constraint, approach: Approach, forces: Any, remainders: Vec3, lost: float, after: Contacts
+    constraint: Constraint, givers: Contacts, forces: Any, remainders: Vec3, lost: float, after: Contacts
 ) -> FrictionShare:
     """Return the friction of a constraint: the remainder of its contact, and its part of the loss of other contacts.
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
 
-    remainders  fraction of its load share that each predicted contact retains
+    givers      predicted contacts
+    remainders  fraction of its load share that each of them retains
     lost        sum of the lost shares
     """
     result = FrictionShare(ZERO, 0.0, ZERO)
     if constraint.body < 0.0:
         return result
-    one, two, three = approach.predicted[0].contact, approach.predicted[1].contact, approach.predicted[2].contact
     gain = 0.0
     if lost > 0.0:
-        previous = contact_on((one, two, three), constraint.body)
+        previous = contact_on(givers, constraint.body)
         gain = max(contact_on(after, constraint.body).share - previous.share, 0.0) / lost
-    result = add_part_of(result, one, forces[0], remainders[0], gain, constraint)
-    result = add_part_of(result, two, forces[1], remainders[1], gain, constraint)
-    return add_part_of(result, three, forces[2], remainders[2], gain, constraint)
+    result = add_part_of(result, givers[0], forces[0], remainders[0], gain, constraint)
+    result = add_part_of(result, givers[1], forces[1], remainders[1], gain, constraint)
+    return add_part_of(result, givers[2], forces[2], remainders[2], gain, constraint)
 
 
 @jit
@@ -187,20 +185,16 @@ def outcome_of_several(
     load = loads[0].size + loads[1].size + loads[2].size
     friction_load = forces[0].load + forces[1].load + forces[2].load
     scale = load / friction_load if friction_load > load else 1.0
-    # Fractions of their load shares that the predicted contacts retain, and the sum of the lost shares.
-    remainders = map_each(remaining_share, (approach.predicted,), settled.contacts)
-    first, second, third = approach.predicted
-    lost = (
-        (1.0 - remainders[0]) * first.contact.share
-        + (1.0 - remainders[1]) * second.contact.share
-        + (1.0 - remainders[2]) * third.contact.share
-    )
-    friction = map_each(friction_share_on, (active,), approach, forces, remainders, lost, settled.contacts)
+    givers = field_of_each(approach.predicted, "contact")
+    remainders = map_each(remaining_share, (givers,), settled.contacts)
+    lost = (1.0 - remainders[0]) * givers[0].share + (1.0 - remainders[1]) * givers[1].share
+    lost += (1.0 - remainders[2]) * givers[2].share
+    friction = map_each(friction_share_on, (active,), givers, forces, remainders, lost, settled.contacts)
     shares = map_each(share_of_wrench, (active, loads, friction), finger, objects, probe, settled, scale)
     one, two, three = shares
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     extra, budget = effects.force, 0.0
-    on_its_way = settled.late and any_multipoint(shapes)
+    on_its_way = settled.late and (any_mesh(shapes) or any_creases(shapes))
     if on_its_way:
         to_proxy = vec3.sub(settled.center, vec3.add(probe.position, lag_of(settled.contacts)))
         extra, budget = vec3.add(extra, trailing_force(shapes, active, to_proxy)), float(ON_ITS_WAY)

@@ -4,6 +4,7 @@ from typing import Any
 
 from softfinger.proxy.kernels.elastic.spots import Spot
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic
 from softfinger.proxy.kernels.numerics import mat3, vec3
@@ -25,7 +26,7 @@ def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
 
 
 @jit
-def compute_node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
+def compute_node_row(node: int, elastic: Elastic, spot: Spot) -> Mat3:
     """Return the compliance (3, 3) m/N of a node under loads at `spot`; 0 at a rigid vertex."""
     row = mat3.ZEROS
     if node >= 0:
@@ -38,12 +39,8 @@ def compute_node_row(elastic: Elastic, node: int, spot: Spot) -> Mat3:
 @jit
 def compute_node_rows(elastic: Elastic, first: Spot, second: Spot) -> tuple[Mat3, Mat3, Mat3]:
     """Return the compliance (3, 3) m/N of each node of `first` under loads at `second`."""
-    a, b, c = first.nodes
-    return (
-        compute_node_row(elastic, a, second),
-        compute_node_row(elastic, b, second),
-        compute_node_row(elastic, c, second),
-    )
+    rows: tuple[Mat3, Mat3, Mat3] = map_each(compute_node_row, (first.nodes,), elastic, second)
+    return rows
 
 
 @jit

@@ -174,25 +174,16 @@ def step_bodies(bodies: Any) -> int:
 @jit
 def step_half(block: Any, half: int) -> int:
     """Compute FIRST_HALF or SECOND_HALF of a step and return its fault, or NO_FAULT."""
-    if call_half(block, half) != 0:
+    if PLAIN:  # MuJoCo's package converts an error to an exception
+        failed = int(block.owner.step_half(half))
+    else:
+        failed = call_rescued(block[half], block[MODEL], block[DATA], block[RESCUE])
+    if failed != 0:
         return ERROR
     for i in range(block[WARNING_COUNT]):
         if int32_at(block[WARNINGS] + i * block[WARNING_BYTES])[0] != 0:
             return WARNED
     return NO_FAULT
-
-
-def _call_by_binding(block: Any, half: int) -> int:
-    """Call MuJoCo in plain Python: its package converts an error to an exception."""
-    return int(block.owner.step_half(half))
-
-
-def _call_by_address(block: Any, half: int) -> int:
-    return call_rescued(block[half], block[MODEL], block[DATA], block[RESCUE])
-
-
-call_half: Any = _call_by_binding if PLAIN else jit(_call_by_address)
-"""Call one half of a step; return 1 if MuJoCo had an error, otherwise 0."""
 
 
 @jit

@@ -127,12 +127,6 @@ def has_no_heightmap(objects: Any) -> bool:
     return False
 
 
-@jit
-def any_multipoint(objects: Any) -> bool:
-    """Return True if one of the objects is a mesh or a height map."""
-    return any_mesh(objects) or any_creases(objects)
-
-
 @by_multipoint
 def kind_at(objects: Any, index: float) -> Any:
     """Return 1 if object `index` is a triangle of a mesh, 2 if it is a height map, 0 for any other object or none."""

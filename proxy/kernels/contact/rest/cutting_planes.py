@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
+from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import solve_half_spaces
@@ -310,7 +311,7 @@ def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
 
 
 @jit
-def plane_at(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> CuttingPlane:
+def plane_at(constraint: Constraint, objects: Any, radius: float, center: Vec3) -> CuttingPlane:
     """Return the tangent plane of the object of a constraint for a proxy at `center` (3,) m, or NO_PLANE."""
     if constraint.body < 0.0:
         return NO_PLANE
@@ -326,8 +327,6 @@ def solve_tangent_planes(
 
     Returns the active set with its new depths, and the point (3,) m nearest to the probe in front of these planes.
     """
-    one = plane_at(objects, active[0], radius, center)
-    two = plane_at(objects, active[1], radius, center)
-    three = plane_at(objects, active[2], radius, center)
+    one, two, three = map_each(plane_at, (active,), objects, radius, center)
     planes = solve_planes(CuttingPlanes(one, two, three, center, (0.0, 0.0, 0.0)), probe, 0.0)
     return constraints_of(planes), planes.center

@@ -38,7 +38,6 @@ from softfinger.proxy.kernels.query.kinds import (
     WITH_HEIGHTMAP,
     WITH_MESH,
     any_creases,
-    any_multipoint,
     by_multipoint,
     has_creases_at,
     takes_long,
@@ -48,7 +47,7 @@ from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, SETTLED, STRIDE
 
 ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
-"""Largest number of obstacles added to the active set in a tick, without and with meshes or height maps. If more are
+"""Largest number of obstacles added to the active set in a tick, without and with height maps. If more are
 found, the proxy does not move in this tick."""
 
 
@@ -142,8 +141,8 @@ def settle_for(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
 ) -> Rest:
     """Settle the proxy in one step, with the remaining budget `left`; see `settle_among_several`."""
-    is_multipoint = any_multipoint(objects)
-    rounds = SLIDING_ROUNDS if is_multipoint else ROUNDS
+    is_creased = any_creases(objects)
+    rounds = SLIDING_ROUNDS if is_creased else ROUNDS
     last_center, last_active = center, active
     goal = vec3.add(probe, displacement_of(active))
     for _ in range(4):
@@ -160,14 +159,14 @@ def settle_for(
             objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left
         )
     center = goal
-    if not is_multipoint:
+    if not is_creased:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
         near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), left)
         active, left = add_touched(objects, radius, goal, active, near)
     is_clear, lift, budget = False, 0.0, left
-    for attempt in range(ATTEMPTS_ON_MANY if is_multipoint else ATTEMPTS):
+    for attempt in range(ATTEMPTS_ON_MANY if is_creased else ATTEMPTS):
         center, active, _, left = project_until_rest(objects, radius + lift, probe, center, active, rounds, left)
-        if is_multipoint and attempt == 0:
+        if is_creased and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
         gap, at, left = deepest(objects, center, radius, active_objects(active), left)
         if gap >= radius * (1.0 - INSIDE):
@@ -178,7 +177,7 @@ def settle_for(
         if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * budget):
             lift = 2.0 * (radius - gap)
         is_new = at != active[0].body and at != active[1].body and at != active[2].body
-        if is_new or any_creases(objects):
+        if is_new or is_creased:
             _, _, normal, left = closest_to_within(objects, at, center, left)
             if is_new or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
                 if count_of(active) == 3:
@@ -192,7 +191,7 @@ def settle_for(
         if late:
             center = last_center
             _, active, _, left = project_until_rest(objects, radius, probe, last_center, last_active, 1, left)
-    if any_creases(objects):
+    if is_creased:
         active = merge_support_points(active)
     return Rest(center, sort_by_load(objects, active), late, left)
 
