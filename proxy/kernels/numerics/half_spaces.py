@@ -9,7 +9,6 @@ from math import sqrt
 from typing import NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
@@ -134,7 +133,7 @@ def _ease_demands(c: float, b1: float, b2: float) -> tuple[float, float]:
     return min(b1, b2 - PARALLEL * abs(b2)), b2
 
 
-@outlined
+@jit
 def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: float, b3: float) -> HalfSpaceSolution:
     """Return the weights of the smallest displacement d with n_i . d >= b_i (m), for 1 to 3 unit normals.
 
