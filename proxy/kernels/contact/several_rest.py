@@ -16,10 +16,7 @@ from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, Co
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.kinds import has_creases_at
-
-DEEP = 0.5
-"""Depth, as a share of the fingertip's radius, to which the probe is raised during the search for the rest position:
-half the smallest radius of curvature of the surface on which the proxy moves, that at an edge."""
+from softfinger.proxy.kernels.shapes.budget import DEEP
 
 
 class Equilibrium(NamedTuple):

@@ -23,3 +23,8 @@ INSIDE = 1e-10
 
 SETTLED = 1e-13
 """Motion, as a share of the fingertip's radius, below which the proxy is at rest."""
+
+
+DEEP = 0.5
+"""Depth of the probe, as a share of the fingertip's radius, up to which a contact with several objects is stable: half
+the smallest radius of curvature of the surface on which the proxy moves, that at an edge."""

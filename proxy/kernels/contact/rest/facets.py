@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.model import ActiveSet, Constraint, Quaternion, Ve
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import SINGLE_POINT, WITH_HEIGHTMAP, WITH_MESH, by_multipoint, is_mesh_at
 from softfinger.proxy.kernels.query.objects import closest_to_within, neighbour_on
-from softfinger.proxy.kernels.shapes.budget import BUDGET, SETTLED
+from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP, SETTLED
 from softfinger.proxy.kernels.shapes.protocol import direction, turn_along
 
 
@@ -43,7 +43,8 @@ def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, oth
 def constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> Any:
     """Return the constraints of a proxy at rest: on meshes those of the facets under it, see `constraint_over_edge`.
 
-    In searches of meshes and height maps, the planes may be those before the last motion of the proxy.
+    In searches of meshes and height maps, the planes may be those before the last motion of the proxy. They are
+    replaced unless the probe is deeper than `DEEP`: there, the force would change by more than the proxy moves.
     """
 
 
@@ -58,7 +59,8 @@ def constraints_over_edges(objects: Any, radius: float, probe: Vec3, rest: Rest)
     one = constraint_over_edge(objects, active[0], center, active)
     two = constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
     active = one, two, constraint_over_edge(objects, active[2], center, (one, two, active[2]))
-    if not rest.late:
+    depth = vec3.sub(center, probe)
+    if not rest.late and vec3.dot(depth, depth) <= (DEEP * radius) ** 2:
         active, _ = solve_tangent_planes(objects, radius, probe, center, active)
     return active
 
