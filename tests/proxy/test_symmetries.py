@@ -13,9 +13,10 @@ from references.rotation import matrix, multiply, quaternion
 from softfinger.proxy.record import AT
 
 TICKS, ARRIVAL, DT = 600, 40, 1e-3
-EXACT_N, SEARCHED_N = 1e-9, 1e-5
+EXACT_N, SEARCHED_N, STALE_N = 1e-9, 1e-5, 5e-3
 """Tolerances: rounding of forces of 10 N. A search of a mesh or height map ends within 1e-6 of the fingertip's radius,
-which is multiplied by the stiffness."""
+which is multiplied by the stiffness. On a height map and a mesh at once, the normals may be those of the last tick,
+5e-4 rad earlier."""
 EVEN = {"friction": {"static": 0.5, "kinetic": 0.5}}
 """Material without the drop from static to kinetic friction, whose end depends on the slip speed in m/s."""
 SIZES = {  # keys of a shape, and the distance of its origin from its surface along its z axis
@@ -90,7 +91,8 @@ def record(objects, points, turns, **tables):
 
 
 def check_equal(objects, results, expected):
-    atol = SEARCHED_N if any("file" in each for each in objects) else EXACT_N
+    shapes = {each["shape"] for each in objects}
+    atol = STALE_N if {"mesh", "heightmap"} <= shapes else SEARCHED_N if {"mesh", "heightmap"} & shapes else EXACT_N
     assert np.abs(expected[0]).max() > 0.1
     np.testing.assert_allclose(results[0], expected[0], rtol=0, atol=atol)
     np.testing.assert_allclose(results[1], expected[1], rtol=0, atol=R * atol)

@@ -43,17 +43,18 @@ def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, oth
 def constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> Any:
     """Return the constraints of a proxy at rest: on meshes those of the facets under it, see `constraint_over_edge`.
 
-    In searches of meshes and height maps, the planes may be those before the last motion of the proxy. They are
-    replaced unless the probe is deeper than `DEEP`: there, the force would change by more than the proxy moves.
+    After a search, the planes may be those before the last motion of the proxy. On meshes they are replaced, unless the
+    probe is deeper than `DEEP`: there, the force would change by more than the proxy moves. With a height map they are
+    not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
     """
 
 
-@constraints_at_rest.of(SINGLE_POINT)
+@constraints_at_rest.of(SINGLE_POINT, WITH_HEIGHTMAP)
 def constraints_of_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
     return rest.active
 
 
-@constraints_at_rest.of(WITH_MESH, WITH_HEIGHTMAP)
+@constraints_at_rest.of(WITH_MESH)
 def constraints_over_edges(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
     active, center = rest.active, rest.center
     one = constraint_over_edge(objects, active[0], center, active)
