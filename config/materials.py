@@ -88,9 +88,7 @@ class Library(NamedTuple):
         values = self.entries()[table[self.key]].values
         base = {key: value for key, value in values.items() if key not in dropped}
         filled = _merge(base, table)
-        if self.marked:
-            filled["resolved"] = True
-        return filled
+        return dict(filled, resolved=True) if self.marked else filled
 
 
 @lru_cache(maxsize=1)

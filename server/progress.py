@@ -44,7 +44,10 @@ _quiet: Final = threading.Event()
 
 
 def set_enabled(enabled: bool) -> None:
-    (_quiet.clear if enabled else _quiet.set)()
+    if enabled:
+        _quiet.clear()
+    else:
+        _quiet.set()
 
 
 def on_terminal() -> bool:

@@ -180,7 +180,7 @@ def read(handle: int, sample: Any) -> int:
     sample[SAMPLE_TIME] = state[TIME]
     sample[SAMPLE_BUTTONS] = state[MASK]
     sample[SAMPLE_GRIPPER] = 0.0
-    return OK  # also without a report: a puck sends none while it is at rest
+    return OK  # also without a report: a puck that does not move sends none
 
 
 class Puck:

@@ -22,8 +22,9 @@ Contacts = tuple[ContactState, ContactState, ContactState]
 
 
 @jit
-def contact_on(contacts: Contacts, body: float) -> ContactState:
-    """Return the contact on that object, or NO_CONTACT."""
+def contact_on(constraint: Any, contacts: Contacts) -> ContactState:
+    """Return the contact on the object of a constraint, or of another contact; NO_CONTACT if there is none."""
+    body = constraint.body
     if body >= 0.0:
         if contacts[0].body == body:
             return contacts[0]
@@ -99,7 +100,7 @@ def contact_after_hand_over(
     body, normal, push = constraint
     if body < 0.0:
         return NO_CONTACT
-    previous = contact_on(contacts, body)
+    previous = contact_on(constraint, contacts)
     total_loss = losses[0] + losses[1] + losses[2]
     continues = previous.body >= 0.0
     source = previous if continues or total_loss == 0.0 else largest_loser(contacts, losses)

@@ -75,11 +75,11 @@ def move_contact(contact: ContactState, objects: Any) -> ContactState:
 @jit
 def displacement_by_push(contact: ContactState, before: Contacts) -> Vec3:
     """Return the displacement (3,) m of the proxy in this tick because the push of a contact has changed."""
-    return vec3.scale(contact.push - contact_on(before, contact.body).push, contact.normal)
+    return vec3.scale(contact.push - contact_on(contact, before).push, contact.normal)
 
 
 @jit
-def displaced_by(position: Vec3, contacts: Contacts) -> Vec3:
+def displace_by_pushes(position: Vec3, contacts: Contacts) -> Vec3:
     """Return `position` (3,) m displaced by the pushes of the contacts."""
     one, two, three = contacts
     pushes = one.push, two.push, three.push
@@ -92,10 +92,10 @@ def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: Pro
     probe, last_probe, _ = motion
     one, two, three = map_each(displacement_by_push, (contacts,), last)
     by_push = vec3.add(vec3.add(one, two), three)
-    reference = displaced_by(last_probe.position, state.contacts)
+    reference = displace_by_pushes(last_probe.position, state.contacts)
     return Shear(
         turn=rotations.relative(probe.orientation, last_probe.orientation),
-        free=vec3.add(vec3.sub(displaced_by(probe.position, last), reference), by_push),
+        free=vec3.add(vec3.sub(displace_by_pushes(probe.position, last), reference), by_push),
         blocked=vec3.scale(-1.0, by_push),
         reference=reference,
     )

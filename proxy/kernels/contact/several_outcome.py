@@ -85,7 +85,7 @@ def remaining_share(giver: ContactState, after: Contacts) -> float:
     """Return the fraction of its load share that a contact still has after this tick."""
     if giver.body < 0.0 or giver.share <= 0.0:
         return 1.0
-    return min(contact_on(after, giver.body).share / giver.share, 1.0)
+    return min(contact_on(giver, after).share / giver.share, 1.0)
 
 
 @jit
@@ -129,8 +129,8 @@ def friction_share_on(
         return result
     gain = 0.0
     if lost > 0.0:
-        previous = contact_on(givers, constraint.body)
-        gain = max(contact_on(after, constraint.body).share - previous.share, 0.0) / lost
+        previous = contact_on(constraint, givers)
+        gain = max(contact_on(constraint, after).share - previous.share, 0.0) / lost
     result = add_part_of(result, givers[0], forces[0], remainders[0], gain, constraint)
     result = add_part_of(result, givers[1], forces[1], remainders[1], gain, constraint)
     return add_part_of(result, givers[2], forces[2], remainders[2], gain, constraint)
@@ -146,7 +146,7 @@ def share_of_wrench(
         return NO_SHARE
     normal = constraint.normal
     ground = textured_ground_at(objects, constraint.body, settled.active, settled.center)
-    contact = contact_on(settled.contacts, constraint.body)
+    contact = contact_on(constraint, settled.contacts)
     pressing = vec3.scale(load.size, load.along)
     # The limit of the torsional moment grows by up to f_N^(4/3).
     moment, bending = scale * scale * friction.moment, vec3.scale(scale * scale, friction.bending)

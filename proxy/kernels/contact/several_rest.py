@@ -67,11 +67,6 @@ def shift_deflection(contact: ContactState, displacement: Vec3) -> ContactState:
 
 
 @jit
-def contact_at(constraint: Constraint, contacts: Contacts) -> ContactState:
-    return contact_on(contacts, constraint.body)
-
-
-@jit
 def settle_after_friction(
     finger: Finger, objects: Any, shapes: Any, approach: Approach, forces: Any, position: Vec3
 ) -> Equilibrium:
@@ -98,7 +93,7 @@ def settle_after_friction(
     active = constraints_at_rest(shapes, radius, goal, rest)
     contacts = after
     if active_objects(active) != active_objects(after):
-        contacts = map_each(contact_at, (active,), after)  # if only the order changes, no load is transferred
+        contacts = map_each(contact_on, (active,), after)  # if only the order changes, no load is transferred
         if active_objects(active) != active_objects(contacts) or count_of(active) != count_of(after):
             contacts = hand_over(objects, after, active)
     contacts = map_each(move_to_constraint, (contacts, active))

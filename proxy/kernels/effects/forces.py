@@ -140,7 +140,7 @@ def constant_force(effect: ConstantForce, state: None, situation: Situation) -> 
 
 @effect_force.of(Spring)
 def spring_force(effect: Spring, state: None, situation: Situation) -> tuple[Vec3, None]:
-    """Return the force K (d - rest_length) towards the anchor, at most `force_max`; below the rest length it pushes."""
+    """Return the force K (d - rest_length) towards the anchor, negative if the spring is shorter, up to `force_max`."""
     towards = vec3.sub(effect.anchor, situation.position)
     length = vec3.norm(towards)
     if length < NO_LENGTH_M:

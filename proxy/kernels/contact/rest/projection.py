@@ -40,7 +40,7 @@ def project_until_rest(
     `rest_on_curved`: from the tangent plane, a depth greater than the radius of the surface that the centre moves on
     would diverge.
 
-    Returns also the distance, m, that the proxy moved in the last round, and the remaining budget.
+    Also returns the distance, m, that the proxy moved in the last round, and the remaining budget.
     """
     square = 1e300
     tolerance = (SETTLED * radius) ** 2
@@ -77,12 +77,10 @@ def project_until_rest(
             p2 = 0.0 if two.body < 0.0 else max(b2, 0.0)
             p3 = 0.0 if three.body < 0.0 else max(b3, 0.0)
             continue
-        solution = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
-        push = solution.push
-        p1, p2, p3 = solution.place
-        landing = vec3.add(base, vec3.weighted_sum(solution.place, n1, n2, n3))
-        step = vec3.sub(landing, center)
-        center = landing
+        push, place = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
+        p1, p2, p3 = place
+        last, center = center, vec3.add(base, vec3.weighted_sum(place, n1, n2, n3))
+        step = vec3.sub(center, last)
         square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
         if square <= tolerance:
             break
