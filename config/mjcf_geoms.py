@@ -61,11 +61,13 @@ def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
     for geom in spec.geoms:
         name = geom.name or f"geom-{geom.id}"
         if not geom.contype and not geom.conaffinity and geom.id not in paired:
-            yield ConvertedGeom(name, None, "does not collide (contype and conaffinity are 0, and no <pair> has it)")
+            yield ConvertedGeom(name, None, "does not collide (contype and conaffinity are 0, and it is in no <pair>)")
             continue
         material = _material(world, geom)
         if material is None:
-            yield ConvertedGeom(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
+            yield ConvertedGeom(
+                name, None, "has no material: add [world.material], or a [[world.geom]] that matches it"
+            )
             continue
         if geom.meshname and model.geom_type[geom.id] == package.mjtGeom.mjGEOM_MESH:
             _check_groups(name, spec, int(model.geom_dataid[geom.id]))
@@ -73,7 +75,7 @@ def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
     for number in range(model.nflex):
         if model.flex_contype[number] or model.flex_conaffinity[number]:
             name = package.mj_id2name(model, package.mjtObj.mjOBJ_FLEX, number) or f"flex-{number}"
-            yield ConvertedGeom(name, None, "is a flexible body, which fingers do not touch", is_lost=True)
+            yield ConvertedGeom(name, None, "is a flexible body, which fingers cannot touch", is_lost=True)
 
 
 def find_ignored(scene: schema.Scene) -> list[ConvertedGeom]:
@@ -126,20 +128,20 @@ def _object(
             if isinstance(source, str):
                 return ConvertedGeom(name, None, source, is_lost=True)
             return ConvertedGeom(
-                name, schema.Heightmap(**source, **place), "smooth between its heights, level beyond its rim"
+                name, schema.Heightmap(**source, **place), "smooth between its heights, flat beyond its border"
             )
         case kinds.mjGEOM_MESH:
             source = {"file": world.model, "root": world.root, "mesh": model.mesh(number).name}
             return ConvertedGeom(name, schema.Mesh(**source, **place), _hull_note(model, number))
     kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
-    return ConvertedGeom(name, None, f"is of the type {kind}, which fingers do not touch", is_lost=True)
+    return ConvertedGeom(name, None, f"is of type {kind}, which fingers cannot touch", is_lost=True)
 
 
 def _check_groups(name: str, spec: Any, number: int) -> None:
     file = next((mesh.file for mesh in spec.meshes if mesh.id == number), "")
     if file.lower().endswith(".obj") and has_groups(file):
         raise ConfigError(
-            f"geom {name!r}: {file} has faces in several groups, and MuJoCo reads only the first: export it without "
+            f"geom {name!r}: {file} has faces in several groups, but MuJoCo reads only the first: export it without "
             "groups"
         )
 
@@ -158,7 +160,7 @@ def _hull_note(model: Any, number: int) -> str:
     if hull <= (1.0 + CONVEX) * mesh:
         return ""
     larger = f", which has {hull / mesh:.3g} times its volume" if mesh > 0.0 else ""
-    return f"is touched as it is; other geoms collide with its convex hull{larger}"
+    return f"has its own shape for fingers; other geoms collide with its convex hull{larger}"
 
 
 def _volume(vertices: Any, faces: Any) -> float:
@@ -172,9 +174,9 @@ def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | st
     across, along = 2.0 * x / (columns - 1), 2.0 * y / (rows - 1)
     if abs(across - along) > SQUARE * along:
         sides = f"{across:.6g} m along x and {along:.6g} m along y"
-        return f"is a height field with pixels of {sides}: make them square, by its size or by resampling"
+        return f"is a height field with pixels of {sides}: must be square; change its size, or resample it"
     if rows * columns > limits.GRID_VALUES.high:
-        return f"is a height field of {rows} x {columns}: {limits.GRID_VALUES.high:,} values are the most"
+        return f"is a height field of {rows} x {columns}: at most {limits.GRID_VALUES.high:,} values are allowed"
     source = {"file": world.model, "root": world.root, "hfield": model.hfield(number).name}
     return source | {"pitch_m": across, "level_m": z}
 

@@ -419,7 +419,7 @@ HOSTILE = {
         "</mujoco>",
         "bodies or more; at most 1,000",
     ),
-    "a file that includes itself": ('<mujoco><include file="hostile.xml"/></mujoco>', "includes hostile.xml again"),
+    "a file that includes itself": ('<mujoco><include file="hostile.xml"/></mujoco>', "includes hostile.xml twice"),
     "too many bodies by an attached model": (
         f'<mujoco>{OPTION}<asset><model name="m" file="model.xml"/></asset><worldbody><replicate count="400">'
         '<attach model="m" prefix="p"/></replicate></worldbody></mujoco>',

@@ -266,23 +266,23 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"material": {"torsion": FOLLOWS}}, r"torsion\.stiffness_nm_per_rad: is missing: give it, or the fingertip a"),
+        ({"material": {"torsion": FOLLOWS}}, r"torsion\.stiffness_nm_per_rad: is missing: add it, or add"),
         ({"fingertip": {"patch": {}}}, r"fingertip\.patch\.shear_modulus_pa is missing"),
-        ({"fingertip": {"patch": HERTZ | {"exponent": 0.2}}}, "belongs to a patch of radius_m, this one is Hertz's"),
-        ({"fingertip": {"patch": HERTZ | {"pressure_exponent": 4.0}}}, "belongs to a patch of radius_m"),
+        ({"fingertip": {"patch": HERTZ | {"exponent": 0.2}}}, "applies to a patch with radius_m, not to that of Hertz"),
+        ({"fingertip": {"patch": HERTZ | {"pressure_exponent": 4.0}}}, "applies to a patch with radius_m"),
         ({"fingertip": {"patch": HERTZ | {"rolling_loss": 1.5}}}, "from 0 to 1 "),
         ({"material": {"shear_modulus_pa": 1.0}}, "from 100 to 1e"),
         (
             {"fingertip": None, "finger": [{"name": "a", "radius_m": R}, {"name": "b", "radius_m": R, "patch": HERTZ}]},
-            r"finger\[0\]\.patch: is missing, and another finger has one",
+            r"finger\[0\]\.patch: is missing, but another finger has a patch",
         ),
         (
             {"fingertip": None, "finger": [{"name": "a", "radius_m": R}], "material": {"torsion": FOLLOWS}},
-            r"torsion\.friction_length_m: is missing: give it, or the fingertip a \[finger\.patch\]",
+            r"torsion\.friction_length_m: is missing: add it, or add \[finger\.patch\]",
         ),
         (
             {"fingertip": {"patch": HERTZ}, "rolling": None, "material": {"friction": None, "torsion": FOLLOWS}},
-            "follows from the patch and from friction, and there is none",
+            "is derived from patch and friction, but the material has no friction",
         ),
     ],
 )

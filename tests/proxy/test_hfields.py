@@ -124,8 +124,8 @@ def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
     (geom,) = convert_geoms(world)
     assert geom.object is None
     assert geom.note == (
-        "is a height field with pixels of 0.005 m along x and 0.0075 m along y: make them square, by its size or by "
-        "resampling"
+        "is a height field with pixels of 0.005 m along x and 0.0075 m along y: must be square; change its size, or "
+        "resample it"
     )
     with pytest.raises(ConfigError, match="no geom can be touched: hills is a height field with pixels"):
         make_engine(Path(world.model))

@@ -175,5 +175,5 @@ def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kine
 
 
 def test_limit_surface_needs_friction() -> None:
-    with pytest.raises(ConfigError, match="needs friction to share its limit with"):
+    with pytest.raises(ConfigError, match="needs friction, with which it shares a limit"):
         build(Scene, paper_mapping(rolling=None, material={**COUPLED, "friction": None}), "test scene")

@@ -244,7 +244,7 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
     notes = {geom.name: geom.note for geom in convert_geoms(world)}
     assert notes["part"] == ""
     assert notes["l"] == (
-        "is touched as it is; other geoms collide with its convex hull, which has 1.17 times its volume"
+        "has its own shape for fingers; other geoms collide with its convex hull, which has 1.17 times its volume"
     )
 
 

@@ -156,7 +156,7 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
 @pytest.mark.parametrize(
     ("torsion", "message"),
     [
-        ({"kinetic_friction_length_m": 0.003}, 'belongs to model = "soft_finger_proxy"'),
+        ({"kinetic_friction_length_m": 0.003}, 'applies to model = "soft_finger_proxy"'),
         ({**PROXY, "kinetic_friction_length_m": 0.005}, "at most friction_length_m = 0.004"),
         ({"exponent": 0.5}, "from 0 to 0.333333"),
         ({"model": "soft_finger"}, "did you mean 'soft_finger_proxy'"),
@@ -198,5 +198,5 @@ def test_objects_of_a_scene_share_one_law() -> None:
     ]
     coupled = {**table["material"], "torsion": {**table["material"]["torsion"], "model": "limit_surface"}}
     mapping["object"][1] = {**table, "name": "coupled", "material": coupled}
-    with pytest.raises(ConfigError, match="all objects with torsion have the model limit_surface, or none has"):
+    with pytest.raises(ConfigError, match="use limit_surface for all objects with torsion, or for none"):
         build(Scene, mapping, "test scene")

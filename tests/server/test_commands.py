@@ -280,7 +280,7 @@ def test_several_fingers_are_commanded_together(rig):
             "the name and the device of a finger are no parameters",
         ),
         ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "set twice"),
-        ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
+        ("set_scene", {"scene": "sphere"}, "use a rig with [device]"),
         ("set_scene", {"scene": swapped}, "(index, thumb) differ from the running ones (thumb, index)"),
     ]
     with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, recorder):
