@@ -142,7 +142,7 @@ def _check_count(path: Path, count: int) -> None:
 
 def _unknown_suffix(path: Path) -> str:
     suffix = f"'{path.suffix}'" if path.suffix else "no ending"
-    return f"{path}: {suffix} names no results format: use one of {', '.join(SUFFIXES)}"
+    return f"{path}: {suffix} is not a results format: use one of {', '.join(SUFFIXES)}"
 
 
 def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
@@ -199,7 +199,7 @@ def _read_csv(path: Path, finger: str) -> Array:
             first = header.index(expected[0]) if expected[0] in header else 0
             if header[first : first + RECORD_SIZE] != expected or len(header) % RECORD_SIZE:
                 of_finger = f" of a finger '{finger}'" if finger else ""
-                raise RecordingError(f"{path}, line 1: the columns are not those of this version's results{of_finger}")
+                raise RecordingError(f"{path}, line 1: the columns differ from those of this version{of_finger}")
             values = array("d")
             with progress(f"reading {path.name}", os.fstat(file.fileno()).st_size) as advance:
                 while line := file.readline(LINE_MAX):
@@ -252,9 +252,9 @@ def _read_mcap(path: Path, finger: str) -> Array:
             count += len(part.rows)
             _check_count(path, count)
         elif isinstance(part, End) and part.cut and count:
-            log.warning("%s is cut short or damaged (%s): %d messages read", path, part.cut, count)
+            log.warning("%s is truncated or damaged (%s): %d messages read", path, part.cut, count)
     if not count:
-        raise RecordingError(f"{path}: has no message of topic '{contact_topic(finger)}'")
+        raise RecordingError(f"{path}: has no message on topic '{contact_topic(finger)}'")
     return np.concatenate(blocks)
 
 

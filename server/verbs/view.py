@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
                 log_address(page.address)
             if args.host != PAGE_HOST:
                 log.warning(
-                    "anyone with this address can command the daemon, and it is sent over the network in plain text"
+                    "anyone with this address can command the daemon, and it is sent unencrypted over the network"
                 )
             opening = nullcontext() if args.no_open or not _can_open() else open_browser(page.address)
             with signals.stop_on_signal(lambda: stop_requests.append(True)), opening:

@@ -367,7 +367,7 @@ def test_the_library_is_searched_without_a_home_directory(monkeypatch: pytest.Mo
     """Without a home directory, neither the search nor a path with ~ fails otherwise than by not finding the file."""
     forget_user(monkeypatch)
     for named in (None, "~/libdrd.so"):
-        with pytest.raises(DeviceNotFound, match=r"searched for /usr/local/lib|'~/libdrd.so': there is no such file"):
+        with pytest.raises(DeviceNotFound, match=r"searched for /usr/local/lib|'~/libdrd.so': the file does not exist"):
             library.load(named, {})
 
 

@@ -179,7 +179,7 @@ def _with(path: str, value: Any) -> dict[str, Any]:
         ("reports.input.field.1.offset", 2, r"field\[1\].offset = 2: byte 2 belongs to field\[0\] already"),
         ("reports.input.field.0.type", "int24", r"field\[0\].type = 'int24': must be one of .*'int8'"),
         ("reports.input.field.0.meaning", "w", r"field\[0\].meaning = 'w': must be one of"),
-        ("reports.input.field.0.meaning", "y", r"field\[1\].meaning = 'y': another field has this meaning"),
+        ("reports.input.field.0.meaning", "y", r"field\[1\].meaning = 'y': another field has the same meaning"),
         ("reports.input.field.3.meaning", "buttons", r"input.field = \['qx', 'qy', 'qz'\]: a cartesian device"),
         ("reports.output.field.2.meaning", "constant", "output.field: lacks force_z, which a cartesian needs"),
         ("kinematics.kind", "chain", "kinematics.capstan_m is missing"),
@@ -188,10 +188,10 @@ def _with(path: str, value: Any) -> dict[str, Any]:
         ("vendor_id", 70000, "vendor_id = 70000: must be an integer from 0 to 65535"),
         ("reports", "woodenhaptics-v3", "'woodenhaptics-v3': not in the library"),
         ("timeout_s", 0.005, "timeout_s = 0.005: must be"),
-        ("calibrate", True, "only a chain has a calibration pose"),
+        ("calibrate", True, "is for chains only"),
         ("through", "usb", "through = 'usb': must be one of 'auto', 'node', 'thread'"),
         ("mounting", {"orientation_wxyz": [0, 0, 0, 0]}, "all zero is not an orientation"),
-        ("reports.preset", {"bytes": 8, "field": []}, "preset.bytes = 8: must be an output report like the other"),
+        ("reports.preset", {"bytes": 8, "field": []}, "preset.bytes = 8: must have the length and id of"),
     ],
 )  # fmt: skip
 def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:

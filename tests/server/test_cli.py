@@ -302,7 +302,7 @@ def test_a_low_limit_of_open_files_is_reported(words):
     command = f"ulimit -n 8; exec {shlex.join([*COMMAND, *words])}"
     outcome = run_program(["bash", "-c", command])
     assert outcome.returncode == 11, outcome.stderr
-    assert outcome.stderr == "softfinger: this process may open 8 files, and needs 64: raise `ulimit -n`\n"
+    assert outcome.stderr == "softfinger: this process may open 8 files, but needs 64: raise `ulimit -n`\n"
 
 
 @pytest.mark.plain
@@ -358,7 +358,10 @@ def test_bench_prints_json(kind, tmp_path):
 
 @pytest.mark.parametrize(
     ("plot", "why"),
-    [("out.txt", "a figure is .png or .svg by its file name"), ("no/such/out.png", "there is no folder no/such")],
+    [
+        ("out.txt", "a figure is .png or .svg by its file name"),
+        ("no/such/out.png", "the folder no/such does not exist"),
+    ],
 )
 def test_plot_is_refused_before_the_work(plot, why):
     outcome = called("bench", "loop", "--seconds", "600", "--plot", plot)

@@ -277,7 +277,7 @@ def test_several_fingers_are_commanded_together(rig):
         (
             "set_params",
             {"finger.0.name": "ring", "finger.0.device": "thumb"},
-            "the name and the device of a finger are no parameters",
+            "name and device of a finger cannot be set",
         ),
         ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "set twice"),
         ("set_scene", {"scene": "sphere"}, "use a rig with [device]"),

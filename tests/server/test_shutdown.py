@@ -243,7 +243,7 @@ SAID = "its driver said why"
     [
         (health.NO_POSE, 0, DeviceError, ["no usable pose for", "check its sensors"]),
         (health.JUMPING, 0, DeviceError, ["jumps repeatedly", "guard.speed_max_m_per_s"]),
-        (READ_FAILED, FORCE_OFF, SafetyStop, ["turned its force off"]),
+        (READ_FAILED, FORCE_OFF, SafetyStop, ["disabled its force"]),
         (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),
         (WRITE_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a write in time"]),
         (READ_FAILED, PROTOCOL, DeviceLost, ["not in its protocol", "on read"]),

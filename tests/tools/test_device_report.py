@@ -236,11 +236,11 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 128 + number
     content = checked(home / "softfinger-replay-report.json", home)
-    assert content["ended"] == "cut short by the user" and not content["complete"]
+    assert content["ended"] == "stopped by the user" and not content["complete"]
     assert content["rest"]["ticks"] == 1000
     assert (content["exchange"] is not None) == (number == signal.SIGTERM)
     assert content["pushes"] == []
-    assert "cut short by the user" in output
+    assert "stopped by the user" in output
     force = np.load(home / "forces.npz")["force"]
     assert force.any() == (number == signal.SIGTERM)
     assert not force[-1].any()

@@ -261,7 +261,7 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
         (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
         (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be an integer from 1"),
-        (["figure", str(tmp_path)], "was this folder written by `softfinger experiment`"),
+        (["figure", str(tmp_path)], "check that `softfinger experiment` wrote this folder"),
     ):
         assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2
         assert message in capsys.readouterr().err

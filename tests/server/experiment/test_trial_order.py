@@ -107,14 +107,14 @@ def test_practice_comes_first() -> None:
         ({"task.kind": "rate", "task.reference": None, "task.scale": [7, 1]}, "the first mark, from 1"),
         ({"task.scale_ends": ["soft", "hard"]}, "requires scale"),
         ({"factor.0.levels": [-1.0, 0.0]}, "damping_ns_per_m = -1.0"),
-        ({"factor.0.scenes": {"a": "sphere"}}, "give one of parameter, scenes and values"),
+        ({"factor.0.scenes": {"a": "sphere"}}, "set one of parameter, scenes and values"),
         ({"rig": "omega-66"}, "did you mean"),
         ({"procedure.levels": [0.1, 0.2, 0.1]}, "has a level twice"),
         ({"observer.by": {"3.0": {"threshold": 0.1}}}, "no condition is called '3.0'.*; there are 0.0; 1.0; 2.0"),
         ({"observer.by": {"2.0": {"treshold": 0.1}}}, "did you mean 'threshold'"),
         ({"observer.by": {"2.0": {"threshold": -0.1}}}, "observer.by.2.0: threshold = -0.1: must be"),
         ({"motion": {"thumb": [[0.0, 0.0, 0.0, 0.0]]}}, "motion.thumb: no scene has this finger; there are fingertip"),
-        ({"motion": {"fingertip": [[3.0, 0.0, 0.0, 0.0]]}}, "ends at 3 s: make trial.touch_s as long"),
+        ({"motion": {"fingertip": [[3.0, 0.0, 0.0, 0.0]]}}, "ends at 3 s: set trial.touch_s to that"),
         ({"design.seed": -1}, "design.seed = -1"),
     ],
 )
@@ -142,5 +142,5 @@ def test_a_rating_stays_on_its_scale() -> None:
 
 def test_numbers_are_no_comparison() -> None:
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "How stiff?"}
-    with pytest.raises(ConfigError, match="must be constant: a rate is not right or wrong"):
+    with pytest.raises(ConfigError, match="must be constant: answers of rate are not right or wrong"):
         Experiment(make_tables(task=task, procedure={"kind": "staircase"}))
