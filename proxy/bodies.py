@@ -142,8 +142,8 @@ class RigidBodies:
                 "simpler geoms, raise the budget, or lower servo.rate_hz"
             )
         remedy = (
-            "lower stiffness_n_per_m, or raise damping_ns_per_m or world.substeps; where memory is full, give the "
-            'model <size memory="..."/>'
+            "lower stiffness_n_per_m, or raise damping_ns_per_m or world.substeps; if its memory is full, add "
+            '<size memory="..."/> to the model'
         )
         if fault == at.WARNED:
             counted = self.data.warning

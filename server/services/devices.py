@@ -36,7 +36,7 @@ def inject_faults(
         if fault.finger not in ("", *names):
             raise ConfigError(
                 f"a fault of kind '{fault.kind}' has finger = '{fault.finger}': the scene has "
-                f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: leave it out"
+                f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: remove finger"
             )
     from softfinger.drivers.injected import FaultInjector  # imported here, because its kernels are compiled on import
 

@@ -116,9 +116,8 @@ def lines(devices: list[ListedDevice]) -> list[str]:
         text.append(f"    driver {claim.driver}: softfinger run {command}")
         text.append(f"    {diagnosis.state}{': ' if diagnosis.reason else ''}{diagnosis.reason}")
         if identification is not None:
-            text.append(
-                f"    it says: {', '.join(f'{name} {_format_value(value)}' for name, value in identification.items())}"
-            )
+            answer = ", ".join(f"{name} {_format_value(value)}" for name, value in identification.items())
+            text.append(f"    it reports: {answer}")
         if diagnosis.remedy:
             text.append(f"    remedy: {diagnosis.remedy}")
     if not any(claim for _, claim, *_ in devices):

@@ -74,7 +74,7 @@ def test_check_prints_size_and_heights(tmp_path: Path) -> None:
         (np.array([[0.0, np.inf]]), "row 0, column 1: inf: must be finite"),
         (np.zeros((1025, 1024), np.int8), "has 1,049,600 values, at most 1,048,576 are allowed"),
         (np.array([["a", "b"]]), "contains <U1, must contain numbers"),
-        (np.array([[0.0, -4000.0]]), "a height of -2000 m with level_m = 0.5, 1000 m up or down is the most"),
+        (np.array([[0.0, -4000.0]]), "a height of -2000 m with level_m = 0.5, at most 1000 m up or down is allowed"),
     ],
 )
 def test_an_invalid_map_is_reported(tmp_path: Path, heights: Any, reason: str) -> None:

@@ -78,7 +78,7 @@ def test_a_moebius_strip_is_reported_and_not_rewound() -> None:
     (_, triangles), report = mended(meshes.moebius())
     assert triangles.tobytes() == meshes.moebius().triangles.tobytes()
     assert (
-        "bodies with one side only, as a Moebius strip, where no winding is right: 1" in report.noted
+        "bodies with a single side, such as a Moebius strip, which have no consistent winding: 1" in report.noted
         and report.turned_triangles == 0
     )
 

@@ -120,8 +120,8 @@ def test_world_time_advances_once_per_tick() -> None:
 @pytest.mark.parametrize(
     ("poses", "message"),
     [
-        (np.zeros((3, 7)), "the fingers thumb, index: give `run` poses of each by its name"),
-        ({"thumb": np.ones((3, 7))}, "poses of thumb are not those of the scene's fingers: thumb, index"),
+        (np.zeros((3, 7)), "the fingers thumb, index: pass `run` the poses of each by its name"),
+        ({"thumb": np.ones((3, 7))}, "poses of thumb do not match the fingers of the scene: thumb, index"),
         ({"thumb": np.ones((3, 7)), "ring": np.ones((3, 7))}, "poses of thumb, ring are not those"),
         ({"thumb": np.ones((3, 7)), "index": np.ones((2, 7))}, "the same number of poses, not 3 of thumb, 2 of index"),
         ({"thumb": np.ones((3, 7)), "index": np.full((3, 7), np.nan)}, "pose 0 is"),

@@ -68,7 +68,7 @@ class Folder:
             except Unsound as error:
                 self._problem = str(error)
             except (OSError, ValueError) as error:
-                self._problem = f"{self.path} cannot be made: {_reason(error)}: {OWN_FOLDER}"
+                self._problem = f"{self.path} cannot be created: {_reason(error)}: {OWN_FOLDER}"
             self._looked = True  # last: another thread that reads True trusts the folder
         return self._problem
 
@@ -103,7 +103,7 @@ class Folder:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode) or _complaint(found, path) is not None:
             os.close(fd)
-            raise Unsound("not a file that only this user may write")
+            raise Unsound("not a file that only this user can write")
         return open(fd, "rb")
 
     def reject(self, name: str, why: Exception) -> None:

@@ -40,7 +40,7 @@ SUBJECT: Final = 8
 
 _key: Final = ctypes.c_uint32()
 if ctypes.CDLL(None).pthread_key_create(ctypes.byref(_key), None) != 0:
-    raise ImportError("this process has no more keys for memory of threads (pthread_key_create)")
+    raise ImportError("this process has no free key for thread-specific memory (pthread_key_create)")
 llvm.add_symbol(KEY_SYMBOL, ctypes.addressof(_key))
 
 _getspecific: Any = types.ExternalFunction("pthread_getspecific", types.int64(types.uint32))

@@ -164,7 +164,7 @@ def record_until_end(wire: Subscription, job: RecordingJob, first_samples: list[
             if job.is_stop_requested():
                 return "stopped"
             if batcher.receiver.failed:
-                return "the file takes no more"
+                return "the file accepts no more data"
             if show is not None and now - shown_s > SHOW_PERIOD_S:
                 shown_s = now
                 show(f"tick {batcher.last}, {batcher.lost} lost; Ctrl-C stops")
