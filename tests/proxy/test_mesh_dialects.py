@@ -355,7 +355,7 @@ def test_unsupported_glb_features_are_refused_by_name(tmp_path: Path) -> None:
     assert "deformed by a skeleton" in file_refusal(path, made.data(parts, {"skin": 0}))
     assert "EXT_mesh_gpu_instancing" in file_refusal(path, made.data(parts, {"extensions": copies}))
     assert "morph targets" in file_refusal(path, made.data(parts, {"weights": [0.0, 0.5]}))
-    assert "needs an extension that is not read here (VND_bend)" in file_refusal(
+    assert "needs an unsupported extension (VND_bend)" in file_refusal(
         path, made.data(parts, extensionsRequired=["KHR_materials_unlit", "VND_bend"])
     )
     loop = [{"mesh": 0, "children": [1]}, {"children": [0]}]
@@ -391,6 +391,6 @@ def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
         name="m", file=str(tmp_path / "a.xml"), mesh="a", material=schema.Material(stiffness_n_per_m=1.0)
     )
     assert (
-        "it is 40 m in size: if that is not meant, multiply the scale of its <mesh> by 0.001 (millimetres"
+        "it is 40 m in size: if that is not intended, multiply the scale of its <mesh> by 0.001 (millimetres"
         in (about(of_model).report.noted[0])
     )

@@ -122,7 +122,7 @@ def test_world_time_advances_once_per_tick() -> None:
     [
         (np.zeros((3, 7)), "the fingers thumb, index: pass `run` the poses of each by its name"),
         ({"thumb": np.ones((3, 7))}, "poses of thumb do not match the fingers of the scene: thumb, index"),
-        ({"thumb": np.ones((3, 7)), "ring": np.ones((3, 7))}, "poses of thumb, ring are not those"),
+        ({"thumb": np.ones((3, 7)), "ring": np.ones((3, 7))}, "poses of thumb, ring do not match"),
         ({"thumb": np.ones((3, 7)), "index": np.ones((2, 7))}, "the same number of poses, not 3 of thumb, 2 of index"),
         ({"thumb": np.ones((3, 7)), "index": np.full((3, 7), np.nan)}, "pose 0 is"),
     ],
