@@ -1,4 +1,4 @@
-"""Paths of [motion] and [turn]: a hand between waypoints needs increasing times."""
+"""Mistakes of an experiment that are found before a session."""
 
 from __future__ import annotations
 
@@ -20,3 +20,9 @@ def test_times_of_a_path_increase(table: str, order: tuple[int, ...]) -> None:
     load(file, paths)
     with pytest.raises(ConfigError, match=rf"{table}\.fingertip = .*: times must increase"):
         load(file, paths | {table: {"fingertip": [RISES[index] for index in order]}})
+
+
+@pytest.mark.parametrize(("name", "rig"), [("weight-of-a-box", "simulated"), ("path-tracing", "simulated-lift-a-box")])
+def test_the_rig_has_a_device_for_each_finger(name: str, rig: str) -> None:
+    with pytest.raises(ConfigError, match=r"the scene has \[.*and the rig \[device"):
+        load(EXPERIMENTS / f"{name}.toml", {"rig": rig})
