@@ -160,7 +160,7 @@ def _answer_faults(experiment: ExperimentFile) -> Iterator[str]:
         questions |= {CONSENT: consent_question(experiment)}
     observer = experiment.observer
     everywhere = [observer.answers, *(values.get("answers", {}) for values in observer.by.values())]
-    for name, answer in (pair for answers in everywhere if isinstance(answers, Mapping) for pair in answers.items()):
+    for name, answer in (item for answers in everywhere if isinstance(answers, Mapping) for item in answers.items()):
         location = f"observer.answers.{name} = {format_value(answer)}"
         if name not in questions:
             yield f"{location}: no survey has this question{near(name, list(questions))}"
