@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import find_recording, load_poses
 from softfinger.server.recording.layout import TickField, tick_layout
 from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, read_contents

@@ -1,4 +1,4 @@
-"""Damaged tables of results: every verb refuses them. They are not read as the poses that they contain, too."""
+"""Damaged recordings: tables of results are not read as the poses that they contain, too; cut MCAP files say so."""
 
 from __future__ import annotations
 
@@ -41,3 +41,13 @@ def test_results_with_a_damaged_force_are_refused(ending: str, place: int, tmp_p
     path.write_bytes(data)
     with pytest.raises(RecordingError, match=f"{path.name}.*(line {place // 3 + 2}|CRC)"):
         summary(path)
+
+
+def test_a_file_cut_at_any_place_is_cut_short(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_results(path, synthetic(300))
+    data = path.read_bytes()
+    # The last 8 bytes only repeat the first ones.
+    for size in range(len(data) - 9, len(data) // 2, -max(1, len(data) // 200)):
+        path.write_bytes(data[:size])
+        assert summary(path)["cut"] == "it has no index at its end: its writer was killed, or the disk was full", size
