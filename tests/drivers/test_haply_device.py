@@ -127,25 +127,21 @@ def move_handle(servo: Servo, service: Service, to: dict[str, float]) -> list[fl
     return fresh(servo)
 
 
-@pytest.mark.parametrize("mounted", [False, True])
-def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
+def test_pose_and_force_in_the_world(service: Service) -> None:
     half = math.sqrt(0.5)
     turn = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]}  # a quarter turn about z
     service.do("grip", id="7", to={"orientation": {"w": 1.0, "x": 1.0, "y": 0, "z": 0},
                                    "buttons": {"a": True, "b": False, "c": True}})  # fmt: skip
-    with opened(service, **({"mounting": turn} if mounted else {})) as device:
+    with opened(service, mounting=turn) as device:
         assert device.info.sensed_dof == 6
         servo = Servo(device)
         sample = move_handle(servo, service, {"x": 0.01, "y": -0.1, "z": 0.17})
-        wanted = (0.1 + 0.1, 0.2 + 0.01, 0.3 + 0.17) if mounted else (0.01, 0.02, 0.02)
-        np.testing.assert_allclose(sample[:3], wanted, atol=1e-12)  # rounding
-        turned = (0.5, 0.5, 0.5, 0.5) if mounted else (half, half, 0.0, 0.0)
-        np.testing.assert_allclose(sample[3:7], turned, atol=1e-12)
+        np.testing.assert_allclose(sample[:3], (0.1 + 0.1, 0.2 + 0.01, 0.3 + 0.17), atol=1e-12)  # rounding
+        np.testing.assert_allclose(sample[3:7], (0.5, 0.5, 0.5, 0.5), atol=1e-12)
         assert sample[8] == 5
         servo.write(0.5, -0.25, 1.0, 3.0, 3.0, 3.0)
         settle(device)
-        force = (-0.25, -0.5, 1.0) if mounted else (0.5, -0.25, 1.0)
-        np.testing.assert_allclose(service.force(), force, atol=1e-12)
+        np.testing.assert_allclose(service.force(), (-0.25, -0.5, 1.0), atol=1e-12)
 
 
 def test_without_a_grip_there_is_no_orientation() -> None:
@@ -349,18 +345,6 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         forces = [row[3] for row in service.log() if row[0] >= begun]
         assert 1.0 in forces
         fresh(servo)
-
-
-def test_no_force_for_late_poses(service: Service) -> None:
-    with opened(service, quiet_s=0.02, timeout_s=2.0) as device:
-        servo = Servo(device)
-        fresh(servo)
-        service.set(late_s=0.1)
-        fresh(servo)
-        fresh(servo)
-        until(lambda: servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD)
-        service.set(late_s=0.0)
-        until(lambda: servo.read() and servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK)
 
 
 @pytest.mark.parametrize(

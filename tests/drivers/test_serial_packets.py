@@ -144,6 +144,10 @@ def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
     assert decode_counts(frame, b"\x06" + answer[1:], [9], aligned=True) == []
     for bad in (float("nan"), float("inf"), 5.0):
         assert decode_counts(frame, b"\x05" + struct.pack("<ff", 1.0, bad), [9], aligned=True) == []
+    shipped = build(Options, load_rig("haply-2diy").device.options, "haply-2diy").frames
+    for degrees, counts in ((140.0, 1), (400.0, 0)):
+        answer = b"\x05" + struct.pack("<ff", 40.0, degrees)
+        assert len(decode_counts(shipped.input, answer, [9], aligned=True)) == counts
 
 
 @pytest.mark.scaled
