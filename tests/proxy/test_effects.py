@@ -449,27 +449,6 @@ def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> No
     assert np.abs(force[:, :2]).max() < 1e-12
 
 
-def test_stick_slip_works_on_a_frictionless_table(plane_scene: SceneFactory) -> None:
-    ridges = {"kind": "stick_slip", "stiffness_n_per_m": 1000.0, "force_max_n": 0.5}
-    scene = plane_scene(table={"effect": [ridges]}, material={"friction": None, "torsion": None}, rolling=None)
-    x = np.arange(1001) * 5e-6
-    path = np.stack([x, 0.0 * x, np.full_like(x, 0.009)], axis=1)
-    records = Engine(scene).run(posed(path), DT)
-    force = records["force"]
-    moments = (moment(tuple(p), touched=1.0) for p in path)
-    texture = run(model.StickSlip(1000.0, 0.5), moments)
-    assert force == pytest.approx(texture + np.array([0.0, 0.0, 1.0]), abs=1e-9)
-
-
-def test_a_scene_without_effects_has_none_to_compile() -> None:
-    scene = build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": [PLAIN]}, "test"))
-    assert scene.effects == ()
-    assert scene.objects.effects == ()
-
-
-PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("sideways", "depth"), [(0.002, 0.001), (0.001, 0.002)])
 def test_viscosity_uses_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
