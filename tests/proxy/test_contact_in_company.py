@@ -165,13 +165,6 @@ def test_an_object_out_of_reach_changes_no_bit_for_two_fingers(tmp_path: Path) -
     check_out_of_reach("ellipsoid", "midpoint", tmp_path, GRIP, finger=fingers)
 
 
-COMPANY = [pytest.param(False, id="alone"), pytest.param(True, id="in company")]
-
-
-def with_company(it: dict[str, Any], company: bool) -> list[dict[str, Any]]:
-    return [*distant_objects(it["material"])[:1], it] if company else [it]
-
-
 def line(*corners: Sequence[float], ticks: int = 50) -> Array:
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     places = np.concatenate([*legs, [corners[-1]]])
@@ -186,24 +179,22 @@ CURVED = {
 }
 
 
-@pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("deep", [1e-3, 3e-3])
 @pytest.mark.parametrize("shape", list(CURVED))
-def test_a_drag_that_sticks_is_a_spring_to_the_stuck_point(shape: str, deep: float, company: bool) -> None:
+def test_a_drag_that_sticks_is_a_spring_to_the_stuck_point(shape: str, deep: float) -> None:
     """Dragged by e = 0.4 mm, the force is K (c - x): K d upwards and -K e sideways, at any depth and curvature."""
     keys, height = CURVED[shape]
     offset = 0.03 if shape == "torus" else 0.0
     it = {"name": "it", **keys, "material": STICKY}
     top = height + R
     poses = line((offset, 0.0, top + 1e-3), (offset, 0.0, top - deep), (offset, 4e-4, top - deep))
-    last = engine(with_company(it, company)).run(poses)[-1]
+    last = engine([it]).run(poses)[-1]
     np.testing.assert_allclose(last[NAMED["force"].at :][:3], [0.0, -0.4, K * deep], atol=1e-9)
     np.testing.assert_allclose(last[NAMED["contact.normal"].at :][:3], [0.0, 0.0, 1.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "midpoint"])
-def test_a_roll_at_a_fixed_position_turns_the_normal(method: str, company: bool) -> None:
+def test_a_roll_at_a_fixed_position_turns_the_normal(method: str) -> None:
     """On a sphere of 20 mm, 3 mm deep, a roll of 0.03 rad moves the centre by 0.3 mm and turns the normal by 0.01 rad.
     The force is K (c - x), and the torque r times its tangential part."""
     it = {"name": "it", **SHAPES["sphere"], "material": STICKY}
@@ -212,7 +203,7 @@ def test_a_roll_at_a_fixed_position_turns_the_normal(method: str, company: bool)
     angle = np.linspace(0.0, turn, 51)
     poses = np.tile(down[-1], (51, 1))
     poses[:, 3], poses[:, 4] = np.cos(0.5 * angle), np.sin(0.5 * angle)
-    last = engine(with_company(it, company), method).run(np.vstack([down, poses]))[-1]
+    last = engine([it], method).run(np.vstack([down, poses]))[-1]
     tilt = turn * R / top
     n, x = np.array([0.0, -np.sin(tilt), np.cos(tilt)]), np.array([0.0, 0.0, top - deep])
     force = K * (top * n - x)
@@ -223,10 +214,9 @@ def test_a_roll_at_a_fixed_position_turns_the_normal(method: str, company: bool)
 
 
 @pytest.mark.sampled(4)
-@pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("kind", ["box", "mesh"])
 @pytest.mark.parametrize("deep", [1e-3, 3e-3, 5e-3, 6e-3])
-def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, company: bool, tmp_path: Path) -> None:
+def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, tmp_path: Path) -> None:
     """A drag across an edge, below its bisector, gives -K e; a frictionless proxy would swing by d e / (r - d)."""
     half = 0.02
     if kind == "box":
@@ -236,7 +226,7 @@ def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, c
     n, across = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0), np.array([1.0, 0.0, -1.0]) / np.sqrt(2.0)
     corner = np.array([half, 0.0, half])
     places = [corner + (R + 1e-3) * n, corner + (R - deep) * n, corner + (R - deep) * n + 2e-4 * across]
-    last = engine(with_company(it, company)).run(line(*[p.tolist() for p in places]))[-1]
+    last = engine([it]).run(line(*[p.tolist() for p in places]))[-1]
     force = last[NAMED["force"].at :][:3]
     np.testing.assert_allclose([force @ n, force @ across], [K * deep, -0.2], atol=1e-5)
 
@@ -256,15 +246,14 @@ def test_a_contact_that_sticks_to_a_mesh_sphere(tmp_path: Path) -> None:
     np.testing.assert_allclose([force @ n, force @ across], [3.0, -0.4], atol=1e-5)
 
 
-@pytest.mark.parametrize("company", COMPANY)
-def test_a_pinched_ball_swings_by_its_two_tangential_springs(company: bool) -> None:
+def test_a_pinched_ball_swings_by_its_two_tangential_springs() -> None:
     """Two sticking fingertips, 1 mm deep, act on a sphere of mass m as a spring of 2 K_t: sqrt(2 K_t / m)."""
     mass, deep, dt = 0.05, 1e-3, 1e-4
     driven = {"name": "it", **SHAPES["sphere"], "material": STICKY, "motion": {"kind": "driven"}}
     fingers = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": K}} for name in ("thumb", "index")]
     for finger in fingers:
         finger["coupling"] = {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0}
-    running = engine(with_company(driven, company), finger=fingers)
+    running = engine([driven], finger=fingers)
     far_out, near = BALL + R + 1e-4, BALL + R - deep
     pinch = {
         name: line((0.0, 0.0, side * far_out), (0.0, 0.0, side * near), ticks=20)
@@ -290,14 +279,13 @@ def closed_path(seed: int, top: float, ticks: int) -> Array:
 
 
 @pytest.mark.sampled(4)
-@pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("shape", ["plane", "sphere", "cylinder", "ellipsoid", "torus", "box"])
-def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str, company: bool) -> None:
+def test_a_closed_path_that_sticks_does_no_work_on_the_hand(shape: str) -> None:
     """The force is K (c - x) with constant c, so the trapezoidal rule is exact, except in the tick of the touch."""
     keys = SHAPES[shape] if shape != "cylinder" else CURVED["cylinder"][0]
     tops = {"plane": 0.0, "box": 0.015, "torus": 0.012, "ellipsoid": 0.015}
     top, offset = tops.get(shape, BALL) + R, 0.03 if shape == "torus" else 0.0
-    running = engine(with_company({"name": "it", **keys, "material": STICKY}, company))
+    running = engine([{"name": "it", **keys, "material": STICKY}])
     for seed in range(3):
         running.reset()
         places = closed_path(seed, top, 25) + np.array([offset, 0.0, 0.0])
@@ -326,9 +314,8 @@ def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("company", COMPANY)
 @pytest.mark.parametrize("seed", [2, 3])
-def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, company: bool, tmp_path: Path) -> None:
+def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, tmp_path: Path) -> None:
     """Touch, stick, slide and release over faces, edges and corners give the forces of the shape box.
 
     The tolerance is that of float32 vertices, 1e-9 m, times 1000 N/m. No tick's path enters and leaves an edge, which
@@ -339,7 +326,7 @@ def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, company: bool, 
     mesh = {"name": "it", "shape": "mesh", "file": write_part(tmp_path, *bar(*half)), "material": GRIP}
     places = over_a_box(seed, half, 700)
     poses = posed(places)
-    solid, made = engine([box]).run(poses), engine(with_company(mesh, company)).run(poses)
+    solid, made = engine([box]).run(poses), engine([mesh]).run(poses)
     assert {0.0, 1.0, 2.0} <= set(solid["contact.mode"])
     faces, edges, corners = ((np.count_nonzero(solid["contact.normal"], axis=1) == n).sum() for n in (1, 2, 3))
     assert min(faces, edges, corners) > 10

@@ -172,16 +172,3 @@ def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
         )
         assert np.sign(records[-1, AT.force + 2]) == side
         assert abs(records[-1, AT.force + 2]) == pytest.approx(30.0, abs=1e-6)
-
-
-@pytest.mark.plain
-@pytest.mark.scaled
-def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
-    motion = {"kind": "sinusoid", "translation_m": [0.004, 0.0, 0.003], "frequency_hz": 1.0}
-    far = make_object("far", "plane", position_m=[0.0, 0.0, -5.0])
-    of_triangles = make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.03, 0.02)), motion=motion)
-    shape = make_object("part", "box", size_m=[0.06, 0.06, 0.04], motion=motion)
-    points = np.tile((0.0, 0.0, 0.0295), (cases(500, 1500), 1))
-    mesh, solid = (visit(engine(body, far), points) for body in (of_triangles, shape))
-    assert np.abs(solid["force"]).max() > 1.0
-    np.testing.assert_allclose(mesh["force"], solid["force"], rtol=0.0, atol=1e-9)
