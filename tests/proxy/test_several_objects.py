@@ -120,21 +120,6 @@ def test_inside_of_a_box_is_a_corner_too():
     assert records[-1, AT.contact_object] == 0
 
 
-def test_friction_in_a_groove_carries_the_load_of_both_walls():
-    """In a groove the friction limit is the sum of the limits of both normal forces."""
-    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
-    grip = SLICK | {"friction": {"static": 0.6, "kinetic": 0.5}}
-    groove = engine(wall("one", n1, grip), wall("two", n2, grip))
-    height = R / 0.6
-    down = straight_path((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.0006), 200)
-    along = straight_path((0.0, 0.0, height - 0.0006), (0.0, 0.02, height - 0.0006), 500)
-    records = visit(groove, np.vstack([down, along]))
-    # 0.6 mm down is 0.5 mm along each normal: 0.5 N each, 1 N in sum.
-    tangential = -records["force"][:, 1]
-    np.testing.assert_allclose(tangential.max(), 0.6, rtol=1e-3)
-    np.testing.assert_allclose(np.median(tangential[-200:]), 0.5, rtol=1e-9)
-
-
 def test_turning_table_spins_the_contact():
     material = {
         "stiffness_n_per_m": 1000.0,
