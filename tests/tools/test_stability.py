@@ -258,23 +258,6 @@ def test_verb_times_random_runs(capsys: pytest.CaptureFixture[str], tmp_path: Pa
 
 
 @pytest.mark.plain
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--mass", "0", "--delay", "17"], "2 faults"),
-        (["--mass", "0"], r"command line --mass: mass_kg = 0\.0: must be a number from 0\.001 to 100 kg"),
-        (["--rate", "1"], r"command line --rate: rate_hz = 1\.0: must be a number from 50 to 50000 Hz"),
-        (["--cases", "0"], "--cases: 0: must be an integer of at least 1"),
-        (["--cases", "9", "--plot", "a.png"], "--plot: random runs have no plot"),
-        (["--scheduler", "here"], "must be 'local' or the address of a dask scheduler"),
-    ],
-)
-def test_command_line_errors_name_the_range(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["stability", *words]) == 2
-    assert re.search(message, capsys.readouterr().err)
-
-
-@pytest.mark.plain
 def test_every_figure_of_the_page_has_a_command() -> None:
     page = (ROOT / "docs" / "measured" / "stability.md").read_text()
     commands = re.findall(r"^    softfinger (stability[^#\n]*)", page, re.MULTILINE)
