@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import examples
-from helpers.refusals import refusal
 from helpers.touching import posed
 from hypothesis import given
 from hypothesis import strategies as st
@@ -393,25 +392,6 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         model.Magnet(2.0, 0.02, 1.0),
         model.StickSlip(800.0, 0.5),
     )
-
-
-@pytest.mark.parametrize(
-    ("effect", "message"),
-    [
-        ({"kind": "viscocity", "damping_ns_per_m": 1}, "did you mean 'viscosity'?"),
-        ({"kind": "boundary", "stiffness_n_per_m": 300, "force_max_n": 5}, "give either size_m"),
-        (WORKSPACE[4] | {"radius_m": 0.2}, "give either size_m"),
-        (WORKSPACE[0] | {"region": {}}, "effect[0].region.radius_m: give either size_m"),
-        (WORKSPACE[3] | {"direction": [0, 0, 0]}, "effect[0].direction = [0.0, 0.0, 0.0]: all zero is not a direction"),
-        (WORKSPACE[1] | {"force_n": [0, 0, -41]}, "from -40 to 40 N"),
-        (WORKSPACE[3] | {"frequency_hz": 600}, "effect[0].frequency_hz = 600: must be a number from 0 to 500 Hz"),
-        (OBJECT[4], "must be one of"),
-    ],
-)
-def test_a_faulty_effect_is_refused(plane_scene: SceneFactory, effect: dict[str, Any], message: str) -> None:
-    """An unknown kind, a missing or duplicate extent, a zero direction, an excessive value and an object's effect in
-    the workspace are faults."""
-    assert message in refusal(plane_scene, effect=[effect])
 
 
 def page() -> str:

@@ -18,7 +18,6 @@ from references.laws import Array, axis_angles, check_random_handling, work_of_t
 from references.rotation import matrix
 from scipy.integrate import quad
 
-from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
@@ -242,34 +241,6 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
         assert (work - stored).min() >= -1e-17 * len(records)
 
     check_random_handling(engine, 8, 300, check)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"material": {"torsion": FOLLOWS}}, r"torsion\.stiffness_nm_per_rad: is missing: give it, or the fingertip a"),
-        ({"fingertip": {"patch": {}}}, r"fingertip\.patch\.shear_modulus_pa is missing"),
-        ({"fingertip": {"patch": HERTZ | {"exponent": 0.2}}}, "belongs to a patch of radius_m, this one is Hertz's"),
-        ({"fingertip": {"patch": HERTZ | {"pressure_exponent": 4.0}}}, "belongs to a patch of radius_m"),
-        ({"fingertip": {"patch": HERTZ | {"rolling_loss": 1.5}}}, "from 0 to 1 "),
-        ({"material": {"shear_modulus_pa": 1.0}}, "from 100 to 1e"),
-        (
-            {"fingertip": None, "finger": [{"name": "a", "radius_m": R}, {"name": "b", "radius_m": R, "patch": HERTZ}]},
-            r"finger\[0\]\.patch: is missing, and another finger has one",
-        ),
-        (
-            {"fingertip": None, "finger": [{"name": "a", "radius_m": R}], "material": {"torsion": FOLLOWS}},
-            r"torsion\.friction_length_m: is missing: give it, or the fingertip a \[finger\.patch\]",
-        ),
-        (
-            {"fingertip": {"patch": HERTZ}, "rolling": None, "material": {"friction": None, "torsion": FOLLOWS}},
-            "follows from the patch and from friction, and there is none",
-        ),
-    ],
-)
-def test_a_faulty_patch_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        build(Scene, paper_mapping(**changes), "test scene")
 
 
 def test_the_patch_replaces_the_torsion_parameters_of_the_material(plane_scene: SceneFactory) -> None:

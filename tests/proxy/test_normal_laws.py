@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from references.laws import Array, check_random_handling, work_of_the_hand
 from scipy.integrate import solve_ivp
 
-from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Material, Normal, Scene
 from softfinger.proxy.engine import Engine
@@ -249,23 +248,6 @@ def test_each_wall_of_a_corner_has_a_separate_law() -> None:
     wall = 400.0 * 0.002 * (np.maximum(depths[:, 0], 0.0) / 0.002) ** 2
     assert forces[:, 0] == pytest.approx(wall, abs=1e-12)
     assert forces[:, 2] == pytest.approx(spring(LAWS["Hertz"], depths[:, 1]), abs=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("material", "message"),
-    [
-        ({"normal": {"exponent": 0.5}}, "from 1 to 3"),
-        (
-            {"normal": {"damping_s_per_m": 1.0}, "damping_ns_per_m": 2.0},
-            "replaces damping_ns_per_m, which is 2",
-        ),
-        ({"normal": {"depth_m": 0.0}}, "from 1e-05 to 1 m"),
-        ({"normal": {"exponnent": 2.0}}, "did you mean 'exponent'"),
-    ],
-)
-def test_a_faulty_law_is_refused(material: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        build(Scene, paper_mapping(material=material), "test scene")
 
 
 def test_only_the_law_of_the_scene_is_compiled(plane_scene: SceneFactory) -> None:

@@ -5,8 +5,6 @@ The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from conftest import SceneFactory
@@ -14,7 +12,6 @@ from helpers.examples import Cases
 from references.hand import drive, pressed
 from references.rotation import matrix
 
-from softfinger.config.errors import ConfigError
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import CAUSE_NAMES, FREE, ROLLING, SLIDING
 
@@ -361,19 +358,6 @@ def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -
     stop = hand.at
     trace = drive(Engine(plane_scene(**LETTER)), hand.go(1).go(10, move=[0, 0, -0.0001]))
     assert trace.events[2:] == [(stop + 2, "stop")]
-
-
-@pytest.mark.parametrize(
-    ("material", "message"),
-    [
-        ({"friction": {"viscous_s_per_m": 0.1}}, "has Coulomb friction only"),
-        ({"friction": {"direction_x": [1.0, 0.0, 0.0]}}, "has Coulomb friction only"),
-        ({"torsion": {"model": "limit_surface"}}, "has independent limits only"),
-    ],
-)
-def test_letter_requires_coulomb_friction(plane_scene: SceneFactory, material: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        plane_scene(material=material, **LETTER)
 
 
 @pytest.mark.scaled
