@@ -25,12 +25,7 @@ from softfinger.proxy.record import NAMED
 pytestmark = pytest.mark.plain
 
 R, BALL, K = 0.01, 0.02, 1000.0
-GRIP: dict[str, Any] = {
-    "stiffness_n_per_m": K,
-    "damping_ns_per_m": 1.0,
-    "friction": {"static": 0.6, "kinetic": 0.5},
-    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-}
+GRIP = touching.GRIP | {"damping_ns_per_m": 1.0}
 STICKY: dict[str, Any] = {"stiffness_n_per_m": K, "friction": {"static": 50.0, "kinetic": 50.0}}
 SHAPES: dict[str, dict[str, Any]] = {
     "plane": {"shape": "plane"},

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import touching
 from helpers.examples import Cases
 from numpy.typing import ArrayLike, NDArray
 from references.ellipsoid_finger import roll_ellipsoid, touching_at
@@ -58,10 +59,7 @@ GRIP = {"static": 0.6, "kinetic": 0.5}
 
 def scene(tip: dict[str, Any], *objects: dict[str, Any], friction: dict[str, float] = GRIP, **changes: Any) -> Scene:
     """Return a scene whose type depends only on the list of shapes, since each type is compiled."""
-    made_of = {
-        "stiffness_n_per_m": K, "damping_ns_per_m": 0.0, "friction": friction,
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    } | changes  # fmt: skip
+    made_of = touching.GRIP | {"damping_ns_per_m": 0.0, "friction": friction} | changes
     tables: dict[str, Any] = {
         "fingertip": tip,
         "rolling": {"method": "montana_rk4"},

@@ -10,12 +10,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from helpers.touching import causes
 
 from softfinger.config.load import load_scene
 from softfinger.drivers.poses import SHIPPED, list_shipped_recordings, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.record import AT, CAUSE_NAMES, FREE, ROLLING, SLIDING
+from softfinger.proxy.record import AT, FREE, ROLLING, SLIDING
 from softfinger.tools import recordings
 
 pytestmark = pytest.mark.plain
@@ -39,11 +40,6 @@ def letter() -> Engine:
 def run(engine: Engine, name: str) -> np.ndarray:
     engine.reset()
     return engine.run(resample(load_poses(name), 1.0 / engine.dt))
-
-
-def causes(records: np.ndarray) -> list[str]:
-    cause = records["contact.cause"].astype(int)
-    return [CAUSE_NAMES[i] for i in cause[cause != 0]]
 
 
 def test_tool_writes_the_shipped_bytes(tmp_path: Path) -> None:

@@ -121,13 +121,8 @@ def test_inside_of_a_box_is_a_corner_too():
 
 
 def test_turning_table_spins_the_contact():
-    material = {
-        "stiffness_n_per_m": 1000.0,
-        "friction": {"static": 0.6, "kinetic": 0.5},
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    }
     motion = {"kind": "turntable", "axis": [0.0, 0.0, 1.0], "rate_rad_per_s": 0.5}
-    table = make_object("table", "plane", material=material, motion=motion)
+    table = make_object("table", "plane", material=touching.GRIP, motion=motion)
     records = visit(engine(table), [(0.0, 0.0, 0.009)] * 101)
     # In the 100 ticks after the touch the table turns by 0.05 rad, so the finger turns by -0.05 rad relative to it.
     np.testing.assert_allclose(records[-1, AT.contact_spin], -0.05, rtol=1e-9)

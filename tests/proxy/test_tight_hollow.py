@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import Cases
-from helpers.touching import engine, visit, wall
+from helpers.touching import causes, engine, visit, wall
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
@@ -29,10 +29,6 @@ R, K, DEPTH, MU_S, MU_D = 0.01, 1000.0, 0.001, 0.6, 0.5
 def equilibrium_angle(h: float, d: float, mu: float) -> float:
     sign = np.sign(h)
     return float(brentq(lambda a: d * np.sin(a) - mu * sign * (d * np.cos(a) - h), 0.0, np.arccos(min(h / d, d / h))))
-
-
-def causes(records: Array) -> list[str]:
-    return [CAUSE_NAMES[int(cause)] for cause in records["contact.cause"] if cause != 0]
 
 
 def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: int) -> Array:
