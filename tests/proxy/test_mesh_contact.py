@@ -4,7 +4,6 @@ Compiled tests use one type of scene, shared with `test_mesh_hostile.py` and oth
 torsion and rolling compiles for half a minute. Other scenes are tested as plain Python.
 """
 
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from helpers.hostile_meshes import bar, valley
 from helpers.touching import SLIPPERY, R, engine, make_object, spun, visit, wander, write_part
 from references.brute_force import balls_of, brute_distances
 
-from softfinger.config.schema.contact import RollingMethod
 from softfinger.proxy.record import AT
 
 
@@ -42,23 +40,6 @@ def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
     flat = (np.abs(solid["contact.normal"]) == 1.0).any(axis=1)
     assert flat.mean() > 0.3
     assert np.abs(mesh["contact.normal_force"] - solid["contact.normal_force"])[flat].max() < 1e-9
-
-
-METHODS = get_args(RollingMethod)
-
-
-@pytest.mark.plain
-@pytest.mark.parametrize("method", METHODS)
-def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
-    points, turned = np.tile([0.05, 0.05, 0.009], (60, 1)), spun((1.0, 0.0, 0.0), np.linspace(0.0, 0.3, 60))
-    rolling = {"rolling": {"method": method}}
-    mesh = engine(make_object("a", "mesh", file=write_part(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
-    on_mesh, on_plane = (
-        visit(running, points, turned) for running in (mesh, engine(make_object("a", "plane"), **rolling))
-    )
-    assert on_plane[-1, AT.contact_rolled] > 0.05
-    np.testing.assert_allclose(on_mesh["force"], on_plane["force"], atol=1e-9)
-    np.testing.assert_allclose(on_mesh["contact.rolled"], on_plane["contact.rolled"], atol=1e-9)
 
 
 @pytest.mark.plain
