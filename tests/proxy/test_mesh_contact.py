@@ -4,7 +4,6 @@ Compiled tests use one type of scene, shared with `test_mesh_hostile.py` and oth
 torsion and rolling compiles for half a minute. Other scenes are tested as plain Python.
 """
 
-
 import numpy as np
 import pytest
 from helpers import meshes

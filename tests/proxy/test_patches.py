@@ -283,25 +283,6 @@ def test_another_number_of_objects_is_another_scene():
         Engine(more).tune(fewer)
 
 
-def test_the_moment_is_constant_in_a_roll_across_a_seam():
-    running = engine(*(box | {"material": material(GRIP, LIMP)} for box in SEAM))
-    start = ON_SEAM - [0.004, 0.0, 0.0]
-    running.run(poses(pressing(start)))
-    spin = turning(2, 0.06, 50)
-    running.run(poses(np.tile(start, (50, 1)), spin))
-    ticks = 400
-    angles = np.linspace(0.0, 0.8, ticks + 1)[1:, None]
-    points = start + np.hstack([R * angles, np.zeros((ticks, 2))])
-    # Roll about y in the world frame, after the spin.
-    q_spin, half = np.array([np.cos(0.03), 0.0, 0.0, np.sin(0.03)]), 0.5 * angles[:, 0]
-    c, s = np.cos(half), np.sin(half)
-    q = np.stack([c * q_spin[0], s * q_spin[3], s * q_spin[0], c * q_spin[3]], axis=1)
-    records = running.run(np.hstack([points, q]))
-    assert set(records["contact.object"]) == {0.0, 1.0}
-    np.testing.assert_allclose(records["torque"][:, 2], -0.05 * 0.06, atol=1e-12)
-    np.testing.assert_allclose(records["proxy.position"][:, 0], points[:, 0], atol=1e-12)
-
-
 def test_weight_shifted_between_walls_hands_the_moment_on():
     """When the load shifts between walls, the torque changes no faster than the shift of the load."""
     running = engine(*groove(stuff=[material(GRIP, STRONG)] * 2))

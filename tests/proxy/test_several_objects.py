@@ -39,18 +39,6 @@ def test_groove_is_the_nearest_point_to_the_probe(angle):
     np.testing.assert_allclose(records["proxy.position"][-1], [0.0, 0.003, height], atol=1e-12)
 
 
-def test_drag_along_a_groove_has_no_ripple():
-    """In a drag along a groove at constant depth, the force does not alternate between the walls from tick to tick."""
-    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
-    groove = engine(wall("one", n1), wall("two", n2))
-    height = R / 0.6
-    down = straight_path((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.001), 100)
-    along = straight_path((0.0, 0.0, height - 0.001), (0.0, 0.02, height - 0.001), 400)
-    pushed = visit(groove, np.vstack([down, along]))["force"][110:]
-    # 50 um of travel per tick would appear as 0.05 N if the walls were solved alternately.
-    assert np.abs(np.diff(pushed, axis=0)).max() < 1e-9
-
-
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
     """The reported contact switches to another wall only if that wall bears clearly more load. A difference of 1 nm in
     depth causes no switch, twice the load does, and equal depths do not switch back."""
