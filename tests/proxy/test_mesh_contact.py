@@ -4,8 +4,6 @@ Compiled tests use one type of scene, shared with `test_mesh_hostile.py` and oth
 torsion and rolling compiles for half a minute. Other scenes are tested as plain Python.
 """
 
-from typing import get_args
-
 import numpy as np
 import pytest
 from helpers import meshes
@@ -13,7 +11,6 @@ from helpers.hostile_meshes import bar, valley
 from helpers.touching import SLIPPERY, R, engine, make_object, spun, visit, wander, write_part
 from references.brute_force import balls_of, brute_distances
 
-from softfinger.config.schema.contact import RollingMethod
 from softfinger.proxy.record import AT
 
 
@@ -42,23 +39,6 @@ def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
     flat = (np.abs(solid["contact.normal"]) == 1.0).any(axis=1)
     assert flat.mean() > 0.3
     assert np.abs(mesh["contact.normal_force"] - solid["contact.normal_force"])[flat].max() < 1e-9
-
-
-METHODS = get_args(RollingMethod)
-
-
-@pytest.mark.plain
-@pytest.mark.parametrize("method", METHODS)
-def test_all_rolling_methods_on_a_face_match_a_plane(tmp_path, method):
-    points, turned = np.tile([0.05, 0.05, 0.009], (60, 1)), spun((1.0, 0.0, 0.0), np.linspace(0.0, 0.3, 60))
-    rolling = {"rolling": {"method": method}}
-    mesh = engine(make_object("a", "mesh", file=write_part(tmp_path, *meshes.sheet(0.1, 0.1, 5, 5))), **rolling)
-    on_mesh, on_plane = (
-        visit(running, points, turned) for running in (mesh, engine(make_object("a", "plane"), **rolling))
-    )
-    assert on_plane[-1, AT.contact_rolled] > 0.05
-    np.testing.assert_allclose(on_mesh["force"], on_plane["force"], atol=1e-9)
-    np.testing.assert_allclose(on_mesh["contact.rolled"], on_plane["contact.rolled"], atol=1e-9)
 
 
 @pytest.mark.plain
@@ -172,16 +152,3 @@ def test_a_thin_sheet_is_not_crossed_in_a_tick(tmp_path):
         )
         assert np.sign(records[-1, AT.force + 2]) == side
         assert abs(records[-1, AT.force + 2]) == pytest.approx(30.0, abs=1e-6)
-
-
-@pytest.mark.plain
-@pytest.mark.scaled
-def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
-    motion = {"kind": "sinusoid", "translation_m": [0.004, 0.0, 0.003], "frequency_hz": 1.0}
-    far = make_object("far", "plane", position_m=[0.0, 0.0, -5.0])
-    of_triangles = make_object("part", "mesh", file=write_part(tmp_path, *bar(0.03, 0.03, 0.02)), motion=motion)
-    shape = make_object("part", "box", size_m=[0.06, 0.06, 0.04], motion=motion)
-    points = np.tile((0.0, 0.0, 0.0295), (cases(500, 1500), 1))
-    mesh, solid = (visit(engine(body, far), points) for body in (of_triangles, shape))
-    assert np.abs(solid["force"]).max() > 1.0
-    np.testing.assert_allclose(mesh["force"], solid["force"], rtol=0.0, atol=1e-9)

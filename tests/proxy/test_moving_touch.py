@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers.blocks import whole
 from helpers.examples import examples
+from helpers.touching import causes
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
@@ -62,10 +63,6 @@ class Driver:
         self.engine.tune(msgspec.structs.replace(self.scene, object=tuple(objects)))
         pose = np.asarray(finger, float)
         return self.engine.step(pose[:3], pose[3:] if len(pose) == 7 else UPRIGHT, dt)
-
-
-def causes(records: Array) -> list[str]:
-    return [CAUSE_NAMES[int(cause)] for cause in records["contact.cause"] if cause != 0]
 
 
 SHAPES: dict[str, tuple[dict[str, Any], float, float]] = {

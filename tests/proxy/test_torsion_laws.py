@@ -153,20 +153,6 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
     assert np.ptp(anchor) < 1e-12
 
 
-@pytest.mark.parametrize(
-    ("torsion", "message"),
-    [
-        ({"kinetic_friction_length_m": 0.003}, 'applies to model = "soft_finger_proxy"'),
-        ({**PROXY, "kinetic_friction_length_m": 0.005}, "at most friction_length_m = 0.004"),
-        ({"exponent": 0.5}, "from 0 to 0.333333"),
-        ({"model": "soft_finger"}, "did you mean 'soft_finger_proxy'"),
-    ],
-)
-def test_faulty_torsion_is_refused(torsion: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        build(Scene, paper_mapping(material={"torsion": torsion}), "test scene")
-
-
 def test_only_the_features_of_a_scene_are_compiled(plane_scene: SceneFactory) -> None:
     linear, power = model.Torsion(0.05, 0.004), model.PowerTorsion(0.05, 0.004, 0.2)
     for torsion, law in [
