@@ -140,7 +140,8 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed_r
     index = records[:, 1]
     np.testing.assert_array_equal(drop_clocked(index[:300]), drop_clocked(undisturbed_records[:300, 1]))
     force, during = AT.force + 2, slice(300, 320)
-    assert undisturbed_records[during, 1, force].min() > 0.4
+    largest = undisturbed_records[during, 1, force].max() * (1.0 + 1e-12)  # rounding
+    assert undisturbed_records[during, 1, force].min() > 0.4 and np.isfinite(records).all()
     if fault == "nan":
         assert (index[during, AT.servo_guard] == POSE_REFUSED).all() and (index[during, AT.contact_mode] == FREE).all()
     else:
@@ -149,13 +150,12 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed_r
     if fault == "held":
         assert (index[during, force] == index[299, force]).all()
     elif fault == "withheld_read":  # the read leaves the first tick of the ramp, a tenth, to the write
-        largest = undisturbed_records[during, 1, force].max()
-        assert index[during, force].max() <= 0.1 * largest * (1.0 + 1e-12)  # rounding
+        assert index[during, force].max() <= 0.1 * largest
     else:
         assert not index[during, force].any()
     np.testing.assert_array_equal(devices[1].wrenches[:600], index[:, AT.force : AT.force + 6])
     if fault != "held":  # that device has moved deeper by then
-        assert index[-1, force] == undisturbed_records[-1, 1, force]
+        assert index[320, force] <= 0.2 * largest and index[-1, force] == undisturbed_records[-1, 1, force]
 
 
 @pytest.mark.parametrize(("fault", "bit"), [("jump", POSE_JUMPED), ("frozen", POSE_FROZEN)])
