@@ -196,7 +196,7 @@ SCENE_FAULTS = [
     ("object[0].name", "", ["object[0].name = '': must be text of 1 to 64 characters"]),
     ("object[0].name", "a\nb", [r"object[0].name = 'a\nb': must have printable characters"]),
     ("object[0].name", 7, ["object[0].name = 7: must be text"]),
-    ("object[0].name", "1", ["object[0].name = '1': starts with a digit, and object.1 is the second object"]),
+    ("object[0].name", "1", ["object[0].name = '1': starts with a digit, but object.1 selects the second object"]),
     ("object[0].name", "01.top", ["object[0].name = '01.top': starts with a digit"]),
     ("object[0].position_m", [1, 2], ["object[0].position_m = [1, 2]: must be a list of 3 numbers", "this has 2"]),
     ("object[0].position_m", 1, ["object[0].position_m = 1: must be a list of 3 numbers from -1000 to 1000 m"]),
@@ -257,7 +257,7 @@ FINGER_FAULTS = [
     ("name", "th", "finger[1].name = 'th': overlaps with the name of finger[0], 'thumb'"),
     ("name", "a/b", "finger[1].name = 'a/b': must be text of 1 to 32 characters like ^[A-Za-z0-9_-]+$"),
     ("name", "index\n", r"finger[1].name = 'index\n': must be text"),
-    ("device", "thumb", "finger[1].device = 'thumb': moves finger[0] already"),
+    ("device", "thumb", "finger[1].device = 'thumb': already moves finger[0]"),
     ("radius_m", -1.0, "finger[1].radius_m = -1.0: must be a number from 1e-05 to 1000 m"),
     ("coupling", {"damping": 1.0}, "finger[1].coupling.damping is not a key here"),
 ]

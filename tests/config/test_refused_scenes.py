@@ -39,11 +39,11 @@ MATERIALS: list[tuple[dict[str, Any], str]] = [
     ({"normal": {"damping_s_per_m": 1.0}, "damping_ns_per_m": 2.0}, "replaces damping_ns_per_m, which is 2"),
     ({"normal": {"depth_m": 0.0}}, "from 1e-05 to 1 m"),
     ({"normal": {"exponnent": 2.0}}, "did you mean 'exponent'"),
-    ({"torsion": {"kinetic_friction_length_m": 0.003}}, 'belongs to model = "soft_finger_proxy"'),
+    ({"torsion": {"kinetic_friction_length_m": 0.003}}, 'applies to model = "soft_finger_proxy"'),
     ({"torsion": PROXY}, "at most friction_length_m = 0.004"),
     ({"torsion": {"exponent": 0.5}}, "from 0 to 0.333333"),
     ({"torsion": {"model": "soft_finger"}}, "did you mean 'soft_finger_proxy'"),
-    ({"torsion": FOLLOWS}, "torsion.stiffness_nm_per_rad: is missing: give it, or the fingertip a"),
+    ({"torsion": FOLLOWS}, "torsion.stiffness_nm_per_rad: is missing: add it, or add"),
     ({"shear_modulus_pa": 1.0}, "from 100 to 1e"),
 ]
 EFFECTS: list[tuple[Any, str]] = [
@@ -78,16 +78,16 @@ SCENES: list[tuple[dict[str, Any], str]] = [
     ({"rolling": LETTER, "material": {"torsion": {"model": "limit_surface"}}}, "has independent limits only"),
     (
         {"rolling": None, "material": {"torsion": {"model": "limit_surface"}, "friction": None}},
-        "needs friction to share its limit with",
+        "needs friction, with which it shares a limit",
     ),
     ({"fingertip": {"patch": {}}}, "fingertip.patch.shear_modulus_pa is missing"),
-    ({"fingertip": {"patch": HERTZ | {"exponent": 0.2}}}, "belongs to a patch of radius_m, this one is Hertz's"),
-    ({"fingertip": {"patch": HERTZ | {"pressure_exponent": 4.0}}}, "belongs to a patch of radius_m"),
+    ({"fingertip": {"patch": HERTZ | {"exponent": 0.2}}}, "applies to a patch with radius_m, not to that of Hertz"),
+    ({"fingertip": {"patch": HERTZ | {"pressure_exponent": 4.0}}}, "applies to a patch with radius_m"),
     ({"fingertip": {"patch": HERTZ | {"rolling_loss": 1.5}}}, "from 0 to 1 "),
-    ({"fingertip": None, "finger": FINGERS}, "finger[0].patch: is missing, and another finger has one"),
+    ({"fingertip": None, "finger": FINGERS}, "finger[0].patch: is missing, but another finger has a patch"),
     (
         {"fingertip": None, "finger": FINGERS[:1], "material": {"torsion": FOLLOWS}},
-        "torsion.friction_length_m: is missing: give it, or the fingertip a [finger.patch]",
+        "torsion.friction_length_m: is missing: add it, or add [finger.patch]",
     ),
     ({"fingertip": PATCH, "rolling": None, "material": NONE}, "follows from the patch and from friction, and there is"),
 ]

@@ -105,7 +105,7 @@ def run_softfinger(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple
 
 MISSING = {
     "falcon": NEITHER,
-    "omega-6": "libdrd is not on this machine",
+    "omega-6": "libdrd was not found",
     "touch": "libHD is not on this machine",
     "woodenhaptics-2019": "no HID device 16c0:0486",
     "woodenhaptics-v3": "no serial port 16c0:0483",

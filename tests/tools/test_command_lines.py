@@ -33,7 +33,7 @@ from softfinger.server.cli import main
         ("accuracy --rate 1000 nan", ["--rate nan: must be"]),
         ("accuracy --drift-steps 10", ["--drift-steps 10: must be from 1000"]),
         ("accuracy --figures /dev/null/figures", ["--figures /dev/null/figures: Not a directory"]),
-        ("accuracy --surface torus --method rotation_vector", ["rotation_vector is there for shapes with a closed"]),
+        ("accuracy --surface torus --method rotation_vector", ["rotation_vector exists only for shapes with a closed"]),
         ("stability --mass 0 --delay 17", ["2 faults"]),
         ("stability --mass 0", ["command line --mass: mass_kg = 0.0: must be a number from 0.001 to 100 kg"]),
         ("stability --rate 1", ["command line --rate: rate_hz = 1.0: must be a number from 50 to 50000 Hz"]),
