@@ -69,9 +69,9 @@ SCENES: list[tuple[dict[str, Any], str]] = [
     *(({"material": material}, message) for material, message in MATERIALS),
     *(({"effect": [effect]}, message) for effect, message in EFFECTS),
     *(({"table": {"motion": motion}}, message) for motion, message in MOTIONS),
-    ({"table": TORUS, "rolling": CLOSED}, "torus: choose montana_rk4"),
-    ({"table": ELLIPSOID, "rolling": CLOSED}, "ellipsoid: choose montana_rk4"),
-    ({"rolling": CLOSED | {"tolerance": 1e-6}}, "tolerance = 1e-06: is for montana_rk45"),
+    ({"table": TORUS, "rolling": CLOSED}, "closed form for the torus object[0]: use montana_rk4"),
+    ({"table": ELLIPSOID, "rolling": CLOSED}, "closed form for the ellipsoid object[0]: use montana_rk4"),
+    ({"rolling": CLOSED | {"tolerance": 1e-6}}, "tolerance = 1e-06: applies to montana_rk45"),
     ({"rolling": {"method": "montana_rk45", "tolerance": 1e-15}}, "must be a number from 1e-13 to 0.001"),
     ({"rolling": LETTER, "material": {"friction": {"viscous_s_per_m": 0.1}}}, "has Coulomb friction only"),
     ({"rolling": LETTER, "material": {"friction": {"direction_x": [1.0, 0.0, 0.0]}}}, "has Coulomb friction only"),
@@ -89,7 +89,7 @@ SCENES: list[tuple[dict[str, Any], str]] = [
         {"fingertip": None, "finger": FINGERS[:1], "material": {"torsion": FOLLOWS}},
         "torsion.friction_length_m: is missing: add it, or add [finger.patch]",
     ),
-    ({"fingertip": PATCH, "rolling": None, "material": NONE}, "follows from the patch and from friction, and there is"),
+    ({"fingertip": PATCH, "rolling": None, "material": NONE}, "is derived from patch and friction, but the material has no"),
 ]
 
 
