@@ -133,7 +133,7 @@ def test_a_truncated_mcap_gives_its_first_part(tmp_path: Path, caplog: pytest.Lo
         part = load_poses(path)
     assert 100 < len(part.t) < 2000
     assert part.position.tobytes() == poses.position[: len(part.t)].tobytes()
-    assert "cut short or damaged" in caplog.text
+    assert "truncated or damaged" in caplog.text
     path.write_bytes(whole[:40])
     with pytest.raises(RecordingError, match="not a readable MCAP"):
         load_poses(path)
