@@ -89,7 +89,10 @@ SCENES: list[tuple[dict[str, Any], str]] = [
         {"fingertip": None, "finger": FINGERS[:1], "material": {"torsion": FOLLOWS}},
         "torsion.friction_length_m: is missing: add it, or add [finger.patch]",
     ),
-    ({"fingertip": PATCH, "rolling": None, "material": NONE}, "is derived from patch and friction, but the material has no"),
+    (
+        {"fingertip": PATCH, "rolling": None, "material": NONE},
+        "is derived from patch and friction, but the material has no",
+    ),
 ]
 
 

@@ -58,7 +58,7 @@ def test_csv_in_any_column_order(tmp_path: Path) -> None:
     [
         ("", "line 1: column.*t, x"),
         ("t,x,y,z,qw,qx,qy\n", "line 1: column.*qz missing"),
-        ("t,x,y,z,qw,qx,qy,qz,t\n" + ROWS, "line 1: column.*t missing or given twice"),
+        ("t,x,y,z,qw,qx,qy,qz,t\n" + ROWS, "line 1: column.*t missing or duplicate"),
         (HEADER, "0 pose"),
         (HEADER + "0,0,0,0,1,0,0,0\n", "1 pose"),
         (HEADER + ROWS + "0.03,0,O,0,1,0,0,0\n", "line 5, column 'y': 'O' is not a number"),

@@ -353,7 +353,7 @@ def test_the_simulated_device_is_lost_with_its_puck() -> None:
 
 def test_a_puck_excludes_other_goals() -> None:
     for key, value in (("recording", "tap"), ("position_m", [0.0, 0.0, 0.0])):
-        with pytest.raises(ConfigError, match=rf"{key} = .*follows the puck"):
+        with pytest.raises(ConfigError, match=rf"{key} = .*follows the SpaceMouse"):
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
     rig = load_rig("simulated-spacemouse")
     with pytest.raises(ConfigError, match="cannot run offline"):

@@ -167,7 +167,7 @@ def test_bad_config_reports_all_errors_at_once(tmp_path):
         (["run", *FREE, "--device", "omega"], 4, ["omega", "replay"]),
         (["run", "--endpoint", "tcp://0.0.0.0:5555"], 2, ["0.0.0.0", "127.0.0.1"]),
         (["run", "--duration", "-1"], 2, ["duration"]),
-        (["run", *FREE, "--record", "nowhere/trial.mcap"], 2, ["--record nowhere/trial.mcap", "no folder"]),
+        (["run", *FREE, "--record", "nowhere/trial.mcap"], 2, ["--record nowhere/trial.mcap", "does not exist"]),
         ([*SIMULATE, "--out", "x.doc"], 3, ["x.doc", ".csv", ".mcap"]),
         ([*SIMULATE, "--out", "x.csv", "--method", "zxy"], 2, ["zxy", "euler_zxz"]),
     ],

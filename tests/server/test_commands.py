@@ -155,7 +155,7 @@ def test_every_method_answers(rig):
         assert eventually(lambda: recorder.batches[-1][-1, AT.contact_normal_force] == normal)
         with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
             control.mesh("lid.top")
-        with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
+        with pytest.raises(CommandRefused, match="bad_params: there is no object 7: there are lid"):
             control.mesh(7)
         reply = control.describe()
         assert reply["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and reply["scene_name"] == "pressed"

@@ -242,7 +242,7 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
     ("poses", "message"),
     [
         (["tap"], "do not match the fingers of the scene: use poses of thumb, index"),
-        (["thumb=tap"], "poses of thumb: not the scene's fingers"),
+        (["thumb=tap"], "poses of thumb do not match the fingers"),
         (["thumb=tap", "thumb=tap"], "--poses thumb=tap: use it once, or --poses NAME=FILE for each"),
         (["tap", "index=tap"], "--poses index=tap: use it once, or"),
     ],

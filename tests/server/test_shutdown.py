@@ -206,7 +206,10 @@ def test_devices_are_called_simultaneously(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.usefixtures("short_timeout")
 def test_all_devices_are_closed_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
-    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"be closed \(it has not .* 0\.2 s.*switch"):
+    with (
+        caplog.at_level(logging.ERROR),
+        pytest.raises(DeviceError, match=r"be closed \(the call has not .* 0\.2 s.*switch"),
+    ):
         shutdown.close_all([device(hangs), device(broken), device(sound)])
     assert "could not be closed (OSError: no power)" in caplog.text
     assert sound.closed == 1 and hangs.handles == broken.handles == []
@@ -246,7 +249,7 @@ SAID = "its driver said why"
         (READ_FAILED, FORCE_OFF, SafetyStop, ["disabled its force"]),
         (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),
         (WRITE_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a write in time"]),
-        (READ_FAILED, PROTOCOL, DeviceLost, ["not in its protocol", "on read"]),
+        (READ_FAILED, PROTOCOL, DeviceLost, ["violates its protocol", "on read"]),
         (WRITE_FAILED, LOST, DeviceLost, ["is gone", "on write"]),
     ],
 )
