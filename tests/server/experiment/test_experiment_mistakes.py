@@ -24,5 +24,5 @@ def test_times_of_a_path_increase(table: str, order: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize(("name", "rig"), [("weight-of-a-box", "simulated"), ("path-tracing", "simulated-lift-a-box")])
 def test_the_rig_has_a_device_for_each_finger(name: str, rig: str) -> None:
-    with pytest.raises(ConfigError, match=r"the scene has \[.*and the rig \[device"):
+    with pytest.raises(ConfigError, match=r"the scene has \[.*but the rig has \[device"):
         load(EXPERIMENTS / f"{name}.toml", {"rig": rig})

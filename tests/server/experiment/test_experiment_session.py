@@ -150,7 +150,7 @@ def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> N
             Experiment(make_tables()).run(tmp_path, participant)
     journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b'"dry_run":true', b'"dry_run":false'))
-    with pytest.raises(ConfigError, match="answers of participants: give another folder"):
+    with pytest.raises(ConfigError, match="answers of participants: use another folder"):
         Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
 
 

@@ -237,7 +237,7 @@ NOT_BELOW = {
     "there.mcap": "already exists",
     "dangling.mcap": "already exists",
     "nowhere/x.mcap": "No such file",
-    "x.csv": r"the ending \.mcap",
+    "x.csv": r"must end in \.mcap",
     "x\0.mcap": "null byte",
 }
 
