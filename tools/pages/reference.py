@@ -203,7 +203,7 @@ def faults_page() -> str:
 Each hazard with its detection, reaction and recovery. Reaction times count from the first tick with the fault.
 Every end of a run commands zero force. The tests in the last column inject each fault; `softfinger run --inject`
 [injects faults](../operate/faults.md) of a device. An error that ends a run is the cause of the event `state
-faulted`. [Safety](../safety.md#what-cannot-be-caught) lists faults that cannot be detected."""
+faulted`. [Safety](../safety.md#crashes-that-cannot-be-handled) lists faults that cannot be detected."""
     results = json.loads(SEEN_IN.read_text("utf-8"))
     rows = [
         [
