@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
 from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, described, ends, rig_options, woody
+from helpers.stopping import stop_during_writes
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.config.load import build
@@ -209,31 +210,13 @@ def test_the_last_report_ends_the_force() -> None:
 
 
 def test_stop_while_the_loop_writes() -> None:
-    """If another thread stops the device during writes, no force follows the zero of the stop; repeated 20 times."""
     for _ in range(20):
         with woody() as (device, arm, answering):
-            servo = Servo(device)
-            running = threading.Event()
-
-            def loop(servo: Servo = servo, running: threading.Event = running) -> None:
-                # After a stall of the machine a force is withheld until the next report.
-                while servo.read()[0] < 0 or servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) != OK:
-                    pass
-                for n in range(200):  # after a stall during these, without a report, all are withheld
-                    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-                    if n == 50:
-                        running.set()
-
-            thread = threading.Thread(target=loop, daemon=True)
-            thread.start()
-            assert running.wait(10.0)
-            device.stop()
-            thread.join()
-            answering.settle(device)
-            forces = [any(words[:3]) for words in arm.sent]
-            first = forces.index(True)
-            assert False in forces[first:]  # the zero of the stop arrived
-            assert True not in forces[forces.index(False, first) :]
+            stop_during_writes(
+                device,
+                lambda arm=arm: [any(words[:3]) for words in arm.sent],
+                lambda device=device, answering=answering: answering.settle(device),
+            )
 
 
 def test_calibration_of_a_board_that_pauses() -> None:
