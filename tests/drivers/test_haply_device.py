@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from helpers.haply_devices import ID, RIG, Service, opened, rig_options, settle
+from helpers.stopping import stop_during_writes
 from helpers.waits import eventually, fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound
@@ -347,23 +348,6 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         fresh(servo)
 
 
-@pytest.mark.parametrize(
-    "place", ["null", "1e400", "100.0", "-1e300"], ids=["no number", "too large to read", "far away", "farther away"]
-)
-def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
-    text = (
-        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":{place},"y":0,"z":0}}}}}}],'
-        '"wireless_verse_grip":[{"device_id":"7","state":{"orientation":{"w":1,"x":0,"y":0,"z":0}}}]}'
-    )
-    with exchanging(service) as (device, servo):
-        service.set(spoil=text)
-        if place == "1e400":
-            assert first_failure(servo) == PROTOCOL
-            assert "out of range" in device.reason()
-            return
-        until(lambda: math.isnan(servo.read()[1][0]))
-
-
 BAD: dict[str, tuple[Any, int, str]] = {
     "no JSON": ("}{", PROTOCOL, "malformed"),
     "a number": ("7", PROTOCOL, "Expected `object`"),
@@ -375,6 +359,10 @@ BAD: dict[str, tuple[Any, int, str]] = {
     "NaN": (
         f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":NaN,"y":0,"z":0}}}}}}]}}',
         PROTOCOL, "malformed",
+    ),
+    "a number that is too large": (
+        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":1e400,"y":0,"z":0}}}}}}]}}',
+        PROTOCOL, "out of range",
     ),
     "deep": ('{"a":' + 5000 * "[", PROTOCOL, "the service answered"),
     "huge": ('{"a":"' + 300_000 * "x" + '"}', PROTOCOL, "over size limit|262144"),
@@ -432,23 +420,8 @@ def test_a_stopped_service_blocks_no_call(service: Service) -> None:
 
 
 def test_stop_while_the_loop_writes(service: Service) -> None:
-    with exchanging(service) as (device, servo):
-        going = threading.Event()
-
-        def push() -> None:
-            while not going.is_set():
-                servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-
-        writer = threading.Thread(target=push)
-        writer.start()
-        until(lambda: any(service.force()))
-        device.stop()
-        stopped = time.monotonic()
-        time.sleep(0.05)
-        going.set()
-        writer.join()
-        settle(device)
-        assert all(not any(row[1:]) for row in service.log() if row[0] > stopped)
+    with exchanging(service) as (device, _):
+        stop_during_writes(device, lambda: [any(row[1:]) for row in service.log()], lambda: settle(device))
 
 
 def test_the_service_of_a_rig_is_queried_without_usb(

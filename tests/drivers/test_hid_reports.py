@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import struct
 import tomllib
-from collections.abc import Callable
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -108,24 +107,6 @@ def test_every_type_is_encoded_like_struct(kind: str, value: float, offset: int)
     info = np.iinfo(kind)
     assert back == min(max(np.floor(value + 0.5), info.min), info.max)
     assert cut == (not info.min - 0.5 <= value < info.max + 0.5)
-
-
-@pytest.mark.scaled
-def test_reports_of_any_bytes(cases: Callable[[int, int], int]) -> None:
-    number = cases(5000, 500_000)
-    generator = np.random.default_rng(9)
-    options = build(Options, described(), "described")
-    for wire, floats in ((rig_options("woodenhaptics-polhem-v1").reports.input, False), (options.reports.input, True)):
-        table, scratch, values = reports.input_table(wire.field), np.zeros(1, np.int64), np.zeros(reports.SENSED_SIZE)
-        stream = generator.integers(0, 256, number + wire.bytes, dtype=np.uint8)
-        refused = wrong = 0
-        for at in range(number):  # each byte of the stream starts a report
-            if not reports.decode_once(stream[at : at + wire.bytes], table, scratch, values):
-                refused += 1
-            elif not np.isfinite(values.sum()):
-                wrong += 1
-        assert wrong == 0
-        assert bool(refused) == floats
 
 
 def test_descriptors_give_report_lengths() -> None:

@@ -6,18 +6,17 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
+from emulators.hapkit import Hapkit
 from emulators.haply2diy import Firmware, Port, place
 from helpers.described_boards import ALONG, ASLANT, REST, TO_WORLD, force_of, opened, rig_options, settled
+from helpers.far_ends import sketch_library
 from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.waits import ends_within, fresh, until
 
-from softfinger.config.errors import DeviceNotFound
 from softfinger.drivers.base import LOST, OK, PROTOCOL, TIMEOUT, Device
 from softfinger.drivers.serial.device import open_device
 from softfinger.server import driver_contract
@@ -64,24 +63,16 @@ class TwoDiy(BoardBench):
         return {"lost": lambda: self.port.pull(), "timeout": lambda: self.port.mute.set()}
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if COMPILER is None:
-        pytest.skip(NO_COMPILER)
-    return compile_sketch(tmp_path_factory.mktemp("sketch") / "hapkit.so")
-
-
 class HapkitBench(BoardBench):
     rig: ClassVar[str] = "hapkit"
     force_step_n: ClassVar[float] = 0.02
     """The duty has 255 steps and its square is the torque: 0.017 N at 1 N."""
-    library: Path
 
     def open(self) -> Device:
         if self.case:
             return self.refused()
         self.undo.close()
-        self.board = self.undo.enter_context(Hapkit(self.library))
+        self.board = self.undo.enter_context(Hapkit(sketch_library()))
         self.device = opened(self.rig, self.board.path, mounting=ASLANT)
         return self.device
 
@@ -112,11 +103,9 @@ class TestTwoDiy(Contract):
 
 class TestHapkit(Contract):
     @pytest.fixture
-    def bench(self, library: Path) -> Iterator[HapkitBench]:
+    def bench(self) -> Iterator[HapkitBench]:
         with RefusedNode() as node, contextlib.ExitStack() as undo:
-            made = HapkitBench(node, undo)
-            made.library = library
-            yield made
+            yield HapkitBench(node, undo)
 
 
 @contextlib.contextmanager
@@ -179,14 +168,8 @@ def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() ->
         assert settled(lambda: board.torques, lambda torques: not any(torques)) == [0.0, 0.0]
 
 
-def test_a_described_rig_without_a_port_is_rejected() -> None:
-    for rig in ("haply-2diy", "hapkit"):
-        with pytest.raises(DeviceNotFound, match="does not set a port: set path under"):
-            open_device(rig_options(rig), 1000.0)
-
-
-def test_the_sketch_switches_off_by_itself(library: Path) -> None:
-    with Hapkit(library) as board, opened("hapkit", board.path) as device:
+def test_the_sketch_switches_off_by_itself() -> None:
+    with Hapkit(sketch_library()) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
         fresh(servo)
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -197,8 +180,8 @@ def test_the_sketch_switches_off_by_itself(library: Path) -> None:
         assert off - on > 0.045
 
 
-def test_a_hapkit_moves_on_its_arc(library: Path) -> None:
-    with Hapkit(library) as board, opened("hapkit", board.path) as device:
+def test_a_hapkit_moves_on_its_arc() -> None:
+    with Hapkit(sketch_library()) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
 
         def is_at(angle: float) -> bool:

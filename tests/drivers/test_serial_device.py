@@ -18,7 +18,8 @@ import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.serial_devices import PLACE, board, opened, rig_options, settle
-from helpers.waits import fresh, until
+from helpers.stopping import stop_during_writes
+from helpers.waits import fresh
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
@@ -125,30 +126,11 @@ def test_an_empty_port_is_not_read() -> None:
 def test_stop_while_the_loop_writes() -> None:
     for _ in range(20):
         with board() as (device, itself, cable):
-            servo = Servo(device)
-            running, over = threading.Event(), threading.Event()
-
-            def loop(servo: Servo = servo, running: threading.Event = running, over: threading.Event = over) -> None:
-                while not over.is_set():
-                    servo.read()
-                    if servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK:
-                        running.set()
-
-            thread = threading.Thread(target=loop)
-            thread.start()
-            assert running.wait(10.0)
-            # a stop drops bytes that the board has not read
-            until(lambda itself=itself: any(any(words[:3]) for words in itself.sent))
-            device.stop()
-            time.sleep(0.005)
-            over.set()
-            thread.join()
-            settle(device, cable)
-            forces = [any(words[:3]) for words in itself.sent]
-            assert True in forces
-            assert not forces[-1]
-            last = len(forces) - forces[::-1].index(True)
-            assert forces[:last].count(False) <= 1  # the zero of a wake-up, and none between forces
+            stop_during_writes(
+                device,
+                lambda itself=itself: [any(words[:3]) for words in itself.sent],
+                lambda device=device, cable=cable: settle(device, cable),
+            )
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:

@@ -150,21 +150,6 @@ def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
         assert len(decode_counts(shipped.input, answer, [9], aligned=True)) == counts
 
 
-@pytest.mark.scaled
-def test_random_bytes_are_no_pose(cases: Callable[[int, int], int]) -> None:
-    rng = np.random.default_rng(43)
-    count = cases(5000, 1_000_000)
-    stream = rng.bytes(count)
-    sizes = rng.integers(1, 40, count // 20)
-    sizes = sizes[np.cumsum(sizes) <= count]
-    checked = InputFrame(
-        bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5), field=build_fields("int32", 1, least=-9, most=9)
-    )
-    assert len(decode_counts(checked, stream, sizes)) <= 1 + count // 1_000_000
-    bare = InputFrame(bytes=3, start=(5,), field=build_fields("int16", 1, least=-100.0, most=100.0))
-    assert all(abs(value) <= 100.0 for value in decode_counts(bare, stream, sizes, aligned=True))
-
-
 def test_shipped_frames_byte_by_byte() -> None:
     """The frames of both shipped rigs equal those of the makers' programs."""
     frames = build(Options, load_rig("haply-2diy").device.options, "haply-2diy").frames
