@@ -202,29 +202,6 @@ def test_each_wall_of_a_corner_has_a_separate_law() -> None:
     assert forces[:, 2] == pytest.approx(spring(LAWS["Hertz"], depths[:, 1]), abs=1e-11)
 
 
-def test_only_the_law_of_the_scene_is_compiled(plane_scene: SceneFactory) -> None:
-    linear = model.LinearNormal(1000.0, 0.0)
-    hertz = model.PowerNormal(1000.0 * 0.001**-0.5, 1.5, 0.0)
-    for normal, law in [
-        (None, linear),
-        ({}, linear),
-        ({"exponent": 1.5}, hertz),
-        ({"damping_s_per_m": 0.5}, model.HuntCrossley(linear, 0.5)),
-        ({"exponent": 1.5, "damping_s_per_m": 0.5}, model.HuntCrossley(hertz, 0.5)),
-    ]:
-        assert normal_laws(plane_scene(material={"normal": normal})) == [law]
-
-
-def test_objects_of_a_scene_share_one_law() -> None:
-    mapping = paper_mapping()
-    table = mapping["object"][0]
-    bent = {**table["material"], "normal": {"exponent": 1.5, "damping_s_per_m": 0.5}}
-    mapping["object"] = [table, {**table, "name": "bent", "material": bent}]
-    plain, damped = normal_laws(build(Scene, mapping, "test scene"))
-    assert plain == model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 0.0), 0.0)
-    assert damped == model.HuntCrossley(model.PowerNormal(1000.0 * 0.001**-0.5, 1.5, 0.0), 0.5)
-
-
 def test_a_linear_law_of_the_general_type_is_bit_identical() -> None:
     """delta^1 is delta and c = 0 adds nothing, so adding an object does not change the forces of others."""
     law = model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 3.0), 0.0)
