@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory, paper_mapping
+from conftest import paper_mapping
 from helpers.examples import Cases
 from numpy.typing import NDArray
 from references.hand import Hand, drive, pressed
@@ -21,8 +21,7 @@ from scipy.integrate import quad
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels import model
-from softfinger.proxy.laws import lever_of, torsion_laws
+from softfinger.proxy.laws import lever_of
 from softfinger.proxy.record import AT
 
 pytestmark = pytest.mark.plain
@@ -231,19 +230,6 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
         assert (work - stored).min() >= -1e-17 * len(records)
 
     check_random_handling(engine, 8, 300, check)
-
-
-def test_the_patch_replaces_the_torsion_parameters_of_the_material(plane_scene: SceneFactory) -> None:
-    own = model.PatchTorsion(0.6)
-    for torsion, law in [
-        ({}, own),
-        (FOLLOWS, own),
-        ({"model": "limit_surface"}, model.LimitSurface(own)),
-        ({"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003}, model.SoftFingerProxy(own, 0.75)),
-        ({**FOLLOWS, "model": "soft_finger_proxy"}, model.SoftFingerProxy(own, 0.5 / 0.6)),
-    ]:
-        assert torsion_laws(plane_scene(fingertip={"patch": HERTZ}, material={"torsion": torsion})) == [law]
-    assert torsion_laws(plane_scene()) == [model.Torsion(0.05, 0.004)]
 
 
 def test_a_patch_without_torsion_changes_no_force() -> None:

@@ -5,8 +5,6 @@ The plane is z = 0, r = 10 mm. Friction has the largest allowed value, so that n
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from conftest import SceneFactory
@@ -14,7 +12,7 @@ from references.hand import Array
 from references.paper import published
 from references.rolling_cases import METHODS
 from references.rolling_reference import rolled_path, rolling_equation, zxz_roll, zyx_roll
-from references.rotation import multiply, quaternion, rodrigues
+from references.rotation import quaternion, rodrigues
 
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
@@ -27,19 +25,6 @@ pytestmark = pytest.mark.plain
 
 R = 0.01
 HIGH_FRICTION = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
-
-
-def quaternions(rotations: Array) -> Array:
-    """Quaternions (n, 4) of rotation matrices (n, 3, 3), by the axis of each step."""
-    out, last = [np.array([1.0, 0.0, 0.0, 0.0])], rotations[0]
-    for rotation in rotations[1:]:
-        step = rotation @ last.T
-        axis = np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
-        sine = np.linalg.norm(axis)
-        angle = np.arctan2(sine / 2, (np.trace(step) - 1) / 2)
-        out.append(multiply(quaternion(axis * (angle / sine if sine else 0.0)), out[-1]))
-        last = rotation
-    return np.array(out)
 
 
 def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: float = 0.001) -> Array:
@@ -95,17 +80,3 @@ def test_a_step_of_the_experiment_has_the_angles_of_its_matrix(method: str) -> N
         axis, _, spin = (zyx_roll if method == "euler_zyx" else zxz_roll)(rodrigues(w), normal)
     assert np.array(out.motion) == pytest.approx(R * np.cross(axis, normal), abs=1e-15)
     assert out.spin == pytest.approx(spin, abs=1e-15)
-
-
-def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFactory) -> None:
-    def rate(t: float) -> Array:
-        return np.array([3 * np.cos(2 * t), 2 * np.sin(5 * t), 4 + 2 * np.sin(3 * t)])
-
-    errors = []
-    for n in (125, 250, 500):
-        exact, rotations = rolling_equation(rate, R, np.linspace(0, 1, n + 1))
-        path = engine_path(plane_scene(material=HIGH_FRICTION), exact, quaternions(rotations), 1 / n)
-        errors.append(np.abs(path - exact).max())
-    assert errors[-1] < 1e-6
-    for coarse, fine in pairwise(errors):
-        assert 3.5 < coarse / fine < 4.5

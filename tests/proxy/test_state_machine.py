@@ -204,14 +204,6 @@ def test_letter_counter_tilt_disables_sliding(plane_scene: SceneFactory) -> None
     assert trace.tangential[-1] == pytest.approx(25.0, rel=1e-5)
 
 
-def test_letter_winds_up_without_end(plane_scene: SceneFactory) -> None:
-    """Dragging against a roll below theta_max loads the coupling far outside the cone."""
-    hand = pressed().go(50, turn=[0.05, 0, 0]).go(500, move=[0, 0.01, 0])
-    trace = drive(Engine(plane_scene(**LETTER)), hand)
-    assert trace.causes == ["touch"]
-    assert trace.tangential[-1] == pytest.approx(10.5, rel=1e-9)
-
-
 def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
     """Friction is exactly mu_d f_N and drives a reversing hand, which creates energy."""
     hand = pressed().go(200, move=[0.01, 0, 0])

@@ -23,7 +23,6 @@ from softfinger.tools.stability.limit import WallCase, find_limits, grows_at, wa
 from softfinger.tools.stability.maps import VARIANTS
 from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit, spectral_radius
 from softfinger.tools.stability.runs import RunBlock, run_blocks
-from softfinger.tools.sweep import run_cases
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -198,15 +197,6 @@ def test_an_undamped_loop_has_no_stable_wall() -> None:
     (row,) = find_limits([WallCase(damping_ns_per_m=0.0)])
     # The search ends a million times below its start, which is a millionth of m / T^2.
     assert row["predicted_n_per_m"] == 0.0 and row["limit_n_per_m"] < 1e-6 * 0.2e6
-
-
-@pytest.mark.exhaustive  # that the schedulers give the same bits is shown of any function in test_sweep.py
-def test_limits_are_the_same_on_every_scheduler(tmp_path: Path) -> None:
-    expected = find_limits(CASES[:6])
-    results = tmp_path / "limits.mcap"
-    assert run_cases(find_limits, CASES[:6], label="test", block=1, results=results) == expected
-    assert run_cases(find_limits, CASES[:6], label="test", block=4, scheduler="local") == expected
-    assert run_cases(find_limits, CASES[:6], label="test", results=results) == expected
 
 
 def test_random_runs_do_not_diverge_on_passive_walls() -> None:
