@@ -274,10 +274,12 @@ LONG = "x" * 300
         (f"check {LONG}.toml", 2, "File name too long"),
         (f"run --endpoint tcp://127.0.0.1:* --recording {LONG}.csv", 3, "File name too long"),
         (f"record --poses {LONG}.csv --timeout 0.1 --endpoint ipc:///nowhere/x", 9, "no telemetry"),
+        ("NUMBA_DISABLE_JIT=1 run --endpoint tcp://127.0.0.1:*", 5, "NUMBA_DISABLE_JIT is set"),
     ],
 )
-def test_streams_and_names_that_cannot_be_used(line, code, message):
-    words = ["bash", "-c", f"set -o pipefail; {shlex.join(COMMAND)} {line}"]
+def test_an_unusable_stream_name_or_environment_gives_one_line(line, code, message):
+    variables = "NUMBA_DISABLE_JIT=1 " * line.startswith("NUMBA")
+    words = ["bash", "-c", f"set -o pipefail; {variables}{shlex.join(COMMAND)} {line.removeprefix(variables)}"]
     outcome = run_program(words)
     assert outcome.returncode == code, outcome.stderr
     assert "Traceback" not in outcome.stderr and message in outcome.stdout + outcome.stderr
