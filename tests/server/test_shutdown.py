@@ -8,6 +8,7 @@ import os
 import threading
 import time
 import tty
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import nan
 from types import SimpleNamespace
@@ -162,13 +163,19 @@ def test_an_error_without_a_message_is_reported_by_its_class() -> None:
 
 
 @pytest.mark.usefixtures("short_timeout")
-def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize(("act", "acted"), [(shutdown.stop_all, "stopped"), (shutdown.close_all, "closed")])
+def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(
+    act: Callable[[Sequence[Device]], None], acted: str, caplog: pytest.LogCaptureFixture
+) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
-    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not returned for 0\.2 s"):
-        shutdown.stop_all([device(hangs), device(broken), device(sound)])
-    assert "could not be stopped (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
-    assert hangs.handles == [77] and broken.handles == [77] and sound.handles == [0]
+    message = rf"be {acted} \(it has not returned for 0\.2 s.*switch"
+    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=message):
+        act([device(hangs), device(broken), device(sound)])
+    assert f"could not be {acted} (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
+    assert hangs.handles == broken.handles == ([77] if acted == "stopped" else [])
+    assert sound.handles == [0] and sound.closed == (acted == "closed")
     hangs.free.set()
+    act([])
 
 
 @pytest.mark.usefixtures("short_timeout")
@@ -201,17 +208,6 @@ def test_devices_are_called_simultaneously(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", WAIT_S)
     both = threading.Barrier(2, timeout=WAIT_S / 4)
     assert open_devices.call_all(lambda _: both.wait() and None, [Motor(), Motor()]) == []
-
-
-@pytest.mark.usefixtures("short_timeout")
-def test_all_devices_are_closed_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
-    hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
-    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"be closed \(it has not .* 0\.2 s.*switch"):
-        shutdown.close_all([device(hangs), device(broken), device(sound)])
-    assert "could not be closed (OSError: no power)" in caplog.text
-    assert sound.closed == 1 and hangs.handles == broken.handles == []
-    hangs.free.set()
-    shutdown.close_all([])
 
 
 def test_a_signal_stops_and_closes_all_open_devices() -> None:
