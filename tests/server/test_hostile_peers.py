@@ -108,11 +108,6 @@ kept = []
 """
 
 STEPS = {
-    # long topics, many of them
-    "a megabyte of topic": """
-    with greeted() as made:
-        for _ in range(200):
-            made.sendall(frame(b"\\1" + os.urandom(1 << 20)))""",
     # below any limit of size; their number fills memory
     "thousands of topics": """
     data = subscriptions(200)
@@ -130,10 +125,6 @@ STEPS = {
         made.recv(1 << 16)
         while made.recv(1 << 16) and time.monotonic() < END:
             pass""",
-    "no ZMTP": """
-    with dial() as made:
-        while time.monotonic() < END:
-            made.sendall(os.urandom(1 << 16))""",
     "connections that say nothing": """
     if len(kept) < 900:
         kept.append(dial())
@@ -149,11 +140,6 @@ STEPS = {
         while time.monotonic() < END:
             made.sendall(frame(b"\\4PING\\0\\1" + bytes(16), 4))
             time.sleep(0.001)""",
-    "a handshake byte by byte": """
-    with dial() as made:
-        for byte in GREETING:
-            made.sendall(bytes((byte,)))
-            time.sleep(0.1)""",
     "subscribers who never read": """
     if len(kept) < 40:
         kept.append(greeted())

@@ -98,6 +98,9 @@ def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptu
     assert steps_run == [1, 2]
     assert [record.getMessage() for record in caplog.records] == ["during shutdown, besides: KeyboardInterrupt"]
     assert shutdown.run_all_steps(lambda: None) is None
+    with pytest.raises(ValueError, match="one"):
+        shutdown.complete_all_steps(make_failing(first), lambda: steps_run.append(3))
+    assert steps_run == [1, 2, 3]
 
 
 def test_an_earlier_error_remains_the_first(caplog: pytest.LogCaptureFixture) -> None:
