@@ -101,5 +101,5 @@ def test_objects_of_a_scene_share_one_law() -> None:
         model.SoftFingerProxy(TORSION, 0.75),
         model.SoftFingerProxy(model.Torsion(1.0, 0.0), 1.0),
     ]
-    with pytest.raises(ConfigError, match="all objects with torsion have the model limit_surface, or none has"):
+    with pytest.raises(ConfigError, match="use limit_surface for all objects with torsion, or for none"):
         objects_of({"torsion": COUPLED})

@@ -156,11 +156,6 @@ def test_a_late_subscriber_gets_schema_and_last_state_immediately(sockets):
         assert sorted(topics) == [b"health", b"health", b"schema", b"state", b"state"]
 
 
-def test_the_schema_is_sent_before_any_other_message(sockets):
-    with Publisher("tcp://127.0.0.1:*") as publisher:
-        assert sockets(publisher.endpoint, b"schema").recv_multipart()[0] == b"schema"
-
-
 def test_no_tick_is_sent_twice_while_others_subscribe(sockets):
     with Publisher("tcp://127.0.0.1:*") as publisher:
         socket = sockets(publisher.endpoint, b"contact", b"event")

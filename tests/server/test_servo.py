@@ -10,15 +10,13 @@ import pytest
 from helpers.allocations import HAS_COMPILER, counted
 from helpers.faulty_device import FaultyDevice, Options
 
-from softfinger.config.errors import DeviceTimeout
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, PROTOCOL, TIMEOUT
+from softfinger.drivers.base import LOST, PROTOCOL
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import run_for
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
-from softfinger.server.loop.guard import POSE_JUMPED, RAMPING, SLEW_LIMITED
-from softfinger.server.loop.shutdown import WRITE_FAILED, device_failure
+from softfinger.server.loop.guard import RAMPING, SLEW_LIMITED
 from softfinger.server.loop.tuning import make_tuning
 
 pytestmark = pytest.mark.real_time
@@ -33,11 +31,9 @@ def make_servo(
     ticks: int | None,
     prepare: Callable[[], Callable[[], None]] | None = None,
     rate: float = 1000.0,
-    **limits: float,
 ) -> tuple[FaultyDevice, s.ServoThread]:
     device = FaultyDevice(options)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-    tuning = tuning._replace(guards=(tuning.guards[0]._replace(**limits),))
     servo = s.ServoThread([device], tuning, rate, ticks, prepare)
     servo.compile()
     return device, servo
@@ -107,43 +103,6 @@ def test_a_device_whose_stop_fails_gets_zero(ticks, caplog):
     message = str(ended.error) if ticks else caplog.text  # if the device was lost first, that is the error
     assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (shutdown.READ_FAILED, LOST))
     assert "could not be stopped" in message and "the port has gone" in message and "switch it off" in message
-
-
-@pytest.mark.parametrize("jump_m", [0.05, 1.0, 20.0])
-def test_a_pose_that_jumps_is_not_rendered(jump_m):
-    """The device has its own clock, so no stall of the machine affects the time of a pose."""
-    fault = Options(fault="jump", at=700, count=200, jump_m=jump_m, own_clock=True)
-    device, servo = make_servo(fault, 1000, speed_max=10.0, turn_max=100.0)
-    ended, records = finish(servo)
-    guard, wrenches = records[:, AT.servo_guard].astype(int), device.wrenches
-    assert ended.ending == s.FINISHED
-    assert (guard & POSE_JUMPED).nonzero()[0].tolist() == [700, 900]
-    for tick in (700, 900):
-        assert guard[tick] == POSE_JUMPED and records[tick, AT.contact_mode] == 0
-        assert wrenches[tick - 1, 2] > 0.3 and not wrenches[tick].any() and 0.0 < wrenches[tick + 1, 2] < 0.01
-    assert np.abs(records[:, AT.probe_velocity : AT.probe_velocity + 3]).max() < 0.2  # as without: 0.1 m/s at most
-
-
-def test_the_slew_limit_continues_from_the_force_a_device_holds():
-    device, servo = make_servo(Options(fault="held", at=700, count=20, own_clock=True), 900)
-    _, records = finish(servo)
-    force = records[:, FORCE : FORCE + 3]
-    assert (records[:, AT.servo_device] == HELD).nonzero()[0].tolist() == list(range(700, 720))
-    assert (force[700:720] == force[699]).all()
-    assert (device.wrenches[:900, :3] == force).all()
-    step = load_rig("replay").guard.force_slew_n_per_s / 1000.0
-    change = np.linalg.norm(np.diff(force, axis=0), axis=1)
-    assert change[719] == pytest.approx(step)  # it is 8 mm deep now, and 1 N is felt
-    assert change.max() <= step * (1 + 1e-9)  # rounding of a norm
-
-
-def test_a_device_that_never_accepts_a_force_ends_the_loop():
-    device, servo = make_servo(Options(fault="held", at=700, count=100_000, own_clock=True), 2000)
-    ended, records = finish(servo)
-    assert (ended.ending, ended.status) == (WRITE_FAILED, TIMEOUT)
-    assert len(records) == 700 + round(IGNORED_WRENCH_MAX_S * 1000)
-    error = device_failure(device, ended)
-    assert isinstance(error, DeviceTimeout) and "no answer to a write in time" in str(error)
 
 
 @pytest.mark.parametrize("direction", ["read", "write"])

@@ -131,47 +131,31 @@ def test_transitions_become_events_with_cause_and_modes():
         }
 
 
-def test_a_guard_event_is_sent_when_a_bit_rises():
+@pytest.mark.parametrize(
+    ("field", "spans", "expected"),
+    [
+        ("servo.guard", [(100, 200, 1), (400, 410, 1), (150, 1000, 2), (700, 701, 8)],
+         [(100, "guard", "clamped", 1), (150, "guard", "slew", 1), (400, "guard", "clamped", 1),
+          (700, "guard", "bit 3", 1)]),
+        # 150 rises, of which one tick in a hundred reports those since the last report
+        ("servo.guard", [(tick, tick + 1, 1) for tick in range(100, 400, 2)],
+         [(100, "guard", "clamped", 1), (200, "guard", "clamped", 50), (300, "guard", "clamped", 50),
+          (400, "guard", "clamped", 49)]),
+        ("servo.missed", [(100, 1000, 3), (110, 1000, 2), (120, 1000, 1), (500, 1000, 10)],
+         [(100, "servo", "missed", 3), (200, "servo", "missed", 3), (500, "servo", "missed", 10)]),
+    ],
+    ids=["rising", "chattering", "missed"],
+)  # fmt: skip
+def test_events_of_guard_and_deadlines_are_limited_and_counted(field, spans, expected):
     records = synthetic(1000)
-    guard = np.zeros(1000, int)
-    guard[100:200] |= 1
-    guard[400:410] |= 1
-    guard[150:] |= 2
-    guard[700] |= 8
-    put(records, "servo.guard", guard)
-    events = publish_and_receive(records, "event", 4, guard_names=("clamped", "slew"))
-    assert [(e["tick"], e["kind"], e["name"], e["count"]) for e in events] == [
-        (100, "guard", "clamped", 1),
-        (150, "guard", "slew", 1),
-        (400, "guard", "clamped", 1),
-        (700, "guard", "bit 3", 1),
-    ]
-
-
-def test_events_of_a_chattering_guard_are_limited_and_counted():
-    records = synthetic(500)
-    guard = np.zeros(500, int)
-    guard[100:400:2] = 1
-    put(records, "servo.guard", guard)
-    events = publish_and_receive(records, "event", 4, guard_names=("clamped",))
-    assert [e["tick"] for e in events] == [100, 200, 300, 400]
-    assert sum(e["count"] for e in events) == 150
-
-
-def test_missed_deadlines_are_reported_with_count_and_total():
-    records = synthetic(600)
-    missed = np.zeros(600, int)
-    missed[100:] += 3
-    missed[110:] += 2
-    missed[120:] += 1
-    missed[500:] += 10
-    put(records, "servo.missed", missed)
-    events = publish_and_receive(records, "event", 3)
-    assert [(e["kind"], e["name"], e["tick"], e["count"], e["total"]) for e in events] == [
-        ("servo", "missed", 100, 3, 3),
-        ("servo", "missed", 200, 3, 6),
-        ("servo", "missed", 500, 10, 16),
-    ]
+    values = np.zeros(1000, int)
+    for first, last, value in spans:
+        values[first:last] += value
+    put(records, field, values)
+    events = publish_and_receive(records, "event", len(expected), guard_names=("clamped", "slew"))
+    assert [(e["tick"], e["kind"], e["name"], e["count"]) for e in events] == expected
+    totals = np.cumsum([count for *_, count in expected]).tolist()
+    assert field == "servo.guard" or [e["total"] for e in events] == totals
 
 
 def test_health_sums_up_each_second():
