@@ -171,7 +171,7 @@ def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(
     act: Callable[[Sequence[Device]], None], acted: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
-    message = rf"be {acted} \(it has not returned for 0\.2 s.*switch"
+    message = rf"be {acted} \(the call has not returned for 0\.2 s.*switch"
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=message):
         act([device(hangs), device(broken), device(sound)])
     assert f"could not be {acted} (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
