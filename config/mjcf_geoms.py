@@ -7,7 +7,7 @@ replaces the object of that geom.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -15,11 +15,15 @@ import numpy as np
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf import compile_model, mujoco_module, read_model
+from softfinger.config.mjcf import body_number, compile_model, mujoco_module, read_model
 from softfinger.config.mjcf_files import has_groups
+from softfinger.config.schema.world import GeomMaterial
+from softfinger.config.words import format_value
 
 SQUARE: Final = 1e-6
 """Relative difference of the sides of a pixel that counts as rounding of sizes in a file: 1 pixel in a million."""
+NAMES_MAX: Final = 8
+"""Names of geoms listed in a message."""
 CONVEX: Final = 0.01
 """Relative volume by which a convex hull exceeds a mesh that counts as convex."""
 
@@ -41,7 +45,10 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
     """Return the scene with an object for each geom of its [world] that no object replaces."""
     if scene.world is None:
         return scene
-    read_model(scene.world)  # checks masses and keyframe
+    model = read_model(scene.world)  # checks masses and keyframe
+    for obj in scene.object:
+        if isinstance(obj.motion, schema.Body):
+            body_number(model, scene.world, obj.motion.body)
     names = {obj.name for obj in scene.object}
     geoms = list(convert_geoms(scene.world))
     added = [geom.object for geom in geoms if geom.object is not None and geom.name not in names]
@@ -55,6 +62,7 @@ def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
     """Convert each geom of the model, in their order, then its flexes. Raises ConfigError for an unusable model."""
     package = mujoco_module()
     spec, model, _ = compile_model(world.model, world.root)
+    _check_rules(world, spec.geoms)
     data = package.MjData(model)
     package.mj_kinematics(model, data)
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
@@ -86,15 +94,27 @@ def find_ignored(scene: schema.Scene) -> list[ConvertedGeom]:
     return [geom for geom in convert_geoms(scene.world) if geom.is_lost and geom.name not in names]
 
 
+def _check_rules(world: schema.World, geoms: Sequence[Any]) -> None:
+    """Raise ConfigError for an entry of world.geom that fits no geom: its material would be ignored."""
+    for index, rule in enumerate(world.geom):
+        if not any(_fits(rule, geom) for geom in geoms):
+            keys = [(key, getattr(rule, key)) for key in ("name", "group", "default")]
+            given = ", ".join(f"{key} = {format_value(value)}" for key, value in keys if value is not None)
+            names = [geom.name for geom in geoms if geom.name]
+            raise ConfigError(
+                f"world.geom[{index}] fits no geom of {world.model}: {given}; "
+                f"it has {', '.join(names[:NAMES_MAX]) or 'none with a name'}"
+            )
+
+
+def _fits(rule: GeomMaterial, geom: Any) -> bool:
+    default = None if geom.classname is None else geom.classname.name
+    keys = (rule.name, geom.name), (rule.group, geom.group), (rule.default, default)
+    return all(required is None or required == actual for required, actual in keys)
+
+
 def _material(world: schema.World, geom: Any) -> schema.Material | None:
-    material = world.material
-    for rule in world.geom:
-        of_name = rule.name is None or rule.name == geom.name
-        of_group = rule.group is None or rule.group == geom.group
-        of_default = rule.default is None or (geom.classname is not None and rule.default == geom.classname.name)
-        if of_name and of_group and of_default:
-            material = rule.material
-    return material
+    return next((rule.material for rule in reversed(world.geom) if _fits(rule, geom)), world.material)
 
 
 def _object(

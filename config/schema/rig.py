@@ -15,6 +15,7 @@ from softfinger.config.fields import (
     TopicPart,
     doc,
     is_usable,
+    normalise_orientation,
     orientation_faults,
     sized,
     within,
@@ -33,8 +34,11 @@ class Tool(Table, frozen=True, kw_only=True):
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         Orientation,
-        doc("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
+        doc("tip to handle: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
         yield from orientation_faults(self.orientation_wxyz)

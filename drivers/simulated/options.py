@@ -125,7 +125,7 @@ def _make_poses(options: Options, preset: Preset, rate_hz: float) -> Array:
     fixed_position = options.position_m if options.puck is None else options.puck.start_m
     if fixed_position is not None:
         return np.array([[*fixed_position, 1.0, 0.0, 0.0, 0.0]])
-    samples = resample(load_poses(options.recording or RECORDING), rate_hz)
+    samples = resample(load_poses(RECORDING if options.recording is None else options.recording), rate_hz)
     poses = close_loop(samples, rate_hz) if options.loop else samples
     if preset.sensed_dof < 6:
         poses[:, 3:] = 1.0, 0.0, 0.0, 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -118,6 +119,9 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         if is_usable(self.motion, self.turn, self.trial) and is_usable(self.trial.touch_s):
             for key, paths in (("motion", self.motion), ("turn", self.turn)):
                 for finger, path in paths.items():
+                    times = [time for time, *_ in path]
+                    if any(after <= before for before, after in pairwise(times)):
+                        yield f"{key}.{finger}", times, "times must increase from point to point"
                     if path and path[-1][0] > self.trial.touch_s:
                         yield f"{key}.{finger}", msgspec.UNSET, f"ends at {path[-1][0]:g} s: set trial.touch_s to that"
         if is_usable(self.factor):

@@ -41,7 +41,7 @@ def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[
         stiffness = coupling.stiffness_n_per_m if own_stiffness is None else own_stiffness
         rolling = f"{scene.rolling.method}, torque stiffness {stiffness:g} N/m"
     smoothing = f"low-pass {probe.velocity_time_constant_s:g} s" if probe.velocity_time_constant_s else "none"
-    drags = "left out: nothing sticks"
+    drags = "absent: nothing sticks"
     if any(item.material.friction is not None for item in scene.object):
         drags = f"{coupling.stiffness_n_per_m:g} N/m, {coupling.damping_ns_per_m:g} N s/m"
         if coupling.torsional_damping_nms_per_rad:
@@ -52,7 +52,7 @@ def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[
     within = "" if not finger.name else "  "
     return [
         (label, f"{_form(finger)}{moved_text}"),
-        (f"{within}patch", "left out" if finger.patch is None else _values(finger.patch)),
+        (f"{within}patch", "absent" if finger.patch is None else _values(finger.patch)),
         (f"{within}rolling", rolling),
         (f"{within}coupling", drags),
         (f"{within}velocity filter", smoothing),
@@ -78,7 +78,7 @@ def _size(item: schema.ObjectBase) -> str:
 def object_rows(item: schema.Object, has_patch: bool) -> list[tuple[str, str]]:
     """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
-    friction, torsion = "left out: frictionless", "absent: no moment about the normal"
+    friction, torsion = "absent: frictionless", "absent: no moment about the normal"
     if material.friction is not None:
         friction = _values(material.friction)
     if material.torsion is not None:

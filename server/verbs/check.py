@@ -79,7 +79,7 @@ def _draw_walls(findings: list[FileReport], plot: Path | None, quiet: bool) -> N
     if plot is not None and len(walls) * len(scenes) != 1:
         raise ConfigError(
             f"--plot draws one rig with [guard.workspace] and one scene, but there are {len(walls)} and {len(scenes)}: "
-            "name one of each"
+            "select one of each"
         )
     if not walls or not scenes or (quiet and plot is None):
         return

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, Ty
 import msgspec
 from msgspec import Meta, Struct, inspect
 
-from softfinger.config.fields import Coordinate
+from softfinger.config.fields import Coordinate, Orientation, normalise_orientation
 from softfinger.proxy.record import AT
 
 if TYPE_CHECKING:
@@ -128,9 +128,12 @@ class Hand(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     position_m: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType = msgspec.UNSET
-    orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
+    orientation_wxyz: Orientation | msgspec.UnsetType = msgspec.UNSET
     finger: Name | Annotated[int, Meta(ge=0)] | msgspec.UnsetType = msgspec.UNSET
     release: bool = False
+
+    def __post_init__(self) -> None:
+        normalise_orientation(self)
 
 
 class Hold(Struct, frozen=True, forbid_unknown_fields=True):

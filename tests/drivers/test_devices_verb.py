@@ -325,12 +325,6 @@ def test_a_missing_driver_is_diagnosed(root: Path) -> None:
     assert "'no-such-driver' is not installed" in diagnosis.reason
 
 
-def test_a_falcon_is_claimed(node: Path) -> None:
-    falcon = at(node, 0x0403, 0xCB48, bus="usb")
-    diagnosis = diagnose(falcon, find_claim(falcon))
-    assert diagnosis.state == ("firmware" if "falcon" in registry.names() else "driver")
-
-
 def test_output_without_devices() -> None:
     text = devices.lines([])
     assert len(text) == 1

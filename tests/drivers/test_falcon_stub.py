@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.c_stub import COMPILER
+from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees
-from helpers.usb_stub import NO_COMPILER, FalconBench, UsbStub, options, stub, usb_library, word
+from helpers.usb_stub import FalconBench, UsbStub, options, stub, word
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound
 from softfinger.config.load import load_rig, load_scene
@@ -29,7 +29,7 @@ from softfinger.server.loop import shutdown
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.verbs import devices
 
-__all__ = ["stub", "usb_library"]  # fixtures
+__all__ = ["stub"]  # fixture
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
 

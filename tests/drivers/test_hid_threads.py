@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import select
 import struct
@@ -18,7 +17,7 @@ from helpers.waits import WAIT_S, until
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.config.load import build
-from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, TIMEOUT, WITHHELD
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
@@ -292,22 +291,3 @@ def test_a_disconnected_device_is_lost(cause: str) -> None:
 
 def raise_read_error(*_: object) -> list[int]:
     raise OSError("read error")
-
-
-@pytest.mark.parametrize(
-    "report",
-    [GOOD[:-1], GOOD + b"\0", GOOD[:5], b"\x03" + struct.pack("<7fBB", math.nan, 0, 0, 1, 0, 0, 0, 0, 0)],
-    ids=["short", "long", "shorter", "nan"],
-)
-def test_an_invalid_report_is_a_protocol_error(report: bytes) -> None:
-    with ThreadedBoard() as linked:
-        linked.until(lambda status: status == OK)
-        linked.push(1.0)
-        linked.answering.settle(linked.device)
-        assert linked.force() == (1000, 0, 0)
-        linked.until(lambda status: status == STALE)
-        linked.answering.end.send(report)
-        assert linked.until(lambda status: status != STALE) == PROTOCOL
-        linked.device.stop()
-        linked.answering.settle(linked.device)
-        assert linked.force() == (0, 0, 0)

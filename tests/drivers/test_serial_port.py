@@ -86,7 +86,7 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
     ports, original = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: original(path, tmp_path))
-    with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no serial port on USB is"):
+    with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no USB serial port is"):
         port.find_port(rig_options())
     plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
     (tmp_path / discovery.TTY / "ttyS0").mkdir()

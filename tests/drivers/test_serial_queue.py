@@ -304,7 +304,7 @@ def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytes
     begun = run.clock.now
     run.end()
     assert run.clock.now - begun < 10 * MS
-    assert "gone" in run.device.zero_failure()
+    assert "removed" in run.device.zero_failure()
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import touching
 from helpers.examples import Cases
 from numpy.typing import ArrayLike, NDArray
 from references.ellipsoid_finger import roll_ellipsoid, touching_at
@@ -58,10 +59,7 @@ GRIP = {"static": 0.6, "kinetic": 0.5}
 
 def scene(tip: dict[str, Any], *objects: dict[str, Any], friction: dict[str, float] = GRIP, **changes: Any) -> Scene:
     """Return a scene whose type depends only on the list of shapes, since each type is compiled."""
-    made_of = {
-        "stiffness_n_per_m": K, "damping_ns_per_m": 0.0, "friction": friction,
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    } | changes  # fmt: skip
+    made_of = touching.GRIP | {"damping_ns_per_m": 0.0, "friction": friction} | changes
     tables: dict[str, Any] = {
         "fingertip": tip,
         "rolling": {"method": "montana_rk4"},
@@ -223,31 +221,6 @@ def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
     # dh / dtheta = (a^2 - c^2) sin cos / h, and the centre moves by h dtheta.
     moment = -load * (a * a - c * c) * np.sin(theta) * np.cos(theta) / height - K * aside * height
     np.testing.assert_allclose(rows["torque"][:, 1], moment, rtol=0.0, atol=1e-11)
-
-
-def test_rolling_round_a_parallel_turns_the_finger() -> None:
-    """Holonomy: a roll round a parallel of a spheroid draws a circle of radius rho / cos beta on the plane. The finger
-    turns by 2 pi cos beta about the normal: 2 pi less the area enclosed by the normals (Gauss and Bonnet)."""
-    a, c, beta = 0.008, 0.011, 0.6
-    height = np.hypot(a * np.sin(beta), c * np.cos(beta))
-    rho = a * a * np.sin(beta) / height
-    paths = []
-    for ticks in (250, 500):
-        s = np.linspace(0.0, 2.0 * np.pi, ticks + 1)
-        poses = []
-        for angle in s:
-            about = multiply(quaternion([0.0, beta, 0.0]), quaternion([0.0, 0.0, -angle]))
-            about = multiply(quaternion([0.0, 0.0, np.cos(beta) * angle]), about)
-            poses.append(np.concatenate([[0.0, 0.0, height - 1e-3], about]))
-        made = scene({"radii_m": [a, a, c]}, TABLES["plane"], friction=STICKY)
-        points = Engine(made).run(np.array(poses))["contact.point"]
-        paths.append((points - points[0])[:: ticks // 250])
-    turned = np.cos(beta) * np.linspace(0.0, 2.0 * np.pi, 251)
-    circle = rho / np.cos(beta) * np.stack([np.cos(turned) - 1.0, np.sin(turned), 0.0 * turned], axis=1)
-    # The rate is constant within a tick, an error of second order. Its extrapolation leaves one of fourth order: (2 pi
-    # / 250)^4 of a circle of 7 mm.
-    np.testing.assert_allclose(paths[1], circle, rtol=0.0, atol=4e-7)
-    np.testing.assert_allclose((4.0 * paths[1] - paths[0]) / 3.0, circle, rtol=0.0, atol=3e-9)
 
 
 def work(rows: Array) -> Array:

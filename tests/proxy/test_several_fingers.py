@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.touching import GRIP
 from numpy.typing import NDArray
 
 from softfinger.proxy.engine import Engine
@@ -33,12 +34,7 @@ FINGERS: dict[str, dict[str, Any]] = {
     },
 }
 """Two fingertips that have no parameter in common."""
-RUBBER = {
-    "stiffness_n_per_m": 1000.0,
-    "damping_ns_per_m": 2.0,
-    "friction": {"static": 0.6, "kinetic": 0.5},
-    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-}
+RUBBER = GRIP | {"damping_ns_per_m": 2.0}
 REMEMBERS = [
     {"kind": "stick_slip", "stiffness_n_per_m": 300.0, "force_max_n": 0.2},
     {"kind": "vibration", "amplitude_n": 0.1, "frequency_hz": 120.0},

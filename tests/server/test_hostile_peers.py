@@ -11,7 +11,6 @@ import contextlib
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -25,7 +24,9 @@ import numpy as np
 import pytest
 from helpers.processes import COMMAND, read_memory
 from helpers.programs import Program
+from helpers.raw_peers import GREETING
 from helpers.waits import eventually
+from test_peers_at_every_socket import dial, greet, wait_until_closed
 
 from softfinger.proxy.record import AT
 from softfinger.server.socket_process.peer_socket import FILES_MAX, MEMORY_MAX
@@ -107,11 +108,6 @@ kept = []
 """
 
 STEPS = {
-    # long topics, many of them
-    "a megabyte of topic": """
-    with greeted() as made:
-        for _ in range(200):
-            made.sendall(frame(b"\\1" + os.urandom(1 << 20)))""",
     # below any limit of size; their number fills memory
     "thousands of topics": """
     data = subscriptions(200)
@@ -129,10 +125,6 @@ STEPS = {
         made.recv(1 << 16)
         while made.recv(1 << 16) and time.monotonic() < END:
             pass""",
-    "no ZMTP": """
-    with dial() as made:
-        while time.monotonic() < END:
-            made.sendall(os.urandom(1 << 16))""",
     "connections that say nothing": """
     if len(kept) < 900:
         kept.append(dial())
@@ -148,11 +140,6 @@ STEPS = {
         while time.monotonic() < END:
             made.sendall(frame(b"\\4PING\\0\\1" + bytes(16), 4))
             time.sleep(0.001)""",
-    "a handshake byte by byte": """
-    with dial() as made:
-        for byte in GREETING:
-            made.sendall(bytes((byte,)))
-            time.sleep(0.1)""",
     "subscribers who never read": """
     if len(kept) < 40:
         kept.append(greeted())
@@ -282,29 +269,14 @@ def attack(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
     return report | {"missing": missing}
 
 
-GREETING = b"\xff" + bytes(8) + b"\x7f\x03\0NULL" + bytes(48)
 READY = b"\x04\x19\x05READY\x0bSocket-Type\0\0\0\x03SUB"
 SUBSCRIBE = b"\0\x08\1contact"
 
 
-CUT_S = 20.0
-"""Ten times the allowed duration of a handshake."""
-
-
-def wait_until_closed(peer: socket.socket) -> None:
-    """Wait until the server has closed a connection; raises TimeoutError otherwise."""
-    peer.settimeout(CUT_S)
-    with contextlib.suppress(ConnectionError):  # closed with unread bytes
-        while peer.recv(1 << 16):
-            pass
-
-
 def test_unfinished_handshakes_are_disconnected() -> None:
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
-        address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
-        patient = peers.enter_context(socket.create_connection(address))
-        patient.sendall(GREETING + READY)
-        unfinished = [peers.enter_context(socket.create_connection(address)) for _ in range(3)]
+        patient = peers.enter_context(greet(publisher.endpoint, b"SUB"))
+        unfinished = [peers.enter_context(dial(publisher.endpoint)) for _ in range(3)]
         for peer, sent in zip(unfinished, (b"", GREETING[:20], GREETING), strict=True):
             peer.sendall(sent)
         for peer in unfinished:
@@ -316,11 +288,9 @@ def test_unfinished_handshakes_are_disconnected() -> None:
 
 def test_connections_are_limited_by_open_files() -> None:
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
-        address = "127.0.0.1", int(publisher.endpoint.rpartition(":")[2])
         for _ in range(FILES_MAX):
-            peer = peers.enter_context(socket.create_connection(address))
+            peer = peers.enter_context(dial(publisher.endpoint, 1.0))
             peer.sendall(GREETING + READY)
-            peer.settimeout(1.0)
             received = b""
             with contextlib.suppress(TimeoutError):
                 while b"XPUB" not in received and (more := peer.recv(100)):

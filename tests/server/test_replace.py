@@ -227,17 +227,22 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
             assert eventually(pressed)
 
 
-def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
+@pytest.mark.parametrize(
+    ("refuses", "error", "message", "opened"),
+    [("opening", DeviceNotFound, "plug it in", 1), ("arming", DeviceError, "force button", 2)],
+)
+def test_a_device_that_cannot_be_used_ends_the_run_at_zero(refuses, error, message, opened, driver):
     first, second = load_scenes()
     with Daemon(make_faulty_rig(), first) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 100)
-        driver.refuses = 1
-        with pytest.raises(DeviceNotFound, match="plug it in"):
-            running.replace(second, make_faulty_rig(**{"device.at": 7}))
-        with pytest.raises(DeviceNotFound, match="plug it in"):
+        driver.refuses = 1 if refuses == "opening" else driver.refuses
+        with pytest.raises(error, match=message):
+            running.replace(second, make_faulty_rig(**{"device.refuses_to_arm": True}))
+        with pytest.raises(error, match=message):
             running.wait(60.0)
-    assert "close" in acts(driver.devices[0]) and not driver.devices[0].wrenches[-1].any()
+    assert len(driver.devices) == opened and all("close" in acts(device) for device in driver.devices)
+    assert not driver.devices[0].wrenches[-1].any()
 
 
 def test_a_stop_during_a_replacement_arms_nothing(driver):
@@ -303,15 +308,3 @@ def test_two_pauses_are_one_pause(driver):
         assert not device.wrenches[-10:].any()
         outer()
         assert eventually(pressed)
-
-
-def test_a_device_that_refuses_arming_raises_its_error(driver):
-    first, second = load_scenes()
-    with Daemon(make_faulty_rig(), first) as running:
-        running.start()
-        assert eventually(lambda: running.servo.ticks > 100)
-        with pytest.raises(DeviceError, match="force button"):
-            running.replace(second, make_faulty_rig(**{"device.refuses_to_arm": True}))
-        with pytest.raises(DeviceError, match="force button"):
-            running.wait(60.0)
-    assert all("close" in acts(device) for device in driver.devices) and len(driver.devices) == 2

@@ -287,24 +287,6 @@ def test_recommendations() -> None:
     assert advice[2]["sentence"].endswith("no method does: fine reaches 1 nm")
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--rate", "0"], r"--rate 0: must be from 4 to 100000 Hz"),
-        (["--rate", "1000", "nan"], r"--rate nan: must be"),
-        (["--drift-steps", "10"], r"--drift-steps 10: must be from 1000"),
-        (["--figures", "/dev/null/figures"], r"--figures /dev/null/figures: Not a directory"),
-        (
-            ["--surface", "torus", "--method", "rotation_vector"],
-            r"rotation_vector exists only for shapes with a closed",
-        ),
-    ],
-)
-def test_bad_values_are_named(words: list[str], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        verb.run(options(*words))
-
-
 def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without scipy the error names the package to install."""
     monkeypatch.setitem(sys.modules, "scipy.integrate", None)

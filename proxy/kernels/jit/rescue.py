@@ -119,10 +119,10 @@ def jump_on_error(message: int) -> None:
     memory = _getspecific(_rescue_key())
     while memory == 0:
         _pause()
-    said, words = uint8_at(memory + JUMP_BYTES), uint8_at(message + SUBJECT)
+    text, words = uint8_at(memory + JUMP_BYTES), uint8_at(message + SUBJECT)
     for i in range(SAID_BYTES - 1):
-        said[i] = words[i]
-        said[i + 1] = 0
+        text[i] = words[i]
+        text[i + 1] = 0
         if words[i] == 0:
             break
     _longjmp(memory, 1)

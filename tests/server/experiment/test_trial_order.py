@@ -75,7 +75,7 @@ def test_practice_comes_first() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"task.reference": None}, "compare needs a reference"),
+        ({"task.reference": None}, "required for compare"),
         ({"procedure.kind": "stair"}, "did you mean 'staircase'"),
         ({"procedure.levels": []}, "constant needs levels"),
         ({"procedure.levels": 0.1}, "must be a list of 0 to 200 numbers above 0 and at most 1e"),
@@ -88,7 +88,7 @@ def test_practice_comes_first() -> None:
         ({"task.parameter": "object.chair.material.stiffness_n_per_m"}, "there is no object.chair"),
         ({"task.parameter": "mass.box"}, "the scene has no .world"),
         ({"task.parameter": "guard.force_max_n"}, "of the rig there are rig.guard"),
-        ({"task.parameter": "rig.guard.arm"}, "another start of the daemon"),
+        ({"task.parameter": "rig.guard.arm"}, "cannot change in a running daemon"),
         ({"factor.0.parameter": "rig.guard.force_max_n", "factor.0.levels": [1.0, -1.0]}, "guard.force_max_n = -1.0"),
         (
             {"rig": "touch", "factor.0.parameter": "rig.guard.continuous_force_n", "factor.0.levels": [0.5, 0.95]},
@@ -102,7 +102,7 @@ def test_practice_comes_first() -> None:
             {"task.parameter": "rig.guard.force_max_n", "task.reference": 40.5, "task.more": "down"},
             "guard.force_max_n = 40.5",
         ),
-        ({"task.parameter": "rig.servo.rate_hz"}, "another start of the daemon"),
+        ({"task.parameter": "rig.servo.rate_hz"}, "cannot change in a running daemon"),
         ({"task.scale": [1, 7]}, "only rate has a scale"),
         ({"task.kind": "rate", "task.reference": None, "task.scale": [7, 1]}, "the first mark, from 1"),
         ({"task.scale_ends": ["soft", "hard"]}, "requires scale"),

@@ -165,7 +165,7 @@ def test_without_permission_there_is_one_clear_line(root: Path, removes: bool) -
         os.seteuid(65534)
     try:
         ledger = Ledger(root, SYSTEM.record)
-        with pytest.raises(ConfigError, match=r"may not be changed by this user.*without --system") as caught:
+        with pytest.raises(ConfigError, match=r"may not be changed by this user.*omit --system") as caught:
             list(ledger.remove() if removes else ledger.write(files))
     finally:
         os.seteuid(user)

@@ -232,7 +232,8 @@ def test_against_the_forces_sent_to_a_device(tmp_path: Path, capsys: pytest.Capt
         forces = tmp_path / f"forces.{ending}"
         words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", str(forces)]
         assert cli.main([*words, "--endpoint", f"ipc://{tmp_path}/t"]) == 0
-        assert cli.main(["replay", "tap", "--scene", "paper-plane", "--against", str(forces), "--json"]) == 0
+        words = ["replay", "tap", "--scene", "paper-plane", "--tolerance", "0", "--against", str(forces), "--json"]
+        assert cli.main(words) == 0
         report = printed(capsys.readouterr().out)
         assert report["compared"] == len(run()) and set(report["largest"]) == {"force", "torque"}
 
