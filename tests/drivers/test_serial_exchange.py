@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import struct
+from binascii import crc_hqx
 from typing import Any
 
 import numpy as np
 import pytest
+from emulators.guideboard import crc8
 from helpers.plain_by_call import (
     ABOUT_Z,
     BY_CALL,
@@ -426,6 +428,23 @@ def test_bytes_before_a_request_are_discarded(described_board: Board) -> None:
     assert (status, sample[1]) == (OK, pytest.approx(0.45))
     assert described_board.read()[0] == STALE
     assert [described_board.read(bytes([byte]))[0] for byte in answer(0.25, 0.0, 0.0)] == [STALE] * 30 + [OK]
+
+
+def test_byte_order_and_checksums_of_both_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = [{"meaning": m, "offset": 1 + 4 * n, "type": "float32"} for n, m in enumerate("xyz")]
+    force = [{"meaning": f"force_{m}", "offset": 2 + 2 * n, "type": "int16", "scale": 1e4} for n, m in enumerate("xyz")]
+    frames = {
+        "order": "big",
+        "input": {"bytes": 15, "start": [126], "check": {"kind": "crc16-ccitt", "offset": 13}, "field": place},
+        "output": {"bytes": 9, "start": [85, 84], "check": {"kind": "crc8", "offset": 8}, "field": force},
+    }
+    board = Board(described(frames=frames, mounting={}), monkeypatch)
+    head = b"\x7e" + struct.pack(">3f", 0.25, 0.5, -0.125)
+    status, sample = board.read(head + struct.pack(">H", crc_hqx(head, 0xFFFF)))
+    assert (status, sample[:3].tolist()) == (OK, [0.25, 0.5, -0.125])
+    assert board.write(0.5, -1.0, 2.0, 0.0, 0.0, 0.0) == OK
+    request = b"\x55\x54" + struct.pack(">3h", 5000, -10000, 20000)
+    assert board.sent() == request + bytes([crc8(request)])
 
 
 @pytest.mark.parametrize("mode", ["answer", "stream"])
