@@ -9,7 +9,7 @@ import math
 import os
 import re
 import signal
-import socket
+import socketserver
 import sys
 import threading
 import time
@@ -460,34 +460,26 @@ def test_a_device_leaks_no_descriptor(service: Service) -> None:
     assert len(os.listdir("/proc/self/fd")) <= before
 
 
-class Listener:
-    def __init__(self, reply: bytes, closes: bool) -> None:
-        self.end = socket.create_server(("127.0.0.1", 0))
-        self.port = self.end.getsockname()[1]
-        self._reply, self._closes, self._clients = reply, closes, []
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+@contextlib.contextmanager
+def listening(reply: bytes, closes: bool) -> Iterator[int]:
+    """Answer each connection with these bytes; yield the port."""
+    over = threading.Event()
 
-    def _run(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self.end.accept()
-                client.recv(65536)
-                client.sendall(self._reply)
-                if self._closes:
-                    client.close()
-                else:
-                    self._clients.append(client)
+    class Answer(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            with contextlib.suppress(OSError):
+                self.request.recv(65536)
+                self.request.sendall(reply)
+            if not closes:
+                over.wait()
 
-    def __enter__(self) -> Listener:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.end.shutdown(socket.SHUT_RDWR)
-        self.end.close()
-        self._thread.join()
-        for client in self._clients:
-            client.close()
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Answer) as server:
+        threading.Thread(target=server.serve_forever, args=(0.01,)).start()
+        try:
+            yield server.server_address[1]
+        finally:
+            over.set()
+            server.shutdown()
 
 
 @pytest.mark.parametrize("version", [None, "3.5"], ids=["asked its version", "asked for a WebSocket"])
@@ -502,5 +494,5 @@ class Listener:
     ids=["closes", "waits", "noise", "an endless head", "an endless body", "a bad chunk", "a false key"],
 )  # fmt: skip
 def test_another_program_on_the_port_is_rejected_in_time(reply: bytes, closes: bool, version: str | None) -> None:
-    with Listener(reply, closes) as listener, pytest.raises(DeviceError):
-        open_device(rig_options(listener.port, version=version), 1000.0)
+    with listening(reply, closes) as port, pytest.raises(DeviceError):
+        open_device(rig_options(port, version=version), 1000.0)

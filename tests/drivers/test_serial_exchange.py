@@ -190,19 +190,6 @@ def test_a_force_waits_for_the_complete_answer(board: Board) -> None:
     assert board.counts() == {"bytes": 127, "frames": 1, "written": 3, "held": 2}
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_force_along_any_axis_has_to_be_ended(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    board = Board(rig_options(**TEXT), monkeypatch)
-    wrench = [0.0] * 6
-    wrench[axis] = 1.0
-    assert board.write(*wrench) == OK
-    assert board.word[BOARD.has_force] == 1
-    board.sent()
-    assert board.write(*ZERO) == OK
-    assert board.sent() == text(0, 0, 0)
-    assert board.word[BOARD.has_force] == 0
-
-
 def test_during_a_silence_only_a_zero_after_a_force_is_sent(board: Board) -> None:
     board.clock.now += 21 * MS
     assert board.write(*ZERO) == OK
@@ -395,6 +382,7 @@ def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPat
     described_board.read(answer(0.0, 0.0, 0.0))
     described_board.write(*ZERO)
     assert described_board.sent() == force_frame(0, 0, 0)
+    assert described_board.word[BOARD.has_force] == 0
 
 
 def test_resync_bytes_follow_an_unanswered_frame(described_board: Board) -> None:
