@@ -183,16 +183,10 @@ def test_numbers_in_the_text_equal_those_of_the_code():
     assert f"There are some {FILES_MAX - 26} connections" in DOC  # less files of the publisher itself
     assert MEMORY_MAX == 1 << 30 and "than 1 GiB" in DOC
     assert f"ends within {LINGER_S:g} s" in DOC and f"once in {LOG_PERIOD_S:g} s" in DOC
-
-
-def test_bounds_of_requests_equal_those_of_the_code():
     assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in DOC
     page = " ".join(DOC.split())  # independent of line breaks
     assert f"may ask {BURST} times in {BURST_S:g} s" in page and f"{WAITING_MAX} wait, and more are dropped" in page
     assert f"A frame of more than {REQUEST_MAX} bytes" in page and f"more than {EVENT_BYTES_MAX} bytes" in page
-
-
-def test_speeds_of_a_controlled_hand_equal_those_of_the_code():
     assert f"at {SPEED_MAX_M_PER_S:g} m/s and {TURN_MAX_RAD_PER_S:g} rad/s at most" in DOC
 
 
