@@ -11,7 +11,7 @@ from helpers.daemons import subscribed
 from helpers.encoder import contact_map
 from helpers.telemetry_records import join, put, synthetic
 
-from softfinger.config.errors import AddressInUse, ConfigError
+from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import AT, CAUSE_NAMES, NAMED, columns
 from softfinger.server.wire.client import Sample, record_of
 from softfinger.server.wire.health import work_of_hand
@@ -253,18 +253,6 @@ REFUSED = {
 def test_an_endpoint_is_refused_with_its_reason(endpoint, words):
     with pytest.raises(ConfigError, match=words):
         Publisher(endpoint)
-
-
-@pytest.mark.parametrize("scheme", ["tcp", "ipc"])
-def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
-    wanted = "tcp://127.0.0.1:*" if scheme == "tcp" else f"ipc://{tmp_path}/telemetry"
-    with Publisher(wanted) as holder:
-        endpoint = holder.endpoint
-        with pytest.raises(AddressInUse, match="in use: stop process "):
-            Publisher(endpoint)
-        with subscribed(endpoint, "event") as socket:
-            join(holder, socket)
-    Publisher(endpoint).close()
 
 
 def test_ipc_socket_is_for_user_and_group(tmp_path):
