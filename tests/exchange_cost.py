@@ -25,7 +25,7 @@ import numba
 import numpy as np
 from emulators.puck import combined
 from emulators.serialboard import FRAME_BYTES, Board
-from helpers.c_stub import COMPILER, compile_stub
+from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.described_boards import rig_options as described_options
 from helpers.drd_stub import SOURCE, Stub
 from helpers.haply_devices import Service
@@ -33,7 +33,7 @@ from helpers.haply_devices import opened as open_haply
 from helpers.hd_stub import SOURCE as HD_SOURCE
 from helpers.hid_devices import ends, rig_options
 from helpers.serial_devices import rig_options as serial_options
-from helpers.usb_stub import NO_COMPILER, SONAME, UsbStub, in_place_of_libusb
+from helpers.usb_stub import SONAME, UsbStub, in_place_of_libusb
 from helpers.usb_stub import SOURCE as USB_SOURCE
 from helpers.usb_stub import options as falcon_options
 from numpy.typing import NDArray

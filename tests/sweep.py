@@ -65,6 +65,7 @@ PARTS: Final = {
         ("drivers/serial/exchange.py",),
         (
             "drivers/test_serial_exchange",
+            "drivers/test_described_mechanisms",
             "drivers/test_serial_queue",
             "drivers/test_serial_device",
             "drivers/test_serial_boards",
@@ -72,7 +73,12 @@ PARTS: Final = {
     ),
     "hid": Part(
         ("drivers/hid/exchange.py",),
-        ("drivers/test_hid_exchange", "drivers/test_hid_device", "drivers/test_hid_threads"),
+        (
+            "drivers/test_hid_exchange",
+            "drivers/test_described_mechanisms",
+            "drivers/test_hid_device",
+            "drivers/test_hid_threads",
+        ),
     ),
     "haply": Part(("drivers/haply/exchange.py",), ("drivers/test_haply_exchange", "drivers/test_haply_device")),
     "falcon": Part(

@@ -254,7 +254,7 @@ class SocketProcess:
         if self._ending():
             return False
         self.restarts += 1
-        text = f"the {self.name} process has ended with code {code} and was started again: its peers connect again"
+        text = f"the {self.name} process has ended with code {code} and was restarted: its peers reconnect"
         log.error("%s", text)
         self._restart_reports.append(text)
         return True
@@ -284,10 +284,7 @@ class SocketProcess:
         except OSError as error:  # no file descriptor, process or memory is left
             if not self._restart_failed:
                 self._restart_failed = True
-                text = (
-                    f"the {self.name} process cannot be started: {error}; "
-                    f"it is tried again every {PAUSE_MAX_S:g} s or sooner"
-                )
+                text = f"the {self.name} process cannot be started: {error}; retrying at least every {PAUSE_MAX_S:g} s"
                 log.error("%s", text)
                 self._event(text)
             return False

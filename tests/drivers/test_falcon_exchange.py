@@ -463,16 +463,6 @@ def test_a_pending_packet_delays_the_next(usb: Usb) -> None:
     assert usb.write(*PULL) == OK
 
 
-@pytest.mark.parametrize(
-    ("ends", "error"), [(BROKEN, BROKEN), (STALLED, STALLED), (NO_DEVICE, ERROR_NO_DEVICE), (TIMED_OUT, 0)]
-)
-def test_an_error_of_a_packet_stops_the_next(ends: int, error: int, usb: Usb) -> None:
-    usb.transfers[AT.transfer_out].view(np.int32)[4] = ends
-    assert usb.write(*PULL) == (LOST if error else OK)
-    assert usb.word[AT.error] == error
-    assert len(usb.got()) == (0 if error else 1)
-
-
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_that_is_no_number_is_a_zero(axis: int, bad: float, usb: Usb) -> None:
@@ -552,15 +542,6 @@ def test_a_silence_is_longer_than_the_time_of_a_kick(usb: Usb) -> None:
     assert usb.read()[0] == STALE and usb.got() == []
     usb.later(1)
     assert usb.read()[0] == WITHHELD and usb.got() == [NOTHING]
-
-
-def test_no_kick_follows_a_recent_packet(usb: Usb) -> None:
-    usb.read(reply(1))
-    usb.later(3 * KICK)
-    usb.write(*ZERO)
-    usb.got()
-    assert usb.read()[0] == STALE
-    assert usb.got() == []
 
 
 def test_a_kick_that_is_not_transmitted(usb: Usb) -> None:

@@ -86,13 +86,6 @@ def test_packets_with_noise_between(cases: Callable[[int, int], int]) -> None:
     assert word[AT.garbled] >= number
 
 
-@pytest.mark.scaled
-def test_noise_is_no_packet(cases: Callable[[int, int], int]) -> None:
-    data = np.random.default_rng(4).integers(0, 256, cases(50_000, 10_000_000)).astype(np.uint8)
-    word = blank()
-    assert _stream(word.ctypes.data, data, np.zeros((10, 3), np.int64)) == 0
-
-
 @pytest.mark.parametrize("broken", [n for n in range(16) if n != packets.FILLER])
 def test_a_packet_with_one_wrong_byte_is_dropped(broken: int) -> None:
     wire = bytearray(packet((1, 2, 3), 0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import subprocess
 import tempfile
 import threading
 import time
@@ -108,6 +107,8 @@ def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: OmegaBe
         assert device.info.force_max_n == (20.0 if name == "delta.3" else 12.0)
         assert stub["max_force"] == device.info.force_max_n
         assert device.info.torque_max_nm == (0.2 if active else 100.0)
+        assert Servo(device).write(0.1, 0.2, 0.3, 0.1, -0.2, 0.15) == OK
+        assert (stub["torque_sent"] > 0, stub["gripper_sent"]) == (active, 0)
 
 
 # --- opening ---
@@ -230,10 +231,6 @@ def test_device_without_a_frame_gives_its_position(stub: Stub, bench: OmegaBench
         assert stub["reads"] - reads == 5
         stub["fail_read"] = 0
         assert servo.read()[0] == LOST
-    stub.reset()
-    with bench.open() as device:
-        stub.update(fail_read=0, error=7)
-        assert Servo(device).read()[0] == TIMEOUT
 
 
 def test_a_device_of_unknown_type_has_the_lowest_limits(
@@ -341,14 +338,16 @@ def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None
         assert part in str(caught.value), part
     with (
         plugged_in(0x0402, 0x040C, 0x7777, nodes=None),
-        pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x haptic device.*lambda.*1451:7777"),
+        pytest.raises(DeviceNotFound, match=r"the file does not exist.*omega\.x haptic device.*lambda.*1451:7777"),
     ):
         forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
     with tempfile.TemporaryDirectory() as folder:
         os.chmod(folder, 0o755)
         with (
             plugged_in(0x0402, nodes=Path(folder), mode=0),
-            pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x.*may not be opened.*install --system"),
+            pytest.raises(
+                DeviceNotFound, match=r"the file does not exist.*omega\.x.*may not be opened.*install --system"
+            ),
         ):
             forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
 
@@ -367,20 +366,8 @@ def test_the_library_is_searched_without_a_home_directory(monkeypatch: pytest.Mo
     """Without a home directory, neither the search nor a path with ~ fails otherwise than by not finding the file."""
     forget_user(monkeypatch)
     for named in (None, "~/libdrd.so"):
-        with pytest.raises(DeviceNotFound, match=r"searched for /usr/local/lib|'~/libdrd.so': there is no such file"):
+        with pytest.raises(DeviceNotFound, match=r"searched for /usr/local/lib|'~/libdrd.so': the file does not exist"):
             library.load(named, {})
-
-
-def test_unusable_library_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "libdrd.so"
-    file.write_text("no library")
-    with pytest.raises(DeviceError, match=rf"{file} cannot be loaded"):
-        library.load(str(file))
-    source = tmp_path / "empty.c"
-    source.write_text("int dhdErrorGetLast(void) { return 0; }\n")
-    subprocess.run([COMPILER, "-shared", "-fPIC", "-o", str(file), str(source)], check=True)
-    with pytest.raises(DeviceError, match=rf"{file} has no function dhdErrorGetLastStr"):
-        library.load(str(file))
 
 
 def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
@@ -448,17 +435,6 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: OmegaBe
                 assert Servo(device).write(0.1, 0.2, 0.3, 0.01, 0.02, 0.03) == OK
                 assert [stub["fx"], stub["fy"], stub["fz"]] == (TURN.T @ [0.1, 0.2, 0.3]).tolist()
                 assert [stub["tx"], stub["ty"], stub["tz"]] == (TURN.T @ [0.01, 0.02, 0.03]).tolist()
-
-
-@pytest.mark.parametrize("kind", [33, 34, 35, 63, 131])
-def test_no_torque_is_sent_to_a_passive_wrist(kind: int, stub: Stub, bench: OmegaBench) -> None:
-    stub.update(type=kind, wrist=1, gripper=kind == 35)
-    with bench.open() as device:
-        servo = Servo(device)
-        for _ in range(50):
-            servo.read()
-            assert servo.write(0.1, 0.2, 0.3, 0.1, -0.2, 0.3) == OK
-    assert stub["torque_sent"] == stub["gripper_sent"] == 0 and stub["writes"] >= 50
 
 
 @pytest.mark.parametrize(("code", "status"), [(7, TIMEOUT), (2, LOST), (1, LOST)])

@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from helpers.haply_devices import ID, RIG, Service, opened, rig_options, settle
+from helpers.stopping import stop_during_writes
 from helpers.waits import eventually, fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound
@@ -127,25 +128,21 @@ def move_handle(servo: Servo, service: Service, to: dict[str, float]) -> list[fl
     return fresh(servo)
 
 
-@pytest.mark.parametrize("mounted", [False, True])
-def test_pose_and_force_in_the_world(mounted: bool, service: Service) -> None:
+def test_pose_and_force_in_the_world(service: Service) -> None:
     half = math.sqrt(0.5)
     turn = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]}  # a quarter turn about z
     service.do("grip", id="7", to={"orientation": {"w": 1.0, "x": 1.0, "y": 0, "z": 0},
                                    "buttons": {"a": True, "b": False, "c": True}})  # fmt: skip
-    with opened(service, **({"mounting": turn} if mounted else {})) as device:
+    with opened(service, mounting=turn) as device:
         assert device.info.sensed_dof == 6
         servo = Servo(device)
         sample = move_handle(servo, service, {"x": 0.01, "y": -0.1, "z": 0.17})
-        wanted = (0.1 + 0.1, 0.2 + 0.01, 0.3 + 0.17) if mounted else (0.01, 0.02, 0.02)
-        np.testing.assert_allclose(sample[:3], wanted, atol=1e-12)  # rounding
-        turned = (0.5, 0.5, 0.5, 0.5) if mounted else (half, half, 0.0, 0.0)
-        np.testing.assert_allclose(sample[3:7], turned, atol=1e-12)
+        np.testing.assert_allclose(sample[:3], (0.1 + 0.1, 0.2 + 0.01, 0.3 + 0.17), atol=1e-12)  # rounding
+        np.testing.assert_allclose(sample[3:7], (0.5, 0.5, 0.5, 0.5), atol=1e-12)
         assert sample[8] == 5
         servo.write(0.5, -0.25, 1.0, 3.0, 3.0, 3.0)
         settle(device)
-        force = (-0.25, -0.5, 1.0) if mounted else (0.5, -0.25, 1.0)
-        np.testing.assert_allclose(service.force(), force, atol=1e-12)
+        np.testing.assert_allclose(service.force(), (-0.25, -0.5, 1.0), atol=1e-12)
 
 
 def test_without_a_grip_there_is_no_orientation() -> None:
@@ -194,8 +191,8 @@ def test_a_force_is_under_the_key_of_the_version(version: str, key: str) -> None
 @pytest.mark.parametrize(
     ("page", "message"),
     [
-        ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver speaks 3.1 to 3.x"),
-        ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver speaks 3.1 to 3.x"),
+        ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver supports 3.1 to 3.x"),
+        ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver supports 3.1 to 3.x"),
         ('{"project_version":"new"}', "the version 'new', which is not a number"),
         ("[1, 2]", "says no version"), ("{}", "says no version"),
         ('{"project_version":' + 9000 * "[", "says no version"),
@@ -351,35 +348,6 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         fresh(servo)
 
 
-def test_no_force_for_late_poses(service: Service) -> None:
-    with opened(service, quiet_s=0.02, timeout_s=2.0) as device:
-        servo = Servo(device)
-        fresh(servo)
-        service.set(late_s=0.1)
-        fresh(servo)
-        fresh(servo)
-        until(lambda: servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD)
-        service.set(late_s=0.0)
-        until(lambda: servo.read() and servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK)
-
-
-@pytest.mark.parametrize(
-    "place", ["null", "1e400", "100.0", "-1e300"], ids=["no number", "too large to read", "far away", "farther away"]
-)
-def test_an_unusable_position_is_no_pose(place: str, service: Service) -> None:
-    text = (
-        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":{place},"y":0,"z":0}}}}}}],'
-        '"wireless_verse_grip":[{"device_id":"7","state":{"orientation":{"w":1,"x":0,"y":0,"z":0}}}]}'
-    )
-    with exchanging(service) as (device, servo):
-        service.set(spoil=text)
-        if place == "1e400":
-            assert first_failure(servo) == PROTOCOL
-            assert "out of range" in device.reason()
-            return
-        until(lambda: math.isnan(servo.read()[1][0]))
-
-
 BAD: dict[str, tuple[Any, int, str]] = {
     "no JSON": ("}{", PROTOCOL, "malformed"),
     "a number": ("7", PROTOCOL, "Expected `object`"),
@@ -391,6 +359,10 @@ BAD: dict[str, tuple[Any, int, str]] = {
     "NaN": (
         f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":NaN,"y":0,"z":0}}}}}}]}}',
         PROTOCOL, "malformed",
+    ),
+    "a number that is too large": (
+        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":1e400,"y":0,"z":0}}}}}}]}}',
+        PROTOCOL, "out of range",
     ),
     "deep": ('{"a":' + 5000 * "[", PROTOCOL, "the service answered"),
     "huge": ('{"a":"' + 300_000 * "x" + '"}', PROTOCOL, "over size limit|262144"),
@@ -448,23 +420,8 @@ def test_a_stopped_service_blocks_no_call(service: Service) -> None:
 
 
 def test_stop_while_the_loop_writes(service: Service) -> None:
-    with exchanging(service) as (device, servo):
-        going = threading.Event()
-
-        def push() -> None:
-            while not going.is_set():
-                servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-
-        writer = threading.Thread(target=push)
-        writer.start()
-        until(lambda: any(service.force()))
-        device.stop()
-        stopped = time.monotonic()
-        time.sleep(0.05)
-        going.set()
-        writer.join()
-        settle(device)
-        assert all(not any(row[1:]) for row in service.log() if row[0] > stopped)
+    with exchanging(service) as (device, _):
+        stop_during_writes(device, lambda: [any(row[1:]) for row in service.log()], lambda: settle(device))
 
 
 def test_the_service_of_a_rig_is_queried_without_usb(

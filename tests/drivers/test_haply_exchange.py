@@ -72,6 +72,12 @@ def test_the_last_state_is_a_pose_in_the_world(device: Device) -> None:
         assert sample[7:].tolist() == [pytest.approx(2.005), 3.0, 0.0]
 
 
+def test_a_state_without_a_position_is_no_pose(device: Device) -> None:
+    device.state(np.nan, np.nan, np.nan)
+    status, sample = device.read()
+    assert status == OK and np.isnan(sample[:3]).all() and np.isfinite(sample[3:]).all()
+
+
 def test_a_state_being_written_is_read_in_the_next_tick(device: Device) -> None:
     before = device.read()[1].tolist()
     device.state(1.0, 2.0, 3.0)

@@ -76,16 +76,11 @@ def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[
         yield running
 
 
-@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_daemon_that_sends_no_zero(sent: signal.Signals, tmp_path: Path) -> None:
-    with (
-        Service(idle_s=0.1 if sent is signal.SIGSTOP else 60.0) as service,
-        pushing_daemon(service, tmp_path) as running,
-    ):
-        running.send_signal(sent)
-        if sent is signal.SIGKILL:
-            running.wait(60)
-            opened(service).close()  # no lock is left
+def test_a_killed_daemon_leaves_no_lock_and_no_force(tmp_path: Path) -> None:
+    with Service() as service, pushing_daemon(service, tmp_path) as running:
+        running.kill()
+        running.wait(60)
+        opened(service).close()
         until(lambda: not any(service.force()))
 
 

@@ -6,10 +6,8 @@ import contextlib
 import fcntl
 import math
 import os
-import shutil
 import socket
 import struct
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -21,6 +19,7 @@ import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
 from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, described, ends, rig_options, woody
+from helpers.stopping import stop_during_writes
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.config.load import build
@@ -190,7 +189,7 @@ def test_unplugging_is_a_loss() -> None:
         assert servo.read()[0] == LOST
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
         device.stop()
-        assert device.zero_failure() == "its node takes no report"
+        assert device.zero_failure() == "its node accepts no report"
         device.close()
         assert servo.read()[0] == LOST
 
@@ -211,31 +210,13 @@ def test_the_last_report_ends_the_force() -> None:
 
 
 def test_stop_while_the_loop_writes() -> None:
-    """If another thread stops the device during writes, no force follows the zero of the stop; repeated 20 times."""
     for _ in range(20):
         with woody() as (device, arm, answering):
-            servo = Servo(device)
-            running = threading.Event()
-
-            def loop(servo: Servo = servo, running: threading.Event = running) -> None:
-                # After a stall of the machine a force is withheld until the next report.
-                while servo.read()[0] < 0 or servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) != OK:
-                    pass
-                for n in range(200):  # after a stall during these, without a report, all are withheld
-                    servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-                    if n == 50:
-                        running.set()
-
-            thread = threading.Thread(target=loop, daemon=True)
-            thread.start()
-            assert running.wait(10.0)
-            device.stop()
-            thread.join()
-            answering.settle(device)
-            forces = [any(words[:3]) for words in arm.sent]
-            first = forces.index(True)
-            assert False in forces[first:]  # the zero of the stop arrived
-            assert True not in forces[forces.index(False, first) :]
+            stop_during_writes(
+                device,
+                lambda arm=arm: [any(words[:3]) for words in arm.sent],
+                lambda device=device, answering=answering: answering.settle(device),
+            )
 
 
 def test_calibration_of_a_board_that_pauses() -> None:
@@ -305,7 +286,7 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
     node = tmp_path / "hidraw9"
     node.write_bytes(b"")
-    with pytest.raises(DeviceError, match="is not a device node: name a /dev/hidrawN"):
+    with pytest.raises(DeviceError, match="is not a device node: use a /dev/hidrawN"):
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
     with pytest.raises(DeviceError, match="is not a hidraw node: "):
         open_device(rig_options("woodenhaptics-2019", path="/dev/null"), 1000.0)
@@ -313,27 +294,10 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
         fcntl.flock(locked_file, fcntl.LOCK_EX)
         with pytest.raises(DeviceBusy, match=rf"hidraw9 is used by process {os.getpid()} \("):
             open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
-
-
-def test_a_node_without_permission() -> None:
-    folder = tempfile.mkdtemp(dir="/tmp")
-    node = Path(folder) / "hidraw9"
-    try:
-        node.write_bytes(b"")
-        node.chmod(0)
-        Path(folder).chmod(0o755)
-        command = "sudo .* install --system`"
-        options = rig_options("woodenhaptics-2019", path=str(node))
-        user = os.geteuid()
-        if user == 0:  # root may open any mode
-            os.seteuid(65534)
-        try:
-            with pytest.raises(DevicePermission, match=f"may not be opened by this user.*{command}"):
-                open_device(options, 1000.0)
-        finally:
-            os.seteuid(user)
-    finally:
-        shutil.rmtree(folder)
+    with RefusedNode() as refused:
+        refused.make("permission")
+        with pytest.raises(DevicePermission, match=r"may not be opened by this user.*sudo .* install --system`"):
+            open_device(rig_options("woodenhaptics-2019", path=str(refused.path)), 1000.0)
 
 
 def test_a_device_that_is_not_attached() -> None:

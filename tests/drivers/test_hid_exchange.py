@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.hid_devices import described
-from helpers.plain_by_call import BY_CALL, MS, START_NS, File, GuardedBlock, by_call, check_pose
+from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, File, by_call, check_pose
 
 from softfinger.config.load import build
 from softfinger.drivers import board_exchange
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.fields.table import POSITION, WRIST
 from softfinger.drivers.hid import device, exchange
@@ -29,8 +29,8 @@ ZERO = (0.0,) * 6
 EIO, ETIMEDOUT = 5, 110
 
 
-class Board:
-    block: GuardedBlock
+class Board(FarEnd):
+    exchange = exchange
 
     def __init__(self, patch: pytest.MonkeyPatch, **changes: Any) -> None:
         self.clock, self.node = by_call(patch, exchange, board_exchange, device), File(FD, packets=True)
@@ -39,7 +39,6 @@ class Board:
         patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
         options = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
         self.block = HidDevice(build(Options, options, "rig"), FD)._block
-        self.word = self.block.word
         self.block.fixed = [(AT.values + WRIST, AT.values + POSITION), (AT.model, len(self.word))]  # no wrist is sensed
         self.clock.room = {self.block.handle + 8 * BOARD.timespec}
         self.word[BOARD.has_sample], self.word[BOARD.sampled_at] = 1, START_NS
@@ -55,20 +54,13 @@ class Board:
 
     def read(self, *incoming: bytes) -> tuple[int, np.ndarray]:
         self.node.incoming += incoming
-        sample = np.full(SAMPLE_SIZE, np.nan)
-        return self.block.call(exchange.read, sample), sample
-
-    def write(self, *wrench: float) -> int:
-        return self.block.call(exchange.write, wrench)
+        return super().read()
 
     def sent(self) -> list[bytes]:
         """Return the reports that the board received since the last call."""
         out = self.node.sent[:]
         self.node.sent.clear()
         return out
-
-    def counts(self) -> dict[str, int]:
-        return {name: count for name, count in self.block.counts().items() if count}
 
     def link_by_threads(self) -> ctypes.c_int64:
         self.accepted_address = ctypes.c_int64()
@@ -236,54 +228,3 @@ def test_silence_is_kicked_by_the_read(board: Board) -> None:
     board.clock.now += 100 * MS
     board.word[BOARD.read_at] = board.clock.now
     assert board.read()[0] == TIMEOUT
-
-
-def mechanism(kind: dict[str, Any], names: str) -> dict[str, Any]:
-    fields = {direction: [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)]
-              for direction, m in (("input", ""), ("output", "torque_"))}  # fmt: skip
-    reports = {direction: {"bytes": 4 * len(names), "field": rows} for direction, rows in fields.items()}
-    return {"kinematics": kind, "reports": reports}
-
-
-def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    links = {"kind": "pantograph", "base_m": 0.038, "inner_m": 0.07, "outer_m": 0.0875, "torque_max_nm": 0.01}
-    board = Board(monkeypatch, **mechanism(links, "ab"))
-    assert board.read(struct.pack("<2f", np.pi, 0.0))[0] == OK
-    assert board.write(0.0, 5.0, 0.0, 0.0, 0.0, 0.0) == STALE
-    assert board.sent() == [bytes(9)]
-    assert board.counts() == {"reports": 1, "written": 1, "singular": 1}
-    assert board.read(struct.pack("<2f", *np.radians((150.0, 30.0))))[0] == OK
-    assert board.write(0.0, 5.0, 0.0, 0.0, 0.0, 0.0) == STALE
-    assert np.abs(struct.unpack("<2f", board.sent()[0][1:])).max() == pytest.approx(0.01)
-    assert board.counts() == {"reports": 2, "written": 2, "singular": 1, "cut": 1}
-
-
-DELTA = mechanism(
-    {
-        "kind": "delta", "base_m": 0.06, "end_m": 0.03, "arm_m": 0.08, "rod_m": 0.17, "torque_max_nm": 0.2,
-        "origin_m": [0.0, 0.0, 0.2],
-    },
-    "abc",
-)  # fmt: skip
-
-
-def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPatch) -> None:
-    board = Board(monkeypatch, **DELTA, mounting={})
-    status, sample = board.read(struct.pack("<3f", 0.0, np.pi, 0.0))
-    assert status == OK and np.isnan(sample[:3]).all()
-    assert board.counts() == {"reports": 1, "singular": 1}
-    assert np.isfinite(board.read(struct.pack("<3f", 0.5, 0.5, 0.5))[1]).all()
-    assert board.counts() == {"reports": 2, "singular": 1}
-
-
-def test_torques_of_a_delta_do_the_work_of_the_force(monkeypatch: pytest.MonkeyPatch) -> None:
-    board = Board(monkeypatch, **DELTA, mounting={})
-    angles, step, force = np.array([0.5, 0.6, 0.4]), np.array([1e-3, -2e-3, 3e-3]), np.array([0.3, -0.2, 0.5])
-    ahead = board.read(struct.pack("<3f", *(angles + step)))[1][:3]
-    behind = board.read(struct.pack("<3f", *(angles - step)))[1][:3]
-    board.read(struct.pack("<3f", *angles))
-    assert board.write(*force, 0.0, 0.0, 0.0) == OK
-    torques = np.array(struct.unpack("<3f", board.sent()[0][1:]))
-    # an error of the third order in steps of 3e-3
-    assert torques @ (2 * step) == pytest.approx(force @ (ahead - behind), rel=1e-4)
-    assert (torques != 0.0).all()

@@ -7,7 +7,6 @@ import ctypes
 import json
 import re
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -73,7 +72,7 @@ def apply_force(servo: Servo, bench: TouchBench, force: tuple[float, float, floa
 
 @pytest.mark.parametrize("model", range(len(NAMES)))
 def test_every_model_opens_with_its_limits(model: int, hd: HdStub, bench: TouchBench) -> None:
-    """Each model opens with CHAI3D's limits, or with the device's if lower; a Premium 6DOF also has torques."""
+    """Each model opens with CHAI3D's limits, or with the device's if lower; only a Premium 6DOF is given torques."""
     name, outputs = NAMES[model], 6 if "6DOF" in NAMES[model] else 3
     hd.update(model=model, outputs=outputs, max_force=50.0)
     with bench.open(model=name) as device:
@@ -84,6 +83,9 @@ def test_every_model_opens_with_its_limits(model: int, hd: HdStub, bench: TouchB
         assert device.info.torque_max_nm == (limits.torque_max_nm if outputs == 6 else 100.0)
         assert device.info.stiffness_max_n_per_m == limits.stiffness_max_n_per_m
         assert device.info.workspace_min_m == pytest.approx((-0.08, -0.035, -0.06))
+        Servo(device).write(0.1, 0.0, 0.0, 0.01, 0.01, 0.01)
+        hd.after(2)
+        assert [any(part) for part in np.split(np.array(hd.wrench()), 2)] == [True, outputs == 6]
     hd["max_force"] = 0.9
     with bench.open() as device:
         assert device.info.force_max_n == 0.9
@@ -111,10 +113,8 @@ def test_unknown_model_runs_with_the_least_limits(
     assert hd["opens"] == hd["closes"] == 2 and not hd["running"]
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("angle", [0.0, 0.7, -2.5])
-def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, hd: HdStub, bench: TouchBench) -> None:
-    place = np.array([11.0, 22.0, -33.0])
+def test_poses_and_wrenches_are_turned_into_the_world(hd: HdStub, bench: TouchBench) -> None:
+    place, axis, angle = np.array([11.0, 22.0, -33.0]), 1, -2.5
     hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
     hd.reset_hand()
     with bench.open() as device:
@@ -128,14 +128,6 @@ def test_poses_and_wrenches_are_turned_into_the_world(axis: int, angle: float, h
         np.testing.assert_allclose(TURN @ force, [0.1, -0.2, 0.3], atol=1e-15)
         np.testing.assert_allclose(TURN @ torque / 1000, [0.01, -0.02, 0.03], atol=1e-15)
     assert hd["misuse"] == 0
-
-
-def test_no_torque_is_sent_to_a_passive_handle(hd: HdStub, bench: TouchBench) -> None:
-    with bench.open() as device:
-        servo = Servo(device)
-        servo.write(0.1, 0.0, 0.0, 0.1, 0.1, 0.1)
-        bench.displayed()
-        assert hd.wrench()[3:] == (0.0, 0.0, 0.0)
 
 
 # --- opening ---
@@ -220,16 +212,6 @@ def test_error_of_opening_has_its_kind(
     assert type(caught.value) is kind and not hd["running"]
 
 
-def test_attached_device_that_does_not_answer(hd: HdStub, bench: TouchBench) -> None:
-    hd["devices"] = 0
-    bench.ports((PORT,))
-    with pytest.raises(
-        DeviceError, match=r"Geomagic Touch \(2988:0302\) at /dev/ttyACM0 is attached.*Touch_Setup"
-    ) as caught:
-        bench.open()
-    assert type(caught.value) is DeviceError
-
-
 def test_an_unusable_library_is_named(tmp_path: Path, bench: TouchBench) -> None:
     with pytest.raises(DeviceNotFound, match=r"library_file = '/no/libHD.so'.*OpenHaptics"):
         bench.open(library_file="/no/libHD.so")
@@ -237,7 +219,7 @@ def test_an_unusable_library_is_named(tmp_path: Path, bench: TouchBench) -> None
     with pytest.raises(DeviceError, match=r"libHD.so cannot be loaded.*x86_64"):
         bench.open(library_file=str(tmp_path / "libHD.so"))
     old = compile_stub(SOURCE, tmp_path / "libHD.so.3.0.0", "-pthread", "-DhdIsEnabled=hdIsNotThere")
-    with pytest.raises(DeviceError, match=r"libHD.so.3.0.0 has no function hdIsEnabled: take OpenHaptics 3.4"):
+    with pytest.raises(DeviceError, match=r"libHD.so.3.0.0 has no function hdIsEnabled: install OpenHaptics 3.4"):
         bench.open(library_file=str(old))
 
 
@@ -260,21 +242,16 @@ def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
     assert hd["updated"] == hd["output_sets"] == 0 and not hd["running"]
 
 
-def test_a_port_of_the_vendor_is_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
-    claim = find_claim(PORT)
-    assert claim is not None and (claim.driver, claim.rigs) == ("openhaptics", ("touch",))
+def test_a_missing_library_is_diagnosed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(library, "FOLDERS", ())
-    diagnosis = diagnose_requirements(claim, {})
+    diagnosis = diagnose_requirements(find_claim(PORT), {})
     assert diagnosis.state == "library" and "libHD" in diagnosis.reason and "library_file" in diagnosis.remedy
-    rules = [line for line in udev_rules().splitlines() if '"2988"' in line and '{idVendor}=="2988"' in line]
-    (rule,) = [line for line in rules if 'SUBSYSTEM=="tty"' in line]
-    assert "ID_MM_DEVICE_IGNORE" in rule and "idProduct" not in rule
-    assert usb.how_to_permit(PORT).startswith("Geomagic Touch (2988:0302) at /dev/ttyACM0 may not be opened")
 
 
 @pytest.mark.parametrize(
     ("device", "rule"),
     [
+        (PORT, 'SUBSYSTEM=="tty", ATTRS{idVendor}=="2988", TAG+='),  # any product of the vendor
         (OLDEST, 'SUBSYSTEM=="tty", ATTRS{idVendor}=="0301", ATTRS{idProduct}=="2988"'),
         (NEWEST, 'SUBSYSTEM=="hidraw", ATTRS{idVendor}=="2988", ATTRS{idProduct}=="0304"'),
         (NEWEST, 'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", ATTR{idVendor}=="2988", ATTR{idProduct}=="0304"'),
@@ -292,8 +269,10 @@ def test_each_generation_of_the_touch_is_claimed(
     assert (diagnosis.state, "usbhid" in diagnosis.remedy) == ("node", device.bus == "hid")
     hd["devices"] = 0
     bench.ports((device,))
-    with pytest.raises(DeviceError, match=rf"{device.name} \({device.ids}\) at {device.node} is attached"):
+    attached = rf"{device.name} \({device.ids}\) at {device.node} is attached.*Touch_Setup"
+    with pytest.raises(DeviceError, match=attached) as caught:
         bench.open()
+    assert type(caught.value) is DeviceError
     bench.ports((device,), permitted=False)
     monkeypatch.setattr(usb.discovery, "is_permitted", lambda node: False)
     with pytest.raises(DevicePermission, match=rf"\({device.ids}\) at .*install --system"):
@@ -328,26 +307,6 @@ def test_a_device_that_usb_does_not_list_is_identified(
 # --- callback ---
 
 
-def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, bench: TouchBench) -> None:
-    age_s = 0.02
-    with bench.open(force_age_max_s=age_s) as device:
-        servo = Servo(device)
-        apply_force(servo, bench, (1.0, 0.0, 0.0))
-        wrote = time.monotonic_ns()
-        servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        until(lambda: not any(bench.displayed()))
-        rows = hd.journal()
-        rows = rows[rows["ns"] > wrote]
-        with_force = np.flatnonzero(rows["force"][:, 0])
-        last = with_force[-1]
-        assert rows["ns"][last] - wrote < age_s * 1e9 + (rows["ns"][last + 1] - rows["ns"][last]) + 2e6
-        lapses = device.counts()["lapses"]
-        assert lapses >= 1
-        assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-        assert not any(bench.displayed())
-        apply_force(servo, bench, (0.5, 0.0, 0.0))
-
-
 def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
     hd["rate_hz"] = 25
     with bench.open(force_age_max_s=0.02) as device:
@@ -374,14 +333,10 @@ def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
         servo = Servo(device)
         apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd["docked"] = 1
-        assert not any(bench.displayed())
-        assert [servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(5)] == [WITHHELD] * 5
-        assert not any(bench.displayed())
-        assert "inkwell" in device.warning()
+        assert not any(bench.displayed()) and "inkwell" in device.warning()
         hd["docked"] = 0
         hd.after(2)
         assert not any(bench.displayed()) and device.warning() == ""
-        apply_force(servo, bench, (1.0, 0.0, 0.0))
     hd["docked"] = 1
     with bench.open(inkwell=False) as device:
         apply_force(Servo(device), bench, (1.0, 0.0, 0.0))
@@ -414,7 +369,7 @@ def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub,
         hd.push(code, 0)
         assert not any(bench.displayed())
         assert servo.read()[0] == status
-        assert re.search(words, device.reason()) and device.reason().endswith("the device's code 7)")
+        assert re.search(words, device.reason()) and device.reason().endswith("device code 7)")
 
 
 def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
@@ -422,18 +377,6 @@ def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
         hd["refuse_force"] = 1
         with pytest.raises(DeviceError, match=r"cannot be switched on: it cannot do this now \(error 0x0102"):
             device.arm()
-
-
-def test_a_dropped_callback(hd: HdStub, bench: TouchBench) -> None:
-    with bench.open() as device:
-        servo = Servo(device)
-        apply_force(servo, bench, (1.0, 0.0, 0.0))
-        hd["drop_at"] = 0
-        hd.after(2)
-        until(lambda: servo.read()[0] == TIMEOUT)
-        assert hd.wrench()[0] == 1.0, "the stub's motors do not keep their force"
-        device.stop()
-        assert not any(hd.wrench())
 
 
 def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:

@@ -8,7 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, by_call, matrix, turned
+from helpers.plain_by_call import (
+    BY_CALL,
+    MS,
+    NEARLY_A_ROTATION,
+    NO_ROTATIONS,
+    START_NS,
+    FarEnd,
+    GuardedBlock,
+    by_call,
+    matrix,
+    turned,
+)
 
 from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import exchange
@@ -186,32 +197,15 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
         assert library.read()[1][8] == bits
 
 
-@pytest.mark.parametrize("row", [0, 1, 2])
-@pytest.mark.parametrize("length", [0.9891, 1.0109])
-def test_rows_of_a_rotation_have_length_one(row: int, length: float, library: Library) -> None:
-    """Each row is checked, though the volume is within a hundredth of 1; otherwise the orientation is NaN."""
-    scale = np.full(3, length**-0.49)
-    scale[row] = length
-    assert abs(np.prod(scale) - 1.0) < 0.01
-    library.rotation = np.diag(scale)
+@pytest.mark.parametrize("name", NO_ROTATIONS)
+def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(name: str, library: Library) -> None:
+    library.rotation = NO_ROTATIONS[name]
     library.frame()
     sample = library.read()[1]
     assert np.isnan(sample[3:7]).all() and np.isfinite(sample[[0, 1, 2, 7, 8, 9]]).all()
-    library.rotation = turned(2, 0.3) @ np.diag([1.004, 1.004, 1.0])
+    library.rotation = NEARLY_A_ROTATION
     library.frame()
     assert np.isfinite(library.read()[1]).all()
-
-
-@pytest.mark.parametrize(
-    "rotation",
-    [np.diag([1.0, 1.0, -1.0]), [[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]], np.eye(3) * nan],
-    ids=["mirror", "askew", "nan"],
-)
-def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(rotation: np.ndarray, library: Library) -> None:
-    library.rotation = np.array(rotation)
-    library.frame()
-    sample = library.read()[1]
-    assert np.isnan(sample[3:7]).all() and np.isfinite(sample[[0, 1, 2, 7, 8, 9]]).all()
 
 
 def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:

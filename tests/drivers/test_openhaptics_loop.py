@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
-from helpers.closed_loop import COMPILE_S, assert_engine_agrees, records_of_daemon
+from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.hd_stub import HdStub, TouchBench, hd, hd_library, journal_in, touch
 from helpers.programs import Program
 from helpers.rig_files import load_rig_in_process
@@ -34,18 +34,6 @@ PRESSING = {"y": 11.5, "ay": 3.5, "ax": 6.0, "az": 12.0, "hz": 1.0, "turn": 0.5}
 """Once a second the hand moves 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and releases."""
 DEEP = {"y": 8.0}
 """2 mm deep, without motion."""
-
-PLANE = """
-[coupling]
-stiffness_n_per_m = 1000.0
-damping_ns_per_m = 1.0
-[[object]]
-name = "floor"
-shape = "plane"
-[object.material]
-stiffness_n_per_m = 1000.0
-damping_ns_per_m = 0.0
-"""
 
 
 def touch_rig(stub: HdStub, **changes: Any) -> Rig:
@@ -73,8 +61,7 @@ def test_the_closed_loop_displays_the_forces_of_the_contact_step(hd: HdStub, tou
     ("fault", "error", "words"),
     [
         ({"unplug_at": 700}, DeviceLost, r"Touch, serial 70001 is gone.*does not answer \(error 0x0302"),
-        ({"error_at": 700, "error": 0x200}, SafetyStop, "turned its force off.*motors are too warm"),
-        ({"error_at": 700, "error": 0x203}, SafetyStop, "turned its force off.*faster than the device allows"),
+        ({"error_at": 700, "error": 0x200}, SafetyStop, "disabled its force.*motors are too warm"),
         ({"drop_at": 700}, DeviceTimeout, "no answer to a read"),
         ({"hang_at": 700}, DeviceTimeout, "no answer to a read"),
         ({"delay_at": 700, "delay_s": 0.9}, DeviceTimeout, "no answer to a read"),
@@ -92,41 +79,6 @@ def test_every_fault_under_the_daemon_is_named_and_leaves_no_force(
     assert hd["peak"] > 0.5 and not any(hd.wrench())
     touch.mend()
     touch.open().close()
-
-
-@pytest.mark.exhaustive
-def test_two_devices_in_one_daemon(hd: HdStub, touch: TouchBench, tmp_path: Path) -> None:
-    hd["devices"] = 2
-    hd.update(**DEEP)
-    scene, rig = tmp_path / "scene.toml", tmp_path / "rig.toml"
-    fingers = '[[finger]]\nname = "left"\nradius_m = 0.011\n[[finger]]\nname = "right"\nradius_m = 0.01\n'
-    scene.write_text(fingers + PLANE)
-    common = f'driver = "openhaptics"\nlibrary_file = "{hd.path}"\nforce_age_max_s = 0.1\n'
-    rig.write_text(
-        f'[devices.left]\n{common}name = "Left Device"\n[devices.right]\n{common}'
-        '[guard]\nramp_s = 0.01\n[telemetry]\nendpoint = "tcp://127.0.0.1:*"\n[servo]\nrealtime = "off"\n'
-    )
-    with Daemon(load_rig(str(rig)), load_scene(str(scene)), 1000) as daemon:
-        endpoint = daemon.publisher.endpoint
-        with subscribe(endpoint, ("finger/", "event"), timeout_s=COMPILE_S) as subscription:
-            while subscription.receive(0.02) is None:
-                daemon.publisher.event("test", "joined")
-            daemon.start()
-            assert daemon.wait(COMPILE_S)
-            daemon.close()
-            sent = {"left": [0.0], "right": [0.0]}
-            for sample in subscription:
-                if sample.topic.startswith("finger/"):
-                    sent[sample.topic.removeprefix("finger/")].append(sample.force[2])
-                elif sample.topic == "event" and sample["name"] == "stopped":
-                    break
-    rows = hd.journal()
-    for name, number in (("right", 0), ("left", 1)):
-        displayed = rows["force"][rows["device"] == number][:, 1]  # up is the library's y
-        assert displayed.max() > 0.5 and displayed[-1] == 0.0
-        assert np.isin(np.round(displayed, 9), np.round(sent[name], 9)).all(), name
-    assert max(sent["left"]) > 1.2 * max(sent["right"])
-    assert hd["misuse"] == hd["errors"] == 0
 
 
 def test_forces_of_the_motors_after_a_signal(hd_library: Path, tmp_path: Path) -> None:

@@ -116,20 +116,6 @@ def test_a_stop_during_writes_ends_with_zero() -> None:
         device.close()
 
 
-def test_two_replays_are_equal() -> None:
-    logs = []
-    for _ in range(2):
-        with opened() as device:
-            servo = Servo(device)
-            for _ in range(3000):
-                sample = servo.read()[1]
-                servo.write(*(1000.0 * x for x in sample[:3]), *sample[4:7])
-        logs.append(device.read_log())
-    assert logs[0].wrench.tobytes() == logs[1].wrench.tobytes()
-    assert logs[0].read.tobytes() == logs[1].read.tobytes()
-    assert len(logs[0].wrench) == 3001
-
-
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
 def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"forces{ending}"
@@ -155,5 +141,5 @@ def test_unusable_options_are_refused(tmp_path: Path) -> None:
         opened(recording="tapp")
     with pytest.raises(RecordingError, match=r"must end in \.csv or \.npz"):
         opened(forces="forces.txt")
-    with pytest.raises(RecordingError, match="there is no folder"):
+    with pytest.raises(RecordingError, match=r"the folder .* does not exist"):
         opened(forces=str(tmp_path / "no" / "forces.csv"))

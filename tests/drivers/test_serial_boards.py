@@ -6,19 +6,18 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
+from emulators.hapkit import Hapkit
 from emulators.haply2diy import Firmware, Port, place
 from helpers.described_boards import ALONG, ASLANT, REST, TO_WORLD, force_of, opened, rig_options, settled
+from helpers.far_ends import sketch_library
 from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.waits import ends_within, fresh, until
 
-from softfinger.config.errors import DeviceNotFound
-from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.base import LOST, OK, PROTOCOL, TIMEOUT, Device
 from softfinger.drivers.serial.device import open_device
 from softfinger.server import driver_contract
 from softfinger.server.driver_contract import Servo
@@ -64,24 +63,16 @@ class TwoDiy(BoardBench):
         return {"lost": lambda: self.port.pull(), "timeout": lambda: self.port.mute.set()}
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if COMPILER is None:
-        pytest.skip(NO_COMPILER)
-    return compile_sketch(tmp_path_factory.mktemp("sketch") / "hapkit.so")
-
-
 class HapkitBench(BoardBench):
     rig: ClassVar[str] = "hapkit"
     force_step_n: ClassVar[float] = 0.02
     """The duty has 255 steps and its square is the torque: 0.017 N at 1 N."""
-    library: Path
 
     def open(self) -> Device:
         if self.case:
             return self.refused()
         self.undo.close()
-        self.board = self.undo.enter_context(Hapkit(self.library))
+        self.board = self.undo.enter_context(Hapkit(sketch_library()))
         self.device = opened(self.rig, self.board.path, mounting=ASLANT)
         return self.device
 
@@ -112,11 +103,9 @@ class TestTwoDiy(Contract):
 
 class TestHapkit(Contract):
     @pytest.fixture
-    def bench(self, library: Path) -> Iterator[HapkitBench]:
+    def bench(self) -> Iterator[HapkitBench]:
         with RefusedNode() as node, contextlib.ExitStack() as undo:
-            made = HapkitBench(node, undo)
-            made.library = library
-            yield made
+            yield HapkitBench(node, undo)
 
 
 @contextlib.contextmanager
@@ -137,48 +126,6 @@ def test_pose_and_force_of_a_2diy() -> None:
         settled(lambda: board.torques, any)
         np.testing.assert_allclose(force_of(board), (0.3, 0.0, -0.4), atol=1e-6)  # a float32 of 0.04 N m
         assert (device.info.sensed_dof, device.info.actuated_dof) == (2, 2)
-
-
-Spoil = Callable[[bytes], bytes]
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda a: a[:-1], lambda a: a[1:], lambda a: a[:4] + a[3:], lambda a: a + a[:1], lambda a: b"\x09" + a[1:],
-        lambda a: a[:1] + b"\xff\xff\xff\x7f" + a[5:], lambda a: a[:1] + b"\x00\x00\x80\x7f" + a[5:], lambda a: a[:1],
-        lambda a: a[:5] + b"\x00\x00\xc8\x43", lambda a: bytes(9), lambda a: b"\xff" * 9,
-    ],
-    ids=[
-        "last byte lost", "first byte lost", "doubled inside", "doubled behind", "another device", "nan", "inf",
-        "no angles", "400 degrees", "zeros", "ones",
-    ],
-)  # fmt: skip
-def test_damaged_answers_of_a_2diy_end_the_force(spoil: Spoil) -> None:
-    with two_diy(quiet_s=0.02, timeout_s=1.0) as (servo, device, board, port):
-        known = fresh(servo)
-        servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
-        known = fresh(servo)
-        board.angles = [140.0, 40.0]
-        port.spoil = spoil
-        servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
-        until = time.monotonic() + 0.1
-        while time.monotonic() < until:
-            status, sample = servo.read()
-            assert status in (STALE, WITHHELD)
-            assert sample[:3] == known[:3]
-            servo.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
-            time.sleep(0.001)
-        assert settled(lambda: board.torques, lambda torques: not any(torques)) == [0.0, 0.0]
-        port.spoil = bytes
-        assert fresh(servo)[:3] != known[:3]
-        assert device.reason() == ""
-        port.spoil = spoil
-        while (status := servo.read()[0]) >= 0:
-            servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            time.sleep(0.001)
-        assert status == PROTOCOL
-        assert "its last bytes are" in device.reason()
 
 
 def test_a_frame_that_lost_a_byte_is_ended_by_resync_bytes() -> None:
@@ -221,14 +168,8 @@ def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() ->
         assert settled(lambda: board.torques, lambda torques: not any(torques)) == [0.0, 0.0]
 
 
-def test_a_described_rig_without_a_port_is_rejected() -> None:
-    for rig in ("haply-2diy", "hapkit"):
-        with pytest.raises(DeviceNotFound, match="does not set a port: set path under"):
-            open_device(rig_options(rig), 1000.0)
-
-
-def test_the_sketch_switches_off_by_itself(library: Path) -> None:
-    with Hapkit(library) as board, opened("hapkit", board.path) as device:
+def test_the_sketch_switches_off_by_itself() -> None:
+    with Hapkit(sketch_library()) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
         fresh(servo)
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -239,8 +180,8 @@ def test_the_sketch_switches_off_by_itself(library: Path) -> None:
         assert off - on > 0.045
 
 
-def test_a_hapkit_moves_on_its_arc(library: Path) -> None:
-    with Hapkit(library) as board, opened("hapkit", board.path) as device:
+def test_a_hapkit_moves_on_its_arc() -> None:
+    with Hapkit(sketch_library()) as board, opened("hapkit", board.path) as device:
         servo = Servo(device)
 
         def is_at(angle: float) -> bool:

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulators.bounded import LIMIT_S
-from emulators.hapkit import COMPILER, NO_COMPILER, Hapkit, compile_sketch
+from emulators.hapkit import Hapkit
 from emulators.haply2diy import Firmware, Port
 from emulators.slowline import SlowLine
-from helpers.c_stub import compile_stub
+from helpers.c_stub import compiled
 from helpers.described_boards import force_of, lower, settled
+from helpers.far_ends import sketch_library
 from helpers.programs import Program
 from helpers.rig_files import load_rig_in_process, write_rig
 from helpers.waits import until
@@ -120,10 +121,9 @@ def push(board: Hapkit, process: subprocess.Popen[str], down: float) -> float:
 UART = Path(__file__).parents[1] / "stubs" / "uart.c"
 
 
-@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
-    stub = compile_stub(UART, tmp_path / "uart.so", "-ldl")
-    with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board, SlowLine(board.path, 1_000_000, tmp_path) as line:
+    stub = compiled(UART, "uart.so", "-ldl")
+    with Hapkit(sketch_library()) as board, SlowLine(board.path, 1_000_000, tmp_path) as line:
         board.turn(0.3)
         with command("hapkit", line.path, tmp_path, environment=line.environment(stub)) as process:
 
@@ -149,12 +149,11 @@ def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
         assert board.torque() == 0.0
     assert process.returncode == 4, stderr
     assert "zero force is not confirmed" in stderr and "force is zero" not in stderr
-    assert "too many frames wait in the port" in stderr
+    assert "too many frames are queued in the port" in stderr
 
 
-@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 def test_a_killed_program_leaves_a_hapkit_without_force(tmp_path: Path) -> None:
-    with Hapkit(compile_sketch(tmp_path / "hapkit.so")) as board:
+    with Hapkit(sketch_library()) as board:
         board.turn(0.3)  # to the right is up: 27 mm, and the fingertip has a radius of 10
         with command("hapkit", board.path, tmp_path) as process:
             push(board, process, 0.3)

@@ -1,5 +1,4 @@
-"""Exchange with a serial device: contract, one answer per frame, silences, damaged frames, blocked port, zero at
-shutdown.
+"""Exchange with a serial device: contract, blocked port, opening, zero at shutdown.
 
 The port is a pseudo terminal: the system's code of terminals, with an emulated board.
 """
@@ -7,7 +6,6 @@ The port is a pseudo terminal: the system's code of terminals, with an emulated 
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import re
 import threading
@@ -19,13 +17,13 @@ import numpy as np
 import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 from helpers.hid_devices import RefusedNode, RefusingBench
-from helpers.plain_by_call import matrix, turned
 from helpers.serial_devices import PLACE, board, opened, rig_options, settle
-from helpers.waits import fresh, until
+from helpers.stopping import stop_during_writes
+from helpers.waits import fresh
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers.base import HELD, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.base import HELD, OK, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial.device import SerialDevice, open_device
 from softfinger.server import driver_contract
@@ -33,10 +31,6 @@ from softfinger.server.driver_contract import Servo
 
 pytestmark = pytest.mark.real_time
 
-STEP_M = 0.5e-6 * 1.001
-"""A frame has micrometres: half of one, and rounding."""
-STEP_RAD = 1e-4
-"""Angles have four digits: half of the last in each of four joints, which add up at most."""
 STEP_N = 0.5e-3 * 1.001
 """A frame has millinewtons: half of one, and rounding."""
 
@@ -74,103 +68,6 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 class TestContract(driver_contract.DriverContract):
     """The contract over both forms of a frame, with an emulated board each."""
-
-
-@pytest.mark.parametrize("mounted", [False, True])
-def test_pose_and_force_in_the_world(mounted: bool) -> None:
-    half = math.sqrt(0.5)
-    mounting = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [half, 0.0, 0.0, half]} if mounted else {}
-    frame, origin = (turned(2, math.pi / 2), np.array([0.1, 0.2, 0.3])) if mounted else (np.eye(3), np.zeros(3))
-    with board(mounting=mounting) as (device, itself, cable):
-        itself.wrist, itself.info = (0.7, -1.1), 5
-        servo = Servo(device)
-        servo.read()
-        servo.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0)
-        settle(device, cable)
-        sample = fresh(servo)
-        np.testing.assert_allclose(sample[:3], frame @ itself.place + origin, atol=STEP_M)
-        a, b, d, e = itself.angles()
-        wanted = frame @ turned(2, a) @ turned(1, -b) @ turned(0, d) @ turned(1, e)
-        np.testing.assert_allclose(matrix(sample[3:7]), wanted, atol=4 * STEP_RAD)
-        assert sample[8] == 5
-        np.testing.assert_allclose(frame @ itself.force, (0.5, -1.0, 2.0), atol=STEP_N)
-        assert not itself.faults
-
-
-def test_silence_ends_the_force_then_wakes_then_gives_up() -> None:
-    with board(quiet_s=0.02) as (device, itself, cable):
-        servo = Servo(device)
-        for wakes_up in (True, False):
-            fresh(servo)
-            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-            settle(device, cable)
-            servo.read()
-            cable.hush()
-            frames, wakes, begun = len(itself.sent), itself.wakes, time.monotonic()
-            while (status := servo.read()[0]) >= 0 and not (wakes_up and itself.wakes > wakes):
-                silent = time.monotonic() - begun
-                wrote = servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-                if silent > 0.025:  # counted from before the driver's last frame
-                    assert wrote == WITHHELD
-                time.sleep(0.001)
-            settle(device, cable)
-            sent = [words[2] for words in itself.sent[frames:]]
-            assert itself.force == (0.0, 0.0, 0.0)
-            assert sent.count(0) == 1 and sent[-1] == 0
-            cable.mute.clear()
-            if wakes_up:
-                cable.say(itself.frame())
-                continue
-            assert status == TIMEOUT
-            lasted = time.monotonic() - begun
-            assert lasted > 0.15
-            assert 1 <= itself.wakes - wakes <= lasted / 0.1 + 1
-
-
-def nonsense(text: bytes) -> Callable[[bytes], bytes]:
-    return lambda _: text.ljust(FRAME_BYTES - 1) + b"\n"
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        nonsense(b"nan nan nan 0 0 0 0 0"), nonsense(b"inf 0 0 0 0 0 0 0"), nonsense(b"1 2 3"), lambda f: f[:-1],
-        lambda f: f[1:], lambda f: f[:-1] + b" \n", lambda f: b" " + f, lambda f: f[:20] + f[21:], lambda f: 2 * f[:-1],
-        lambda f: bytes(FRAME_BYTES), lambda f: b"\n" * FRAME_BYTES, lambda f: b"9" * FRAME_BYTES,
-    ],
-    ids=[
-        "nan", "inf", "three numbers", "no newline", "cut in front", "a blank behind", "a blank in front",
-        "a byte lost", "two in one", "zeros", "newlines", "digits",
-    ],
-)  # fmt: skip
-def test_damaged_frames_end_the_force(spoil: Callable[[bytes], bytes]) -> None:
-    with board(quiet_s=0.02, timeout_s=2.0) as (device, itself, cable):
-        servo = Servo(device)
-        known = fresh(servo)
-        itself.place = (0.05, 0.05, 0.05)
-        cable.spoil = spoil
-        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        settle(device, cable)
-        until = time.monotonic() + 0.03
-        while time.monotonic() < until:
-            status, sample = servo.read()
-            assert status in (STALE, WITHHELD, PROTOCOL)  # the second after a pause that a busy machine makes
-            assert status == PROTOCOL or sample[:3] == known[:3]
-            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-            time.sleep(0.001)
-        settle(device, cable)
-        assert itself.force == (0.0, 0.0, 0.0)
-        cable.spoil = bytes
-        cable.say(b"\n" + itself.frame())
-        assert fresh(servo)[:3] != known[:3]
-        assert device.reason() == ""
-        cable.spoil = spoil
-        device._block.word[BOARD.timeout_after] = 50_000_000  # ns: only from here on does the time-out matter
-        while (status := servo.read()[0]) >= 0:
-            cable.say(spoil(itself.frame()))
-            time.sleep(0.001)
-        assert status == PROTOCOL
-        assert device.reason().startswith("its last bytes are b'")
 
 
 def fill(device: SerialDevice) -> int:
@@ -229,30 +126,11 @@ def test_an_empty_port_is_not_read() -> None:
 def test_stop_while_the_loop_writes() -> None:
     for _ in range(20):
         with board() as (device, itself, cable):
-            servo = Servo(device)
-            running, over = threading.Event(), threading.Event()
-
-            def loop(servo: Servo = servo, running: threading.Event = running, over: threading.Event = over) -> None:
-                while not over.is_set():
-                    servo.read()
-                    if servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK:
-                        running.set()
-
-            thread = threading.Thread(target=loop)
-            thread.start()
-            assert running.wait(10.0)
-            # a stop drops bytes that the board has not read
-            until(lambda itself=itself: any(any(words[:3]) for words in itself.sent))
-            device.stop()
-            time.sleep(0.005)
-            over.set()
-            thread.join()
-            settle(device, cable)
-            forces = [any(words[:3]) for words in itself.sent]
-            assert True in forces
-            assert not forces[-1]
-            last = len(forces) - forces[::-1].index(True)
-            assert forces[:last].count(False) <= 1  # the zero of a wake-up, and none between forces
+            stop_during_writes(
+                device,
+                lambda itself=itself: [any(words[:3]) for words in itself.sent],
+                lambda device=device, cable=cable: settle(device, cable),
+            )
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
@@ -278,7 +156,7 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
         with pytest.raises(NoAnswer, match=r"at /dev/pts/\d+ sends no frame within 0.2 s: check its power"):
             opened(cable, wake_s=0.2)
         cable.mute.clear()
-        cable.spoil = nonsense(b"Marlin 2.1 ready")
+        cable.spoil = lambda _: b"Marlin 2.1 ready".ljust(FRAME_BYTES - 1) + b"\n"
         with pytest.raises(
             DeviceError, match=r"no frame of eight numbers in 64 bytes \(its last bytes are b'Marlin 2.1"
         ):

@@ -12,8 +12,8 @@ from helpers.plain_by_call import (
     BY_CALL,
     MS,
     START_NS,
+    FarEnd,
     File,
-    GuardedBlock,
     by_call,
     check_pose,
     matrix,
@@ -23,7 +23,7 @@ from helpers.serial_devices import rig_options
 
 from softfinger.config.load import build
 from softfinger.drivers import board_exchange
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, WITHHELD
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, make_mechanism
 from softfinger.drivers.serial import device, exchange
@@ -48,8 +48,8 @@ def text(*milli: int) -> bytes:
     return " ".join(map(str, [*milli, 2, 0, 0, 0])).ljust(63).encode() + b"\n"
 
 
-class Board:
-    block: GuardedBlock
+class Board(FarEnd):
+    exchange = exchange
 
     def __init__(self, options: Options, patch: pytest.MonkeyPatch) -> None:
         self.clock, self.port = by_call(patch, exchange, board_exchange, device), File(FD)
@@ -61,7 +61,6 @@ class Board:
         opened = SerialDevice.__new__(SerialDevice)  # without the board's answer to its opening
         opened._options = options
         self.block = opened._make_block(FD, FrameConversion(*options.mounting.frame(), options.force_max_n, mechanism))
-        self.word = self.block.word
         self.block.fixed = [(AT.model, AT.last_position)]
         if kinematics is not None:  # no text is received
             self.block.fixed.append((AT.incoming, len(self.word)))
@@ -80,11 +79,7 @@ class Board:
 
     def read(self, *incoming: bytes) -> tuple[int, np.ndarray]:
         self.port.incoming += incoming
-        sample = np.full(SAMPLE_SIZE, np.nan)
-        return self.block.call(exchange.read, sample), sample
-
-    def write(self, *wrench: float) -> int:
-        return self.block.call(exchange.write, wrench)
+        return super().read()
 
     def wake(self) -> int:
         return self.block.call(lambda handle: exchange._wake(exchange.Serial(), handle))
@@ -94,9 +89,6 @@ class Board:
         out = b"".join(self.port.sent)
         self.port.sent.clear()
         return out
-
-    def counts(self) -> dict[str, int]:
-        return {name: count for name, count in self.block.counts().items() if count}
 
 
 @pytest.fixture
@@ -448,71 +440,3 @@ def test_a_frame_with_marks_is_found_among_other_bytes(mode: str, monkeypatch: p
     status, sample = board.read(whole[5:])
     assert (status, sample[1]) == (OK, pytest.approx(0.45))
     assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]  # no orientation is sensed, so none is rotated
-
-
-PANTOGRAPH = {
-    "kinematics": {"kind": "pantograph", "base_m": 0.038, "inner_m": 0.07, "outer_m": 0.0875, "torque_max_nm": 0.01},
-    "frames": {
-        "input": {
-            "bytes": 8,
-            "field": [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate("ab")],
-        },
-        "output": {
-            "bytes": 8,
-            "field": [{"meaning": f"torque_{m}", "offset": 4 * n, "type": "float32"} for n, m in enumerate("ab")],
-        },
-    },
-}
-
-
-def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    board = Board(described(**PANTOGRAPH), monkeypatch)
-    # both inner links outward along the line of their joints: their ends are 0.178 m apart, beyond the reach of the
-    # outer links
-    for angles, counts in (((np.pi, 0.0), {"singular": 1}), ((np.radians(150.0), np.radians(30.0)), {"cut": 1})):
-        before = board.counts()
-        assert board.read(struct.pack("<2f", *angles))[0] == OK
-        assert board.write(0.0, 5.0, 0.0, 0.0, 0.0, 0.0) == STALE
-        after = board.counts()
-        assert {name: after.get(name, 0) - before.get(name, 0) for name in counts} == counts
-        torques = np.abs(struct.unpack("<2f", board.sent()))
-        assert torques.max() == pytest.approx(0.0 if "singular" in counts else 0.01)
-        board.read(struct.pack("<2f", *angles))
-        assert board.write(*ZERO) == OK  # a zero needs no motor
-        assert board.counts() == {**after, "bytes": after["bytes"] + 8, "frames": after["frames"] + 1,
-                                  "written": after["written"] + 1}  # fmt: skip
-        board.read(struct.pack("<2f", *angles))
-        board.sent()
-
-
-def delta() -> Options:
-    legs = [{"meaning": m, "offset": 4 * n, "type": "float32"} for n, m in enumerate("abc")]
-    torques = [{"meaning": f"torque_{m}", "offset": 4 * n, "type": "float32"} for n, m in enumerate("abc")]
-    kinematics = {
-        "kind": "delta", "base_m": 0.06, "end_m": 0.03, "arm_m": 0.08, "rod_m": 0.17, "torque_max_nm": 0.2,
-        "origin_m": [0.0, 0.0, 0.2],
-    }  # fmt: skip
-    frames = {"input": {"bytes": 12, "field": legs}, "output": {"bytes": 12, "field": torques}}
-    return described(kinematics=kinematics, frames=frames, mounting={})
-
-
-def test_a_pose_that_is_none_is_counted_as_singular(monkeypatch: pytest.MonkeyPatch) -> None:
-    board = Board(delta(), monkeypatch)
-    status, sample = board.read(struct.pack("<3f", 0.0, np.pi, 0.0))
-    assert status == OK and np.isnan(sample[:3]).all()
-    assert board.counts()["singular"] == 1
-    assert np.isfinite(board.read(struct.pack("<3f", 0.5, 0.5, 0.5))[1]).all()
-    assert board.counts()["singular"] == 1
-
-
-def test_torques_of_a_delta_do_the_work_of_the_force(monkeypatch: pytest.MonkeyPatch) -> None:
-    board = Board(delta(), monkeypatch)
-    angles, step, force = np.array([0.5, 0.6, 0.4]), np.array([1e-3, -2e-3, 3e-3]), np.array([0.3, -0.2, 0.5])
-    ahead = board.read(struct.pack("<3f", *(angles + step)))[1][:3]
-    behind = board.read(struct.pack("<3f", *(angles - step)))[1][:3]
-    board.read(struct.pack("<3f", *angles))
-    assert board.write(*force, 0.0, 0.0, 0.0) == OK
-    torques = np.array(struct.unpack("<3f", board.sent()))
-    # an error of the third order in steps of 3e-3
-    assert torques @ (2 * step) == pytest.approx(force @ (ahead - behind), rel=1e-4)
-    assert (torques != 0.0).all()

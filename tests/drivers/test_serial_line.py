@@ -82,5 +82,5 @@ def test_check_and_run_reject_a_slow_line(tmp_path: Path, capsys: pytest.Capture
     for rig in (load_rig(slow), load_rig(fits, {"servo.rate_hz": 4000.0})):
         with pytest.raises(ConfigError, match=r"^\[device\]\.baud = .* bytes/s each way"):
             registry.open_device(rig.device, rig.servo.rate_hz)
-    with pytest.raises(DeviceNotFound, match="the rig does not set a port"):
+    with pytest.raises(DeviceNotFound, match="the rig does not set a port: set path under"):
         registry.open_device(load_rig(fits).device, 1000.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -228,30 +227,12 @@ def test_reports_of_a_full_queue_are_ignored() -> None:
 
 def test_short_reports_and_foreign_ones() -> None:
     with puck() as (_, servo, end):
-        end.send(b"\x17\x5a")
-        assert servo.read()[0] == OK
+        for foreign in (b"\x17\x5a", bytes(range(23, 103))):  # the second is longer than the driver's buffer
+            end.send(foreign)
+            assert servo.read()[0] == OK
         for cut in (emulated.combined(right=1)[0][:5], emulated.split(right=1)[1][:6]):
             end.send(cut)
             assert servo.read()[0] == PROTOCOL
-
-
-def test_random_reports_give_a_pose_or_a_fault() -> None:
-    """20 000 random reports give a pose in the box with a unit quaternion, or a protocol error."""
-    generator = np.random.default_rng(5)
-    counts = {OK: 0, PROTOCOL: 0}
-    with puck() as (_, servo, end):
-        for n in range(20_000):
-            data = bytearray(generator.bytes(int(generator.integers(1, 80)) if n % 2 else 13))
-            if n % 4:
-                data[0] = n % 5
-            end.send(data)
-            status, sample = servo.read()
-            counts[status] += 1
-            if status == OK:
-                assert all(map(math.isfinite, sample))
-                assert max(map(abs, sample[:3])) <= 0.1
-                assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-12)  # rounding of a normalisation
-    assert min(counts.values()) > 100
 
 
 @numba.njit
@@ -367,12 +348,12 @@ def test_the_simulated_device_is_lost_with_its_puck() -> None:
         servo.read()
         end.close()
         assert servo.read()[0] == LOST
-        assert device.reason() == "its hand is led by puck"
+        assert device.reason() == "its hand is moved by puck"
 
 
 def test_a_puck_excludes_other_goals() -> None:
     for key, value in (("recording", "tap"), ("position_m", [0.0, 0.0, 0.0])):
-        with pytest.raises(ConfigError, match=rf"{key} = .*follows the puck"):
+        with pytest.raises(ConfigError, match=rf"{key} = .*follows the SpaceMouse"):
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
     rig = load_rig("simulated-spacemouse")
     with pytest.raises(ConfigError, match="cannot run offline"):
@@ -393,7 +374,7 @@ def test_selection_of_a_puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     attach(tmp_path, "hidraw3", nodes)
     assert find(Options()).node == "/dev/hidraw3"
     attach(tmp_path, "hidraw4", nodes)
-    with pytest.raises(DeviceNotFound, match=r"2 pucks are attached: name one .*hidraw3 \(serial 'hidraw3'\)"):
+    with pytest.raises(DeviceNotFound, match=r"2 SpaceMice are attached: select one .*hidraw3 \(serial 'hidraw3'\)"):
         find(Options())
     assert find(Options(serial="hidraw4")).product == 0xC63A
     assert find(Options(path="/dev/hidraw3")).vendor == 0x046D

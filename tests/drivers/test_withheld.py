@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 from emulators.serialboard import Board, Cable
 from helpers import usb_stub
-from helpers.c_stub import COMPILER, NO_COMPILER
-from helpers.far_ends import compiled, needs
 from helpers.hid_devices import Answering, Api, described, ends
 from helpers.serial_devices import PLACE, opened
 from helpers.waits import until
@@ -101,24 +99,19 @@ def hid(through: str) -> Iterator[Line]:
 
 @contextmanager
 def falcon() -> Iterator[Line]:
-    needs(COMPILER, NO_COMPILER)
-    library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
-    stub = usb_stub.UsbStub(library)
-    stub.reset()
+    with usb_stub.attached() as stub:
 
-    def stall(now: bool) -> None:
-        stub["mute_at"] = 0.0 if now else -1.0
+        def stall(now: bool) -> None:
+            stub["mute_at"] = 0.0 if now else -1.0
 
-    def late(by_s: float) -> None:
-        stub["late"] = round(1e3 * by_s)
+        def late(by_s: float) -> None:
+            stub["late"] = round(1e3 * by_s)
 
-    bench = usb_stub.FalconBench(stub)
-    with usb_stub.in_place_of_libusb(library), bench.open(timeout_s=2.0, kick_s=QUIET_S) as device:
-        stub.update(still=1, logged=0)
-        # half a motor count at each leg is 4 mN at the knob, which moves a millisecond before the exchange
-        yield Line(device, lambda: stub.log()[:, :3], stall, late, 0.02)
-    assert stub["logged"] < LOGGED, "not every packet was seen"
-    stub.reset()
+        with usb_stub.FalconBench(stub).open(timeout_s=2.0, kick_s=QUIET_S) as device:
+            stub.update(still=1, logged=0)
+            # half a motor count at each leg is 4 mN at the knob, which moves a millisecond before the exchange
+            yield Line(device, lambda: stub.log()[:, :3], stall, late, 0.02)
+        assert stub["logged"] < LOGGED, "not every packet was seen"
 
 
 CONNECTIONS = {

@@ -45,11 +45,10 @@ class Bed(usbfs.UsbDevice):
         self.strings = usbfs.strings("FTDI", "FALCON HAPTIC", case.get("serial", "SN42"))
         self.claimed: usbfs.Stream | None = None
         self.ready_at = 0.0
-        self.ioctls = 0
         self.bed = bed
         self._add()
         self.node = UMockdev.IoctlBase()
-        self.node.connect("handle-ioctl", self._ioctl)
+        self.node.connect("handle-ioctl", self.handle_ioctl)
         self.bed.attach_ioctl(self.path, self.node)
 
     def _add(self) -> None:
@@ -70,10 +69,6 @@ class Bed(usbfs.UsbDevice):
 
     def power_off(self) -> None:
         self.falcon.motors = (0, 0, 0)
-
-    def _ioctl(self, node: object, client: object) -> bool:
-        self.ioctls += 1
-        return self.handle_ioctl(node, client)
 
     def claim(self, stream: usbfs.Stream) -> bool:
         if self.made == "busy" or self.claimed not in (None, stream):
@@ -161,7 +156,7 @@ class Bed(usbfs.UsbDevice):
         return "null"
 
     def seen(self) -> dict:
-        return {**self.falcon.seen(), "ioctls": self.ioctls}
+        return self.falcon.seen()
 
 
 def serve(bed: Bed, path: str) -> None:

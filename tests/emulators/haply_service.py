@@ -2,8 +2,8 @@
 
 Written from the maker's pages of service 3.5 and from public programs for 3.1 to 3.4, independent of the driver.
 WebSocket and HTTP share a port. A client gets an inventory on connect, then one state for each of its messages. A
-command lasts until the next one or for `IDLE_S`; forces of several sessions add up, and the end of a session ends its
-force. Unknown keys are ignored.
+command lasts until the next one; forces of several sessions add up, and the end of a session ends its force. Unknown
+keys are ignored.
 
 The maker's page "HTTP" describes each answer twice: as the plain value (the example of `/version`), and for all GET and
 POST in an envelope, `{"ok": true, "data": value}`. `enveloped` selects one. A mount is flat in a snapshot and below
@@ -11,7 +11,7 @@ POST in an envelope, `{"ok": true, "data": value}`. `enveloped` selects one. A m
 
 A test controls it by lines of JSON on its standard input, each answered by a line (`Desk`).
 
-Not modelled: the time a device retains its last force (`IDLE_S` is assumed, no page defines it), the effects of force
+Not modelled: the time after which a device ends a force that is not renewed (no page defines it), the effects of force
 gate, torque scaling and gravity compensation on a force, the delay until a missing device or grip is removed from the
 list, if 3.1 to 3.4 report their version on this port, battery and safety events, the second format of grips,
 navigation, and the time of the bus to the device.
@@ -27,27 +27,17 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from websockets.exceptions import InvalidState
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
 
-from emulators.hand import Handle, stroke
+from emulators.hand import Handle, Vector, stroke
 
-IDLE_S: Final = 0.1
-"""Time after which a device ends a force that is not renewed. Assumed."""
 CENTRE: Final = {"x": 0.0, "y": -0.12, "z": 0.15}
 """Rest position of a cursor (m), as in the maker's example."""
-ZERO: Final = (0.0, 0.0, 0.0)
-
-
-class SessionForce(NamedTuple):
-    """A force (N) of a session on a device, and the time at which it ends (s, monotonic clock)."""
-
-    force: tuple[float, float, float]
-    until: float
 
 
 class Inverse:
@@ -57,7 +47,8 @@ class Inverse:
         """m; "clock": x is the fraction of the monotonic clock's second."""
         self.handle: Handle | None = None
         """Hand on the device; each message moves it by a millisecond. None: the device does not move."""
-        self.requests: dict[int, SessionForce] = {}
+        self.requests: dict[int, Vector] = {}
+        """Force (N) of each session."""
         self.log: list[tuple[float, float, float, float]] = []
         """Time (s, monotonic clock) and force (N) of each command, and of each end of one."""
         self.settings: dict[str, Any] = {
@@ -67,29 +58,24 @@ class Inverse:
         }
         self.status = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
 
-    def force(self, now: float) -> tuple[float, float, float]:
-        for session, request in sorted(self.requests.items(), key=lambda entry: entry[1].until):
-            if request.until <= now:
-                del self.requests[session]
-                self.log.append((request.until, *self._sum()))
-        return self._sum()
+    def force(self) -> Vector:
+        x, y, z = (sum(force[k] for force in self.requests.values()) for k in range(3))
+        return (float(x), float(y), float(z))
 
-    def take(self, session: int, force: tuple[float, float, float], now: float, idle_s: float) -> None:
-        self.force(now)
-        self.requests[session] = SessionForce(force, now + idle_s)
-        self.log.append((now, *self._sum()))
+    def take(self, session: int, force: Vector, now: float) -> None:
+        self.requests[session] = force
+        self.log.append((now, *self.force()))
         if self.handle is not None:
-            self.handle.move(self._sum())
+            self.handle.move(self.force())
             place = zip("xyz", self.handle.place, strict=True)
             self.position = {axis: CENTRE[axis] + value for axis, value in place}
 
     def leave(self, session: int, now: float) -> None:
-        self.force(now)
         if self.requests.pop(session, None) is not None:
-            self.log.append((now, *self._sum()))
+            self.log.append((now, *self.force()))
 
     def state(self, now: float) -> dict[str, Any]:
-        x, y, z = self.force(now)
+        x, y, z = self.force()
         return {
             "cursor_position": {"x": now % 1.0, "y": 0.0, "z": 0.0} if self.position == "clock" else self.position,
             "cursor_velocity": {"x": 0.0, "y": 0.0, "z": 0.0},
@@ -106,14 +92,10 @@ class Inverse:
             },
         }
 
-    def _sum(self) -> tuple[float, float, float]:
-        x, y, z = (sum(request.force[k] for request in self.requests.values()) for k in range(3))
-        return (float(x), float(y), float(z))
-
 
 class Service:
-    def __init__(self, version: str, devices: list[str], grips: list[str], idle_s: float = IDLE_S) -> None:
-        self.version, self.idle_s, self.lock = version, idle_s, threading.RLock()
+    def __init__(self, version: str, devices: list[str], grips: list[str]) -> None:
+        self.version, self.lock = version, threading.RLock()
         self.devices: dict[str, dict[str, Inverse]] = {}
         for device in devices:
             group, _, name = device.partition(":")
@@ -154,11 +136,9 @@ class Service:
         """Bodies that replace those of HTTP, by path."""
         self.http_requests: list[str] = []
         """HTTP request lines with their bodies."""
-        self.message_count = 0
-        """Number of messages from clients."""
         self.sent: list[str] = []
         """First message of each session."""
-        self.commands: dict[str, list[tuple[float, tuple[float, float, float]]]] = {}
+        self.commands: dict[str, list[tuple[float, Vector]]] = {}
         """Received forces (N) with their times (s, monotonic clock), in order, by device; without ends of sessions."""
 
     @property
@@ -182,7 +162,6 @@ class Service:
     def hear(self, session: int, text: str) -> None:
         with self.lock:
             message, now = json.loads(text), time.monotonic()
-            self.message_count += 1
             for group, devices in self.devices.items():
                 for entry in message.get(group, []):
                     device = devices.get(entry.get("device_id"))
@@ -192,7 +171,7 @@ class Service:
                     force_n = (force["x"], force["y"], force["z"])
                     self.commands.setdefault(device.name, []).append((now, force_n))
                     if device.name not in self.absent:
-                        device.take(session, force_n, now, self.idle_s)
+                        device.take(session, force_n, now)
 
     def view(self, session: int, whole: bool) -> str:
         with self.lock:
@@ -404,9 +383,8 @@ class Desk:
                 case "return":
                     service.absent.discard(line["id"])
                 case "force":
-                    return self._device(line["id"]).force(time.monotonic())
+                    return self._device(line["id"]).force()
                 case "log":
-                    self._device(line["id"]).force(time.monotonic())
                     return self._device(line["id"]).log
                 case "commands":
                     return service.commands.get(line["id"], [])
@@ -416,7 +394,6 @@ class Desk:
                     return {
                         "asked": service.http_requests,
                         "said": service.sent,
-                        "heard": service.message_count,
                         "sessions": service.sessions,
                     }
         return None
@@ -427,15 +404,13 @@ class Desk:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--version", default="3.5.0")
-    parser.add_argument("--idle", type=float, default=IDLE_S, metavar="S")
-    parser.add_argument("--port", type=int, default=0)
+    parser.add_argument("--version", required=True)
     parser.add_argument("--room", type=int, metavar="BYTES", help="receive buffer; the system's default without it")
     parser.add_argument("--device", action="append", default=[], metavar="GROUP:ID")
     parser.add_argument("--grip", action="append", default=[], metavar="GROUP:ID")
     args = parser.parse_args()
-    service = Service(args.version, args.device, args.grip, args.idle)
-    listener = socket.create_server(("127.0.0.1", args.port))
+    service = Service(args.version, args.device, args.grip)
+    listener = socket.create_server(("127.0.0.1", 0))
     if args.room is not None:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, args.room)
 

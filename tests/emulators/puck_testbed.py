@@ -1,8 +1,8 @@
 """Emulated SpaceMouse as a hidraw node of umockdev, and a program on it, as in testbed.py.
 
-Keys of the first argument: product (number), push (deflection in counts, with the names of puck.py), buttons,
-unplug_after_s (after the first write), unplug_when (a path, as soon as it exists), reports: split or combined. The
-reports sent to the puck are the last line of standard output, as JSON.
+Keys of the first argument: push (deflection in counts, with the names of puck.py), buttons, unplug_after_s (after the
+first write), unplug_when (a path, as soon as it exists), reports: split or combined. The reports sent to the puck are
+the last line of standard output, as JSON.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class PuckBed(testbed.Bed):
     name = "SpaceNavigator"
 
     def __init__(self, case: dict) -> None:
-        self.case, self.ids = case, (0x046D, case.get("product", 0xC626))
+        self.case, self.ids = case, (0x046D, 0xC626)
         self.descriptor = raw_hid(13)
         self.board = Board(*self.ids, self.name, (Interface(self.descriptor, 0x81, 0x02, 13, 13),))
         self.queue: list[bytes] = []

@@ -47,15 +47,10 @@ class SlowLine:
             self._words = memoryview(mmap.mmap(file.fileno(), _WORDS.size)).cast("q")
         self._words[_TERMINAL] = os.fstat(near).st_rdev
         self._rate = baud / BITS
-        self._queue: deque[tuple[float, int]] = deque()
-        """Bytes for the board with the time of their write (s, monotonic clock)."""
-        self._back = bytearray()
+        self._queue: deque[int] = deque()
+        """Bytes for the board."""
         self.stalled = threading.Event()
         """If set, the line transmits nothing to the board, like a USB board that does not read."""
-        self.oldest_s = 0.0
-        """Maximum age of a byte at its arrival."""
-        self.longest = 0
-        """Maximum length of the queue."""
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -65,7 +60,7 @@ class SlowLine:
         return len(self._queue)
 
     def queued(self) -> bytes:
-        return bytes(byte for _, byte in list(self._queue))
+        return bytes(self._queue.copy())
 
     def environment(self, stub: Path) -> dict[str, str]:
         return {**os.environ, "LD_PRELOAD": str(stub), "SLOW_LINE": str(self.shared)}
@@ -78,14 +73,14 @@ class SlowLine:
             credit, credit_back = (c + self._rate * (now - before) for c in (credit, credit_back))
             before = now
             try:
-                self._take(now)
-                credit -= self._carry(int(credit), now)
+                self._take()
+                credit -= self._carry(int(credit))
                 credit_back -= self._carry_back(int(credit_back))
             except OSError:  # one end was closed
                 return
             credit, credit_back = min(credit, 1.0 + credit % 1.0), min(credit_back, 1.0 + credit_back % 1.0)
 
-    def _take(self, now: float) -> None:
+    def _take(self) -> None:
         while len(self._queue) < QUEUE_BYTES:
             try:
                 packet = os.read(self._far, 1 + QUEUE_BYTES - len(self._queue))
@@ -99,15 +94,12 @@ class SlowLine:
                 self._words[_GONE] = self._words[_WRITTEN]
                 self._words[_HEEDED] = self._words[_FLUSHED]
             elif packet[0] == termios.TIOCPKT_DATA:
-                self._queue.extend((now, byte) for byte in packet[1:])
-        self.longest = max(self.longest, len(self._queue))
+                self._queue.extend(packet[1:])
 
-    def _carry(self, most: int, now: float) -> int:
+    def _carry(self, most: int) -> int:
         count = 0 if self.stalled.is_set() else min(most, len(self._queue))
         if count > 0:
-            transmitted = [self._queue.popleft() for _ in range(count)]
-            self.oldest_s = max(self.oldest_s, now - transmitted[0][0])
-            os.write(self._board, bytes(byte for _, byte in transmitted))
+            os.write(self._board, bytes(self._queue.popleft() for _ in range(count)))
             self._words[_GONE] += count
         return count
 

@@ -56,7 +56,6 @@ class Bed:
         self.woody = Woody(case["arm"], generation, intention, mine[mine.index(0x95) + 1])
         self.astray = 0
         """Reports to interfaces other than the arm's."""
-        self.woody.wrist = tuple(case.get("wrist", (0, 0, 0)))
         self.queue: list[bytes] = []
         self.blocked: list[object] = []
         self._wire()
@@ -163,9 +162,8 @@ class Bed:
     def seen(self) -> dict:
         w = self.woody
         return {
-            "reports": len(w.sent), "last": w.sent[-1:] and list(w.sent[-1]), "place": w.place, "silences": w.silences,
-            "most": [max((abs(s[k]) for s in w.sent), default=0) for k in range(3)],
-            "zero": w.zero, "astray": self.astray,
+            "reports": len(w.sent), "last": w.sent[-1:] and list(w.sent[-1]), "place": w.place,
+            "most": [max((abs(s[k]) for s in w.sent), default=0) for k in range(3)], "astray": self.astray,
         }  # fmt: skip
 
 

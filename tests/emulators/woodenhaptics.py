@@ -7,7 +7,6 @@ by one millisecond, so that a slow connection changes no physics, and is answere
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Callable
 from math import acos, atan2, cos, hypot, pi, sin
 
@@ -36,8 +35,6 @@ TABLE: dict[str, tuple[Vector, Vector, Vector, Vector, Vector, int, tuple[int, i
         (0, 0, 0), (0, 0, 0),
     ),
 }  # fmt: skip
-
-AMPLIFIERS_OFF_S = 0.5
 
 
 class Arm:
@@ -117,9 +114,6 @@ class Woody(Handle):
         self.wrist = (0, 0, 0)
         self.zero = (0, 0, 0)
         """Displayed counts minus true ones: not 0 before calibration."""
-        self.received_s = time.monotonic()
-        self.silences: list[float] = []
-        """Gaps between reports (s) after which the amplifiers were off."""
         self.sent: list[tuple[int, ...]] = []
         """Numbers of every report of the host."""
 
@@ -128,10 +122,6 @@ class Woody(Handle):
             raise ValueError(
                 f"a host's report has 0 and {self.report_bytes} bytes, this has {report[:1]!r}, {len(report)}"
             )
-        now = time.monotonic()
-        if now - self.received_s > AMPLIFIERS_OFF_S:
-            self.silences.append(now - self.received_s)
-        self.received_s = now
         words = struct.unpack_from("<4h" if self.generation == 1 else "<7h", report, 1)
         self.sent.append(words)
         if self.generation == 2 and words[3] == 1:

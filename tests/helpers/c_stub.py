@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import shutil
 import subprocess
+import tempfile
+from functools import cache
 from pathlib import Path
 
+import pytest
+
 COMPILER = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-NO_COMPILER = "the stub for the maker's library is C, and there is no compiler (cc, gcc, clang) to build it"
+NO_COMPILER = "the stub for a library is C, and there is no compiler (cc, gcc, clang) to build it"
 
 
 def compile_stub(source: Path, path: Path, *flags: str) -> Path:
@@ -16,6 +21,22 @@ def compile_stub(source: Path, path: Path, *flags: str) -> Path:
     always = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
     subprocess.run([str(COMPILER), *always, *flags, "-o", str(path), str(source), "-lm"], check=True)
     return path
+
+
+@cache
+def folder() -> tempfile.TemporaryDirectory[str]:
+    """Return a folder for stubs that any user may enter, removed at exit."""
+    made = tempfile.TemporaryDirectory(prefix="stubs-")
+    os.chmod(made.name, 0o755)
+    return made
+
+
+@cache
+def compiled(source: Path, name: str, *flags: str) -> Path:
+    """Return the library of a stub, compiled at the first call; skip the test if there is no compiler."""
+    if COMPILER is None:
+        pytest.skip(NO_COMPILER)
+    return compile_stub(source, Path(folder().name) / name, *flags)
 
 
 class CStub:

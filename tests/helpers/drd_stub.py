@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import math
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +18,7 @@ import usb.backend.libusb1
 import usb.core
 from numpy.typing import NDArray
 
-from helpers.c_stub import COMPILER, NO_COMPILER, CStub, compile_stub
+from helpers.c_stub import CStub, compiled
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension import selection
 from softfinger.server.driver_contract import RATE_HZ, Bench
@@ -51,12 +50,8 @@ class Stub(CStub):
 
 
 @pytest.fixture(scope="session")
-def stub_library() -> Iterator[Path]:
-    if COMPILER is None:
-        pytest.skip(NO_COMPILER)
-    with tempfile.TemporaryDirectory(prefix="drd-") as folder:
-        os.chmod(folder, 0o755)
-        yield compile_stub(SOURCE, Path(folder) / "libdrd.so.3.17.5")
+def stub_library() -> Path:
+    return compiled(SOURCE, "libdrd.so.3.17.5")
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,7 +19,7 @@ from emulators.haply2diy import TORQUE_MAX, Firmware, Port
 from numpy.typing import NDArray
 
 from helpers import described_boards, haply_devices, usb_stub
-from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.c_stub import compiled, folder
 from helpers.drd_stub import SOURCE as DRD
 from helpers.drd_stub import OmegaBench, Stub
 from helpers.hd_stub import SOURCE as HD
@@ -139,21 +138,17 @@ def hid_arm(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 @contextmanager
 def falcon(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    needs(COMPILER, NO_COMPILER)
-    library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
-    stub = usb_stub.UsbStub(library)
-    stub.reset()
-    stub.update(z=0.008, press=0.003, drag=0.01)
-    bench = usb_stub.FalconBench(stub)
-    with usb_stub.in_place_of_libusb(library), bench.open(**{"kick_s": 0.15, "timeout_s": 2.0, **keys}) as device:
-        stub["logged"] = 0
-        yield FarEnd(device, lambda: rows(stub.times(), stub.log()[:, :3]), hush=lambda: bench.make("timeout"))
+    with usb_stub.attached() as stub:
+        stub.update(z=0.008, press=0.003, drag=0.01)
+        bench = usb_stub.FalconBench(stub)
+        with bench.open(**{"kick_s": 0.15, "timeout_s": 2.0, **keys}) as device:
+            stub["logged"] = 0
+            yield FarEnd(device, lambda: rows(stub.times(), stub.log()[:, :3]), hush=lambda: bench.make("timeout"))
 
 
 @contextmanager
 def force_dimension(tmp_path: Path) -> Iterator[FarEnd]:
     """An omega.3 on the stub of libdrd."""
-    needs(COMPILER, NO_COMPILER)
     stub = Stub(compiled(DRD, "libdrd.so.3.17.5"))
     stub.reset()
     stub.update(z=0.008, ax=0.002, ay=0.002)
@@ -164,7 +159,6 @@ def force_dimension(tmp_path: Path) -> Iterator[FarEnd]:
 @contextmanager
 def open_haptics(tmp_path: Path) -> Iterator[FarEnd]:
     """Touch on the stub of libHD, whose thread sends the latest force to the motors every millisecond."""
-    needs(COMPILER, NO_COMPILER)
     stub = HdStub(compiled(HD, "libHD.so.3.4.0", "-pthread"))
     stub.reset()
     stub.update(y=8.0, ax=2.0, az=2.0)
@@ -227,7 +221,6 @@ def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """Hapkit with its sketch on a pseudo terminal, in the floor, with a trembling hand; its motor receives N m. Its log
     contains only changes."""
-    needs(CXX, NO_CXX)
     ended = threading.Event()
     with (
         Hapkit(sketch_library()) as sketch,
@@ -254,24 +247,11 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 
 
 @cache
-def folder() -> tempfile.TemporaryDirectory[str]:
-    """Return the folder of compiled stubs, removed at exit."""
-    return tempfile.TemporaryDirectory(prefix="far-ends-")
-
-
-@cache
-def compiled(source: Path, name: str, *flags: str) -> Path:
-    return compile_stub(source, Path(folder().name) / name, *flags)
-
-
-@cache
 def sketch_library() -> Path:
+    """Return the Hapkit's sketch, compiled at the first call; skip the test if there is no compiler."""
+    if CXX is None:
+        pytest.skip(NO_CXX)
     return compile_sketch(Path(folder().name) / "hapkit.so")
-
-
-def needs(compiler: str | None, why_not: str) -> None:
-    if compiler is None:
-        pytest.skip(why_not)
 
 
 FAR_ENDS = {

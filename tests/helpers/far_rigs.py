@@ -17,19 +17,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from emulators.hapkit import COMPILER as CXX
 from emulators.hapkit import HANDLE_M, PULLEY_M, SECTOR_M, Hapkit
-from emulators.hapkit import NO_COMPILER as NO_CXX
 from emulators.haply2diy import Port
 from emulators.serialboard import Board, Cable
 from numpy.typing import NDArray
 
 from helpers import haply_devices, usb_stub
-from helpers.c_stub import COMPILER, NO_COMPILER
+from helpers.c_stub import compiled
 from helpers.described_boards import force_at, lower
 from helpers.drd_stub import SOURCE as DRD
 from helpers.drd_stub import Stub
-from helpers.far_ends import RecordingFirmware, Timed, compiled, needs, rows, sketch_library
+from helpers.far_ends import RecordingFirmware, Timed, rows, sketch_library
 from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub
 from helpers.hid_devices import woody
@@ -117,7 +115,6 @@ def slowly(set_share: Callable[[float], None]) -> None:
 
 @contextmanager
 def open_haptics(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
-    needs(COMPILER, NO_COMPILER)
     stub = HdStub(compiled(HD, "libHD.so.3.4.0", "-pthread"))
     stub.reset()
 
@@ -132,7 +129,6 @@ def open_haptics(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
 
 @contextmanager
 def force_dimension(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
-    needs(COMPILER, NO_COMPILER)
     stub = Stub(compiled(DRD, "libdrd.so.3.17.5"))
     stub.reset()
     rig = rig_file(folder, "omega-3", library_file=str(stub.path), watchdog_s=0.0)
@@ -143,27 +139,22 @@ def force_dimension(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
 
 @contextmanager
 def falcon(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
-    needs(COMPILER, NO_COMPILER)
-    library = compiled(usb_stub.SOURCE, usb_stub.SONAME)
-    stub = usb_stub.UsbStub(library)
-    stub.reset()
-    stub["logged"] = 0
-
-    def forces_since(first: int) -> Array:
-        times = stub.times()
-        return rows(times[first:], stub.log()[: len(times)][first:, :3])
-
-    def unplug() -> None:
-        stub["unplugged"] = 1
-
-    def press() -> None:
-        stub["z"] = 0.008
-
     rig = rig_file(folder, "falcon", counts_per_nm=10000.0, kick_s=0.15, timeout_s=2.0)
-    with usb_stub.in_place_of_libusb(library):
+    with usb_stub.attached() as stub:
+        stub["logged"] = 0
+
+        def forces_since(first: int) -> Array:
+            times = stub.times()
+            return rows(times[first:], stub.log()[: len(times)][first:, :3])
+
+        def unplug() -> None:
+            stub["unplugged"] = 1
+
+        def press() -> None:
+            stub["z"] = 0.008
+
         yield Far(rig, stub, forces_since, press, unplug, usb_stub.FalconBench.force_step_n)
-    assert (stub["misuse"], stub["flying"], stub["allocated"]) == (0, 0, 0) and stub["opens"] == stub["closes"]
-    stub.reset()
+        assert (stub["misuse"], stub["flying"], stub["allocated"]) == (0, 0, 0) and stub["opens"] == stub["closes"]
 
 
 @contextmanager
@@ -238,7 +229,6 @@ def two_diy(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
 
 @contextmanager
 def hapkit(folder: Path, patch: pytest.MonkeyPatch) -> Iterator[Far]:
-    needs(CXX, NO_CXX)
     with Hapkit(sketch_library()) as board:
         board.turn(0.3)
 

@@ -22,12 +22,15 @@ class Service:
     """Process of the service, controlled by lines on its standard input; it ends with the context."""
 
     def __init__(
-        self, version: str = "3.5.0", devices: tuple[str, ...] = (f"inverse3:{ID}",), grips: tuple[str, ...] = (),
-        port: int = 0, idle_s: float = 60.0, room: int | None = None,
-    ) -> None:  # fmt: skip
-        """Set `idle_s`, so long that a zero in the log is the driver's, and `room`, the bytes of its receive buffer."""
-        command = [sys.executable, "-m", "emulators.haply_service", "--version", version, "--port", str(port)]
-        command += ["--idle", str(idle_s), *([] if room is None else ["--room", str(room)])]
+        self,
+        version: str = "3.5.0",
+        devices: tuple[str, ...] = (f"inverse3:{ID}",),
+        grips: tuple[str, ...] = (),
+        room: int | None = None,
+    ) -> None:
+        """Start a service; `room` is the number of bytes of its receive buffer."""
+        command = [sys.executable, "-m", "emulators.haply_service", "--version", version]
+        command += [] if room is None else ["--room", str(room)]
         for option, names in (("--device", devices), ("--grip", grips)):
             command += [word for name in names for word in (option, name)]
         path = os.pathsep.join(filter(None, (str(TESTS), os.environ.get("PYTHONPATH"))))

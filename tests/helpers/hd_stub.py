@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from helpers.c_stub import COMPILER, NO_COMPILER, CStub, compile_stub
+from helpers.c_stub import CStub, compiled
 from softfinger.drivers.openhaptics import device as openhaptics
 from softfinger.drivers.openhaptics import usb
 from softfinger.drivers.system.discovery import SystemDevice
@@ -73,13 +71,8 @@ class HdStub(CStub):
 
 
 @pytest.fixture(scope="session")
-def hd_library() -> Iterator[Path]:
-    """Compile the library in a folder that any user may enter."""
-    if COMPILER is None:
-        pytest.skip(NO_COMPILER)
-    with tempfile.TemporaryDirectory(prefix="hd-") as folder:
-        os.chmod(folder, 0o755)
-        yield compile_stub(SOURCE, Path(folder) / "libHD.so.3.4.0", "-pthread")
+def hd_library() -> Path:
+    return compiled(SOURCE, "libHD.so.3.4.0", "-pthread")
 
 
 @pytest.fixture

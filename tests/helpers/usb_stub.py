@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 import usb.backend.libusb1
 
-from helpers.c_stub import COMPILER, compile_stub
+from helpers.c_stub import compiled
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import SAMPLE_SIZE
 from softfinger.drivers.falcon.block import AT
@@ -22,7 +21,6 @@ from softfinger.drivers.falcon.device import Falcon, Options, open_device
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "usb.c"
-NO_COMPILER = "the stub for libusb is C, and there is no compiler (cc, gcc, clang) to build it"
 SONAME = "libusb-1.0.so.0"
 
 Counts = ctypes.c_int64 * 9
@@ -114,24 +112,21 @@ def in_place_of_libusb(path: Path) -> Iterator[None]:
         module._lib, module._lib_object = before[0] or module._lib, before[1]
 
 
-@pytest.fixture(scope="session")
-def usb_library() -> Iterator[Path]:
-    """Compile the library in a separate folder."""
-    if COMPILER is None:
-        pytest.skip(NO_COMPILER)
-    with tempfile.TemporaryDirectory(prefix="usb-") as folder:
-        # without a soname: libusb itself may be loaded later
-        yield compile_stub(SOURCE, Path(folder) / SONAME)
+@contextmanager
+def attached() -> Iterator[UsbStub]:
+    """A homed Falcon with running firmware and a resting hand at 20 mm height."""
+    library = compiled(SOURCE, SONAME)  # without a soname: libusb itself may be loaded later
+    stub = UsbStub(library)
+    stub.reset()
+    with in_place_of_libusb(library):
+        yield stub
+    stub.reset()
 
 
 @pytest.fixture
-def stub(usb_library: Path) -> Iterator[UsbStub]:
-    """A homed Falcon with running firmware and a resting hand at 20 mm height."""
-    stub = UsbStub(usb_library)
-    stub.reset()
-    with in_place_of_libusb(usb_library):
+def stub() -> Iterator[UsbStub]:
+    with attached() as stub:
         yield stub
-    stub.reset()
 
 
 def options(**changes: Any) -> Options:

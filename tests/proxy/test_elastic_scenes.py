@@ -151,8 +151,8 @@ def test_a_body_without_a_fixed_region_is_refused_before_it_is_solved(
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"object": [{"shape": "plane", "name": "table", "material": {"stiffness_n_per_m": 500.0}}]}, "only object"),
-        ({"finger": [{"name": name, "radius_m": 0.01} for name in "abc"]}, "one or two fingers, and there are 3"),
+        ({"object": [{"shape": "plane", "name": "table", "material": {"stiffness_n_per_m": 500.0}}]}, "single object"),
+        ({"finger": [{"name": name, "radius_m": 0.01} for name in "abc"]}, "one or two fingers, but the scene has 3"),
         ({"effect": [{"kind": "viscosity", "damping_ns_per_m": 1.0}]}, "cannot be combined with [[effect]]"),
         ({"motion": {"kind": "driven"}}, "motion: cannot be combined with [object.elastic]"),
     ],

@@ -21,8 +21,8 @@ def test_check_prints_modelled_and_omitted_effects() -> None:
     assert "paper-plane: scene, usable" in out
     assert re.search(r"rolling +euler_zxz, torque stiffness 1000 N/m", out)
     assert re.search(r"friction +static 0.6, kinetic 0.5", out)
-    assert re.search(r"rolling +left out", out)
-    assert re.search(r"friction +left out: frictionless", out)
+    assert re.search(r"rolling +absent", out)
+    assert re.search(r"friction +absent: frictionless", out)
     assert "replay: rig, usable" in out
     assert re.search(r"servo +1000 Hz, real time auto", out)
 

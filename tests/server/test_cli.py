@@ -150,12 +150,12 @@ def test_run_for_a_duration_logs_plain_lines():
         (["run", *FREE, "--device", "omega"], 4, ["omega", "replay"]),
         (["run", "--endpoint", "tcp://0.0.0.0:5555"], 2, ["0.0.0.0", "127.0.0.1"]),
         (["run", "--duration", "-1"], 2, ["duration"]),
-        (["run", *FREE, "--record", "nowhere/trial.mcap"], 2, ["--record nowhere/trial.mcap", "no folder"]),
+        (["run", *FREE, "--record", "nowhere/trial.mcap"], 2, ["--record nowhere/trial.mcap", "does not exist"]),
         ([*SIMULATE, "--out", "x.doc"], 3, ["x.doc", ".csv", ".mcap"]),
         ([*SIMULATE, "--out", "x.csv", "--method", "zxy"], 2, ["zxy", "euler_zxz"]),
         (["fly"], 2, ["fly", "simulate"]),
         ([*LOOP, "--plot", "out.txt"], 2, ["--plot: out.txt: a figure is .png or .svg by its file name"]),
-        ([*LOOP, "--plot", "no/such/out.png"], 2, ["--plot: no/such/out.png: there is no folder no/such"]),
+        ([*LOOP, "--plot", "no/such/out.png"], 2, ["--plot: no/such/out.png: the folder no/such does not exist"]),
         (["bench", "step", "--features", "tosion*"], 2,
          ["--features 'tosion*': no feature has such a name", "torsion linear"]),
     ],
@@ -292,7 +292,7 @@ def test_a_low_limit_of_open_files_is_reported(words):
     command = f"ulimit -n 8; exec {shlex.join([*COMMAND, *words])}"
     outcome = run_program(["bash", "-c", command])
     assert outcome.returncode == 11, outcome.stderr
-    assert outcome.stderr == "softfinger: this process may open 8 files, and needs 64: raise `ulimit -n`\n"
+    assert outcome.stderr == "softfinger: this process may open 8 files, but needs 64: raise `ulimit -n`\n"
 
 
 @pytest.mark.plain

@@ -155,7 +155,7 @@ def test_every_method_answers(rig):
         assert eventually(lambda: recorder.batches[-1][-1, AT.contact_normal_force] == normal)
         with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
             control.mesh("lid.top")
-        with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
+        with pytest.raises(CommandRefused, match="bad_params: there is no object 7: there are lid"):
             control.mesh(7)
         reply = control.describe()
         assert reply["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and reply["scene_name"] == "pressed"
@@ -278,10 +278,10 @@ def test_several_fingers_are_commanded_together(rig):
         (
             "set_params",
             {"finger.0.name": "ring", "finger.0.device": "thumb"},
-            "the name and the device of a finger are no parameters",
+            "name and device of a finger cannot be set",
         ),
         ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "set twice"),
-        ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
+        ("set_scene", {"scene": "sphere"}, "use a rig with [device]"),
         ("set_scene", {"scene": swapped}, "(index, thumb) differ from the running ones (thumb, index)"),
     ]
     with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, recorder):

@@ -255,10 +255,10 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("poses", "message"),
     [
-        (["tap"], "not the scene's fingers: give poses of thumb, index"),
-        (["thumb=tap"], "poses of thumb: not the scene's fingers"),
-        (["thumb=tap", "thumb=tap"], "--poses thumb=tap: give it once, or --poses NAME=FILE for each"),
-        (["tap", "index=tap"], "--poses index=tap: give it once, or"),
+        (["tap"], "do not match the fingers of the scene: use poses of thumb, index"),
+        (["thumb=tap"], "poses of thumb do not match the fingers"),
+        (["thumb=tap", "thumb=tap"], "--poses thumb=tap: use it once, or --poses NAME=FILE for each"),
+        (["tap", "index=tap"], "--poses index=tap: use it once, or"),
     ],
 )
 def test_simulate_refuses_recordings_that_do_not_match(

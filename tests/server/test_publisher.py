@@ -298,7 +298,7 @@ def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
     monkeypatch.setattr(link, "MODULE", "softfinger.server.no_such_module")
     with make_daemon() as daemon:
         daemon.start()
-        with pytest.raises(SafetyStop, match="the rendered state would be invisible"):
+        with pytest.raises(SafetyStop, match="telemetry cannot be published"):
             daemon.wait(60.0)
 
 

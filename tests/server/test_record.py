@@ -162,7 +162,7 @@ def test_an_invalid_pose_is_skipped(tmp_path: Path) -> None:
     put(records[30:31], "probe.position", np.nan)
     totals, file = record_rows(tmp_path, records)
     assert (totals.poses, totals.unusable) == (99, 1)
-    assert "1 left out" in str(totals)
+    assert "1 skipped" in str(totals)
     assert len(load_poses(file).t) == 99
 
 

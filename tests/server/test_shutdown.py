@@ -171,7 +171,7 @@ def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(
     act: Callable[[Sequence[Device]], None], acted: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
-    message = rf"be {acted} \(it has not returned for 0\.2 s.*switch"
+    message = rf"be {acted} \(the call has not returned for 0\.2 s.*switch"
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=message):
         act([device(hangs), device(broken), device(sound)])
     assert f"could not be {acted} (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
@@ -242,10 +242,10 @@ SAID = "its driver said why"
     [
         (health.NO_POSE, 0, DeviceError, ["no usable pose for", "check its sensors"]),
         (health.JUMPING, 0, DeviceError, ["jumps repeatedly", "guard.speed_max_m_per_s"]),
-        (READ_FAILED, FORCE_OFF, SafetyStop, ["turned its force off"]),
+        (READ_FAILED, FORCE_OFF, SafetyStop, ["disabled its force"]),
         (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),
         (WRITE_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a write in time"]),
-        (READ_FAILED, PROTOCOL, DeviceLost, ["not in its protocol", "on read"]),
+        (READ_FAILED, PROTOCOL, DeviceLost, ["violates its protocol", "on read"]),
         (WRITE_FAILED, LOST, DeviceLost, ["is gone", "on write"]),
     ],
 )

@@ -93,7 +93,7 @@ def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.
     make_tuning(load_scene({"fingertip": {"radius_m": 0.01}, "world": world, "object": [own]}), RIG)
     hills, cloth = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert hills.startswith("fingers pass through geom 'hills': it is a height field with pixels of 2 m along x and")
-    assert cloth == "fingers pass through geom 'cloth': it is a flexible body, which fingers do not touch"
+    assert cloth == "fingers pass through geom 'cloth': it is a flexible body, which fingers cannot touch"
 
 
 @pytest.mark.parametrize("name", ["paper-plane", "ball-in-a-bowl"])

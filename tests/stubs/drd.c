@@ -36,7 +36,7 @@ static __thread int last_error;
     X(turned, 0) X(mirror, 0) \
  /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
-    X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) X(nan_at, -1) \
+    X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) \
     X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) X(refuse_frame, 0) \
     X(refuse_brakes, 0) X(enable_s, 0) \
  /* what was asked of it, to be read */ \
@@ -364,7 +364,6 @@ static int pose(double *px, double *py, double *pz, double m[3][3], char id)
         if (k.mirror) turned[0][0] *= -1;
         memcpy(m, turned, sizeof turned);
         for (int i = 0; i < 3; i++) *p[i] = position[i];
-        if (n == k.nan_at) *px = NAN;
     }
     leave();
     return code;
@@ -413,7 +412,7 @@ int dhdSetForceAndTorqueAndGripperForce(
     return code;
 }
 
-/* What a process left behind, for those who started it. */
+/* Settings of a process, by those who start it. */
 __attribute__((constructor)) static void begin(void)
 {
     const char *settings = getenv("STUB_DRD_SET");
@@ -427,15 +426,4 @@ __attribute__((constructor)) static void begin(void)
         *equals = 0;
         stub_set(pair, atof(equals + 1));
     }
-}
-__attribute__((destructor)) static void end(void)
-{
-    const char *path = getenv("STUB_DRD_LOG");
-    FILE *file = path ? fopen(path, "w") : 0;
-    double force[3];
-    if (!file) return;
-    stub_force(force);
-    for (const struct knob *one = knob; one->name; one++) fprintf(file, "%s %.17g\n", one->name, *one->value);
-    fprintf(file, "motors %.17g\n", sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2]));
-    fclose(file);
 }

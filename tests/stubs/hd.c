@@ -67,7 +67,7 @@ static const HHD HANDLE[DEVICES] = {17, 42};
     X(x, 0) X(y, 20) X(z, 0) X(ax, 0) X(ay, 0) X(az, 0) X(hz, 1) X(turn, 0) X(turned, 0) X(axis, 1) \
     X(buttons, 0) X(docked, 0) X(temperature, 0.1) X(mirror, 0) \
  /* faults: at the frame of that number or from it on (-1 never); for `only` of the devices (-1 all) */ \
-    X(only, -1) X(error_at, -1) X(error, COMM) X(internal, 7) X(unplug_at, -1) X(unplugged, 0) X(nan_at, -1) \
+    X(only, -1) X(error_at, -1) X(error, COMM) X(internal, 7) X(unplug_at, -1) X(unplugged, 0) \
     X(delay_at, -1) X(delay_s, 0) X(drop_at, -1) X(hang_at, -1) X(garbage, 0) X(refuse_force, 0) X(rate_hz, 1000) \
  /* what was asked of it, to be read */ \
     X(opens, 0) X(closes, 0) X(starts, 0) X(stops, 0) X(running, 0) X(ticks, 0) X(frames, 0) X(errors, 0) X(misuse, 0) \
@@ -360,7 +360,6 @@ void hdGetDoublev(HDenum what, double *out)
     case POSITION:
         for (int i = 0; i < 3; i++) out[i] = k.garbage ? random_number() : device[d].position[i];
         if (k.clock != 0) out[0] = clock_mm();
-        if (mine(d) && device[d].frames - 1 == k.nan_at) out[0] = NAN;
         break;
     case TRANSFORM: {
         const double a = turn_now(k.ticks / k.rate_hz);

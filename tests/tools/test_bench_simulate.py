@@ -27,10 +27,6 @@ def test_bench_times_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert not list(folder.iterdir())
 
 
-def test_an_untimable_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Too few ticks, or a scene that a single recording cannot run on: an error with the message of simulate."""
-    assert cli.main(["bench", "simulate", "--ticks", "10"]) == 2
-    assert "1000 or more" in capsys.readouterr().err
-    words = ["--ticks", "1000", "--scene", "pinch", "--folder", str(tmp_path)]
-    assert cli.main(["bench", "simulate", *words]) == 2
+def test_a_scene_that_one_recording_cannot_run_on_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "simulate", "--ticks", "1000", "--scene", "pinch"]) == 2
     assert "poses of" in capsys.readouterr().err

@@ -160,7 +160,7 @@ def _to_json(outcome: ReplayComparison) -> dict[str, Any]:
 def _lines(outcome: ReplayComparison, past: Run) -> list[str]:
     lines = [f"{outcome.compared} of {outcome.ticks} ticks compared, {outcome.different} differ"]
     if past.cut:
-        lines.append(f"  the recording is cut short: {past.cut}")
+        lines.append(f"  the recording is truncated: {past.cut}")
     lines += [f"  {key}: largest difference {value:.3g}" for key, value in outcome.largest.items()]
     lines += [f"  ticks {s.first} to {s.last} are not compared: {s.why}" for s in outcome.left_out[:SPANS_SHOWN]]
     if len(outcome.left_out) > SPANS_SHOWN:

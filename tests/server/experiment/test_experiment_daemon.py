@@ -206,7 +206,7 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     monkeypatch.undo()
     start = re.escape(str(own / "sub-01_run-01_ticks.mcap")) + r": the recording ends after \d+ ticks: File too large: "
-    assert re.fullmatch(start + "the force is off, and no answer before is lost: make room .* this trial again",
+    assert re.fullmatch(start + "the force is off, and all earlier answers are stored: make room .* this trial again",
                         str(ended.value))  # fmt: skip
     assert presented == [1, 1, 2]
     assert force[-1] == 0.0 and max(force) > 0.3

@@ -148,7 +148,7 @@ def test_commands_are_replayed(tmp_path: Path) -> None:
     outcome = replay_and_compare(recorded(tmp_path / "told.mcap", records, [set_params]))
     assert outcome.first is None and outcome.compared > 0
     assert {span.why for span in outcome.left_out} >= {
-        "the time of the command after them is not recorded, or it was not yet done"
+        "the time of the following command is not recorded, or it was not yet executed"
     }
     set_scene = event("command", "set_scene", tick, command_id="a", what={"scene": "sphere", "tick": tick})
     outcome = replay_and_compare(recorded(tmp_path / "other.mcap", records, [set_scene]))

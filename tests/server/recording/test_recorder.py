@@ -242,7 +242,7 @@ NOT_BELOW = {
     "there.mcap": "already exists",
     "dangling.mcap": "already exists",
     "nowhere/x.mcap": "No such file",
-    "x.csv": r"the ending \.mcap",
+    "x.csv": r"must end in \.mcap",
     "x\0.mcap": "null byte",
 }
 
@@ -347,7 +347,7 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     recorded_ = recorder.stop(WAIT_S)
     assert recorded_.whole and recorded_.events_dropped == 30
     assert recorded_.worst_write_s >= stalled
-    assert reports == ["30 events are not recorded: the disk was too slow"]
+    assert reports == ["30 events were not recorded: the disk was too slow"]
     _, events, notes, _ = read(tmp_path / "slow.mcap")
     assert [entry["name"] for entry in events] == [f"mark {number}" for number in range(QUEUE_EVENTS)]
     assert notes["end"]["events_dropped"] == 30 and notes["last"] == {"said": True}
@@ -392,7 +392,7 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
     gaps = np.diff(records[:, AT.tick])
     (at,) = np.flatnonzero(gaps != 1.0)
     assert reports == [
-        f"{dropped} ticks from tick {records[at, AT.tick] + 1:.0f} on are not recorded: the disk was too slow"
+        f"{dropped} ticks from tick {records[at, AT.tick] + 1:.0f} on were not recorded: the disk was too slow"
     ]
     info = summary(tmp_path / "slow.mcap")
     assert (info["missing"], info["gaps"], info["longest_gap"], info["dropped"]) == (dropped, 1, dropped, dropped)

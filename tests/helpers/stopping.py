@@ -1,0 +1,39 @@
+"""Stop a device while another thread writes forces."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from helpers.waits import until
+from softfinger.drivers.base import Device
+from softfinger.server.driver_contract import Servo
+
+
+def stop_during_writes(device: Device, forces: Callable[[], Sequence[bool]], settle: Callable[[], object]) -> None:
+    """Stop a device while a thread writes forces without a pause, and check that no force follows the zero.
+
+    forces  whether each command that the far end has processed so far had a force, in order
+    settle  waits until the far end has processed all commands
+    """
+    servo, over = Servo(device), threading.Event()
+
+    def write() -> None:
+        while not over.is_set():
+            servo.read()
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    try:
+        until(lambda: any(forces()))
+        device.stop()
+        settle()
+        stopped = len(forces())
+        time.sleep(0.005)
+        settle()
+        assert not any(forces()[stopped - 1 :])
+    finally:
+        over.set()
+        thread.join()
