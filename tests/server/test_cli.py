@@ -141,19 +141,6 @@ def test_run_for_a_duration_logs_plain_lines():
     assert "\r" not in result.stderr and "\x1b" not in result.stderr
 
 
-def test_bad_config_reports_all_errors_at_once(tmp_path):
-    rig = tmp_path / "bench.toml"
-    rig.write_text(
-        '[device]\ndriver = "replay"\nrecording = "tap"\n'
-        '[servo]\nrate_hz = 20000\nrealtime = "always"\n[guard]\nforce_max = 5.0\n'
-    )
-    outcome = called("run", "--rig", str(rig))
-    assert outcome.returncode == 2 and outcome.stdout == ""
-    for piece in ("bench.toml", "servo.rate_hz", "20000", "8000", "servo.realtime", "always", "force_max_n"):
-        assert piece in outcome.stderr
-    assert "Traceback" not in outcome.stderr
-
-
 @pytest.mark.parametrize(
     ("words", "code", "pieces"),
     [

@@ -150,9 +150,6 @@ ATTACKS = {name: f"{PEER}def step():\n{step}\nattack(step)" for name, step in ST
 
 SECONDS = 1.0
 """Time in which an unlimited attack among others fills 100 MB and opens all its connections."""
-ALONE_S = 4.0
-"""Time in which an unlimited attack fills gigabytes."""
-
 GROWN_BYTES = 32e6
 """Growth of the publishing program: interpreter and allocator, and nothing that peers send."""
 BACKLOG = 8192
@@ -190,9 +187,9 @@ def end_publisher(process: subprocess.Popen[str]) -> Any:
     return report
 
 
-def count_missing(local: Local, healthy: Subscription, seconds: float) -> int:
-    """Read for `seconds`. No tick in memory may be missing; return the number of ticks the subscriber missed."""
-    missing, end = 0, time.monotonic() + seconds
+def check_ticks(local: Local, healthy: Subscription, seconds: float) -> None:
+    """Read for `seconds`. No tick in memory may be missing."""
+    end = time.monotonic() + seconds
     before: float | None = None
     while time.monotonic() < end:
         rows = local.take(5.0)
@@ -200,10 +197,9 @@ def count_missing(local: Local, healthy: Subscription, seconds: float) -> int:
         ticks = rows[:, AT.tick]
         assert (np.diff(ticks) == 1.0).all() and (before is None or ticks[0] == before + 1.0)
         before = float(ticks[-1])
-        while (sample := healthy.receive(0.0)) is not None:
-            missing += sample.lost
+        while healthy.receive(0.0) is not None:
+            pass
     assert local.lost == 0
-    return missing
 
 
 def make_endpoint(transport: str, folder: Path) -> str:
@@ -213,33 +209,14 @@ def make_endpoint(transport: str, folder: Path) -> str:
 MANY = ("connections that say nothing", "subscribers to nothing", "subscribers who never read", "connect and go")
 TOGETHER = {"by what they send": tuple(name for name in ATTACKS if name not in MANY), "by how many they are": MANY}
 """All attacks, in groups that do not block each other."""
-COSTLY = ("thousands of topics", "one topic again and again", "pings, and never reading", "connect and go")
-"""Attacks that may restart the publisher, or cost a healthy subscriber messages; libzmq withstands the others."""
-
-# Data of peers is read the same way for both transports; connections depend on the transport.
-OVER_IPC = ("thousands of topics", "connections that say nothing", "connect and go")
 
 
+@pytest.mark.parametrize("transport", ["tcp", pytest.param("ipc", marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
-def test_groups_of_malicious_peers_do_not_affect_the_daemon(names: tuple[str, ...]) -> None:
-    attack(names, "tcp://127.0.0.1:*", SECONDS)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    ("name", "transport"), [*((name, "tcp") for name in ATTACKS), *((name, "ipc") for name in OVER_IPC)]
-)
-def test_one_malicious_peer_does_not_affect_the_daemon(name: str, transport: str, tmp_path: Path) -> None:
-    report = attack((name,), make_endpoint(transport, tmp_path), ALONE_S)
-    # At its limit of files libzmq's ipc listener ends the process, where its tcp listener waits: `errno_assert` of
-    # `ipc_listener_t::accept` has no EMFILE.
-    if name not in COSTLY and (name, transport) != ("connections that say nothing", "ipc"):
-        assert (report["missing"], report["restarts"]) == (0, 0)
-
-
-def attack(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
-    """Attack a publisher for `seconds`; return its final report with the ticks a subscriber missed."""
-    with publishing(endpoint) as (process, (bound, ring, pid)):
+def test_groups_of_malicious_peers_do_not_affect_the_daemon(
+    names: tuple[str, ...], transport: str, tmp_path: Path
+) -> None:
+    with publishing(make_endpoint(transport, tmp_path)) as (process, (bound, ring, pid)):
         with Subscription(bound, ("contact",)) as healthy, Local(ring) as local:
             assert healthy.receive(60.0) is not None  # the kernels may have to be compiled
             before = read_memory(process.pid, "VmHWM")
@@ -253,20 +230,19 @@ def attack(names: tuple[str, ...], endpoint: str, seconds: float) -> Any:
                 for peer in peers:  # at once, because running attacks would slow the start of others
                     peer.stdin.close()
                 local.take(0.0)
-                missing = count_missing(local, healthy, seconds)
+                check_ticks(local, healthy, SECONDS)
                 assert all(peer.poll() is None for peer in peers), "an attack was over"
                 with contextlib.suppress(FileNotFoundError):  # the process has ended
                     assert read_memory(pid, "VmHWM") < 1.5 * MEMORY_MAX
-            missing += count_missing(local, healthy, 0.2)
+            check_ticks(local, healthy, 0.2)
             assert is_served(bound)
             while healthy.receive(60.0) is None:
                 raise AssertionError("a healthy subscriber is not served again")
             grown = read_memory(process.pid, "VmHWM") - before
             files = len(os.listdir(f"/proc/{process.pid}/fd"))
-        report = end_publisher(process)
+        end_publisher(process)
     assert grown < GROWN_BYTES
     assert files < 64  # files of the interpreter and the listener
-    return report | {"missing": missing}
 
 
 READY = b"\x04\x19\x05READY\x0bSocket-Type\0\0\0\x03SUB"

@@ -186,23 +186,6 @@ def test_plotjugglers_rules_hold_for_every_topic(sockets):
     assert [faults for frames in messages if (faults := complaints(frames, ("state",)))] == []
     assert prefix_complaints([topic.decode() for topic in late]) == []
 
-    good = {"timestamp": 1.7e9, "a": {"b": [1.0, True, "text"]}}
-    assert complaints([b"contact", msgpack.packb(good)]) == []
-    for wrong, expected in (
-        ({"a": 1.0}, "no timestamp"),
-        (good | {"timestamp": 17}, "no timestamp"),
-        (good | {"timestamp": 17.0}, "another clock"),
-        (good | {3: 1.0}, "not text"),
-        (good | {"a/b[0]": 1.0}, "two values"),
-        (good | {"c": float("nan")}, "empty series"),
-        (good | {"c": None}, "NoneType"),
-        (good | {"c": b"1"}, "bytes"),
-    ):
-        (complaint,) = complaints([b"contact", msgpack.packb(wrong)])
-        assert expected in complaint
-    assert "3 frames" in complaints([b"contact", b"", msgpack.packb(good)])[0]
-    assert prefix_complaints(["event", "events"]) == [("event", "events")]
-
 
 def test_the_client_of_hapticore_reads_state_and_commands(sockets):
     before = time.monotonic()

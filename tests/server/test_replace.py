@@ -292,19 +292,3 @@ def test_the_number_of_ticks_is_counted_over_all_loops(driver):
         assert running.wait(120.0)
         assert running.servo.ticks == 1_000
     assert recorder.all[-1, AT.tick] == 999
-
-
-def test_two_pauses_are_one_pause(driver):
-    first, _ = load_scenes()
-    with started(make_faulty_rig(), first) as running:
-        device = driver.devices[0]
-        pressed = lambda: np.linalg.norm(device.wrenches[-1]) > 0.2  # noqa: E731
-        assert eventually(pressed)
-        outer = running.pause()
-        inner = running.pause()
-        inner()
-        before = running.servo.ticks
-        assert eventually(lambda: running.servo.ticks > before + 20)
-        assert not device.wrenches[-10:].any()
-        outer()
-        assert eventually(pressed)

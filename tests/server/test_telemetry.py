@@ -7,11 +7,11 @@ import threading
 import msgpack
 import numpy as np
 import pytest
-import zmq
+from helpers.daemons import subscribed
 from helpers.encoder import contact_map
 from helpers.telemetry_records import join, put, synthetic
 
-from softfinger.config.errors import AddressInUse, ConfigError
+from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import AT, CAUSE_NAMES, NAMED, columns
 from softfinger.server.wire.client import Sample, record_of
 from softfinger.server.wire.health import work_of_hand
@@ -20,16 +20,6 @@ from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
 
-WAIT_MS = 5000
-OPENED = []
-
-
-@pytest.fixture(autouse=True)
-def _close_subscribers():
-    yield
-    while OPENED:
-        OPENED.pop().close()
-
 
 @pytest.fixture
 def publisher():
@@ -37,40 +27,25 @@ def publisher():
         yield server
 
 
-def connect_plain(endpoint, *topics):
-    """Return a subscriber that uses only pyzmq."""
-    socket = zmq.Context.instance().socket(zmq.SUB)
-    socket.linger = 0
-    socket.rcvhwm = 100_000
-    for topic in topics:
-        socket.subscribe(topic)
-    socket.connect(endpoint)
-    OPENED.append(socket)
-    return socket
-
-
 def receive(socket, count):
     """Return the maps of the next `count` messages."""
-    maps = []
-    while len(maps) < count:
-        assert socket.poll(WAIT_MS), f"{len(maps)} of {count} messages arrived"
-        frames = socket.recv_multipart()
-        assert len(frames) == 2
-        maps.append(msgpack.unpackb(frames[1]))
-    return maps
+    messages = [socket.recv_multipart() for _ in range(count)]
+    assert all(len(frames) == 2 for frames in messages)
+    return [msgpack.unpackb(body) for _, body in messages]
 
 
 def publish_and_receive(records, topic, count, **options):
     """Publish `records` in batches of 100; return the messages that a plain subscriber to `topic` receives."""
-    with Publisher("tcp://127.0.0.1:*", **options) as publisher:
-        socket = connect_plain(publisher.endpoint, "contact", "event", "health")
+    with (
+        Publisher("tcp://127.0.0.1:*", **options) as publisher,
+        subscribed(publisher.endpoint, "contact", "event", "health") as socket,
+    ):
         join(publisher, socket)
         for at in range(0, len(records), 100):
             publisher.publish(records[at : at + 100], drops=7)
         publisher.event("test", "end")
         received = []
         while not received or received[-1][0] != b"event" or received[-1][1]["kind"] != "test":
-            assert socket.poll(WAIT_MS)
             frames = socket.recv_multipart()
             received.append((frames[0], msgpack.unpackb(frames[1])))
     maps = [message for name, message in received[:-1] if name == topic.encode()]
@@ -228,35 +203,35 @@ def test_unusable_records_do_no_work():
 
 
 def test_events_from_other_threads_do_not_mix_with_ticks(publisher):
-    socket = connect_plain(publisher.endpoint, "contact", "event")
-    join(publisher, socket)
     threads = [
         threading.Thread(target=lambda n=n: [publisher.event("test", str(n), index=i) for i in range(200)])
         for n in range(4)
     ]
-    for thread in threads:
-        thread.start()
-    for record in synthetic(500):
-        publisher.publish(record[None])
-    for thread in threads:
-        thread.join()
-    maps = receive(socket, 1300)
+    with subscribed(publisher.endpoint, "contact", "event") as socket:
+        join(publisher, socket)
+        for thread in threads:
+            thread.start()
+        for record in synthetic(500):
+            publisher.publish(record[None])
+        for thread in threads:
+            thread.join()
+        maps = receive(socket, 1300)
     assert [m["tick"] for m in maps if "dt" in m] == list(range(500))
     for n in range(4):
         assert [m["index"] for m in maps if m.get("name") == str(n)] == list(range(200))
 
 
 def test_last_event_before_close_arrives(publisher):
-    socket = connect_plain(publisher.endpoint, "event")
-    join(publisher, socket)
-    publisher.publish(synthetic(10))
-    publisher.event("lifecycle", "stopped", message="asked to")
-    publisher.close()
-    publisher.close()
-    publisher.event("lifecycle", "after", message="nobody hears this")
-    publisher.publish(synthetic(1))
-    (event,) = receive(socket, 1)
-    assert not socket.poll(50)
+    with subscribed(publisher.endpoint, "event") as socket:
+        join(publisher, socket)
+        publisher.publish(synthetic(10))
+        publisher.event("lifecycle", "stopped", message="asked to")
+        publisher.close()
+        publisher.close()
+        publisher.event("lifecycle", "after", message="nobody hears this")
+        publisher.publish(synthetic(1))
+        (event,) = receive(socket, 1)
+        assert not socket.poll(50)
     assert (event["kind"], event["name"], event["tick"], event["message"]) == ("lifecycle", "stopped", 9, "asked to")
 
 
@@ -278,18 +253,6 @@ REFUSED = {
 def test_an_endpoint_is_refused_with_its_reason(endpoint, words):
     with pytest.raises(ConfigError, match=words):
         Publisher(endpoint)
-
-
-@pytest.mark.parametrize("scheme", ["tcp", "ipc"])
-def test_second_publisher_on_an_endpoint_is_refused(scheme, tmp_path):
-    wanted = "tcp://127.0.0.1:*" if scheme == "tcp" else f"ipc://{tmp_path}/telemetry"
-    with Publisher(wanted) as holder:
-        endpoint = holder.endpoint
-        with pytest.raises(AddressInUse, match="in use: stop process "):
-            Publisher(endpoint)
-        socket = connect_plain(endpoint, "event")
-        join(holder, socket)
-    Publisher(endpoint).close()
 
 
 def test_ipc_socket_is_for_user_and_group(tmp_path):

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from helpers.daemons import make_daemon
+from helpers.pages import running
 from helpers.processes import COMMAND
 from helpers.programs import Program
 
@@ -32,7 +33,6 @@ WAIT_S = 60.0
 NOBODY = 65534
 KEY = "[commands] endpoint"
 TELEMETRY = "tcp://127.0.0.1:5555"
-ENDPOINTS = ("telemetry.endpoint", "commands.endpoint")
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user")
 
@@ -68,9 +68,7 @@ def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemon
 @pytest.fixture
 def named_daemon() -> Iterator[Daemon]:
     """Run a daemon whose rig names a TCP address for commands, on a port unrelated to that of the telemetry."""
-    rig = load_rig("replay", dict.fromkeys(ENDPOINTS, "tcp://127.0.0.1:*") | {"servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
-        daemon.start()
+    with running("replay", "paper-plane") as daemon:
         yield daemon
 
 
