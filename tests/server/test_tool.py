@@ -175,7 +175,7 @@ def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     )
     rig = load_rig(file)
     assert rig.device.options == {} and build(schema.Rig, describe(rig), "again") == rig
-    assert dict(rig_summary(rig))["  tool"] == "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 2.0, 0.0, 0.0]"
+    assert dict(rig_summary(rig))["  tool"] == "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 1.0, 0.0, 0.0]"
     replay_rig = load_rig(file, {"device.driver": "replay", "device.recording": "tap"})
     assert replay_rig.device.tool is None  # the tool belongs to the other device
     scene = load_scene("paper-plane")
