@@ -33,7 +33,9 @@ def examine(
     return value, report.faults
 
 
-def _value(info: inspect.Type, value: object, key: str, report: FaultCollector) -> Any:
+def _value(info: inspect.Type, value: Any, key: str, report: FaultCollector) -> Any:
+    if hasattr(value, "tolist"):  # an array or a number of NumPy
+        value = value.tolist()
     kind, extra = unwrap(info)
     match kind:
         case inspect.UnionType():

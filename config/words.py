@@ -68,7 +68,7 @@ def missing(info: inspect.Type, dotted: str, name: str) -> str:
     if not isinstance(kind, inspect.VarTupleType) and _is_table(kind):
         return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
     if isinstance(kind, inspect.VarTupleType) and _is_table(kind.item_type):
-        return f"{dotted} is missing: add at least one table [[{dotted}]]"
+        return f"{dotted} is missing: add at least one table [[{_INDEX.sub('', dotted)}]]"
     text = f"{dotted} is missing: give {describe_allowed(info, name)}"
     meaning = f" ({extra['description']})" if "description" in extra else ""
     example = f", such as {name} = {toml(extra['examples'][0])}" if extra.get("examples") else ""

@@ -31,6 +31,8 @@ devices: Final[weakref.WeakSet[Stoppable]] = weakref.WeakSet()
 def call_all(call: Callable[[Target], None], targets: Sequence[Target]) -> list[tuple[Target, BaseException]]:
     """Call `call` with all devices in parallel, so that a failing or hanging device delays no other.
 
+    If the system has no thread left, this thread calls the remaining ones, one after the other.
+
     Returns
     -------
     list
@@ -45,11 +47,18 @@ def call_all(call: Callable[[Target], None], targets: Sequence[Target]) -> list[
         except BaseException as error:
             failures[index] = error
 
-    threads = [threading.Thread(target=run, args=(index,), daemon=True) for index in range(len(targets))]
-    for thread in threads:
-        thread.start()
+    threads, remaining = dict[int, threading.Thread](), list[int]()
+    for index in range(len(targets)):
+        thread = threading.Thread(target=run, args=(index,), daemon=True)
+        try:
+            thread.start()
+            threads[index] = thread
+        except RuntimeError:
+            remaining.append(index)
+    for index in remaining:
+        run(index)
     until = time.monotonic() + STOP_TIMEOUT_S
-    for index, thread in enumerate(threads):
+    for index, thread in threads.items():
         thread.join(max(until - time.monotonic(), 0.0))
         if thread.is_alive():
             failures[index] = TimeoutError(f"the call has not returned for {STOP_TIMEOUT_S:g} s")

@@ -27,6 +27,8 @@ if TYPE_CHECKING:  # before `main` installs its handlers, Ctrl-C during an impor
 
     from softfinger.server.arguments import Parser
 
+NO_THREAD: Final = "can't start new thread"
+"""Python's message at a limit of processes or of memory."""
 DESCRIPTORS_MIN: Final = 64
 """File descriptors needed to load a compiler, open a device and publish; ZeroMQ aborts if it gets none."""
 
@@ -103,7 +105,9 @@ def main(argv: list[str] | None = None) -> int:
             # The reader of stdout has closed the pipe (`| head`): this is not an error, nor while closing.
             discard(sys.stdout)
             return 0
-        except (OSError, MemoryError) as error:
+        except (OSError, MemoryError, RuntimeError) as error:
+            if isinstance(error, RuntimeError) and str(error) != NO_THREAD:
+                raise
             if {"-v", "--verbose"} & set(sys.argv):
                 raise
             discard(sys.stdout)  # Python would retry the failed write at exit
@@ -168,8 +172,8 @@ def report_failure(message: str, code: int) -> int:
     return code
 
 
-def reason(error: OSError | MemoryError) -> str:
-    reason = "out of memory"
+def reason(error: OSError | MemoryError | RuntimeError) -> str:
+    reason = "no thread can be started" if isinstance(error, RuntimeError) else "out of memory"
     if isinstance(error, OSError):
         reason = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
     return f"the system refused: {reason} (--verbose shows where)"
