@@ -187,6 +187,22 @@ def test_magnet_vanishes_at_its_range_without_a_step(exponent: float) -> None:
     assert force_of(effect, moment(gap=-0.001)) == pytest.approx(force_of(effect, moment(gap=1e-15)), abs=1e-9)
 
 
+def test_magnet_does_the_work_of_its_potential() -> None:
+    """From its range to the surface the magnet does the work F range / (n + 1), also along a spiral."""
+    effect = model.Magnet(2.0, 0.02, 2.0)
+    # Spiral towards the sphere |x| = 1: the gap is |x| - 1, the normal x / |x|.
+    s = np.linspace(0.0, 1.0, 4001)
+    radius, angle = 1.03 - 0.03 * s, 2.0 * s
+    path = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * s], axis=1)
+    middle = 0.5 * (path[1:] + path[:-1])
+    lengths = np.linalg.norm(middle, axis=1)
+    forces = np.array(
+        [force_of(effect, moment(gap=g - 1.0, normal=tuple(x / g))) for x, g in zip(middle, lengths, strict=True)]
+    )
+    # Midpoint rule with 4000 steps: error about 1e-7 of the work.
+    assert np.sum(forces * np.diff(path, axis=0)) == pytest.approx(2.0 * 0.02 / 3.0, rel=1e-5)
+
+
 def test_an_ellipsoid_gains_energy_when_it_turns_near_a_magnet() -> None:
     """The ellipsoid descends with its long axis upright, rotates, rises with it level and rotates back. The magnet
     exerts no torque, so the cycle gains F (c - b) h / range (docs/model/effects.md)."""

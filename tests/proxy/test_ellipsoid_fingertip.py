@@ -223,6 +223,31 @@ def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
     np.testing.assert_allclose(rows["torque"][:, 1], moment, rtol=0.0, atol=1e-11)
 
 
+def test_rolling_round_a_parallel_turns_the_finger() -> None:
+    """Holonomy: a roll round a parallel of a spheroid draws a circle of radius rho / cos beta on the plane. The finger
+    turns by 2 pi cos beta about the normal: 2 pi less the area enclosed by the normals (Gauss and Bonnet)."""
+    a, c, beta = 0.008, 0.011, 0.6
+    height = np.hypot(a * np.sin(beta), c * np.cos(beta))
+    rho = a * a * np.sin(beta) / height
+    paths = []
+    for ticks in (250, 500):
+        s = np.linspace(0.0, 2.0 * np.pi, ticks + 1)
+        poses = []
+        for angle in s:
+            about = multiply(quaternion([0.0, beta, 0.0]), quaternion([0.0, 0.0, -angle]))
+            about = multiply(quaternion([0.0, 0.0, np.cos(beta) * angle]), about)
+            poses.append(np.concatenate([[0.0, 0.0, height - 1e-3], about]))
+        made = scene({"radii_m": [a, a, c]}, TABLES["plane"], friction=STICKY)
+        points = Engine(made).run(np.array(poses))["contact.point"]
+        paths.append((points - points[0])[:: ticks // 250])
+    turned = np.cos(beta) * np.linspace(0.0, 2.0 * np.pi, 251)
+    circle = rho / np.cos(beta) * np.stack([np.cos(turned) - 1.0, np.sin(turned), 0.0 * turned], axis=1)
+    # The rate is constant within a tick, an error of second order. Its extrapolation leaves one of fourth order: (2 pi
+    # / 250)^4 of a circle of 7 mm.
+    np.testing.assert_allclose(paths[1], circle, rtol=0.0, atol=4e-7)
+    np.testing.assert_allclose((4.0 * paths[1] - paths[0]) / 3.0, circle, rtol=0.0, atol=3e-9)
+
+
 def work(rows: Array) -> Array:
     """Work (n,) J of the hand up to each tick, by the trapezoidal rule, of second order in the step."""
     moved = np.diff(rows["probe.position"], axis=0)

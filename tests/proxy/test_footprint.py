@@ -110,6 +110,13 @@ def test_torsion_is_elastic_up_to_the_friction_of_the_patch(name: str, depth: fl
     assert records["torque"][:, 2] == pytest.approx(records["contact.torsion"], abs=1e-18)
 
 
+def test_torsional_stiffness_of_a_hertzian_patch_is_load_times_radius() -> None:
+    """On a rigid flat 16/3 G a^3 = f_N r, independent of the pad's modulus."""
+    for modulus in (1e4, 1e5, 1e7):
+        records = run(soft({"shear_modulus_pa": modulus}), pressed(0.002).go(1, turn=[0, 0, 1e-6]))
+        assert records["contact.torsion"][-1] == pytest.approx(-2.0 * R * 1e-6, rel=1e-9)
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", list(PATCHES))
 def test_steady_slip_and_spin_are_on_the_limit_surface_of_the_patch(name: str) -> None:
@@ -159,6 +166,18 @@ def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
     assert np.ptp(torque[limit_tick : rest + 1, 0]) == 0.0
     assert torque[-1, 0] == pytest.approx(limit, rel=1e-9)
     assert np.abs(torque[:, 1:]).max() < 1e-15
+
+
+def test_work_of_a_long_roll_is_the_loss_factor_times_the_angle() -> None:
+    """The work of a long roll is 3/16 alpha a f_N theta, less the energy stored in the wound spring."""
+    alpha, load, turn = 0.5, 1.0, 3.0
+    engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
+    records = run(engine, pressed().go(1, [0, 0, 0]).go(1000, turn=[0, turn, 0]))
+    a = float(radius("Hertz", load))
+    limit = 3.0 / 16.0 * alpha * a * load
+    work = work_of_the_hand(records)
+    # The spring winds up over a / r, for half of the work; the tolerance is one step of 3 mrad.
+    assert work[-1] - work[2] == pytest.approx(limit * (turn - 0.5 * a / R), abs=limit * 6e-3)
 
 
 @pytest.mark.scaled

@@ -153,6 +153,18 @@ def test_the_spline_converges_as_a_cubic_does() -> None:
     assert orders[0] > 3.9 and (orders[1:3] > 2.9).all() and (orders[3:] > 1.9).all(), orders
 
 
+def test_planes_are_exact_and_paraboloids_away_from_the_rim() -> None:
+    """A cubic spline reproduces both. The zero curvature at the rim is exact for a plane; its influence vanishes within
+    30 pixels."""
+    x, y = NOISE.uniform(-0.02, 0.02, (2, 200))
+    plane = heights_of(kernel_heightmap(sampled(41, 41, 1e-3, lambda x, y: 0.3 * x - 0.2 * y + 1e-3), 1e-3), x, y)
+    np.testing.assert_allclose(plane[:, 0], 0.3 * x - 0.2 * y + 1e-3, atol=1e-16)
+    np.testing.assert_allclose(plane[:, 1:3] - [0.3, -0.2], 0.0, atol=1e-14)
+    bowl = heights_of(kernel_heightmap(sampled(101, 101, 1e-3, lambda x, y: 10.0 * x * x - 5.0 * x * y), 1e-3), x, y)
+    np.testing.assert_allclose(bowl[:, 0], 10.0 * x * x - 5.0 * x * y, atol=1e-15)
+    np.testing.assert_allclose(bowl[:, 3:] - [20.0, -5.0, 0.0], 0.0, atol=1e-9)
+
+
 def test_map_is_level_beyond_the_rim_with_continuous_curvature() -> None:
     pitch, heights = MAPS["hills"]
     shape = kernel_heightmap(heights, pitch)
@@ -235,6 +247,24 @@ def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
             least = min(foot_at(shape, p, middle[0] + a, middle[1] + b).square for a in along for b in along)
             assert least >= square * (1.0 - 1e-9)  # rounding
     assert 50 < ruled_out < convex - 50
+
+
+def test_gap_to_a_tilted_plane_is_its_closed_form() -> None:
+    shape = kernel_heightmap(sampled(80, 60, 1e-3, lambda x, y: 0.3 * x + 0.1 * y), 1e-3)
+    points = np.random.default_rng(5).uniform([-0.015, -0.02, -0.01], [0.015, 0.02, 0.015], (500, 3))
+    normal = np.array([-0.3, -0.1, 1.0]) / math.sqrt(1.1)
+    np.testing.assert_allclose(nearest(shape, points)[:, 0], points @ normal, rtol=0, atol=1e-16)
+
+
+def test_gap_to_a_cap_converges_with_fourth_order() -> None:
+    directions = np.random.default_rng(6).uniform([-0.1, -0.1, 1.0], [0.1, 0.1, 1.0], (200, 3))
+    out = np.random.default_rng(7).uniform(0.058, 0.072, (200, 1))
+    points = directions / np.linalg.norm(directions, axis=1, keepdims=True) * out - [0.0, 0.0, 0.06]
+    errors = []
+    for pitch in (2e-3, 1e-3):
+        heights = sampled(round(0.06 / pitch), round(0.06 / pitch), pitch, lambda x, y: cap_of(0.06, x, y))
+        errors.append(np.abs(nearest(kernel_heightmap(heights, pitch), points)[:, 0] - out[:, 0] + 0.06).max())
+    assert errors[1] < errors[0] / 14.0 and errors[0] < 2e-9
 
 
 def test_the_gap_is_never_too_large_if_all_points_are_equally_near() -> None:

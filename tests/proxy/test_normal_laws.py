@@ -6,6 +6,7 @@ The plane is that of conftest.paper_mapping: K_n = 1000 N/m at d = 1 mm, no velo
 from __future__ import annotations
 
 import functools
+from math import log
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from references.laws import Array, check_random_handling, work_of_the_hand
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from softfinger.config.load import build
 from softfinger.config.schema import Material, Normal, Scene
@@ -97,6 +100,16 @@ def test_a_press_at_a_speed_has_the_closed_form(name: str, speed: float) -> None
     assert forces == pytest.approx(force(LAWS[name], depths, inwards), rel=1e-9, abs=1e-11)
 
 
+def test_hertz_is_the_force_between_a_sphere_and_a_half_space() -> None:
+    """K d^(1 - p) is 4/3 E* sqrt(r) if stiffness_n_per_m is 4/3 E* sqrt(r d)."""
+    modulus = 2.5e4
+    law = {"normal": {"exponent": 1.5, "depth_m": D}, "stiffness_n_per_m": 4.0 / 3.0 * modulus * (R * D) ** 0.5}
+    running = Engine(build(Scene, paper_mapping(**smooth(law)), "hertz"))
+    depths = np.repeat(np.linspace(1e-4, 5e-3, 20), 2)
+    forces = pressed(running, depths)[1::2]
+    assert forces == pytest.approx(4.0 / 3.0 * modulus * R**0.5 * depths[1::2] ** 1.5, rel=1e-12)
+
+
 @pytest.mark.parametrize("name", list(LAWS))
 @pytest.mark.parametrize("load", [0.02, 1.0, 12.0])
 def test_depth_and_slope_under_a_force_are_those_of_the_law(name: str, load: float) -> None:
@@ -108,6 +121,72 @@ def test_depth_and_slope_under_a_force_are_those_of_the_law(name: str, load: flo
     slope = (spring(LAWS[name], depth + h) - spring(LAWS[name], depth - h)) / (2.0 * h)
     # Central differences have an error of h^2 f''' / 6, 1e-10 of the slope, and rounding of 1e-16 / 1e-5.
     assert material.stiffness_under(load) == pytest.approx(slope, rel=1e-9)
+
+
+MASS = 0.2
+
+
+def leaving_speed(law: dict[str, Any], speed: float) -> float:
+    """Return the speed, m/s, at which a free mass leaves the plane, by SciPy's DOP853."""
+
+    def rates(t: float, y: NDArray[np.float64]) -> list[float]:
+        return [y[1], -float(force(law, y[0], y[1])) / MASS]
+
+    def left(t: float, y: NDArray[np.float64]) -> float:
+        return float(y[0])
+
+    left.terminal, left.direction = True, -1.0  # type: ignore[attr-defined]
+    solution = solve_ivp(rates, (0.0, 10.0), [0.0, speed], "DOP853", events=left, rtol=1e-12, atol=1e-14)
+    return -float(solution.y_events[0][0][1])
+
+
+def rendered_speed(running: Engine, speed: float, dt: float) -> float:
+    """Return this speed with the contact step in the loop: velocity Verlet, of second order for the spring."""
+    running.reset()
+    running.step([0, 0, R + speed * dt], [1, 0, 0, 0], dt)
+    x, v = R, -speed
+    last = running.step([0, 0, x], [1, 0, 0, 0], dt).force[2]
+    while x <= R:
+        v += 0.5 * dt * last / MASS
+        x += dt * v
+        last = running.step([0, 0, x], [1, 0, 0, 0], dt).force[2]
+        v += 0.5 * dt * last / MASS
+    return v
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("name", ["Hertz", "Hunt-Crossley", "Hunt-Crossley, Hertz"])
+def test_an_impact_matches_an_independent_integration(name: str) -> None:
+    """The speed of a mass after impact equals DOP853's to first order in the time step, and to second order after
+    extrapolation."""
+    speed = 0.2
+    wanted = leaving_speed(LAWS[name], speed)
+    coarse, fine = (rendered_speed(engine(name), speed, dt) for dt in (4e-5, 2e-5))
+    # Damping uses the speed of half a step ago: an error of c a dt / 2 of the force, a = f / m at most 15 m/s^2, so
+    # 6e-4.
+    assert fine == pytest.approx(wanted, rel=6e-4)
+    # Extrapolating two steps cancels that; the remaining error is of second order, (dt / 40 ms)^2 or some 1e-6, and
+    # from leaving the plane within a step, where the force is zero.
+    assert 2.0 * fine - coarse == pytest.approx(wanted, rel=2e-5)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("speed", [0.02, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("name", ["Hunt-Crossley", "Hunt-Crossley, Hertz"])
+def test_restitution_is_hunt_and_crossleys(name: str, speed: float) -> None:
+    """c v - log(1 + c v) = -c e v - log(1 - c e v) for any mass and spring; for small v, e = 1 - alpha v."""
+    c = 2.0
+
+    def balance(e: float) -> float:
+        return c * speed - log(1.0 + c * speed) + c * e * speed + log(1.0 - c * e * speed)
+
+    exact = brentq(balance, 1e-3, 1.0 - 1e-9, xtol=1e-14)
+    # DOP853 at 1e-12, and the position of the event.
+    assert leaving_speed(LAWS[name], speed) / speed == pytest.approx(exact, abs=1e-9)
+    assert rendered_speed(engine(name), speed, 2e-5) / speed == pytest.approx(exact, abs=6e-4)
+    alpha = 2.0 / 3.0 * c
+    # The published line is the series up to its second term; the third term, from the equation above, is 4/9 (c v)^2.
+    assert exact == pytest.approx(1.0 - alpha * speed, abs=0.5 * (c * speed) ** 2)
 
 
 @pytest.mark.parametrize("name", list(LAWS))
@@ -200,6 +279,37 @@ def test_each_wall_of_a_corner_has_a_separate_law() -> None:
     wall = 400.0 * 0.002 * (np.maximum(depths[:, 0], 0.0) / 0.002) ** 2
     assert forces[:, 0] == pytest.approx(wall, abs=1e-12)
     assert forces[:, 2] == pytest.approx(spring(LAWS["Hertz"], depths[:, 1]), abs=1e-11)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(("share", "grows"), [(0.8, False), (1.2, True)])
+def test_stability_depends_on_the_slope_at_the_force(share: float, grows: bool) -> None:
+    """A perturbation of a weight on Hertz's wall decays if K(f) is below 2 b / T and grows above, as on a linear wall.
+
+    K T / 2 = b is the bound of Colgate and Schenkel and, for a slow loop, the limit of Gil et al.
+    """
+    mass, damping, period, weight = 0.2, 2.0, 0.001, 5.0
+    # For Hertz's law K(f) = 1.5 K (f / (K d))^(1/3); solved for K.
+    wanted = share * 2.0 * damping / period
+    stiffness = (wanted / 1.5) ** 1.5 / (weight / D) ** 0.5
+    scene = build(Scene, paper_mapping(**smooth({**LAWS["Hertz"], "stiffness_n_per_m": stiffness})), "weight")
+    assert scene.object[0].material.stiffness_under(weight) == pytest.approx(wanted, rel=1e-12)
+    running = engine("Hertz")
+    running.tune(scene)
+    running.reset()
+    running.step([0, 0, R + 0.001], [1, 0, 0, 0])
+    # Exact solution of mass and damper under a constant force.
+    fading = np.exp(-damping / mass * period)
+    rest = R - scene.object[0].material.depth_under(weight)
+    z, v, swing = rest, 1e-4, []
+    for _ in range(4000):
+        push = (running.step([0, 0, z], [1, 0, 0, 0]).force[2] - weight) / damping
+        z, v = z + push * period + (v - push) * mass / damping * (1.0 - fading), push + (v - push) * fading
+        swing.append(abs(z - rest))
+    running.tune(build(Scene, paper_mapping(**smooth(LAWS["Hertz"])), "normal"))
+    # (b - K T / 2) / 2 m is 1/s in both cases: a factor of e^3 between the first and the last second.
+    ratio = max(swing[-1000:]) / max(swing[:1000])
+    assert ratio > 5.0 if grows else ratio < 0.2
 
 
 def test_a_linear_law_of_the_general_type_is_bit_identical() -> None:

@@ -340,6 +340,54 @@ def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
     np.testing.assert_allclose(torque[:, 1], -3.0 / 16.0 * 0.4 * R * 2.0 * F * 0.02, rtol=1e-11)
 
 
+BALL, DEEP, ARC = 0.05, 0.001, 0.4
+"""Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
+be 0.4 N."""
+
+
+BALL, DEEP, ARC = 0.05, 0.001, 0.4
+"""Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
+be 0.4 N."""
+
+
+BALL, DEEP, ARC = 0.05, 0.001, 0.4
+"""Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
+be 0.4 N."""
+
+
+STUCK = material({"static": 5.0, "kinetic": 4.0})
+
+
+FAR = wall("far", (0.0, 0.0, 1.0), offset=-5.0)
+
+
+def over_the_ball(angles, turned):
+    """Return the records of a path over the top of the ball by `angles` (n,) about y, with the fingertip rotated by
+    `turned` (n,) about that axis."""
+    running = engine({"name": "ball", "shape": "sphere", "radius_m": BALL, "material": STUCK}, FAR)
+    out = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
+    running.run(poses(pressing((0.0, 0.0, BALL + R - DEEP))))
+    return running.run(poses((BALL + R - DEEP) * out, np.outer(turned, (0.0, 1.0, 0.0))))
+
+
+def test_a_followed_roll_over_a_curve_winds_nothing():
+    """The centre moves by (R + r) d(phi) while the fingertip turns by d(theta) = (R + r) / r d(phi); the deeper probe
+    moves by (R + r - d) d(phi), which is not a slip. The tangential force is zero, out and back."""
+    angles = ARC * np.sin(np.linspace(0.0, np.pi, 1201))
+    records = over_the_ball(angles, (BALL + R) / R * angles)
+    assert records["contact.rolled"][-1] == pytest.approx(2.0 * (BALL + R) / R * ARC, rel=1e-3)  # out and back
+    assert records["contact.tangential_force"].max() < 1e-5
+
+
+def test_a_drag_over_a_curve_is_wound_by_the_motion_of_the_probe():
+    """The sticking surface point has a constant normal, so the tangential force is K_t times the displacement of the
+    probe along it, and returns to zero when the probe returns."""
+    angles = 0.08 * np.sin(np.linspace(0.0, np.pi, 1201))  # within the cone, 5 N
+    records = over_the_ball(angles, 0.0 * angles)
+    wound = 1000.0 * (BALL + R - DEEP) * np.sin(angles)
+    assert records["contact.tangential_force"] == pytest.approx(wound, abs=1e-6)
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("along", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])

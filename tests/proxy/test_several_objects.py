@@ -24,6 +24,17 @@ def straight_path(start, end, ticks):
     return np.linspace(start, end, ticks)
 
 
+def test_corner_of_three_planes():
+    corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
+    records = visit(
+        corner,
+        np.vstack([straight_path((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5]),
+    )
+    # A quaternion turns the planes' normals from +z: rounding of some 1e-16 times metres.
+    np.testing.assert_allclose(records["proxy.position"][-1], [R, R, R], atol=1e-15)
+    np.testing.assert_allclose(records["force"][-1], [2.0, 1.0, 1.5], atol=1e-10)
+
+
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("angle", [30.0, 60.0, 90.0, 120.0, 150.0])
 def test_groove_is_the_nearest_point_to_the_probe(angle):
@@ -106,6 +117,21 @@ def test_inside_of_a_box_is_a_corner_too():
     np.testing.assert_allclose(records["proxy.position"][-1], [0.04, 0.04, -0.04], atol=1e-12)
     np.testing.assert_allclose(records["force"][-1], [-2.0, -3.0, 4.0], atol=1e-9)
     assert records[-1, AT.contact_object] == 0
+
+
+def test_friction_in_a_groove_carries_the_load_of_both_walls():
+    """In a groove the friction limit is the sum of the limits of both normal forces."""
+    n1, n2 = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
+    grip = SLICK | {"friction": {"static": 0.6, "kinetic": 0.5}}
+    groove = engine(wall("one", n1, grip), wall("two", n2, grip))
+    height = R / 0.6
+    down = straight_path((0.0, 0.0, height + 0.002), (0.0, 0.0, height - 0.0006), 200)
+    along = straight_path((0.0, 0.0, height - 0.0006), (0.0, 0.02, height - 0.0006), 500)
+    records = visit(groove, np.vstack([down, along]))
+    # 0.6 mm down is 0.5 mm along each normal: 0.5 N each, 1 N in sum.
+    tangential = -records["force"][:, 1]
+    np.testing.assert_allclose(tangential.max(), 0.6, rtol=1e-3)
+    np.testing.assert_allclose(np.median(tangential[-200:]), 0.5, rtol=1e-9)
 
 
 def test_turning_table_spins_the_contact():

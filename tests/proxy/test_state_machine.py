@@ -36,6 +36,13 @@ def test_theta_max_is_the_roll_the_hand_has_not_followed(plane_scene: SceneFacto
     assert trace.events == [(1, "touch"), (1 + int(np.ceil(0.12 / 0.3 * 301)), "theta_max")]
 
 
+def test_theta_max_grows_with_the_normal_force(plane_scene: SceneFactory) -> None:
+    """theta_max = mu_s f_N / (k_tau r): pressing twice as deep doubles the roll that sticks."""
+    for depth in (0.0005, 0.001, 0.002):
+        trace = drive(Engine(plane_scene()), pressed(depth).go(301, turn=[0, 0.3, 0]))
+        assert trace.events == [(1, "touch"), (1 + int(np.ceil(0.6 * depth / R / 0.3 * 301)), "theta_max")]
+
+
 def test_a_slow_slide_is_not_a_stop(plane_scene: SceneFactory) -> None:
     hand = pressed().go(100, move=[0.002, 0, 0]).go(1000, move=[0.0001, 0, 0])
     trace = drive(Engine(plane_scene()), hand)
@@ -102,6 +109,67 @@ def test_friction_opposes_the_slip_not_the_hand(plane_scene: SceneFactory) -> No
     trace = drive(Engine(plane_scene()), pressed().go(500, move=[0, -0.01, 0], turn=[2.5, 0, 0]))
     assert trace.causes == ["touch", "theta_max"]
     assert trace.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
+
+
+def test_paper_row_contact_is_broken(plane_scene: SceneFactory) -> None:
+    """f_N = 0 and a_N > 0, separating: rolling and sliding both end on that tick."""
+    for drag in (0.0, 0.005):
+        hand = pressed().go(50, move=[drag, 0, 0])
+        trace = drive(Engine(plane_scene()), hand.go_to(7, [drag, 0, R + 1e-3]))
+        broken = next(tick for tick, cause in trace.events if cause == "release")
+        separating = (trace.normal_force == 0.0) & (np.diff(trace.poses[:, 2], prepend=R) > 0.0)
+        assert broken == int(np.flatnonzero(separating[2:])[0]) + 2
+        assert trace.mode[broken - 1] == (SLIDING if drag else ROLLING)
+        assert (trace.mode[broken:] == FREE).all()
+
+
+def test_paper_row_rolling_is_kept(plane_scene: SceneFactory) -> None:
+    """f_N > 0, mu^2 f_N^2 - f_T^2 > 0 and no slip: rolling continues under every load inside the cone."""
+    hand = pressed()
+    for angle in np.linspace(0, 2 * np.pi, 9):
+        hand.go_to(20, [0.59e-3 * np.cos(angle), 0.59e-3 * np.sin(angle), R - 0.001])
+    trace = drive(Engine(plane_scene()), hand)
+    assert ((0.6 * trace.normal_force[1:]) ** 2 - trace.tangential[1:] ** 2 > 0.0).all()
+    assert (trace.mode[1:] == ROLLING).all()
+    # No slip: the proxy does not move from the first contact point.
+    assert trace.proxy[1:, :2] == pytest.approx(0.0, abs=1e-17)
+
+
+def test_paper_row_rolling_is_switched_to_sliding(plane_scene: SceneFactory) -> None:
+    """f_N > 0, mu^2 f_N^2 - f_T^2 = 0 and a_T not 0: rolling switches to sliding on that tick."""
+    trace = drive(Engine(plane_scene()), pressed().go(100, move=[100 * 7e-6, 0, 0]))
+    tick = trace.events[1][0]
+    assert trace.events[1:] == [(tick, "drag")]
+    assert (0.6 * trace.normal_force[tick]) ** 2 - trace.tangential[tick] ** 2 == pytest.approx(0.0, abs=EXACT)
+    assert ((0.6 * trace.normal_force[1:tick]) ** 2 > trace.tangential[1:tick] ** 2).all()
+    assert (trace.mode[1:tick] == ROLLING).all()
+    # a_T: the proxy moves on this tick and not before.
+    assert trace.proxy[tick, 0] > 1e-7
+    assert trace.proxy[1:tick, 0] == pytest.approx(0.0, abs=1e-17)
+
+
+def test_paper_row_sliding_is_kept(plane_scene: SceneFactory) -> None:
+    """f_N > 0 and mu_S^2 f_N^2 - f_T^2 = 0: sliding continues at any speed and under a changing load."""
+    hand = pressed().go(40, move=[0.002, 0, 0]).go(300, move=[0.002, 0.01, -0.001]).go(300, move=[-0.001, 0.03, 0.0015])
+    trace = drive(Engine(plane_scene()), hand)
+    assert trace.causes == ["touch", "drag"]
+    sliding = slice(trace.events[1][0] + 1, None)
+    assert trace.tangential[sliding] == pytest.approx(0.5 * trace.normal_force[sliding], rel=EXACT)
+    assert (trace.mode[sliding] == SLIDING).all()
+
+
+def test_paper_row_sliding_is_switched_to_rolling(plane_scene: SceneFactory) -> None:
+    """f_N > 0, mu_S^2 f_N^2 - f_T^2 > 0 and v_T = 0: sliding switches to rolling once the slip ends."""
+    hand = pressed().go(100, move=[0.005, 0, 0])
+    stop = hand.at
+    # Pressed deeper on the spot: the cone exceeds the force, and nothing moves along the plane.
+    hand.go(200, move=[0, 0, -0.0005])
+    trace = drive(Engine(plane_scene()), hand)
+    assert trace.causes == ["touch", "drag", "stop"]
+    tick = trace.events[2][0]
+    assert (0.5 * trace.normal_force[tick]) ** 2 > trace.tangential[tick] ** 2
+    assert np.diff(trace.proxy[stop:, 0]) == pytest.approx(0.0, abs=1e-17)
+    assert (trace.mode[tick:] == ROLLING).all()
 
 
 def test_contact_is_broken_on_the_first_tick_of_separation(plane_scene: SceneFactory) -> None:
@@ -204,6 +272,21 @@ def test_letter_counter_tilt_disables_sliding(plane_scene: SceneFactory) -> None
     assert trace.tangential[-1] == pytest.approx(25.0, rel=1e-5)
 
 
+def test_letter_winds_up_without_end(plane_scene: SceneFactory) -> None:
+    """Dragging against a roll below theta_max loads the coupling far outside the cone."""
+    hand = pressed().go(50, turn=[0.05, 0, 0]).go(500, move=[0, 0.01, 0])
+    trace = drive(Engine(plane_scene(**LETTER)), hand)
+    assert trace.causes == ["touch"]
+    assert trace.tangential[-1] == pytest.approx(10.5, rel=1e-9)
+
+
+def test_letter_slides_a_finger_that_follows(plane_scene: SceneFactory) -> None:
+    """The literal rule counts the entire roll, so a finger that follows its roll perfectly slides at theta_max."""
+    hand = pressed().go(1001, move=[0, -R, 0], turn=[1, 0, 0])
+    trace = drive(Engine(plane_scene(**LETTER)), hand)
+    assert trace.events[1] == (1 + int(np.ceil(0.06 * 1001)), "theta_max")
+
+
 def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
     """Friction is exactly mu_d f_N and drives a reversing hand, which creates energy."""
     hand = pressed().go(200, move=[0.01, 0, 0])
@@ -213,6 +296,13 @@ def test_letter_pushes_through_a_reversal(plane_scene: SceneFactory) -> None:
     assert trace.force[turn:, 0] == pytest.approx(-0.5, rel=EXACT)
     work = -np.sum(trace.force[turn + 1 :, 0] * np.diff(trace.poses[turn:, 0]))
     assert work == pytest.approx(-0.5 * 0.01, rel=1e-9)
+
+
+def test_letter_never_sticks_after_an_exact_stop(plane_scene: SceneFactory) -> None:
+    """The force is on the cone and never inside it, so a finger at rest continues to slide."""
+    trace = drive(Engine(plane_scene(**LETTER)), pressed().go(200, move=[0.01, 0, 0]).go(500))
+    assert trace.causes == ["touch", "drag"]
+    assert (trace.mode[-400:] == SLIDING).all()
 
 
 def test_letter_sticks_where_the_cone_grows_at_rest(plane_scene: SceneFactory) -> None:

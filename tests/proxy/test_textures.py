@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from textwrap import dedent
 from typing import Any
@@ -131,6 +132,39 @@ def test_filter_is_the_gaussian_mean_of_the_extended_array(border: str, rows: in
     # Sampled at 2.9 and 3.6 spacings per sigma, a Gaussian has the continuous transform to rounding wherever the
     # filter's gain matters: exp(-2 (pi sigma / spacing)^2) is 1e-72, and exp(-20) at the array's limit.
     np.testing.assert_allclose(filter_texture(grid, pitch, cutoff, (repeats, repeats)), expected, rtol=0.0, atol=1e-13)
+
+
+def gauss(begin: Array, end: Array, pitch: float) -> tuple[Array, Array]:
+    """Return points and steps (n, 3) of a quadrature along an edge of a box, exact up to degree 7 in each cell."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    (axis,) = np.flatnonzero(end - begin)
+    low, high = sorted((begin[axis], end[axis]))
+    borders = np.arange(np.ceil(low / pitch), high / pitch) * pitch
+    cuts = np.concatenate([[low], borders[(borders > low) & (borders < high)], [high]])
+    middle, half = 0.5 * (cuts[1:] + cuts[:-1]), 0.5 * np.diff(cuts)
+    at = (middle[:, None] + half[:, None] * nodes).ravel()
+    points, steps = np.tile(begin, (len(at), 1)), np.zeros((len(at), 3))
+    points[:, axis] = at
+    steps[:, axis] = np.sign(end[axis] - begin[axis]) * (half[:, None] * weights).ravel()
+    return points, steps
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_work_on_a_closed_path_over_a_frictionless_texture_is_zero(scene: Make, seed: int) -> None:
+    """The path follows the edges of a box, into and out of the object. The force is a polynomial in each cell, so the
+    quadrature is exact."""
+    rng = np.random.default_rng(seed)
+    count = 15  # odd: the spline's pieces end at integer cells from the centre
+    engine = Engine(scene(rng.uniform(size=(count, count))))
+    (x0, x1), (y0, y1), (z0, z1) = (*rng.uniform(-SIZE, SIZE, (2, 2)), R - rng.uniform(HEIGHT, 2e-3, 2))
+    corners = [(x0, y0, z0), (x1, y0, z0), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1), (x0, y0, z1), (x0, y0, z0)]
+    pairs = [gauss(np.array(a), np.array(b), SIZE / count) for a, b in pairwise(corners)]
+    points, steps = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    work = (forces(engine, points) * steps).sum(axis=1)
+    # The force is accurate to the rounding of 20 mm coordinates in a depth of 0.2 mm, a hundred times that of a number.
+    assert abs(work.sum()) < 100.0 * EPS * np.abs(work).sum()
+    upright = work[steps[:, 2] != 0.0].sum()
+    assert abs(upright) > 1e6 * 100.0 * EPS * np.abs(work).sum()  # work of the vertical edges only
 
 
 def test_valleys_have_no_force_until_the_finger_reaches_them(scene: Make) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +26,9 @@ def zxz_angles(rotation: Array) -> tuple[float, float, float]:
     return math.atan2(rotation[0, 2], -rotation[1, 2]), theta, math.atan2(rotation[2, 0], rotation[2, 1])
 
 
-def zxz_roll(rotation: Array, normal: ArrayLike) -> tuple[Array, float, float]:
+def zxz_roll(
+    rotation: Array, normal: ArrayLike, heading: Literal["half_way", "phi"] = "half_way"
+) -> tuple[Array, float, float]:
     """Return the roll vector theta e (3,) rad in the tangent plane, theta, and the spin about the normal, of a world
     rotation.
 
@@ -36,7 +39,7 @@ def zxz_roll(rotation: Array, normal: ArrayLike) -> tuple[Array, float, float]:
     local = frame.T @ rotation @ frame
     phi, theta, _ = zxz_angles(local)
     spin = math.atan2(local[1, 0] - local[0, 1], local[0, 0] + local[1, 1])
-    angle = phi - spin / 2
+    angle = phi - spin / 2 if heading == "half_way" else phi
     return theta * (frame @ np.array([math.cos(angle), math.sin(angle), 0.0])), theta, spin
 
 
@@ -55,14 +58,16 @@ def rolled_path(rotations: list[Array], radius: float) -> Array:
     return np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
 
 
-def rolling_equation(rate: Callable[[float], ArrayLike], radius: float, times: ArrayLike) -> tuple[Array, Array]:
-    """Contact path (n, 3) m on z = 0 and rotations (n, 3, 3), under the world angular velocity rate(t) (3,) rad/s.
+def rolling_equation(
+    rate: Callable[[float], ArrayLike], radius: float, times: ArrayLike, normal: ArrayLike = (0.0, 0.0, 1.0)
+) -> tuple[Array, Array]:
+    """Contact path (n, 3) m on a plane and rotations (n, 3, 3), under the world angular velocity rate(t) (3,) rad/s.
 
     Integrates R' = [w] R and u = (W_o + W_f)^-1 (w x n), with W_o = 0 and W_f = I / r: the classical
     equation without coordinates on the sphere. Steps are at most a tenth of the span, because the
     controller would jump over a rate that is zero at its first samples.
     """
-    n, t = np.array([0.0, 0.0, 1.0]), np.asarray(times, float)
+    n, t = np.asarray(normal, float), np.asarray(times, float)
     curvature = np.zeros((3, 3)) + np.eye(3) / radius
 
     def derivative(time: float, state: Array) -> Array:

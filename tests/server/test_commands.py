@@ -407,6 +407,16 @@ def test_disarm_fades_out_and_arm_fades_in(rig):
         assert len(fading) >= RAMP_S * 1000.0 - 1
 
 
+def test_disarm_and_arm_cause_no_step_of_force(rig):
+    with running(rig()) as (daemon, control, recorder):
+        first = daemon.servo.ticks
+        for _ in range(20):
+            control.disarm()
+            control.arm()
+        assert eventually(lambda: recorder.force_n > 1.99)
+        assert find_largest_rise(recorder.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
+
+
 def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as next_event:
         assert control.heartbeat().timeout_ms == 500

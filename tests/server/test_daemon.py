@@ -10,14 +10,18 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgpack
 import numpy as np
 import pytest
 from helpers.daemons import QUIET, make_daemon, subscribed
 from helpers.faulty_device import registered
-from helpers.programs import run_program
+from helpers.processes import COMMAND
+from helpers.programs import Program, run_program
 from helpers.waits import eventually
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, RealtimeError, SafetyStop
@@ -120,6 +124,14 @@ def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
     with Daemon(make_faulty_rig(fault=fault, at=200), load_scene("paper-plane"), 1000) as running:
         running.start()
         with pytest.raises(error, match="faulty"):
+            running.wait(60.0)
+    assert not faulty.device.wrenches[-1].any()
+
+
+def test_stalled_servo_is_stopped_and_zeroed(faulty):
+    with Daemon(make_faulty_rig(fault="stall", at=200, stall_us=900_000), load_scene("paper-plane")) as running:
+        running.start()
+        with pytest.raises(SafetyStop, match="no tick for"):
             running.wait(60.0)
     assert not faulty.device.wrenches[-1].any()
 
@@ -328,3 +340,32 @@ def test_required_realtime_that_is_refused_does_not_start(tmp_path):
     assert "sched_fifo" in completed.stderr and "rtprio" in completed.stderr
     rows = np.loadtxt(forces, delimiter=",", skiprows=1, ndmin=2)
     assert len(rows) and not rows[:, 1:].any()
+
+
+@contextmanager
+def daemon(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run `softfinger run` on a private endpoint; kill it at the end."""
+    with TemporaryDirectory(prefix="daemon") as folder:  # no port, because another program may use one
+        endpoint = f"ipc://{folder}/t"
+        command = [*COMMAND, "run", "--endpoint", endpoint, *words]
+        with Program(command, stderr=subprocess.PIPE, text=True, kill_at_end=True) as process:
+            yield process, endpoint
+
+
+def load_forces(path: Path) -> np.ndarray:
+    with np.load(path) as saved:
+        return np.hstack([saved["force"], saved["torque"]])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive)])
+def test_signal_stops_in_order_with_zero_force(number, tmp_path):
+    forces = tmp_path / "forces.npz"
+    with daemon("--forces", str(forces)) as (process, endpoint):
+        with subscribed(endpoint, "contact") as socket:
+            while np.linalg.norm(msgpack.unpackb(socket.recv_multipart()[1])["force"]) < 0.5:
+                pass
+        process.send_signal(number)
+        assert process.wait(30) == 0
+    written = load_forces(forces)
+    assert np.linalg.norm(written[-20:-2, :3], axis=1).max() > 0.1
+    assert not written[-1].any()

@@ -50,6 +50,25 @@ def finish(servo: s.ServoThread) -> tuple[s.LoopEnd, np.ndarray]:
     return ended, records
 
 
+@pytest.mark.parametrize(
+    ("fault", "ending", "status"),
+    [
+        ("none", s.FINISHED, 0),
+        ("lost", shutdown.READ_FAILED, -1),
+        ("timeout", shutdown.READ_FAILED, -2),
+        ("protocol", shutdown.READ_FAILED, -3),
+        ("write_lost", shutdown.WRITE_FAILED, -1),
+    ],
+)
+def test_every_end_of_the_loop_writes_zero(fault, ending, status):
+    device, servo = make_servo(Options(fault=fault, at=300), 400)
+    ended, _ = finish(servo)
+    assert (ended.ending, ended.status, ended.error) == (ending, status, None)
+    wrenches = device.wrenches
+    assert np.abs(wrenches[-10:-2]).max() > 0.1
+    assert not wrenches[-1].any()
+
+
 def test_waiting_for_ticks_of_an_ended_loop_fails():
     _, servo = make_servo(Options(fault="lost", at=50), None)
     servo.start()

@@ -98,6 +98,16 @@ def end_by_signal(process: subprocess.Popen[str], board: Board, number: int) -> 
     assert board.faults == []
 
 
+OTHERS = (signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU, signal.SIGABRT, signal.SIGRTMIN + 3)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("number", OTHERS)
+def test_signal_ends_the_daemon_without_force(number: int, tmp_path: Path) -> None:
+    with pressing(tmp_path) as (board, process):
+        end_by_signal(process, board, number)
+
+
 def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
     with pressing(tmp_path, "--watcher") as (board, process):
         watcher = find_watcher(process)
@@ -130,6 +140,14 @@ def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path
         assert board.sent[-1] == (0, 0, 0, 2, 0, 0, 0)
     refused = called("run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t")
     assert refused.returncode == 2 and "no other process can remove the force of replay" in refused.stderr
+
+
+def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> None:
+    with pressing(tmp_path) as (board, process):
+        process.kill()
+        process.wait(END_S)
+        time.sleep(0.5)
+        assert board.force[2] > 0.0
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,27 @@ def random_cases(count: int, seed: int, **more: float) -> list[WallCase]:
     return cases
 
 
+def jury(mass: float, damping: float, period: float) -> float:
+    fading = np.exp(-damping * period / mass)
+    travel = -np.expm1(-damping * period / mass) * mass / damping  # x after a tick per unit of speed
+    speed = -np.expm1(-damping * period / mass) / damping  # v after a tick per unit of force
+    push = (period - travel) / damping  # x after a tick per unit of force
+    # a1 = -(1 + fading - K push), a0 = fading (1 - K push) + K speed way
+    turning = (1.0 - fading) / (speed * travel - fading * push)
+    flipping = 2.0 * (1.0 + fading) / (push * (1.0 + fading) - speed * travel)
+    return float(min(turning, flipping) if flipping > 0.0 else turning)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 8000.0])
+@pytest.mark.parametrize(("mass", "damping"), [(0.1, 0.5), (1.0, 10.0), (0.05, 40.0), (0.05, 900.0)])
+def test_linear_limit_is_that_of_jury(mass: float, damping: float, rate: float) -> None:
+    """Without delay and wall damping the eigenvalues give the closed form."""
+    limit = linear_limit(LinearLoop(mass, damping, 0.0, 1.0 / rate, 0))
+    # The radius is taken to be 1 up to 1e-12; it grows with K by about half of b T / m, 1e-5 of it here at least.
+    assert limit == pytest.approx(jury(mass, damping, 1.0 / rate), rel=1e-6)
+
+
 CASES = random_cases(50, seed=4)
 
 
