@@ -300,7 +300,7 @@ _ACTIONS: Final[dict[type[FaultBase], Callable[[Any], tuple[float, ...]]]] = {
     faults.Protocol: lambda fault: (_on(fault, FAIL_READ, FAIL_WRITE), PROTOCOL),
     faults.ForceOff: lambda fault: (ZERO_FORCE, FORCE_OFF),
     faults.Withheld: lambda fault: (ZERO_FORCE, WITHHELD),
-    faults.Held: lambda fault: (HOLD_FORCE, HELD),
+    faults.HeldForce: lambda fault: (HOLD_FORCE, HELD),
     faults.Swallowed: lambda fault: (HOLD_FORCE, OK),
 }
 """Action of each fault and its parameters."""

@@ -124,7 +124,7 @@ class Withheld(FaultBase, frozen=True, kw_only=True, tag="withheld"):
     """The driver writes zero in place of the force and reports it."""
 
 
-class Held(FaultBase, frozen=True, kw_only=True, tag="held"):
+class HeldForce(FaultBase, frozen=True, kw_only=True, tag="held"):
     """The device does not accept the force and keeps the previous one; the driver reports it."""
 
 
@@ -134,7 +134,7 @@ class Swallowed(FaultBase, frozen=True, kw_only=True, tag="swallowed"):
 
 Injection = (
     Stale | Frozen | NotANumber | Infinite | Teleport | Slow | Short | Corrupt | Bounce | Disconnect | Timeout
-    | Protocol | ForceOff | Withheld | Held | Swallowed
+    | Protocol | ForceOff | Withheld | HeldForce | Swallowed
 )  # fmt: skip
 """Any fault."""
 

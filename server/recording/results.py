@@ -145,8 +145,8 @@ def _check_count(path: Path, count: int) -> None:
 
 
 def _unknown_suffix(path: Path) -> str:
-    suffix = f"'{path.suffix}'" if path.suffix else "no ending"
-    return f"{path}: {suffix} is not a results format: use one of {', '.join(SUFFIXES)}"
+    reason = f"'{path.suffix}' is no format of results" if path.suffix else "has no suffix"
+    return f"{path}: {reason}: use one of {', '.join(SUFFIXES)}"
 
 
 def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:

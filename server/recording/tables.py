@@ -82,10 +82,10 @@ def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | Non
             "fingertip is not rotated"
         )
     if ("t" in names) == (rate_hz is not None):
-        raise ConfigError(f"--columns {columns}: times need either a column t or --rate")
+        raise ConfigError(f"--columns {columns}: times need either a column t or --rate, not both")
     for option, value in (("--unit-s", unit_s), ("--unit-m", unit_m), ("--rate", rate_hz)):
         if value is not None and not 0.0 < value < np.inf:
-            raise ConfigError(f"{option} {value:g}: must be above 0")
+            raise ConfigError(f"{option} {value:g}: must be above 0 and finite")
     if skip < 0:
         raise ConfigError(f"--skip {skip}: must be 0 or more lines")
     return TableFormat(names, unit_s, unit_m, rate_hz, skip)

@@ -302,5 +302,6 @@ class CommandHandlers:
 
     def stop(self, request: Request) -> wire.Stopping:
         self.publish_change("stop", request.command_id, {})
+        self._rendering.force.inhibit(COMMANDED)  # no force in the tick that ends the loop
         self._daemon.stop()
         return wire.Stopping(True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Iterator
 from math import inf, nan
 from types import SimpleNamespace
@@ -10,7 +9,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
-from numba import config
+from helpers.plain_by_call import BY_CALL, MS, START_NS, by_call
 from numpy.typing import NDArray
 
 from softfinger.drivers import board_exchange
@@ -19,17 +18,11 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import BOARD, WAIT_MS, Times
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS
 
-pytestmark = [
-    pytest.mark.plain,
-    pytest.mark.skipif(not config.DISABLE_JIT, reason="a board by a script is Python, which no compiled kernel calls"),
-]
+pytestmark = BY_CALL
 
-MS = 1_000_000
 FD = 7
 QUIET, KICK, AWAITING, TIMEOUT_NS = 20 * MS, 50 * MS, 25 * MS, 200 * MS
 TIMES = Times(0.02, 0.05, 0.025, 0.2)
-START = 10_000 * MS
-"""Clock at the first read of the loop (ns)."""
 OPENED = 9_000 * MS
 FORCE = (1.0, 2.0, 3.0, 0.0, 0.0, 0.0)
 ZERO = (0.0,) * 6
@@ -46,10 +39,13 @@ class Board:
     arrives   times (ns of the clock) from which on a read finds one more sample
     """
 
-    def __init__(self) -> None:
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.clock = by_call(patch, board_exchange)
+        patch.setattr(board_exchange.time, "monotonic_ns", lambda: OPENED)
+        patch.setattr(board_exchange, "poll_fd", self._poll)
         self.block = Block(BOARD, BOARD)
+        self.clock.room = {self.block.handle + 8 * BOARD.timespec}
         self._functions = board_exchange.compile_functions(Scripted())
-        self.now = OPENED
         self.calls: list[Any] = []
         self.incoming: list[int] = []
         self.arrives: list[int] = []
@@ -58,7 +54,12 @@ class Board:
         self.wake_ends_a_force = False
         self.sample = np.zeros(SAMPLE_SIZE)
         board_exchange.init_exchange(self.block, FD, TIMES, misread_max=8)
-        self.now = START
+
+    def _poll(self, fds: Any, count: int, wait_ms: int) -> int:
+        assert (fds[0], count) == (self.word[BOARD.fd] | 1 << 32, 1)  # POLLIN is 1, in the upper half of a pollfd
+        record_call(f"wait {wait_ms}")
+        self.clock.now += wait_ms * MS
+        return 0
 
     @property
     def word(self) -> NDArray[np.int64]:
@@ -81,41 +82,17 @@ class Board:
         assert self.read() == OK
 
     def later(self, ns: int) -> None:
-        self.now += ns
-        self.word[BOARD.read_at] = self.now
+        self.clock.now += ns
+        self.word[BOARD.read_at] = self.clock.now
 
 
 @pytest.fixture
 def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[Board]:
-    made: list[Board] = []
-
-    def clock(timespec: int) -> int:
-        assert timespec == made[0].block.handle + 8 * BOARD.timespec
-        return made[0].now
-
-    def poll(fds: Any, count: int, wait_ms: int) -> int:
-        assert (fds[0], count) == (
-            made[0].word[BOARD.fd] | 1 << 32,
-            1,
-        )  # POLLIN is 1, in the upper half of a struct pollfd
-        record_call(f"wait {wait_ms}")
-        made[0].now += wait_ms * MS
-        return 0
-
-    def exchange(address: int, value: int) -> int:
-        word = ctypes.c_int64.from_address(address)
-        before, word.value = word.value, value
-        return before
-
-    monkeypatch.setattr(board_exchange.time, "monotonic_ns", lambda: OPENED)
-    monkeypatch.setattr(board_exchange, "monotonic_ns", clock)
-    monkeypatch.setattr(board_exchange, "poll_fd", poll)
-    monkeypatch.setattr(board_exchange, "exchange_int64", exchange)
-    made.append(Board())
-    SCRIPT.append(made[0])
-    yield made[0]
+    made = Board(monkeypatch)
+    SCRIPT.append(made)
+    yield made
     SCRIPT.clear()
-    assert made[0].word[BOARD.lock] == 0
+    assert made.word[BOARD.lock] == 0
 
 
 SCRIPT: list[Board] = []
@@ -131,7 +108,7 @@ def record_call(call: Any) -> None:
 def _drain(driver: Scripted, handle: int) -> int:
     record_call("drain")
     board = SCRIPT[0]
-    if board.arrives and board.now >= board.arrives[0]:
+    if board.arrives and board.clock.now >= board.arrives[0]:
         board.arrives.pop(0)
         return 1
     return board.incoming.pop(0) if board.incoming else 0
@@ -169,7 +146,7 @@ def _command(driver: Scripted, handle: int, wrench: Any) -> int:
 @board_exchange.wake.of(Scripted)
 def _wake(driver: Scripted, handle: int) -> int:
     board = SCRIPT[0]
-    record_call(("wake", board.now))
+    record_call(("wake", board.clock.now))
     if board.wake_ends_a_force:
         board.word[BOARD.has_force] = 0
     return board.woken
@@ -208,17 +185,17 @@ def test_a_device_that_is_closed_is_lost(board: Board) -> None:
 
 
 def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
-    board.incoming, board.arrives = [3, 2], [START + 62 * MS]
-    board.word[BOARD.kicked_at] = START - 1
+    board.incoming, board.arrives = [3, 2], [START_NS + 62 * MS]
+    board.word[BOARD.kicked_at] = START_NS - 1
     assert board.read() == OK
     waits = ["wait 10", "drain"]
-    expected: list[Any] = ["drain", "wait 0", "drain", ("wake", START)]
-    expected += 3 * waits + [("wake", START + 30 * MS)] + 3 * waits + [("wake", START + 60 * MS)] + waits
+    expected: list[Any] = ["drain", "wait 0", "drain", ("wake", START_NS)]
+    expected += 3 * waits + [("wake", START_NS + 30 * MS)] + 3 * waits + [("wake", START_NS + 60 * MS)] + waits
     assert board.calls == expected
-    assert board.sample[SAMPLE_TIME] == pytest.approx((START + 70 * MS - OPENED) * 1e-9, rel=1e-15)
+    assert board.sample[SAMPLE_TIME] == pytest.approx((START_NS + 70 * MS - OPENED) * 1e-9, rel=1e-15)
     assert (
         board.word[BOARD.has_sample] == 1
-        and board.word[BOARD.sampled_at] == board.word[BOARD.read_at] == START + 70 * MS
+        and board.word[BOARD.sampled_at] == board.word[BOARD.read_at] == START_NS + 70 * MS
     )
 
 
@@ -226,13 +203,13 @@ def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
 def test_a_loss_during_the_first_read_is_reported_at_once(reads: int, board: Board) -> None:
     board.incoming = [0] * reads + [LOST]
     assert board.read() == LOST
-    calls: list[Any] = ["drain", "wait 0", "drain", ("wake", START), "wait 10", "drain"]
+    calls: list[Any] = ["drain", "wait 0", "drain", ("wake", START_NS), "wait 10", "drain"]
     assert board.calls == calls[: (1, 3, 6)[reads]]
 
 
 @pytest.mark.parametrize("status", [LOST, OK, HELD])
 def test_a_wake_that_fails_ends_the_wait(status: int, board: Board) -> None:
-    board.woken, board.arrives = status, [START + 5 * MS]
+    board.woken, board.arrives = status, [START_NS + 5 * MS]
     assert board.read() == (status if status < 0 else OK)
 
 
@@ -244,13 +221,13 @@ def test_first_read_times_out(misread: int, status: int, board: Board) -> None:
     real = board_exchange.drain
 
     def reads(driver: Any, handle: int) -> int:
-        board.word[BOARD.misread_bytes] = begun + (misread if board.now > START else 0)
+        board.word[BOARD.misread_bytes] = begun + (misread if board.clock.now > START_NS else 0)
         return int(real(driver, handle))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(board_exchange, "drain", reads)
         assert board.read() == status
-    assert board.now == START + TIMEOUT_NS + WAIT_MS * MS
+    assert board.clock.now == START_NS + TIMEOUT_NS + WAIT_MS * MS
     assert board.calls.count("drain") == 2 + 21
 
 
@@ -258,21 +235,21 @@ def test_first_read_times_out(misread: int, status: int, board: Board) -> None:
 def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
     """After a longer gap, queued samples are discarded and a new one is awaited; otherwise the latest is used."""
     board.receive_sample()
-    board.now += ns
+    board.clock.now += ns
     board.incoming = [1, 0, 1]
     assert board.read() == OK
-    assert board.calls == (["drain", "wait 0", "drain", ("wake", board.now - 10 * MS), "wait 10", "drain"]
+    assert board.calls == (["drain", "wait 0", "drain", ("wake", board.clock.now - 10 * MS), "wait 10", "drain"]
                           if paused else ["drain"])  # fmt: skip
 
 
 def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board: Board) -> None:
     board.receive_sample()
-    board.now += 150 * MS
-    begun, before = board.now, board.sample.copy()
+    board.clock.now += 150 * MS
+    begun, before = board.clock.now, board.sample.copy()
     assert board.read() == STALE
-    assert board.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
+    assert board.clock.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
     assert board.sample.tolist() == before.tolist()
-    assert board.word[BOARD.read_at] == board.now
+    assert board.word[BOARD.read_at] == board.clock.now
     assert board.word[BOARD.sampled_at] == begun - QUIET - 1
     assert board.write(FORCE) == WITHHELD and "zero" in board.calls
     board.later(MS)
@@ -288,7 +265,7 @@ def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
     board.later(MS)
     board.incoming = [4]
     assert board.read() == OK and board.calls == ["drain"]
-    assert board.sample[SAMPLE_TIME] == pytest.approx((board.now - OPENED) * 1e-9, rel=1e-15)
+    assert board.sample[SAMPLE_TIME] == pytest.approx((board.clock.now - OPENED) * 1e-9, rel=1e-15)
     assert board.sample[0] == 2.0
     sample = board.sample.copy()
     board.later(MS)
@@ -299,7 +276,7 @@ def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
 def test_slow_ticks_are_no_pause(board: Board) -> None:
     board.receive_sample()
     for _ in range(3):
-        board.now += RESUME_NS
+        board.clock.now += RESUME_NS
         board.incoming = [1]
         assert board.read() == OK and board.calls == ["drain"]
 
@@ -325,11 +302,11 @@ def test_a_silence_longer_than_the_time_out_is_a_failure(misread: int, status: i
 
 def test_a_silent_board_is_woken_repeatedly(board: Board) -> None:
     board.receive_sample()
-    board.word[BOARD.kicked_at] = START - KICK
+    board.word[BOARD.kicked_at] = START_NS - KICK
     board.later(QUIET)
     assert board.read() == STALE and board.calls == ["drain"]
     board.later(1)
-    first = board.now
+    first = board.clock.now
     assert board.read() == STALE and board.calls == ["drain", ("wake", first)]
     board.later(KICK - 1)
     assert board.read() == STALE and board.calls == ["drain"]
@@ -342,7 +319,7 @@ def test_a_silent_board_is_woken_repeatedly(board: Board) -> None:
 
 def test_nothing_is_sent_while_the_device_is_being_stopped(board: Board) -> None:
     board.receive_sample()
-    board.word[BOARD.kicked_at] = START - KICK
+    board.word[BOARD.kicked_at] = START_NS - KICK
     board.later(QUIET + 1)
     locked(board)
     kicked = board.word[BOARD.kicked_at]
@@ -361,7 +338,7 @@ def test_a_wake_that_clears_a_force_is_reported(board: Board) -> None:
     """If the wake cleared a force, the read returns WITHHELD once, so that the force fades in."""
     board.receive_sample()
     assert board.write(FORCE) == OK
-    board.word[BOARD.kicked_at], board.wake_ends_a_force = START - KICK, True
+    board.word[BOARD.kicked_at], board.wake_ends_a_force = START_NS - KICK, True
     board.later(QUIET + 1)
     assert board.read() == WITHHELD and board.read() == STALE
     board.later(MS)

@@ -334,28 +334,20 @@ def test_output_without_devices() -> None:
 
 @pytest.mark.system
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
-def test_an_emulated_device_is_listed() -> None:
-    result, saw = run_beside_device({"arm": "woody-2019", "generation": 2}, *COMMAND, "--json", code=0)
+@pytest.mark.parametrize(
+    ("bus", "node", "reason"),
+    [("hidraw", "/dev/hidraw0", ""), ("usb", "/dev/bus/usb/001/002", "threads carry its reports")],
+)
+def test_an_emulated_device_is_listed(bus: str, node: str, reason: str) -> None:
+    case = {"bus": bus, "arm": "woody-2019", "generation": 2}
+    result, saw = run_beside_device(case, *COMMAND, "--json", code=0)
     (device,) = json.JSONDecoder().raw_decode(result.stdout)[0]["devices"]
-    assert device["node"] == "/dev/hidraw0"
+    assert (device["bus"], device["node"]) == ("hid" if bus == "hidraw" else "usb", node)
     assert (device["name"], device["serial"]) == ("Emulated arm", "SN42")
     assert (device["vendor_id"], device["product_id"]) == ("16c0", "0486")
-    assert (device["driver"], device["state"]) == ("hid", "usable")
+    assert (device["driver"], device["state"]) == ("hid", "usable") and reason in device["reason"]
     assert "woodenhaptics-2019" in device["rigs"]
     assert saw["reports"] == 0, "a look sends nothing to the device"
-    result, _ = run_beside_device({"arm": "woody-2019", "generation": 2}, *COMMAND)
-    assert (
-        "/dev/hidraw0  16c0:0486  Emulated arm\n    driver hid: softfinger run --rig woodenhaptics-2019"
-        in result.stdout
-    )
-
-
-@pytest.mark.system
-@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
-def test_an_emulated_device_without_hidraw_is_listed() -> None:
-    result, saw = run_beside_device({"bus": "usb", "arm": "woody-2019", "generation": 2}, *COMMAND, "--json", code=0)
-    (device,) = json.JSONDecoder().raw_decode(result.stdout)[0]["devices"]
-    assert (device["bus"], device["node"], device["serial"]) == ("usb", "/dev/bus/usb/001/002", "SN42")
-    assert (device["driver"], device["state"]) == ("hid", "usable")
-    assert "threads carry its reports" in device["reason"]
-    assert saw["reports"] == 0, "a look sends nothing to the device"
+    result, _ = run_beside_device(case, *COMMAND)
+    ids = f"{node}  16c0:0486  Emulated arm\n    driver hid: softfinger run --rig woodenhaptics-2019"
+    assert ids in result.stdout

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from math import inf, isnan, nan
 from typing import Any
 
@@ -179,15 +178,6 @@ def usb(opened: Usb) -> Usb:
 
 
 # --- first sample, and sample after a pause ---
-
-
-def test_the_first_read_requests_a_reply(opened: Usb) -> None:
-    status, sample = opened.read()
-    assert status == OK  # no force was active before
-    assert np.isfinite(sample).all()
-    assert opened.got() == [NOTHING]
-    assert set(opened.waits) <= {0, 2000}
-    assert opened.forces() == {"written": 1}
 
 
 def test_the_first_read_times_out(opened: Usb) -> None:
@@ -622,10 +612,3 @@ def test_closing_reports_a_transfer_not_returned(hangs: int, usb: Usb) -> None:
     assert usb.waits == [2000]
     usb.stubborn = False
     assert usb.block.call(exchange.cancel_transfers) == 1
-
-
-def test_the_callback_marks_its_transfer_as_done() -> None:
-    word, transfer = ctypes.c_int64(), (ctypes.c_int64 * 8)()
-    transfer[5] = ctypes.addressof(word)
-    exchange.on_complete(ctypes.addressof(transfer))
-    assert word.value == 1

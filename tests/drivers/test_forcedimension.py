@@ -65,25 +65,19 @@ def test_models_equal_the_vendors_header() -> None:
         104: "sigma.7", 105: "sigma.7", 203: "lambda.3", 131: "lambda.6", 132: "lambda.6", 108: "lambda.7",
         109: "lambda.7",
     }  # fmt: skip
+    right, left = {34, 35, 104, 108, 131}, {36, 37, 105, 109, 132}
     # Types in CHAI3D's driver, which names them by the device with the same constants.
-    right = {102, 209, 112, 114, 117, 119, 121, 123, 125, 127, 129, 210, 115}
-    lefts = {103, 113, 118, 120, 122, 124, 126, 128, 130, 211, 116}
+    right |= {102, 209, 112, 114, 117, 119, 121, 123, 125, 127, 129, 210, 115}
+    left |= {103, 113, 118, 120, 122, 124, 126, 128, 130, 211, 116}
     types |= {110: "omega.3", 111: "delta.3", 133: "sigma.3", 115: "sigma.6", 116: "sigma.6"}
     types |= dict.fromkeys((102, 103, 209), "sigma.7")
     types |= dict.fromkeys((*range(112, 115), *range(117, 131), 210, 211), "lambda.7")
     assert {number: model.name for number, model in MODELS.items()} == types
-    assert {number for number in types if MODELS[number].full_name.endswith("right")} - {34, 35, 104, 108, 131} == right
-    assert {number for number in types if MODELS[number].full_name.endswith("left")} - {36, 37, 105, 109, 132} == lefts
-    for number in (34, 35, 104, 108, 131):
-        assert MODELS[number].full_name.endswith("right")
-    for number in (36, 37, 105, 109, 132):
-        assert MODELS[number].full_name.endswith("left")
-    limits = {
-        33: (12, 0, 5000, 30, 0.075), 34: (12, 0, 5000, 30, 0.075), 35: (12, 0, 5000, 30, 0.075),
-        63: (20, 0, 5000, 30, 0.15), 104: (12, 0.2, 4000, 30, 0.075),
-    }  # fmt: skip
-    for number, expected in limits.items():
-        assert tuple(MODELS[number].limits) == expected
+    for side, numbers in (("right", right), ("left", left)):
+        assert {number for number in types if MODELS[number].full_name.endswith(side)} == numbers
+    limits = dict.fromkeys((33, 34, 35), (12, 0, 5000, 30, 0.075))
+    limits |= {63: (20, 0, 5000, 30, 0.15), 104: (12, 0.2, 4000, 30, 0.075)}
+    assert {number: tuple(MODELS[number].limits) for number in limits} == limits
     force, torque, stiffness, _, radius = MODELS[108].limits
     assert (force, torque, stiffness, radius) == (12, 0.2, 8000, 0.1125)
 

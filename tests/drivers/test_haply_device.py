@@ -9,7 +9,7 @@ import math
 import os
 import re
 import signal
-import socket
+import socketserver
 import sys
 import threading
 import time
@@ -245,32 +245,28 @@ def test_opening_at_a_silent_service_times_out(service: Service) -> None:
     assert time.monotonic() - begun > 1.0
 
 
-def test_filters_are_set_as_in_the_rig(service: Service) -> None:
+@pytest.mark.parametrize("enveloped", [False, True])
+def test_filters_are_set_as_in_the_rig(enveloped: bool, service: Service) -> None:
+    """Answers are read in both documented forms."""
+    service.set(enveloped=enveloped, version_enveloped=enveloped)
+    assert identify(BOARD, rig_options(service.port))["service"] == "3.5.0.0"
     changed = {"force_gate": 0.0, "damping": 0.5, "gravity_compensation": False, "torque_scaling": False}
     opened(service, filters=changed).close()
     filters = service.do("settings", id=ID)
-    assert not filters["home_return"]["enabled"]
-    assert not filters["gravity_compensation"]["enabled"]
-    assert not filters["torque_scaling"]["enabled"]
+    for name in ("home_return", "gravity_compensation", "torque_scaling"):
+        assert not filters[name]["enabled"]
+    session = service.do("seen")["sessions"]
     requests = service.do("seen")["asked"]
-    assert f'POST /inverse3/{ID}/config/force_gate?session=1 {{"gain":0.0}}' in requests
-    assert f'POST /inverse3/{ID}/config/damping?session=1 {{"scalar":0.5}}' in requests
-    service.set(pages={f"/inverse3/{ID}/config/torque_scaling": '{"ok":false,"error":"locked"}'})
-    with pytest.raises(DeviceError, match=r"refused /inverse3/049D/config/torque_scaling.*locked"):
-        opened(service)
-
-
-@pytest.mark.parametrize("enveloped", [False, True])
-def test_answers_are_read_in_both_documented_forms(enveloped: bool, service: Service) -> None:
-    service.set(enveloped=enveloped, version_enveloped=enveloped)
-    opened(service, filters={"torque_scaling": False}).close()
-    assert not service.do("settings", id=ID)["torque_scaling"]["enabled"]
-    assert identify(BOARD, rig_options(service.port))["service"] == "3.5.0.0"
-    page = f"/inverse3/{ID}/config/force_gate?session={service.do('seen')['sessions'] + 1}"
+    assert f'POST /inverse3/{ID}/config/force_gate?session={session} {{"gain":0.0}}' in requests
+    assert f'POST /inverse3/{ID}/config/damping?session={session} {{"scalar":0.5}}' in requests
     applied = '{"gain":0.9}'
-    service.set(pages={page: f'{{"ok":true,"data":{applied}}}' if enveloped else applied})
-    with pytest.raises(DeviceError, match=r"refused /inverse3/049D/config/force_gate.*0\.9"):
-        opened(service)
+    for page, answer, words in (
+        (f"force_gate?session={session + 1}", f'{{"ok":true,"data":{applied}}}' if enveloped else applied, r"0\.9"),
+        ("torque_scaling", '{"ok":false,"error":"locked"}', "locked"),
+    ):
+        service.set(pages={f"/inverse3/{ID}/config/{page}": answer})
+        with pytest.raises(DeviceError, match=rf"refused /inverse3/049D/config/{page.partition('?')[0]}.*{words}"):
+            opened(service)
 
 
 def test_a_wrong_version_in_the_rig_is_rejected(service: Service) -> None:
@@ -464,34 +460,26 @@ def test_a_device_leaks_no_descriptor(service: Service) -> None:
     assert len(os.listdir("/proc/self/fd")) <= before
 
 
-class Listener:
-    def __init__(self, reply: bytes, closes: bool) -> None:
-        self.end = socket.create_server(("127.0.0.1", 0))
-        self.port = self.end.getsockname()[1]
-        self._reply, self._closes, self._clients = reply, closes, []
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+@contextlib.contextmanager
+def listening(reply: bytes, closes: bool) -> Iterator[int]:
+    """Answer each connection with these bytes; yield the port."""
+    over = threading.Event()
 
-    def _run(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self.end.accept()
-                client.recv(65536)
-                client.sendall(self._reply)
-                if self._closes:
-                    client.close()
-                else:
-                    self._clients.append(client)
+    class Answer(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            with contextlib.suppress(OSError):
+                self.request.recv(65536)
+                self.request.sendall(reply)
+            if not closes:
+                over.wait()
 
-    def __enter__(self) -> Listener:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.end.shutdown(socket.SHUT_RDWR)
-        self.end.close()
-        self._thread.join()
-        for client in self._clients:
-            client.close()
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Answer) as server:
+        threading.Thread(target=server.serve_forever, args=(0.01,)).start()
+        try:
+            yield server.server_address[1]
+        finally:
+            over.set()
+            server.shutdown()
 
 
 @pytest.mark.parametrize("version", [None, "3.5"], ids=["asked its version", "asked for a WebSocket"])
@@ -506,5 +494,5 @@ class Listener:
     ids=["closes", "waits", "noise", "an endless head", "an endless body", "a bad chunk", "a false key"],
 )  # fmt: skip
 def test_another_program_on_the_port_is_rejected_in_time(reply: bytes, closes: bool, version: str | None) -> None:
-    with Listener(reply, closes) as listener, pytest.raises(DeviceError):
-        open_device(rig_options(listener.port, version=version), 1000.0)
+    with listening(reply, closes) as port, pytest.raises(DeviceError):
+        open_device(rig_options(port, version=version), 1000.0)

@@ -66,6 +66,15 @@ class ThreadedBoard:
         until(lambda: statuses.append(self.servo.read()[0]) or wanted(statuses[-1]))
         return statuses[-1]
 
+    def hang(self) -> None:
+        """Apply 1 N, then let the write of 2 N hang."""
+        self.until(lambda status: status == OK)
+        self.push(1.0)
+        self.answering.settle(self.device)
+        self.api.ready.clear()
+        self.push(2.0)
+        assert self.api.hung.wait(WAIT_S)
+
     def __enter__(self) -> ThreadedBoard:
         return self
 
@@ -111,12 +120,7 @@ def test_one_force_is_queued_behind_another() -> None:
 def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
     """During a hanging write the device retains its force, so the loop ends with TIMEOUT before `timeout_s`."""
     with ThreadedBoard(timeout_s=2.0) as linked:
-        linked.until(lambda status: status == OK)
-        linked.push(1.0)
-        linked.answering.settle(linked.device)
-        linked.api.ready.clear()
-        linked.push(2.0)
-        assert linked.api.hung.wait(WAIT_S)
+        linked.hang()
         begun = time.monotonic()
         while (status := linked.servo.read()[0]) >= 0:
             linked.answering.end.send(GOOD)
@@ -131,12 +135,7 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
 @pytest.mark.parametrize("talkative", [False, True])
 def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCaptureFixture) -> None:
     with ThreadedBoard() as linked:
-        linked.until(lambda status: status == OK)
-        linked.push(1.0)
-        linked.answering.settle(linked.device)
-        linked.api.ready.clear()
-        linked.push(2.0)
-        assert linked.api.hung.wait(WAIT_S)
+        linked.hang()
         stop = threading.Event()
 
         def talk() -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.stopping import stop_during_writes
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.base import END, OK, WITHHELD
@@ -96,24 +96,10 @@ def test_the_log_of_a_long_loop_contains_the_latest_wrenches() -> None:
 
 def test_a_stop_during_writes_ends_with_zero() -> None:
     for _ in range(30):
-        device = opened()
-        servo, running = Servo(device), threading.Event()
-
-        def write(servo: Servo = servo, running: threading.Event = running) -> None:
-            for n in range(300):
-                servo.write(1.0, 0, 0, 0, 0, 0)
-                if n == 20:
-                    running.set()
-
-        thread = threading.Thread(target=write)
-        thread.start()
-        running.wait()
-        device.stop()
-        thread.join()
-        forces = device.forces()
-        assert forces[-1].tolist() == [0.0] * 6
-        assert np.all(forces[:-1, 0] == 1.0)
-        device.close()
+        with opened() as device:
+            stop_during_writes(device, lambda device=device: device.forces().any(axis=1).tolist(), lambda: None)
+            forces = device.forces()
+            assert not forces[-1].any() and (forces[:-1, 2] == 1.0).all()
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])

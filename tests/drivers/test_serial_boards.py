@@ -17,6 +17,7 @@ from helpers.far_ends import sketch_library
 from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.waits import ends_within, fresh, until
 
+from softfinger.config.errors import DeviceTimeout
 from softfinger.drivers.base import LOST, OK, PROTOCOL, TIMEOUT, Device
 from softfinger.drivers.serial.device import open_device
 from softfinger.server import driver_contract
@@ -166,6 +167,13 @@ def test_a_board_that_forgot_its_setup_is_given_up_and_closed_without_force() ->
         assert any(board.torques)  # the motors retain their force
         device.close()
         assert settled(lambda: board.torques, lambda torques: not any(torques)) == [0.0, 0.0]
+
+
+def test_a_board_that_never_answers_is_named_with_the_request() -> None:
+    with two_diy(wake_s=0.2) as (_, device, _, port):
+        port.mute.set()
+        with pytest.raises(DeviceTimeout, match=r"sends no frame within 0\.2 s.*has not answered 02 05 00 00 00 00 "):
+            device.arm()
 
 
 def test_the_sketch_switches_off_by_itself() -> None:

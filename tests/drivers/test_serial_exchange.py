@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import struct
+from binascii import crc_hqx
 from typing import Any
 
 import numpy as np
 import pytest
+from emulators.guideboard import crc8
 from helpers.plain_by_call import (
     ABOUT_Z,
     BY_CALL,
@@ -186,19 +188,6 @@ def test_a_force_waits_for_the_complete_answer(board: Board) -> None:
     board.read(b" ")
     assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == OK
     assert board.counts() == {"bytes": 127, "frames": 1, "written": 3, "held": 2}
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_force_along_any_axis_has_to_be_ended(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    board = Board(rig_options(**TEXT), monkeypatch)
-    wrench = [0.0] * 6
-    wrench[axis] = 1.0
-    assert board.write(*wrench) == OK
-    assert board.word[BOARD.has_force] == 1
-    board.sent()
-    assert board.write(*ZERO) == OK
-    assert board.sent() == text(0, 0, 0)
-    assert board.word[BOARD.has_force] == 0
 
 
 def test_during_a_silence_only_a_zero_after_a_force_is_sent(board: Board) -> None:
@@ -393,6 +382,7 @@ def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPat
     described_board.read(answer(0.0, 0.0, 0.0))
     described_board.write(*ZERO)
     assert described_board.sent() == force_frame(0, 0, 0)
+    assert described_board.word[BOARD.has_force] == 0
 
 
 def test_resync_bytes_follow_an_unanswered_frame(described_board: Board) -> None:
@@ -426,6 +416,23 @@ def test_bytes_before_a_request_are_discarded(described_board: Board) -> None:
     assert (status, sample[1]) == (OK, pytest.approx(0.45))
     assert described_board.read()[0] == STALE
     assert [described_board.read(bytes([byte]))[0] for byte in answer(0.25, 0.0, 0.0)] == [STALE] * 30 + [OK]
+
+
+def test_byte_order_and_checksums_of_both_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = [{"meaning": m, "offset": 1 + 4 * n, "type": "float32"} for n, m in enumerate("xyz")]
+    force = [{"meaning": f"force_{m}", "offset": 2 + 2 * n, "type": "int16", "scale": 1e4} for n, m in enumerate("xyz")]
+    frames = {
+        "order": "big",
+        "input": {"bytes": 15, "start": [126], "check": {"kind": "crc16-ccitt", "offset": 13}, "field": place},
+        "output": {"bytes": 9, "start": [85, 84], "check": {"kind": "crc8", "offset": 8}, "field": force},
+    }
+    board = Board(described(frames=frames, mounting={}), monkeypatch)
+    head = b"\x7e" + struct.pack(">3f", 0.25, 0.5, -0.125)
+    status, sample = board.read(head + struct.pack(">H", crc_hqx(head, 0xFFFF)))
+    assert (status, sample[:3].tolist()) == (OK, [0.25, 0.5, -0.125])
+    assert board.write(0.5, -1.0, 2.0, 0.0, 0.0, 0.0) == OK
+    request = b"\x55\x54" + struct.pack(">3h", 5000, -10000, 20000)
+    assert board.sent() == request + bytes([crc8(request)])
 
 
 @pytest.mark.parametrize("mode", ["answer", "stream"])

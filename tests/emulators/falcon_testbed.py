@@ -100,8 +100,6 @@ class Bed(usbfs.UsbDevice):
             falcon.found = [False] * 3
         if self._past("weight_after"):
             falcon.weight = self.case["weight_kg"] * 9.80665
-        if self.made == "late":
-            self.ready_at = time.monotonic() + 0.02
         if late and falcon.steps % late == 0:
             self.ready_at = time.monotonic() + 0.004
 

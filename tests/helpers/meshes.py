@@ -147,16 +147,17 @@ def moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
     return Mesh(mesh.vertices + np.array(by), mesh.triangles)
 
 
-def write_ply(path: Path, mesh: Mesh) -> Path:
-    """Write a binary PLY file with coordinates as float32."""
+def write_ply(path: Path, mesh: Mesh, kind: str = "float") -> Path:
+    """Write a binary PLY file with coordinates as float (32 bits) or double."""
     head = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(mesh.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(mesh.vertices)}\n"
+        f"property {kind} x\nproperty {kind} y\nproperty {kind} z\n"
         f"element face {len(mesh.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     rows = np.empty(len(mesh.triangles), [("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, mesh.triangles
-    path.write_bytes(head.encode() + mesh.vertices.astype("<f4").tobytes() + rows.tobytes())
+    points = mesh.vertices.astype({"float": "<f4", "double": "<f8"}[kind])
+    path.write_bytes(head.encode() + points.tobytes() + rows.tobytes())
     return path
 
 

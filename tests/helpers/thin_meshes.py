@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from helpers import hostile_meshes
+from helpers.hostile_meshes import bar
 from helpers.meshes import Mesh, bumpy_sphere, joined, moved
 
 
@@ -60,20 +60,16 @@ def thread(core: float = 0.01, height: float = 0.003, length: float = 0.04, turn
     return Mesh(np.vstack([side.reshape(-1, 3), ends]), np.array(triangles, np.int32))
 
 
-def bar(size: tuple[float, float, float]) -> Mesh:
-    return hostile_meshes.bar(*(0.5 * extent for extent in size))
-
-
 def lattice(pitch: float = 0.015, bars: int = 3, width: float = 0.001) -> Mesh:
     """Bars along each axis that intersect, 1 mm wide."""
     places = pitch * (np.arange(bars) - 0.5 * (bars - 1))
-    length = pitch * bars
+    half, thin = 0.5 * pitch * bars, 0.5 * width
     meshes = []
     for a in places:
         for b in places:
-            meshes.append(moved(bar((length, width, width)), (0.0, float(a), float(b))))
-            meshes.append(moved(bar((width, length, width)), (float(a), 0.0, float(b))))
-            meshes.append(moved(bar((width, width, length)), (float(a), float(b), 0.0)))
+            meshes.append(moved(bar(half, thin, thin), (0.0, float(a), float(b))))
+            meshes.append(moved(bar(thin, half, thin), (float(a), 0.0, float(b))))
+            meshes.append(moved(bar(thin, thin, half), (float(a), float(b), 0.0)))
     return joined(*meshes)
 
 

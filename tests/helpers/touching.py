@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from helpers.meshes import Mesh, write_ply
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
@@ -29,17 +30,8 @@ SLIPPERY = {"friction": {"static": 0.0, "kinetic": 0.0}}
 
 def write_part(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: str = "part.ply") -> str:
     """Write a binary PLY of `vertices` (n, 3) m and `triangles` (m, 3); return its path."""
-    points, corners = np.asarray(vertices, "<f8"), np.asarray(triangles)
-    head = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-        "property double x\nproperty double y\nproperty double z\n"
-        f"element face {len(corners)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    faces = np.empty(len(corners), [("n", "u1"), ("i", "<i4", 3)])
-    faces["n"], faces["i"] = 3, corners
-    path = folder / name
-    path.write_bytes(head.encode() + points.tobytes() + faces.tobytes())
-    return str(path)
+    mesh = Mesh(np.asarray(vertices, float), np.asarray(triangles))
+    return str(write_ply(folder / name, mesh, "double"))
 
 
 def make_object(name: str, shape: str, **keys: Any) -> dict[str, Any]:

@@ -331,6 +331,7 @@ FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (TIP, {"shape": "sphere", "inside": True, "radius_m": 0.05}, "a sphere or infinite cylinder touched from outside"),
     (TIP, {"shape": "cylinder", "radius_m": 0.05, "length_m": 0.1}, "object[0].shape"),
     (TIP, {"shape": "box", "size_m": [0.1, 0.1, 0.1]}, "object[0].shape"),
+    (TIP, {"shape": "mesh", "file": "part.ply"}, "object[0].shape = 'mesh'"),
     (TIP, {"shape": "box", "size_m": [0.1, 0.1, 0.02], "inside": True}, "must be above 0.024 m, the diameter"),
 ]
 

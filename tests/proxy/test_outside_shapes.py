@@ -29,7 +29,6 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes import closest, curvature, is_hollow, transport
 from softfinger.proxy.record import FREE
 from softfinger.server.loop.servo_thread import ServoThread
@@ -273,19 +272,6 @@ def test_balls_of_an_array_equal_spheres(beads: ModuleType, balls_file: Path) ->
         records = engine.run(poses)
         assert (records["contact.mode"] != FREE).mean() > 0.5
         np.testing.assert_allclose(records, expected, atol=1e-9)  # 1e-9 N is a picometre at 1000 N/m
-
-
-@pytest.mark.plain
-def test_results_do_not_depend_on_the_address_of_the_array(beads: ModuleType, balls_file: Path) -> None:
-    """Two engines whose arrays have different addresses give the same bits with one compiled kernel; only the address
-    differs in their parameters."""
-    first_engine, second_engine = Engine(scene(beads_of(balls_file))), Engine(scene(beads_of(balls_file)))
-    first, second = first_engine.scene.objects.body.shape.balls, second_engine.scene.objects.body.shape.balls
-    assert first.address != second.address
-    assert numba.typeof(first_engine.scene) == numba.typeof(second_engine.scene)
-    assert (flatten(first_engine.scene) != flatten(second_engine.scene)).sum() == 1
-    poses = rolling_over(BALLS[1])
-    assert first_engine.run(poses).tobytes() == second_engine.run(poses).tobytes()
 
 
 def test_an_array_lives_as_long_as_its_engine(beads: ModuleType, balls_file: Path) -> None:

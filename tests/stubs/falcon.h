@@ -27,18 +27,18 @@ enum { DEVICES = 2, QUEUE = 64, LOGGED = 8192, CHIP = 64, STATUS_BYTES = 2, PACK
     X(gain, -10000) X(mass, 0.15) X(bearing, 1.5) X(stiffness, 300) X(damping, 8) \
  /* where the hand is, m, world; how far it goes down in each stroke, and to the side; still: nothing moves */ \
     X(x, 0) X(y, 0) X(z, 0.02) X(press, 0) X(drag, 0) X(still, 0) \
- /* rounds by which a reply is late, and every how many replies one is (0: every one) */ \
-    X(late, 0) X(late_every, 0) \
+ /* rounds by which a reply is late */ \
+    X(late, 0) \
  /* faults: from this packet on (-1 never) it is unplugged, an error on the bus, takes no packet, completes nothing in, \
-    is mute, forgets its zeros; or from now on: takes no packet, does not end what is cancelled, refuses what is \
+    is mute; or from now on: takes no packet, does not end what is cancelled, refuses what is \
     submitted with this error; one handling of events takes so long; replies are spoilt in every way; transfers that \
     there is memory for */ \
-    X(unplug_at, -1) X(break_at, -1) X(block_at, -1) X(hush_at, -1) X(mute_at, -1) X(unhome_at, -1) \
+    X(unplug_at, -1) X(break_at, -1) X(block_at, -1) X(hush_at, -1) X(mute_at, -1) \
     X(block, 0) X(stubborn, 0) X(refuse, 0) X(slow_s, 0) X(fuzz, 0) X(transfers, 16) \
  /* what was done to it, to be read */ \
     X(unplugged, 0) X(opens, 0) X(closes, 0) X(claimed, 0) X(steps, 0) X(forces, 0) X(most, 0) X(m0, 0) X(m1, 0) X(m2, 0) \
-    X(state, 0) X(loads, 0) X(requests, 0) X(submits, 0) X(cancels, 0) X(flying, 0) X(allocated, 0) X(dropped, 0) \
-    X(threads, 0) X(misuse, 0) X(logged, 0) X(lates, 0)
+    X(state, 0) X(loads, 0) X(requests, 0) X(cancels, 0) X(flying, 0) X(allocated, 0) X(dropped, 0) \
+    X(threads, 0) X(misuse, 0) X(logged, 0)
 
 struct falcon {
 #define X(name, first) double name;
@@ -52,7 +52,7 @@ struct falcon {
     bool spoilt;
     struct { uint8_t byte[REPLY_MAX]; int size, at; double due; } queue[QUEUE];
     unsigned head, tail;
-    double dry, replies;
+    double dry;
     double log[LOGGED][6];
     bool waited[LOGGED];
     double came_s[LOGGED];
@@ -206,18 +206,14 @@ static void answer(struct falcon *f)
         count[leg] = shown;
     }
     if (f->found[0] && f->found[1] && f->found[2]) memset(f->zero, 0, sizeof f->zero);
-    if (f->unhome_at >= 0 && f->steps > f->unhome_at) memset(f->found, 0, sizeof f->found);
     for (int leg = 0; leg < 3; leg++) {
         count[leg] -= f->zero[leg];
         bits |= f->found[leg] << (4 + leg);
     }
     frame(count, bits, packet);
-    f->replies += 1;
     if (f->mute_at >= 0 && f->steps > f->mute_at) return;
     if (f->fuzz) { fuzz(f, packet); return; }
-    const bool late = f->late > 0 && (f->late_every <= 0 || fmod(f->replies, f->late_every) == 0);
-    f->lates += late;
-    queue(f, packet, PACKET, late ? f->late : 0);
+    queue(f, packet, PACKET, f->late);
 }
 
 static void packet_of_host(struct falcon *f)

@@ -357,7 +357,6 @@ int libusb_submit_transfer(struct libusb_transfer *transfer)
     else if (f->refuse) code = (int)f->refuse;
     if (!code) {
         *free_one = (struct flight){transfer, false, false, now_s()};
-        f->submits += 1;
         f->flying += 1;
         if (transfer->endpoint == 0x02 && !blocked(f)) {
             free_one->taken = true;

@@ -294,13 +294,6 @@ def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         paper.exact_path("world")
 
 
-def test_unknown_surface_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["accuracy", "--surface", "cone"])
-    assert stop.value.code == 2
-    assert "'cone' (choose from" in capsys.readouterr().err
-
-
 @pytest.mark.exhaustive
 def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) -> None:
     drawn = {}

@@ -29,10 +29,8 @@ from helpers.closed_loop import records_of_daemon
 from helpers.remote_bench import SOCKET
 
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers.base import OK
 from softfinger.drivers.registry import open_device
 from softfinger.server import cli
-from softfinger.server.driver_contract import Servo as Caller
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.services import hotplug
@@ -47,7 +45,6 @@ GADGETS = Path(__file__).with_name("gadgets")
 START_S = 30.0
 RATE_HZ = 100.0
 """Rate of the loops here: a tick takes a millisecond on an emulated processor, which also emulates the device."""
-FIGURES = Path("/run/vm/figures")
 TRIES = 3
 NOBODY = 65534
 PR_SET_KEEPCAPS, CAPABILITY_VERSION, DAC_OVERRIDE, DAC_READ_SEARCH = 8, 0x20080522, 1, 2
@@ -283,43 +280,6 @@ def attached(user: int | None = None, rig: str | None = None) -> list[dict[str, 
     assert listing.end() == 0, listing.err
     devices: list[dict[str, Any]] = json.loads(listing.out)["devices"]
     return devices
-
-
-def exchanges(rig: str, count: int) -> tuple[list[float], list[float]]:
-    """Measure times (ms) from a write until a read returns its reply, and of the calls themselves, in a fork."""
-
-    def work() -> int:
-        cycles, ticks = [], []
-        with open_device(load_rig(rig).device, RATE_HZ) as device:
-            servo = Caller(device)
-            servo.read()
-            for _ in range(count):
-                begun = time.perf_counter()
-                servo.write(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)
-                spent = time.perf_counter() - begun
-                while True:
-                    started = time.perf_counter()
-                    status, _sample = servo.read()
-                    now = time.perf_counter()
-                    if status == OK:
-                        break
-                    time.sleep(0.0001)
-                cycles.append(1e3 * (now - begun))
-                ticks.append(1e3 * (spent + now - started))
-        print(json.dumps([cycles, ticks]))
-        return 0
-
-    run = Run(work)
-    assert run.end(120) == 0, run.err
-    cycles, ticks = json.loads(run.out)
-    return cycles, ticks
-
-
-def measured(quantity: str, ms: list[float]) -> None:
-    """Store measured times (ms) for the runner, which prints them at the end."""
-    p50, p99 = np.percentile(ms, (50, 99))
-    with FIGURES.open("a") as file:
-        file.write(f"{quantity}: p50 {p50:.2f} ms, p99 {p99:.2f} ms, {len(ms)} times\n")
 
 
 def contract(module: Path, device: Gadget) -> tuple[str, int]:

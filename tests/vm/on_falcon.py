@@ -11,7 +11,7 @@ import pytest
 from test_falcon_emulated import CONTRACT, FIRMWARE_BYTES, rig_with
 
 from vm.cases import Cases
-from vm.guest import Gadget, contract, daemon, exchanges, gadget, measured
+from vm.guest import Gadget, contract, daemon, gadget
 from vm.guest import loaded as loaded
 
 
@@ -56,12 +56,6 @@ class TestCases(Cases):
         for line in ("mend", "make lost", "mend"):
             pressed.ask(line)
         self.works(pressed, rig)
-
-    def test_how_long_an_exchange_takes(self, pressed: Gadget, rig: str) -> None:
-        """Times from a packet to its reply are about two ticks of the emulated bus; they are only measured."""
-        cycles, ticks = exchanges(rig, 400)
-        measured("falcon: packet to reply", ms=cycles)
-        measured("falcon: read and write of a tick, of our own", ms=ticks)
 
 
 @pytest.fixture

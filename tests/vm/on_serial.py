@@ -10,7 +10,7 @@ import pytest
 from helpers.rig_files import write_rig
 
 from vm.cases import Cases
-from vm.guest import Gadget, exchanges, gadget, measured
+from vm.guest import Gadget, gadget
 from vm.guest import loaded as loaded
 
 
@@ -48,11 +48,6 @@ class TestCases(Cases):
         assert re.search("no answer to a (read|write) in time", ended.err), ended.err
         pressed.ask("mend")
         self.works(pressed, rig)
-
-    def test_how_long_an_exchange_takes(self, pressed: Gadget, rig: str) -> None:
-        cycles, calls = exchanges(rig, 400)
-        measured("serial: frame to answer", cycles)
-        measured("serial: write and read of a tick", calls)
 
 
 @pytest.fixture

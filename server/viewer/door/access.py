@@ -49,7 +49,7 @@ HEADERS: Final = {
 }
 VISER_TITLE: Final = b"<title>Viser</title>"
 
-Answer = Callable[[ServerConnection, Request], Response | None]
+RequestHook = Callable[[ServerConnection, Request], Response | None]
 Handler = Callable[[ServerConnection], Awaitable[None]]
 
 
@@ -106,7 +106,7 @@ class Access:
             hosts |= {socket.gethostname()}
         return {_with_port(name, port).lower() for name in hosts}
 
-    def wrap_answer(self, serve: Answer) -> Answer:
+    def wrap_answer(self, serve: RequestHook) -> RequestHook:
         """Wrap `serve`: pass on allowed requests, without the token in the path, and refuse all other ones."""
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
@@ -139,7 +139,7 @@ class Access:
         """
         original, name, calls = websockets_server.serve, "serve", list[bool]()
 
-        def serve(handler: Handler, *args: Any, process_request: Answer, **options: Any) -> Any:
+        def serve(handler: Handler, *args: Any, process_request: RequestHook, **options: Any) -> Any:
             calls.append(True)
             options["max_size"] = MESSAGE_MAX
             return original(

@@ -78,6 +78,17 @@ def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path:
     assert sum(entry["trials"] for entry in numbers) == sum(row["practice"] == "False" for row in rows)
 
 
+def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> None:
+    """At most one of seven 95 % intervals misses the true value; chance is below 1 in 100."""
+    seeds, misses = cases(6, 50), 0
+    for seed in range(seeds):
+        experiment = Experiment("texture-roughness", {"design.seed": seed, "procedure.trials": 80})
+        rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
+        low, high = fit_groups(experiment.file, rows)[0].fit.threshold_95
+        misses += not low <= experiment.file.observer.threshold <= high
+    assert misses <= max(1, seeds // 7)
+
+
 def kill_and_resume(folder: Path, kills: int, seed: int) -> None:
     words = [*COMMAND, "-q", "experiment", "friction-magnitude", "--dry-run"]
     words += ["--no-daemon", "--out", str(folder)]

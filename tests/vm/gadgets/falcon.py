@@ -9,7 +9,6 @@ not_found, lost   unplugged
 busy              another program has claimed it
 permission        its node is not accessible
 timeout           its firmware sends no more packets, its chip does
-late              answers 20 ms late
 blocked           accepts no transfer out
 stalled           its endpoint in is halted
 """
@@ -42,7 +41,6 @@ EVENT_BYTES, ENABLE, DISABLE, UNBIND, SETUP = 12, 2, 3, 1, 4
 CLAIM_INTERFACE = 0x8004550F  # of <linux/usbdevice_fs.h>
 SETTLE_S = 0.05
 """Longer than a packet takes on a slow emulated processor."""
-LATE_S = 0.02
 
 
 def descriptors() -> bytes:
@@ -119,8 +117,6 @@ class Chip:
             except OSError:  # unplugged while it waited
                 time.sleep(0.01)
                 continue
-            if self.made == "late":
-                time.sleep(LATE_S)
             with self.lock:
                 while self.made == "blocked":  # a read was pending: its data and the rest wait
                     self.lock.wait()
