@@ -10,7 +10,7 @@ from corpus_of_files import PACKAGES, downloaded, meshes, models
 
 pytestmark = [pytest.mark.exhaustive, pytest.mark.plain]
 OF_URDF = ("Error:", "is outside of its folder", "is not found", "several groups")
-LIMITS = ("no geom can be touched", "at most", "fingers do not touch", "not well-formed XML", *OF_URDF)
+LIMITS = ("no geom can be touched", "at most", "fingers cannot touch", "not well-formed XML", *OF_URDF)
 """Reasons to refuse a model that MuJoCo accepts; and reasons of MuJoCo to refuse a URDF, of which only the elements are
 counted."""
 

@@ -163,7 +163,7 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
     ticks = read_ticks(path)
     assert ticks == list(range(ticks[0], ticks[-1] + 1)) and ticks[0] < killed_at < ticks[-1]
     event = read_faults(path)["publisher"]
-    assert "was started again" in event["message"] and event["blackbox"] == str(path)
+    assert "was restarted" in event["message"] and event["blackbox"] == str(path)
 
 
 @pytest.mark.real_time

@@ -119,7 +119,7 @@ def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path, capsys: pytest.Ca
 def test_rerun_errors_are_reported_in_one_line(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rerun", reason=WHY)
     assert main(["bridge", "rerun", *words]) == ConfigError.exit_code
-    assert f"{' '.join(words)}: Rerun says: " in capsys.readouterr().err
+    assert f"{' '.join(words)}: Rerun reports: " in capsys.readouterr().err
 
 
 def test_rerun_shows_a_running_daemon(tmp_path: Path, endpoints: tuple[str, str]) -> None:

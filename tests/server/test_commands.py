@@ -344,7 +344,7 @@ REFUSED = [
     ("mark", {"label": "x", "data": {"text": "y" * EVENT_BYTES_MAX}}, "bad_params", "more than 1024 bytes"),
     ("zero", {}, "refused", "disarm first"),
     ("zero", {"position_m": [0, 0, math.nan]}, "bad_params", "position_m"),
-    ("zero", {"finger": "thumb"}, "bad_params", "no finger is 'thumb'"),
+    ("zero", {"finger": "thumb"}, "bad_params", "there is no finger 'thumb'"),
     ("tare", {}, "unknown_method", "there are get_state"),
 ]  # fmt: skip
 

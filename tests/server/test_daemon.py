@@ -289,7 +289,7 @@ def test_real_time_off_does_not_change_the_supervisor(faulty):
     assert [setting.name for setting in applied] == ["off"]
 
 
-@pytest.mark.parametrize(("failing", "error"), [("publisher", "telemetry"), ("relay", "records cannot be taken")])
+@pytest.mark.parametrize(("failing", "error"), [("publisher", "telemetry"), ("relay", "ticks cannot be received")])
 def test_a_failing_publisher_or_relay_stops_the_servo(failing, error, faulty, monkeypatch):
     if failing == "relay":
         monkeypatch.setattr(Rings, "feeds", lambda self: iter([None]))  # no source of records

@@ -282,7 +282,7 @@ def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() ->
         assert ask(1) != names[1]
 
 
-def test_a_key_that_floods_is_barred(key_ring: KeyRing) -> None:
+def test_a_key_that_floods_is_blocked(key_ring: KeyRing) -> None:
     keys, readers = key_ring.folder / "keys", key_ring.folder / "readers"
     second_key, _ = make_pair(keys, "second")
     (readers / "second.key").write_bytes(second_key.read_bytes())
@@ -300,7 +300,7 @@ def test_a_key_that_floods_is_barred(key_ring: KeyRing) -> None:
                 return process.poll() is not None or bool(flood.look().away)
 
             assert eventually(flooded) and process.poll() is None
-            assert "second is barred" in next(line for line in process.stderr if "barred" in line)
+            assert "second is blocked" in next(line for line in process.stderr if "blocked" in line)
             count, reader_count = flood.messages, reader.look().messages
             assert eventually(lambda: reader.look().messages > reader_count + 500)
             assert flood.look().messages == count

@@ -83,7 +83,7 @@ def test_events_report_only_start_and_end_of_a_lead(daemon: Daemon, client: Clie
         ({"position_m": [0, 0, 0.01], "release": True}, "bad_params: give either position_m"),
         ({"position_m": [0, 0, 3]}, "bad_params: hand: position_m = .* is outside the workspace"),
         ({"position_m": [0, 0, float("nan")]}, "bad_params: hand"),
-        ({"position_m": [0, 0, 0.02], "finger": "toe"}, "bad_params: no finger is 'toe'"),
+        ({"position_m": [0, 0, 0.02], "finger": "toe"}, "bad_params: there is no finger 'toe'"),
     ],
 )
 def test_bad_requests_move_nothing(client: Client, parameters: dict[str, object], message: str) -> None:

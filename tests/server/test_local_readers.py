@@ -206,9 +206,9 @@ def test_files_of_another_user_are_not_removed():
 
 def test_unreadable_rings_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "FOLDER", tmp_path)
-    with pytest.raises(ConfigError, match="get it with"):
+    with pytest.raises(ConfigError, match="see softfinger ctl describe"):
         Local("../etc/passwd")
-    with pytest.raises(ConfigError, match="is the daemon still running"):
+    with pytest.raises(ConfigError, match="check that the daemon is running"):
         Local("softfinger-none")
     (tmp_path / "softfinger-empty").touch()
     with pytest.raises(ConfigError, match="cannot be read"):

@@ -112,7 +112,7 @@ def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
             limit_memory(page)
             until(lambda: open_browser(address, closing) or has_exited(page), START_S, "the end of the page")
         ended = next(line for line in process.stderr if "the page has ended" in line)
-        assert "started again, 1 of 3 times" in ended
+        assert "restart 1 of 3" in ended
         assert wait_for_process(process, "page", previous=page)
         until(lambda: is_served(address), START_S, "an answer of the page")
         assert not find_unexplained_zeroes(board, first_frame)

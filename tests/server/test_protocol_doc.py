@@ -184,17 +184,9 @@ def test_numbers_in_the_text_equal_those_of_the_code():
     assert f"About {FILES_MAX - 26} connections" in page  # less files of the publisher itself
     assert MEMORY_MAX == 1 << 30 and "than 1 GiB" in page
     assert f"at most {LINGER_S:g} s after its last message" in page and f"once per {LOG_PERIOD_S:g} s" in page
-
-
-def test_bounds_of_requests_equal_those_of_the_code():
-    page = " ".join(DOC.split())
     assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in page
     assert f"may send {BURST} requests per {BURST_S:g} s" in page and f"{WAITING_MAX} unread answers are queued" in page
     assert f"A frame of more than {REQUEST_MAX} bytes" in page and f"more than {EVENT_BYTES_MAX} bytes" in page
-
-
-def test_speeds_of_a_controlled_hand_equal_those_of_the_code():
-    page = " ".join(DOC.split())
     assert f"at up to {SPEED_MAX_M_PER_S:g} m/s and {TURN_MAX_RAD_PER_S:g} rad/s" in page
 
 

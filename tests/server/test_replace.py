@@ -274,11 +274,11 @@ def test_a_pause_during_a_replacement_ends_the_run(driver):
 def test_replacing_requires_a_running_daemon(driver):
     first, second = load_scenes()
     with Daemon(make_faulty_rig(), first, 50) as running:
-        with pytest.raises(SafetyStop, match="does not run"):
+        with pytest.raises(SafetyStop, match="is not running"):
             running.replace(second)
         running.start()
         assert running.wait(60.0)
-        with pytest.raises(SafetyStop, match="does not run"):
+        with pytest.raises(SafetyStop, match="is not running"):
             running.replace(second)
 
 

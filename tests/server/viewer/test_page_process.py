@@ -72,7 +72,7 @@ def restart_page(process: subprocess.Popen[str], address: str, restart: int) -> 
     assert urlsplit(address).path.strip("/") not in Path(f"/proc/{page}/cmdline").read_text()
     os.kill(page, signal.SIGKILL)
     ended = next(line for line in process.stderr if "the page has ended" in line)
-    assert f"exit code -9; the servo continues; it is started again, {restart} of {RESTARTS} times" in ended
+    assert f"exit code -9; the servo continues; restart {restart} of {RESTARTS}" in ended
     assert get_status(process, address) == 200
 
 
