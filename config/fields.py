@@ -126,7 +126,7 @@ Resolved = Annotated[
 """Field of a table that may name an entry of a library; without it, a recording would change with the library."""
 
 
-def normalise_orientation(table: Table) -> None:
+def normalise_orientation(table: Struct) -> None:
     """Normalise the quaternion `orientation_wxyz` of a new table, unless it is zero or not finite."""
     orientation = table.orientation_wxyz  # type: ignore[attr-defined]
     if not is_usable(orientation) or orientation is None:

@@ -42,7 +42,7 @@ class FaultyConfig(ConfigError):
         self.faults, self.config = tuple(faults), config
         lines = [str(fault) for fault in faults[:_LISTED]]
         if more := len(faults) - len(lines):
-            lines.append(f"and {more} more: mend these first")
+            lines.append(f"and {more} more: correct these first")
         super().__init__(lines[0] if len(faults) == 1 else "\n  ".join([f"{len(faults)} faults:", *lines]))
 
 

@@ -78,6 +78,21 @@ def key_number(model: mujoco.MjModel, world: schema.World) -> int | None:
     return names.index(world.keyframe)
 
 
+def body_number(model: mujoco.MjModel, world: schema.World, body: str) -> int:
+    """Return the number of a body from its name or, for an unnamed body, its number in text form.
+
+    Raises ConfigError if the model has no such body.
+    """
+    package = mujoco_module()
+    number = package.mj_name2id(model, package.mjtObj.mjOBJ_BODY, body)
+    if number < 0 and body.isdecimal() and int(body) < model.nbody:
+        number = int(body)
+    if number < 0:
+        names = [model.body(index).name or str(index) for index in range(1, model.nbody)]
+        raise ConfigError(f"motion.body = {body!r} is not a body of {world.model}; it has {', '.join(names)}")
+    return int(number)
+
+
 def compile_model(path: str, root: str | None = None) -> CompiledModel:
     """Return a model as MuJoCo compiles it, from memory while its files stay the same. The caller must not change it.
 

@@ -26,7 +26,7 @@ def check_place(file: str | Path, home: Path, requester: str) -> None:
     if not Path(real).is_relative_to(home):
         above = os.path.relpath(os.path.commonpath([home, real]), home)
         raise ConfigError(
-            f"world.model {requester} is outside of its folder: move the file next to the model, or name a common "
+            f"world.model {requester} is outside of its folder: move the file next to the model, or set a common "
             f'folder: [world] root = "{above}"'
         )
 
@@ -63,9 +63,7 @@ def _find_attached(asset: Any, path: str, files: list[str], model: str) -> str:
         matching = {path}
     if len(matching) > 1:
         choices = ", ".join(sorted(matching))
-        raise ConfigError(
-            f"world.model {model}: {asset.name!r} may be one of {choices}: give the files different names"
-        )
+        raise ConfigError(f"world.model {model}: {asset.name!r} is ambiguous, it matches {choices}: rename the files")
     return matching.pop()
 
 

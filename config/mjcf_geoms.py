@@ -7,7 +7,7 @@ replaces the object of that geom.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -15,11 +15,15 @@ import numpy as np
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf import compile_model, mujoco_module, read_model
+from softfinger.config.mjcf import body_number, compile_model, mujoco_module, read_model
 from softfinger.config.mjcf_files import has_groups
+from softfinger.config.schema.world import GeomMaterial
+from softfinger.config.words import format_value
 
 SQUARE: Final = 1e-6
 """Relative difference of the sides of a pixel that counts as rounding of sizes in a file: 1 pixel in a million."""
+NAMES_MAX: Final = 8
+"""Names of geoms listed in a message."""
 CONVEX: Final = 0.01
 """Relative volume by which a convex hull exceeds a mesh that counts as convex."""
 
@@ -41,7 +45,10 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
     """Return the scene with an object for each geom of its [world] that no object replaces."""
     if scene.world is None:
         return scene
-    read_model(scene.world)  # checks masses and keyframe
+    model = read_model(scene.world)  # checks masses and keyframe
+    for obj in scene.object:
+        if isinstance(obj.motion, schema.Body):
+            body_number(model, scene.world, obj.motion.body)
     names = {obj.name for obj in scene.object}
     geoms = list(convert_geoms(scene.world))
     added = [geom.object for geom in geoms if geom.object is not None and geom.name not in names]
@@ -55,17 +62,20 @@ def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
     """Convert each geom of the model, in their order, then its flexes. Raises ConfigError for an unusable model."""
     package = mujoco_module()
     spec, model, _ = compile_model(world.model, world.root)
+    _check_rules(world, spec.geoms)
     data = package.MjData(model)
     package.mj_kinematics(model, data)
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
     for geom in spec.geoms:
         name = geom.name or f"geom-{geom.id}"
         if not geom.contype and not geom.conaffinity and geom.id not in paired:
-            yield ConvertedGeom(name, None, "does not collide (contype and conaffinity are 0, and no <pair> has it)")
+            yield ConvertedGeom(name, None, "does not collide (contype and conaffinity are 0, and it is in no <pair>)")
             continue
         material = _material(world, geom)
         if material is None:
-            yield ConvertedGeom(name, None, "has no material: give [world.material], or a [[world.geom]] that fits it")
+            yield ConvertedGeom(
+                name, None, "has no material: add [world.material], or a [[world.geom]] that matches it"
+            )
             continue
         if geom.meshname and model.geom_type[geom.id] == package.mjtGeom.mjGEOM_MESH:
             _check_groups(name, spec, int(model.geom_dataid[geom.id]))
@@ -73,7 +83,7 @@ def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
     for number in range(model.nflex):
         if model.flex_contype[number] or model.flex_conaffinity[number]:
             name = package.mj_id2name(model, package.mjtObj.mjOBJ_FLEX, number) or f"flex-{number}"
-            yield ConvertedGeom(name, None, "is a flexible body, which fingers do not touch", is_lost=True)
+            yield ConvertedGeom(name, None, "is a flexible body, which fingers cannot touch", is_lost=True)
 
 
 def find_ignored(scene: schema.Scene) -> list[ConvertedGeom]:
@@ -84,15 +94,27 @@ def find_ignored(scene: schema.Scene) -> list[ConvertedGeom]:
     return [geom for geom in convert_geoms(scene.world) if geom.is_lost and geom.name not in names]
 
 
+def _check_rules(world: schema.World, geoms: Sequence[Any]) -> None:
+    """Raise ConfigError for an entry of world.geom that fits no geom: its material would be ignored."""
+    for index, rule in enumerate(world.geom):
+        if not any(_fits(rule, geom) for geom in geoms):
+            keys = [(key, getattr(rule, key)) for key in ("name", "group", "default")]
+            given = ", ".join(f"{key} = {format_value(value)}" for key, value in keys if value is not None)
+            names = [geom.name for geom in geoms if geom.name]
+            raise ConfigError(
+                f"world.geom[{index}] fits no geom of {world.model}: {given}; "
+                f"it has {', '.join(names[:NAMES_MAX]) or 'none with a name'}"
+            )
+
+
+def _fits(rule: GeomMaterial, geom: Any) -> bool:
+    default = None if geom.classname is None else geom.classname.name
+    keys = (rule.name, geom.name), (rule.group, geom.group), (rule.default, default)
+    return all(required is None or required == actual for required, actual in keys)
+
+
 def _material(world: schema.World, geom: Any) -> schema.Material | None:
-    material = world.material
-    for rule in world.geom:
-        of_name = rule.name is None or rule.name == geom.name
-        of_group = rule.group is None or rule.group == geom.group
-        of_default = rule.default is None or (geom.classname is not None and rule.default == geom.classname.name)
-        if of_name and of_group and of_default:
-            material = rule.material
-    return material
+    return next((rule.material for rule in reversed(world.geom) if _fits(rule, geom)), world.material)
 
 
 def _object(
@@ -126,20 +148,20 @@ def _object(
             if isinstance(source, str):
                 return ConvertedGeom(name, None, source, is_lost=True)
             return ConvertedGeom(
-                name, schema.Heightmap(**source, **place), "smooth between its heights, level beyond its rim"
+                name, schema.Heightmap(**source, **place), "smooth between its heights, flat beyond its border"
             )
         case kinds.mjGEOM_MESH:
             source = {"file": world.model, "root": world.root, "mesh": model.mesh(number).name}
             return ConvertedGeom(name, schema.Mesh(**source, **place), _hull_note(model, number))
     kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
-    return ConvertedGeom(name, None, f"is of the type {kind}, which fingers do not touch", is_lost=True)
+    return ConvertedGeom(name, None, f"is of type {kind}, which fingers cannot touch", is_lost=True)
 
 
 def _check_groups(name: str, spec: Any, number: int) -> None:
     file = next((mesh.file for mesh in spec.meshes if mesh.id == number), "")
     if file.lower().endswith(".obj") and has_groups(file):
         raise ConfigError(
-            f"geom {name!r}: {file} has faces in several groups, and MuJoCo reads only the first: export it without "
+            f"geom {name!r}: {file} has faces in several groups, but MuJoCo reads only the first: export it without "
             "groups"
         )
 
@@ -158,7 +180,7 @@ def _hull_note(model: Any, number: int) -> str:
     if hull <= (1.0 + CONVEX) * mesh:
         return ""
     larger = f", which has {hull / mesh:.3g} times its volume" if mesh > 0.0 else ""
-    return f"is touched as it is; other geoms collide with its convex hull{larger}"
+    return f"has its own shape for fingers; other geoms collide with its convex hull{larger}"
 
 
 def _volume(vertices: Any, faces: Any) -> float:
@@ -172,9 +194,9 @@ def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | st
     across, along = 2.0 * x / (columns - 1), 2.0 * y / (rows - 1)
     if abs(across - along) > SQUARE * along:
         sides = f"{across:.6g} m along x and {along:.6g} m along y"
-        return f"is a height field with pixels of {sides}: make them square, by its size or by resampling"
+        return f"is a height field with pixels of {sides}: must be square; change its size, or resample it"
     if rows * columns > limits.GRID_VALUES.high:
-        return f"is a height field of {rows} x {columns}: {limits.GRID_VALUES.high:,} values are the most"
+        return f"is a height field of {rows} x {columns}: at most {limits.GRID_VALUES.high:,} values are allowed"
     source = {"file": world.model, "root": world.root, "hfield": model.hfield(number).name}
     return source | {"pitch_m": across, "level_m": z}
 

@@ -101,7 +101,9 @@ class _Model:
                 case "include":
                     part = self._find_file(element, (folder, base), name)
                     if part in included:
-                        raise ConfigError(f"world.model {name}: includes {file} again: MuJoCo reads each file once")
+                        raise ConfigError(
+                            f"world.model {name}: includes {file} twice, but MuJoCo reads each file once: remove one"
+                        )
                     included.add(part)
                     if (inner := self._text(part)) is not None:
                         within = f"{self._name}, {file}"
@@ -123,7 +125,7 @@ class _Model:
         """Parse XML as MuJoCo does, which knows no namespaces and no document types."""
         self._bytes += len(text) + FILE_BYTES
         if self._bytes > SIZE_MAX:
-            raise ConfigError(f"world.model {name}: has more than {SIZE_MAX:,} bytes with all that it includes")
+            raise ConfigError(f"world.model {name}: has more than {SIZE_MAX:,} bytes, with all included files")
         builder, parser, count = ElementTree.TreeBuilder(), expat.ParserCreate(), 0
 
         def start(tag: str, attributes: dict[str, str]) -> None:
@@ -136,7 +138,7 @@ class _Model:
         def start_doctype(_: str, *declared: object) -> None:
             if any(declared):  # MuJoCo would read an element in it
                 raise ConfigError(
-                    f"world.model {name}: declares a document type, and MuJoCo knows none: remove <!DOCTYPE>"
+                    f"world.model {name}: declares a document type, which MuJoCo does not support: remove <!DOCTYPE>"
                 )
 
         parser.StartElementHandler, parser.EndElementHandler = start, builder.end

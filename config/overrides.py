@@ -98,10 +98,12 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
         if isinstance(at, list):
             if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
                 entries = f"entries go from 0 to {len(at) - 1}{_names(at)}" if at else "the list is empty"
-                raise LookupError(f"there is no {key}: {entries}; to add one give all of {path[depth - 2]}")
+                raise LookupError(
+                    f"there is no {key}: {entries}; to add an entry, set the complete list {path[depth - 2]}"
+                )
             place = int(name)
         elif not isinstance(at, dict):
-            raise LookupError(f"{key} would be in {format_value(at)}, which is not a table: give the complete table")
+            raise LookupError(f"{key} would be in {format_value(at)}, which is not a table: set the complete table")
         elif depth < len(path) and name not in at:
             at[name], origins[key] = {}, source
         if depth == len(path):

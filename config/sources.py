@@ -59,7 +59,7 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
     example = f"my-{kind.split()[-1]}.toml"
     raise ConfigError(
         f"no {kind} is called {format_value(path_or_name)}{near(path_or_name, names)}; "
-        f"shipped are {', '.join(names)}; give the path of another file with its suffix, such as {example}"
+        f"shipped are {', '.join(names)}; name another file by its path with suffix, such as {example}"
     )
 
 
@@ -102,5 +102,5 @@ def _sibling(path: Path) -> str:
     names = [name for kind in FOLDERS for name in list_shipped(kind)]
     if not hint and path.suffix == ".toml":
         hint = near(path.stem, names)
-        hint += " (shipped; named without folder and ending)" if hint else ""
+        hint += " (shipped: named without folder and suffix)" if hint else ""
     return hint

@@ -35,7 +35,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     long = _LONG_KEY.search(_STRINGS.sub(_blank, text))
     if long is not None:
         line = text.count("\n", 0, long.start()) + 1
-        raise ConfigError(f"{name}, line {line}: a key of more than {PARTS_MAX} parts: no table is that deep")
+        raise ConfigError(f"{name}, line {line}: a key of more than {PARTS_MAX} parts, the limit")
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -48,9 +48,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         values = [below for value in level for below in (value.values() if isinstance(value, dict) else value)]
         level = [value for value in values if isinstance(value, dict | list)]
     if level:
-        raise ConfigError(
-            f"{name}: tables or lists more than {DEPTH_MAX} deep in one another: this is not a scene or rig"
-        )
+        raise ConfigError(f"{name}: tables or lists nested more than {DEPTH_MAX} deep: this is not a scene or rig")
     return tables
 
 

@@ -66,7 +66,7 @@ def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
                 (above for above, candidate in _candidates(mesh.file, folder) if candidate.is_file()), folder.parent
             )
             raise ConfigError(
-                f"world.model {model}: {mesh.file} is not found from its folder up to {home}: name a folder that has "
-                f'the package: [world] root = "{os.path.relpath(higher, folder)}"'
+                f"world.model {model}: {mesh.file} is in no folder from that of the model up to {home}: set one that "
+                f'contains the package: [world] root = "{os.path.relpath(higher, folder)}"'
             )
         mesh.file = str(path)

@@ -3,7 +3,7 @@
     class Fields(NamedTuple):
         frames: Annotated[int, counter("frames received")]
         fd: Annotated[int, word("file descriptor of the port, below 0 after closing")]
-        values: Annotated[int, numbers("of the latest frame", 8)]
+        values: Annotated[int, numbers("values of the latest frame", 8)]
         table: Annotated[int, address("rows of a report")]
 
     AT: Final = lay_out(Fields)

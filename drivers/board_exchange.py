@@ -49,24 +49,28 @@ class Fields(NamedTuple):
     """Fields of every exchange; the fields of the driver follow."""
 
     fd: Annotated[int, word("file descriptor, below 0 once it is closed")]
-    armed: Annotated[int, word("whether a force may go out")]
+    armed: Annotated[int, word("whether forces may be sent")]
     lock: Annotated[int, word("lock: set during a write")]
-    has_sample: Annotated[int, word("whether there is a sample to repeat")]
+    has_sample: Annotated[int, word("whether a sample exists that can be repeated")]
     has_force: Annotated[int, word("whether the last accepted packet had a force; written by the driver")]
-    unsent_bytes: Annotated[int, word("its bytes that the device has not accepted yet; written by the driver")]
-    misread_bytes: Annotated[int, word("bytes since the latest sample that form none; written by the driver, else 0")]
-    misread_max: Annotated[int, word("so many misread ones are an answer that is not in the protocol")]
-    opened_at: Annotated[int, word("ns")]
+    unsent_bytes: Annotated[
+        int, word("bytes of the last packet that the device has not accepted yet; written by the driver")
+    ]
+    misread_bytes: Annotated[
+        int, word("bytes since the latest sample that are no valid data; written by the driver, otherwise 0")
+    ]
+    misread_max: Annotated[int, word("number of such bytes at which the protocol counts as wrong")]
+    opened_at: Annotated[int, word("time at which the device was opened, ns")]
     sampled_at: Annotated[int, word("time of the latest sample, ns")]
-    read_at: Annotated[int, word("ns, when the loop last read")]
-    kicked_at: Annotated[int, word("ns")]
-    quiet: Annotated[int, word("ns of silence, after which it gets no force")]
-    kick: Annotated[int, word("ns from one kick into a silence to the next")]
-    kick_awaiting: Annotated[int, word("ns, the same while a sample of now is awaited")]
-    timeout_after: Annotated[int, word("ns of silence")]
-    poll: Annotated[int, word("struct pollfd")]
-    timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
-    sample: Annotated[int, numbers("the last one", SAMPLE_SIZE)]
+    read_at: Annotated[int, word("time of the last read by the loop, ns")]
+    kicked_at: Annotated[int, word("time of the last kick, ns")]
+    quiet: Annotated[int, word("time without data after which no force is sent, ns")]
+    kick: Annotated[int, word("time between two kicks of a silent device, ns")]
+    kick_awaiting: Annotated[int, word("the same while the driver waits for a current sample, ns")]
+    timeout_after: Annotated[int, word("time without data after which the device counts as lost, ns")]
+    poll: Annotated[int, word("struct pollfd for the file descriptor")]
+    timespec: Annotated[int, numbers("struct timespec of the clock", TIMESPEC_WORDS)]
+    sample: Annotated[int, numbers("last sample", SAMPLE_SIZE)]
 
 
 BOARD: Final = lay_out(Fields)

@@ -73,16 +73,16 @@ class Fields(NamedTuple):
     """Fields of an injected device."""
 
     ticks: Annotated[int, word("reads so far")]
-    injected_ticks: Annotated[int, counter("reads and writes in which a fault has acted")]
-    last_fault: Annotated[int, word("index of the fault that acted last, -1 before the first")]
+    injected_ticks: Annotated[int, counter("reads and writes with a fault")]
+    last_fault: Annotated[int, word("index of the last fault, -1 before the first")]
     last_fault_tick: Annotated[int, word("in which it has")]
-    has_sample: Annotated[int, word("whether there is a sample of before")]
+    has_sample: Annotated[int, word("whether an earlier sample exists")]
     random: Annotated[int, word("state of the random numbers")]
     read: Annotated[int, word("the driver's")]
     write: Annotated[int, word("the driver's")]
     handle: Annotated[int, word("the driver's")]
     faults: Annotated[int, address("(count, ROW) float64")]
-    length: Annotated[int, word("how many faults there are")]
+    length: Annotated[int, word("number of faults")]
     sample: Annotated[int, numbers("the latest sample that the loop read", SAMPLE_SIZE)]
     wrench: Annotated[int, numbers("wrench sent to the driver", WRENCH_SIZE)]
 

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import hypot
 from typing import Annotated
 
-from softfinger.config.schema import Complaint, Orientation, Point, Table, doc, is_usable
+from softfinger.config.fields import (
+    Complaint,
+    Orientation,
+    Point,
+    Table,
+    doc,
+    normalise_orientation,
+    orientation_faults,
+)
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics.rotations import normalize
 
@@ -17,13 +24,14 @@ class Mounting(Table, frozen=True, kw_only=True):
     position_m: Annotated[Point, doc("origin", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         Orientation,
-        doc("device to world: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
+        doc("device to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        normalise_orientation(self)
+
     def faults(self) -> Iterator[Complaint]:
-        if is_usable(self.orientation_wxyz) and hypot(*self.orientation_wxyz) == 0.0:
-            fault = "all zero is not an orientation: [1, 0, 0, 0] turns nothing"
-            yield "orientation_wxyz", self.orientation_wxyz, fault
+        yield from orientation_faults(self.orientation_wxyz)
 
     def frame(self) -> tuple[Vec3, Quaternion]:
         """Return the device's origin in the world (m), and the unit quaternion from device to world."""

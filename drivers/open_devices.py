@@ -52,7 +52,7 @@ def call_all(call: Callable[[Target], None], targets: Sequence[Target]) -> list[
     for index, thread in enumerate(threads):
         thread.join(max(until - time.monotonic(), 0.0))
         if thread.is_alive():
-            failures[index] = TimeoutError(f"it has not returned for {STOP_TIMEOUT_S:g} s")
+            failures[index] = TimeoutError(f"the call has not returned for {STOP_TIMEOUT_S:g} s")
     return [(targets[index], failures[index]) for index in sorted(failures)]
 
 

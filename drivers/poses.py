@@ -141,7 +141,7 @@ def check_poses(t: Array, position: Array, orientation: Array, locate: Callable[
     `locate(row)` returns the location of a row for the message of RecordingError.
     """
     if len(t) < 2:
-        raise RecordingError(f"{locate(0)}: {len(t)} pose(s), at least 2 are needed")
+        raise RecordingError(f"{locate(0)}: {len(t)} poses, at least 2 are needed")
     values = np.column_stack((t, position, orientation))
     finite = np.isfinite(values)
     if not finite.all():
@@ -202,8 +202,8 @@ def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
     missing = [name for name in columns if names.count(name) != 1]
     if missing:
         raise RecordingError(
-            f"{path}, line 1: column(s) {', '.join(missing)} missing or given twice: "
-            f"the header must name {','.join(POSE_COLUMNS)} (other columns are ignored)"
+            f"{path}, line 1: column(s) {', '.join(missing)} missing or duplicate: "
+            f"the header must contain {','.join(POSE_COLUMNS)} (other columns are ignored)"
         )
     index = [names.index(name) for name in columns]
     numbers, values, number = array("q"), array("d"), 2
@@ -246,7 +246,7 @@ def _parse_row(location: str, line: str, names: Sequence[str], index: Sequence[i
     """Yield the numbers of a line in the columns `index`; RecordingError with `location` if one is not a number."""
     cells = line.split(",")
     if len(cells) != len(names):
-        raise RecordingError(f"{location}: {len(cells)} values, the header names {len(names)}")
+        raise RecordingError(f"{location}: {len(cells)} values, but the header has {len(names)} columns")
     for column in index:
         try:
             yield float(cells[column])
@@ -306,7 +306,9 @@ def _read_mcap(path: Path, finger: str) -> Poses:
         try:
             values.extend(row)
         except (TypeError, ValueError) as error:
-            raise RecordingError(f"{path}: topic '{topic}' does not hold numbers: {_describe_error(error)}") from error
+            raise RecordingError(
+                f"{path}: topic '{topic}' does not contain numbers: {_describe_error(error)}"
+            ) from error
     table = np.frombuffer(values).reshape(-1, 10)
     return check_poses(
         _times_from_ticks(table[:, 0], table[:, 1], table[:, 2]), table[:, 3:6], table[:, 6:10], _make_locator(path)
@@ -361,15 +363,15 @@ def decode_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
         except Exception as error:  # the decoders fail in many ways on damaged bytes
             if count == 0:
                 raise RecordingError(f"{path}: not a readable MCAP recording: {_describe_error(error)}") from error
-            log.warning("%s is cut short or damaged (%s): %d messages read", path, _describe_error(error), count)
+            log.warning("%s is truncated or damaged (%s): %d messages read", path, _describe_error(error), count)
     if count == 0:
-        raise RecordingError(f"{path}: has no message of topic '{topic}'")
+        raise RecordingError(f"{path}: has no message on topic '{topic}'")
 
 
 def _check_count(path: Path, before: int) -> None:
     """Raise RecordingError if `before` poses were read and another would exceed POSES_MAX."""
     if before >= POSES_MAX:
-        raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: cut it into parts")
+        raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: split it")
 
 
 def _make_locator(path: Path, line_numbers: Sequence[int] | None = None) -> Callable[[int], str]:

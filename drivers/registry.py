@@ -38,7 +38,7 @@ def add(name: str, module: ModuleType) -> None:
     Raises DeviceError if the module is not a driver, or if the name is that of a built in driver.
     """
     if name in BUILT_IN:
-        raise DeviceError(f"driver '{name}' is built in: give yours another name")
+        raise DeviceError(f"driver '{name}' is built in: rename yours")
     _registered[name] = _check_driver(name, module, f"module {module.__name__}")
 
 

@@ -55,7 +55,7 @@ class Fields(NamedTuple):
     capacity: Annotated[int, word("rows of the log")]
     armed: Annotated[int, word("whether wrenches are stored")]
     lock: Annotated[int, word("lock: set while a wrench is appended")]
-    next_row: Annotated[int, word("counted up and wrapped, which is cheaper than a remainder")]
+    next_row: Annotated[int, word("incremented and wrapped, which is cheaper than a remainder")]
 
 
 LOG: Final = lay_out(Fields)
@@ -120,7 +120,7 @@ class LoggedDevice(BlockDevice):
         if self._path is not None and self._path.suffix.lower() not in FORCE_ENDINGS:
             raise RecordingError(f"forces = '{forces}': must end in {' or '.join(FORCE_ENDINGS)}")
         if self._path is not None and not self._path.parent.is_dir():
-            raise RecordingError(f"forces = '{forces}': there is no folder {self._path.parent}: create it first")
+            raise RecordingError(f"forces = '{forces}': the folder {self._path.parent} does not exist: create it first")
         self._block, word = block, block.word
         capacity = max(rows, math.ceil(LOG_MIN_S * rate_hz)) + LOG_MARGIN
         self._rows = np.full((capacity, 7), 0.0)  # written here, so that the loop causes no page fault on first access

@@ -7,6 +7,7 @@ from math import hypot
 from typing import Any
 
 from softfinger.config import schema
+from softfinger.config.mjcf import body_number
 from softfinger.proxy.bodies import RigidBodies
 from softfinger.proxy.kernels import model
 
@@ -80,7 +81,7 @@ def kernel_motion(motion: schema.Motion | None, bodies: RigidBodies | None = Non
         case schema.Driven():
             return model.Driven()
         case schema.Body() if bodies is not None:
-            return model.Simulated(bodies.block, float(bodies.number_of(motion.body)))
+            return model.Simulated(bodies.block, float(body_number(bodies.model, bodies.world, motion.body)))
     return None
 
 

@@ -142,8 +142,8 @@ class RigidBodies:
                 "simpler geoms, raise the budget, or lower servo.rate_hz"
             )
         remedy = (
-            "lower stiffness_n_per_m, or raise damping_ns_per_m or world.substeps; where memory is full, give the "
-            'model <size memory="..."/>'
+            "lower stiffness_n_per_m, or raise damping_ns_per_m or world.substeps; if its memory is full, add "
+            '<size memory="..."/> to the model'
         )
         if fault == at.WARNED:
             counted = self.data.warning
@@ -158,20 +158,6 @@ class RigidBodies:
         return kernels.Bodies(
             self.block, ReadOnly(np.array(self.moving, np.int64)), ReadOnly(np.array(riders)), float(len(riders))
         )
-
-    def number_of(self, body: str) -> int:
-        """Return the number of a body from its name or, for an unnamed body, its number in text form.
-
-        Raises ConfigError if the model has no such body.
-        """
-        package = mujoco_module()
-        number = package.mj_name2id(self.model, package.mjtObj.mjOBJ_BODY, body)
-        if number < 0 and body.isdecimal() and int(body) < self.model.nbody:
-            number = int(body)
-        if number < 0:
-            names = [self.model.body(index).name or str(index) for index in range(1, self.model.nbody)]
-            raise ConfigError(f"motion.body = {body!r} is not a body of {self.world.model}; it has {', '.join(names)}")
-        return int(number)
 
     def begin(self, period_s: float) -> None:
         """Reset all bodies to their initial poses, or to the keyframe, for ticks of `period_s`.

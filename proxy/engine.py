@@ -191,7 +191,7 @@ class Engine:
     @property
     def _world(self) -> RigidBodies:
         if self.scene.bodies is None:
-            raise ConfigError("the scene has no [world], and so neither a model nor data")
+            raise ConfigError("the scene has no [world], so there is no model and no data")
         owner: RigidBodies = self.scene.bodies.block.owner
         return owner
 
@@ -223,7 +223,7 @@ class Engine:
 
         values = {changes: value} if isinstance(changes, str) else changes
         if not self._take(apply_overrides(self.config, values, "set")):
-            raise ConfigError(f"set: {other_model(self.config, values)}: make another Engine")
+            raise ConfigError(f"set: {other_model(self.config, values)}: create another Engine")
 
     def get(self, path: str) -> Any:
         """Return the present value of a parameter.
@@ -373,7 +373,9 @@ class Engine:
         return self._advance
 
     def _several(self) -> PoseError:
-        return PoseError(f"the scene has the fingers {', '.join(self.fingers)}: give `run` poses of each by its name")
+        return PoseError(
+            f"the scene has the fingers {', '.join(self.fingers)}: pass `run` the poses of each by its name"
+        )
 
     def _check_dt(self, dt: float) -> float:
         if not (dt == 0.0 or DT_MIN_S <= dt <= DT_MAX_S):

@@ -49,8 +49,8 @@ def read_heights(obj: schema.Heightmap) -> Grid:
         most, worst = limits.COORDINATE_M.high, float(heights.flat[np.abs(heights).argmax()])
         if abs(worst) > most:
             raise ConfigError(
-                f"{obj.file}: a height of {worst:g} m with level_m = {obj.level_m:g}, {most:g} m up or down is the "
-                "most: make level_m smaller"
+                f"{obj.file}: a height of {worst:g} m with level_m = {obj.level_m:g}, at most {most:g} m up or "
+                "down is allowed: reduce level_m"
             )
     except ConfigError as error:
         raise ConfigError(f"object '{obj.name}': file: {error}") from error

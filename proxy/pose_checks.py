@@ -24,8 +24,8 @@ def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
     Raises PoseError if a pose cannot be used, or the names or lengths do not match.
     """
     if set(poses) != set(fingers):
-        names = ", ".join(fingers) or "one, whose poses are given without a name"
-        raise PoseError(f"poses of {', '.join(map(str, poses))} are not those of the scene's fingers: {names}")
+        names = ", ".join(fingers) or "one, with poses without a name"
+        raise PoseError(f"poses of {', '.join(map(str, poses))} do not match the fingers of the scene: {names}")
     checked = [check_poses(np.asarray(poses[name], np.float64)) for name in fingers]
     if len({len(rows) for rows in checked}) > 1:
         counts = ", ".join(f"{len(rows)} of {name}" for name, rows in zip(fingers, checked, strict=True))
@@ -40,8 +40,8 @@ def check_poses(poses: Array) -> Array:
     norms = np.linalg.norm(poses[:, 3:], axis=1)
     for usable, why in (
         (np.isfinite(poses).all(axis=1), "every number must be finite"),
-        ((np.abs(poses[:, :3]) <= POSITION_MAX_M).all(axis=1), f"a coordinate is at most {POSITION_MAX_M:g} m"),
-        ((norms >= 1e-6) & (norms <= 1e6), "the last four are its quaternion, and its norm must be from 1e-6 to 1e6"),
+        ((np.abs(poses[:, :3]) <= POSITION_MAX_M).all(axis=1), f"coordinates must be at most {POSITION_MAX_M:g} m"),
+        ((norms >= 1e-6) & (norms <= 1e6), "the last four are a quaternion, whose norm must be from 1e-6 to 1e6"),
     ):
         if not usable.all():
             row = int(usable.argmin())

@@ -122,13 +122,15 @@ class Offsets(NamedTuple):
         "1",
         "",
         (
-            "1 if a mesh or height map was not searched to the end: the proxy stayed, or a first touch or a gap is "
-            "unknown; 2 if the proxy has yet to come to rest on it: the force is not the sum of `contacts` then"
+            "1 if the search of a mesh or height map did not finish: the proxy did not move, or a first touch or gap "
+            "is unknown; 2 if the proxy is not yet at rest: then the force is not the sum of `contacts`"
         ),
     ]
     limits_speed: Annotated[int, 1, "float", "m/s", "", "smoothed speed of the handle; 0 without that limit"]
-    limits_heat: Annotated[int, 1, "float", "1", "", "heat of the motors, 1 that of the continuous force for ever"]
-    limits_energy: Annotated[int, 1, "float", "J", "", "energy that contacts gave to the hand and that still counts"]
+    limits_heat: Annotated[int, 1, "float", "1", "", "heat of the motors; 1 is that of the continuous force"]
+    limits_energy: Annotated[
+        int, 1, "float", "J", "", "energy that contacts transferred to the hand, reduced over time"
+    ]
     contact_displacement: Annotated[int, 3, "float", "m", "world", "displacement of an elastic surface at the contact"]
     contact_nonlinear: Annotated[
         int,

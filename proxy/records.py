@@ -43,7 +43,9 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
     def __new__(cls, rows: NDArray[np.float64]) -> Self:
         """Return a view of the same memory. Raises ValueError if the rows are not records."""
         if rows.shape[-1:] != (RECORD_SIZE,):
-            raise ValueError(f"an array of shape {rows.shape} has no records: its rows must have {RECORD_SIZE} columns")
+            raise ValueError(
+                f"an array of shape {rows.shape} contains no records: rows must have {RECORD_SIZE} columns"
+            )
         return rows.view(cls)
 
     def __getitem__(self, key: Any) -> Any:

@@ -98,7 +98,7 @@ def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
     """Return a message that names the changes to a scene that require another compiled model."""
     built = build_scene(scene)
     alone = [key for key, value in changes.items() if not _same_with(scene, built, {key: value})]
-    return f"{', '.join(alone or changes)}: that is another model, to be compiled"
+    return f"{', '.join(alone or changes)}: that is another model, which must be compiled"
 
 
 def _same_with(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
@@ -212,7 +212,7 @@ def shape_bodies(shape: Any) -> list[Body]:
     Most shapes are one body. The inside of a box or of a cylinder with ends consists of several walls that
     can support the fingertip simultaneously, one body each.
     """
-    raise TypeError(f"{type(shape).__name__} is not a shape: nothing is registered with shape_bodies for it")
+    raise TypeError(f"{type(shape).__name__} is not a shape: it is not registered with shape_bodies")
 
 
 @shape_bodies.register

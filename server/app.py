@@ -88,7 +88,7 @@ class Daemon:
         faults: schema.Faults | None = None,
     ) -> None:
         if PLAIN:
-            raise RealtimeError("NUMBA_DISABLE_JIT is set, and the servo loop needs machine code: unset it")
+            raise RealtimeError("NUMBA_DISABLE_JIT is set, but the servo loop needs machine code: unset it")
         self._report = report
         self._rig = rig
         self._failure: HapticError | None = None

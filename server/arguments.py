@@ -127,7 +127,7 @@ def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
         match = _NAMED_FILE.fullmatch(value)
         name, file = (match[1], match[2]) if match else ("", value)
         if name in files or (files and "" in (name, *files)):
-            raise ConfigError(f"{flag} {value}: give it once, or {flag} NAME=FILE for each of several fingers")
+            raise ConfigError(f"{flag} {value}: use it once, or {flag} NAME=FILE for each of several fingers")
         files[name] = file
     return files
 

@@ -172,7 +172,7 @@ def reason(error: OSError | MemoryError) -> str:
     reason = "out of memory"
     if isinstance(error, OSError):
         reason = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
-    return f"the system refused: {reason} (with --verbose: where)"
+    return f"the system refused: {reason} (--verbose shows where)"
 
 
 def open_streams() -> None:
@@ -212,7 +212,7 @@ def check_descriptors() -> None:
         soft = DESCRIPTORS_MIN if hard < 0 else min(hard, DESCRIPTORS_MIN)
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     if 0 <= soft < DESCRIPTORS_MIN:
-        raise Exhausted(f"this process may open {soft} files, and needs {DESCRIPTORS_MIN}: raise `ulimit -n`")
+        raise Exhausted(f"this process may open {soft} files, but needs {DESCRIPTORS_MIN}: raise `ulimit -n`")
 
 
 def make_parser() -> Parser:

@@ -94,8 +94,8 @@ def read_pair(path: str | Path) -> KeyPair:
     keys, mode = _read(path)
     if mode & _OTHERS_ACCESS:
         raise ConfigError(
-            f"{path}: a secret key that other users can read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and make new "
-            "keys if somebody has"
+            f"{path}: a secret key that other users can read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and create "
+            "new keys if another user has read it"
         )
     if "secret" not in keys:
         raise ConfigError(f"{path}: a public key: the secret one is in the same folder, in a file .key_secret")
@@ -127,7 +127,7 @@ def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
             status, text = os.fstat(file.fileno()), file.read(SIZE_MAX)
         folder = Path(path).resolve().parent
         for checked, status_of_checked in ((path, status), (folder, folder.stat())):
-            check_owner(checked, status_of_checked, "could put another key in the place of this")
+            check_owner(checked, status_of_checked, "could replace this key")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{path}: no key can be read: {reason}; create one with softfinger keys") from error

@@ -212,7 +212,8 @@ def _exit(number: int) -> None:
 def _stop_all() -> None:
     """Zero all open devices; a failure is printed and changes neither the shutdown nor the exit code."""
     for error in open_devices.stop_all():
-        _print(f"a device could not be stopped ({type(error).__name__}: {error}): it may still push, switch it off")
+        why = f"{type(error).__name__}: {error}"
+        _print(f"a device could not be stopped ({why}): it may still apply a force: switch it off")
 
 
 def _print(line: str) -> None:

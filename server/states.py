@@ -22,9 +22,9 @@ class DaemonState(StrEnum):
 
 
 MEANINGS: Final = {
-    DaemonState.STARTING: "devices and kernels are made ready; there is no tick yet",
-    DaemonState.READY: "ticks go on, and every device has zero force",
-    DaemonState.ARMED: "forces are rendered, or fade in",
+    DaemonState.STARTING: "devices and kernels are prepared; there is no tick yet",
+    DaemonState.READY: "ticks continue, and every device has zero force",
+    DaemonState.ARMED: "forces are rendered, or increase to their full value",
     DaemonState.FAULTED: "a fault has removed the force",
     DaemonState.STOPPING: "the run ends with zero force",
 }

@@ -38,7 +38,7 @@ def decode_mesh(vertices: bytes, triangles: bytes) -> SurfaceMesh:
     points = np.frombuffer(vertices, "<f4").reshape(-1, 3).astype(np.float64)
     faces = np.frombuffer(triangles, "<u4").reshape(-1, 3)
     if len(faces) and faces.max() >= len(points):
-        raise ValueError(f"a triangle of vertex {faces.max()}, and there are {len(points)}")
+        raise ValueError(f"a triangle has vertex {faces.max()}, but there are {len(points)}")
     return SurfaceMesh(points, faces)
 
 

@@ -63,7 +63,9 @@ def zero_force(node: str, fd: int, zero: bytes) -> str:
         time.sleep(PAUSE_S)
     while zeroed_count and _unsent(fd) and time.monotonic() < until:
         time.sleep(PAUSE_S)
-    remainder = f", but {count} bytes of it wait in the port: switch the device off" if (count := _unsent(fd)) else ""
+    remainder = (
+        f", but {count} bytes of it are queued in the port: switch the device off" if (count := _unsent(fd)) else ""
+    )
     with contextlib.suppress(OSError):  # no serial port, or disconnected
         fcntl.ioctl(fd, termios.TIOCNXCL)  # as on a regular close: the next daemon may have another user
     return (

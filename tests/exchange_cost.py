@@ -240,37 +240,31 @@ def hid(_: Path) -> Iterator[Case]:
 
 
 @contextmanager
-def serial(_: Path) -> Iterator[Case]:
-    """A WoodenHaptics of the third generation on a stream socket, which passes bytes like a port."""
+def on_stream(options: Any, answer: bytes, sent: int) -> Iterator[Case]:
+    """A board on a stream socket, which passes bytes like a port, with frames of `sent` bytes from the driver."""
     near, far = socket.socketpair()
     near.setblocking(False)
-    frame, buffer = Board(lambda _: (0.01, 0.02, -0.015)).frame(), np.zeros(BUFFER, np.uint8)
-
-    with far, answered(far, frame, lambda: SerialDevice(serial_options(), near.detach(), "a socket")) as device:
-        fd = int(device._block.word[BOARD.fd])
-        words = np.array([fd, buffer.ctypes.data, FRAME_BYTES])
-        bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
-        yield Case(device.io(), bare, far.fileno(), frame, lambda: answered(far, frame, Servo(device, arm=False).read))
-
-
-@contextmanager
-def described(_: Path) -> Iterator[Case]:
-    """A Hapkit, with frames and paddle described by its rig, on a stream socket."""
-    options = described_options("hapkit")
-    assert options.frames is not None
-    near, far = socket.socketpair()
-    near.setblocking(False)
-    frame, buffer = np.zeros(options.frames.input.bytes, np.uint8), np.zeros(BUFFER, np.uint8)
-    complete_frame_once(frame, make_shape(options.frames.input, False))
-    answer = frame.tobytes()
-
+    buffer = np.zeros(BUFFER, np.uint8)
     with far, answered(far, answer, lambda: SerialDevice(options, near.detach(), "a socket")) as device:
-        fd = int(device._block.word[BOARD.fd])
-        words = np.array([fd, buffer.ctypes.data, options.frames.output.bytes])
+        words = np.array([int(device._block.word[BOARD.fd]), buffer.ctypes.data, sent])
         bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
         yield Case(
             device.io(), bare, far.fileno(), answer, lambda: answered(far, answer, Servo(device, arm=False).read)
         )
+
+
+def serial(_: Path) -> AbstractContextManager[Case]:
+    """A WoodenHaptics of the third generation."""
+    return on_stream(serial_options(), Board(lambda _: (0.01, 0.02, -0.015)).frame(), FRAME_BYTES)
+
+
+def described(_: Path) -> AbstractContextManager[Case]:
+    """A Hapkit, with frames and paddle described by its rig."""
+    options = described_options("hapkit")
+    assert options.frames is not None
+    frame = np.zeros(options.frames.input.bytes, np.uint8)
+    complete_frame_once(frame, make_shape(options.frames.input, False))
+    return on_stream(options, frame.tobytes(), options.frames.output.bytes)
 
 
 @contextmanager

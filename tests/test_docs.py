@@ -4,7 +4,6 @@ import re
 import shlex
 import subprocess
 import sys
-import tomllib
 from itertools import pairwise
 from pathlib import Path
 
@@ -164,11 +163,6 @@ def test_the_worked_walk_is_true(tmp_path):
     # Rounding of a few operations.
     assert records["force"][[0, -1], 2] == pytest.approx([0.001, 0.5], rel=1e-9)
     assert records["contact.normal_force"][0] == pytest.approx(0.5, rel=1e-9)
-
-
-def test_scene_in_the_readme_is_valid():
-    text = re.search(r"```toml\n(.*?)```", README, re.DOTALL)[1]
-    assert build(Scene, tomllib.loads(text), "README").object[0].name == "table"
 
 
 @pytest.mark.real_time

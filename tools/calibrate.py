@@ -74,8 +74,8 @@ class HoldController:
         deviation = self._place - place
         if np.linalg.norm(deviation) > ESCAPE_M:
             raise DeviceError(
-                f"the knob has moved by {100 * np.linalg.norm(deviation):.1f} cm: if it ran away by itself, change "
-                "motors_reversed in the rig; if the weight pulled it down, take a lighter one"
+                f"the knob has moved by {100 * np.linalg.norm(deviation):.1f} cm: if it moved by itself, change "
+                "motors_reversed in the rig; if the weight pulled it down, use a lighter one"
             )
         self._integral = np.clip(self._integral + INTEGRAL_N_PER_MS * deviation * dt, -FORCE_MAX_N, FORCE_MAX_N)
         force = SPRING_N_PER_M * deviation - DAMPER_NS_PER_M * self._speed + self._integral
@@ -145,8 +145,8 @@ def run(args: argparse.Namespace) -> int:
         args.json,
         [
             f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {counts_in_use:g} counts per N m",
-            f"put this into the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
-            "repeat, and take the mean: friction of the legs carries a part of the weight",
+            f"add to the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
+            "repeat and average: friction of the legs bears part of the weight",
         ],
     )
     return 0

@@ -115,7 +115,7 @@ def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         if file.read(5) != b"\x89MCAP":
             raise RecordingError(f"{path}: not a file of sweep results ({reason}): name another") from error
         log.warning(
-            "%s is cut short or damaged (%s): %d finished cases read, the remainder is ignored", path, reason, count
+            "%s is truncated or damaged (%s): %d finished cases read, the remainder is ignored", path, reason, count
         )
     if is_complete and not count:
         log.info("%s has no finished case", path)

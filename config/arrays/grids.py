@@ -63,7 +63,7 @@ def read_grid(path: str | Path, even: bool = False) -> Grid:
     try:
         values = read(path)
         if values.dtype.kind not in "fiub":
-            raise ValueError(f"holds {values.dtype}, must hold numbers")
+            raise ValueError(f"contains {values.dtype}, must contain numbers")
         grid = np.array(values[None] if values.ndim == 1 else values, dtype=np.float64)
         _check(grid, even)
     except (OSError, MemoryError) as error:

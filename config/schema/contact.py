@@ -81,10 +81,10 @@ class Form(Table, frozen=True, kw_only=True):
             yield "radius_m", msgspec.UNSET, fault
         elif self.radii_m is None:
             if self.orientation_wxyz is not None:
-                fault = "turns an ellipsoid, and this is a sphere: leave it out"
+                fault = "applies to an ellipsoid, but the fingertip is a sphere: remove it"
                 yield "orientation_wxyz", self.orientation_wxyz, fault
         elif self.radius_m is not None:
-            yield "radius_m", self.radius_m, "is that of a sphere, and radii_m of an ellipsoid: leave one of them out"
+            yield "radius_m", self.radius_m, "describes a sphere, and radii_m an ellipsoid: remove one of them"
         elif max(self.radii_m) > limits.FINGERTIP_ASPECT.high * min(self.radii_m):
             most, why = limits.FINGERTIP_ASPECT.high, limits.FINGERTIP_ASPECT.reason
             yield "radii_m", self.radii_m, f"the longest must be at most {most:g} times the shortest ({why})"
@@ -137,7 +137,7 @@ class Rolling(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.method, self.tolerance) and self.tolerance is not None and self.method != "montana_rk45":
-            yield "tolerance", self.tolerance, f"is for montana_rk45; {self.method} takes a fixed step: leave it out"
+            yield "tolerance", self.tolerance, f"applies to montana_rk45; {self.method} has a fixed step: remove it"
 
 
 class Coupling(Table, frozen=True, kw_only=True):
@@ -192,4 +192,4 @@ class Passivity(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         damping = self.damping_max_ns_per_m
         if is_usable(self.mode, damping) and damping is not None and self.mode != "control":
-            yield "damping_max_ns_per_m", damping, 'is for mode = "control": leave it out'
+            yield "damping_max_ns_per_m", damping, 'applies to mode = "control": remove it'

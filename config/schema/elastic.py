@@ -51,7 +51,7 @@ class Elastic(Table, frozen=True, kw_only=True):
         tuple[FixedRegion, ...], doc("regions in which the body does not move", [{"region": "below", "z_m": 1e-4}])
     ]
     reach: Annotated[
-        tuple[FixedRegion, ...], doc("regions of the surface that give; default: everywhere; the rest of it is rigid")
+        tuple[FixedRegion, ...], doc("compliant regions of the surface; the rest is rigid; default: everywhere")
     ] = ()
     resolution_m: Annotated[float, within(limits.ELASTIC_EDGE_M, "edge length of the volume mesh", 0.004)]
     patch_radius_m: (
@@ -79,7 +79,11 @@ class Elastic(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.fixed) and not self.fixed:
-            yield "fixed", msgspec.UNSET, 'has no region: the body would float; add { region = "below", z_m = 0.0001 }'
+            yield (
+                "fixed",
+                msgspec.UNSET,
+                'has no region, so the body could move freely: add { region = "below", z_m = 0.0001 }',
+            )
 
     @property
     def radius_m(self) -> float:

@@ -26,18 +26,16 @@ class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
 
     kind: ClassVar[str] = table_tag()
     at_tick: Annotated[int, within(limits.FAULT_TICK, "first tick with the fault", 500)] | None = None
-    at_s: Annotated[float, within(limits.FAULT_TIME_S, "the same as a time of ticks", 0.5)] | None = None
-    ticks: Annotated[int, within(limits.FAULT_TICK, "how many ticks it lasts; 1 where neither is given", 100)] | (
-        None
-    ) = None
-    for_s: Annotated[float, within(limits.FAULT_TIME_S, "the same as a time of ticks", 0.1)] | None = None
-    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "it acts in one of this many ticks", 1)] = 1
+    at_s: Annotated[float, within(limits.FAULT_TIME_S, "first tick as a time", 0.5)] | None = None
+    ticks: Annotated[int, within(limits.FAULT_TICK, "duration in ticks; 1 if neither is set", 100)] | (None) = None
+    for_s: Annotated[float, within(limits.FAULT_TIME_S, "duration as a time", 0.1)] | None = None
+    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "acts in one of this many ticks", 1)] = 1
     finger: Annotated[str, doc("finger whose device has the fault; empty: all fingers", "thumb")] = ""
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.at_tick, self.at_s) and (self.at_tick is None) == (self.at_s is None):
             if self.at_tick is None:
-                yield "at_tick", UNSET, "is missing, and at_s is too: give one of them"
+                yield "at_tick", UNSET, "is missing, as is at_s: set one of them"
             else:
                 yield "at_s", self.at_s, "at_tick already sets the start: remove one of the two"
         if is_usable(self.ticks, self.for_s) and self.ticks is not None and self.for_s is not None:
@@ -98,7 +96,7 @@ class Corrupt(FaultBase, frozen=True, kw_only=True, tag="corrupt"):
 class Bounce(FaultBase, frozen=True, kw_only=True, tag="bounce"):
     """Buttons bounce: they are inverted in every other tick."""
 
-    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "it acts in one of this many ticks", 2)] = 2
+    every_ticks: Annotated[int, within(limits.FAULT_EVERY, "acts in one of this many ticks", 2)] = 2
     buttons: Annotated[int, within(limits.FAULT_BUTTONS, "which, a bit each", 1)] = 1
 
 

@@ -17,7 +17,7 @@ Size = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.W
 class Workspace(Table, frozen=True, kw_only=True):
     """Soft wall in front of the end stops: a sphere by `radius_m`, or a box by `size_m`."""
 
-    center_m: Annotated[tuple[Arm, Arm, Arm], doc("centre, in the device's positions", [0.0, 0.0, 0.0])] = (
+    center_m: Annotated[tuple[Arm, Arm, Arm], doc("centre, in the device frame", [0.0, 0.0, 0.0])] = (
         0.0,
         0.0,
         0.0,
@@ -45,8 +45,8 @@ class Guard(Table, frozen=True, kw_only=True):
     arm: Annotated[
         Arming,
         doc(
-            "how the force is armed, at the start and after handle_speed_max_m_per_s: automatic: by the program, once "
-            "the handle is slow; command: by softfinger ctl arm; button: by that, or by a button of the device",
+            "arming of the force, at the start and after handle_speed_max_m_per_s: automatic: by the program, once "
+            "the handle is slow; command: by softfinger ctl arm; button: by that or a button of the device",
             "automatic",
         ),
     ] = "automatic"
@@ -59,25 +59,25 @@ class Guard(Table, frozen=True, kw_only=True):
     torque_slew_nm_per_s: Annotated[
         float, within(limits.TORQUE_SLEW_NM_PER_S, "largest rate of change of the torque", 50.0)
     ] = 50.0
-    ramp_s: Annotated[float, within(limits.RAMP_S, "time over which the force fades in", 0.5)] = 0.5
+    ramp_s: Annotated[float, within(limits.RAMP_S, "time over which the force increases to its full value", 0.5)] = 0.5
     speed_max_m_per_s: Annotated[
-        float, within(limits.SPEED_MAX_M_PER_S, "a faster motion counts as a jump and gets no force", 10.0)
+        float, within(limits.SPEED_MAX_M_PER_S, "a faster motion counts as a jump: no force", 10.0)
     ] = 10.0
     turn_max_rad_per_s: Annotated[
-        float, within(limits.TURN_MAX_RAD_PER_S, "a faster rotation counts as a jump and gets no force", 100.0)
+        float, within(limits.TURN_MAX_RAD_PER_S, "a faster rotation counts as a jump: no force", 100.0)
     ] = 100.0
     frozen_s: Annotated[
-        float, within(limits.FROZEN_S, "a pose that repeats bit for bit for this long gets no force; 0: never", 5.0)
+        float, within(limits.FROZEN_S, "no force if the pose repeats bit for bit for this long; 0: no limit", 5.0)
     ] = 5.0
     handle_speed_max_m_per_s: Annotated[
-        float, within(limits.HANDLE_SPEED_MAX_M_PER_S, "a faster handle, over 10 ms, gets no force", 2.0)
+        float, within(limits.HANDLE_SPEED_MAX_M_PER_S, "no force if the handle is faster, over 10 ms", 2.0)
     ] = 2.0
     continuous_force_n: (
         Annotated[
             float,
             within(
                 limits.CONTINUOUS_FORCE_N,
-                "force that the motors bear for ever; more is lowered as they heat; default: no limit",
+                "continuous force of the motors; a larger force is reduced as they heat up; default: no limit",
                 3.0,
             ),
         ]
@@ -85,6 +85,9 @@ class Guard(Table, frozen=True, kw_only=True):
     ) = None
     heat_time_s: Annotated[float, within(limits.HEAT_TIME_S, "thermal time constant of the motors", 30.0)] = 30.0
     energy_max_j: Annotated[
-        float, within(limits.ENERGY_MAX_J, "energy that contacts may give to the hand; beyond it the force fades", 0.2)
+        float,
+        within(
+            limits.ENERGY_MAX_J, "energy that contacts may transfer to the hand; above it the force is reduced", 0.2
+        ),
     ] = 0.2
     workspace: Annotated[Workspace | None, doc("soft wall in front of the end stops; default: none")] = None

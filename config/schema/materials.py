@@ -89,13 +89,13 @@ class Friction(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.static, self.kinetic) and self.kinetic > self.static:
-            yield "kinetic", self.kinetic, f"must be at most static = {self.static:g}, the friction before it slides"
+            yield "kinetic", self.kinetic, f"must be at most static = {self.static:g}"
         if not is_usable(self.direction_x, self.static_scale, self.kinetic_scale):
             return
         if self.direction_x is None:
             for key in ("static_scale", "kinetic_scale"):
                 if getattr(self, key) is not None:
-                    yield key, getattr(self, key), "needs direction_x, the direction that its first factor is for"
+                    yield key, getattr(self, key), "needs direction_x, the direction of its first factor"
             return
         if not any(self.direction_x):
             yield "direction_x", self.direction_x, "all zero is not a direction: [1, 0, 0] is the object's x axis"
@@ -167,12 +167,12 @@ class Torsion(Table, frozen=True, kw_only=True):
         if not is_usable(kinetic) or kinetic is None:
             return
         if is_usable(self.model) and self.model != "soft_finger_proxy":
-            fault = f'belongs to model = "soft_finger_proxy", this is "{self.model}": change the model or leave it out'
+            fault = f'applies to model = "soft_finger_proxy", not "{self.model}": change the model, or remove it'
             yield "kinetic_friction_length_m", kinetic, fault
         elif is_usable(static) and static is None:
-            yield "kinetic_friction_length_m", kinetic, "needs friction_length_m, the limit before it spins"
+            yield "kinetic_friction_length_m", kinetic, "needs friction_length_m, the static limit"
         elif is_usable(static) and static is not None and kinetic > static:
-            fault = f"must be at most friction_length_m = {static:g} m, the limit before it spins"
+            fault = f"must be at most friction_length_m = {static:g} m, the static limit"
             yield "kinetic_friction_length_m", kinetic, fault
 
 
@@ -224,12 +224,10 @@ class Material(Table, frozen=True, kw_only=True):
         if is_usable(self.normal) and self.normal is not None:
             ours, plain = self.normal.damping_s_per_m, self.damping_ns_per_m
             if is_usable(ours, plain) and ours is not None and plain > 0.0:
-                fault = f"replaces damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or leave this out"
+                fault = f"replaces damping_ns_per_m, which is {plain:g} N s/m: set that to 0, or remove this key"
                 yield "normal.damping_s_per_m", ours, fault
         if not is_usable(self.friction, self.torsion) or self.torsion is None:
             return
         if self.torsion.model == "limit_surface" and self.friction is None:
-            fault = (
-                "needs friction to share its limit with: give the material `friction`, or take the model independent"
-            )
+            fault = "needs friction, with which it shares a limit: add `friction`, or use the model independent"
             yield "torsion.model", self.torsion.model, fault

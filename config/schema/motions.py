@@ -50,7 +50,7 @@ class Body(Table, frozen=True, kw_only=True, tag_field="kind", tag="body"):
     """Fixed to a body of [world]; the rest pose is given in the body frame."""
 
     kind: ClassVar[str] = "body"
-    body: Annotated[str, sized(limits.NAME_LENGTH, "name of the body, or its number where it has none", "box")]
+    body: Annotated[str, sized(limits.NAME_LENGTH, "name of the body, or its number if it has no name", "box")]
 
 
 Motion = Sinusoid | Turntable | Driven | Body

@@ -30,15 +30,15 @@ def pair(scene: Scene, rig: Rig) -> tuple[FingerDevice, ...]:
     has = "[device]" if rig.device is not None else _tables(rig.devices)
     if scene.fingertip is not None:
         raise ConfigError(
-            f"the scene has [fingertip], a single finger without a name, and the rig {has}: take a rig with [device], "
-            "or in the scene a table [[finger]] with the name of a section"
+            f"the scene has [fingertip], a single finger without a name, but the rig has {has}: use a rig with "
+            "[device], or a table [[finger]] in the scene that names a section of the rig"
         )
     lacking = [finger.device for finger in fingers if finger.device not in rig.devices]
     if lacking:
         names = ", ".join(f"'{finger.name}'" for finger in fingers)
         raise ConfigError(
-            f"the scene has [[finger]] {names}, and the rig {has}: add {_tables(lacking)} to the rig, name a section "
-            "it has as device of the finger, or take a scene with [fingertip]"
+            f"the scene has [[finger]] {names}, but the rig has {has}: add {_tables(lacking)} to the rig, set device "
+            "of the finger to an existing section, or use a scene with [fingertip]"
         )
     return tuple(
         FingerDevice(finger.name, f"[devices.{finger.device}]", rig.devices[finger.device]) for finger in fingers
@@ -49,7 +49,7 @@ def single_device(rig: Rig) -> DeviceConfig:
     """Return the device of a rig with one device; raises ConfigError for a rig with a device for each finger."""
     if rig.device is None:
         raise ConfigError(
-            f"the rig has {_tables(rig.devices)}, and this is done with one device: take a rig with [device]"
+            f"the rig has {_tables(rig.devices)}, but this command needs a single device: use a rig with [device]"
         )
     return rig.device
 

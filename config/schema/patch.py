@@ -63,4 +63,4 @@ class Patch(Table, frozen=True, kw_only=True):
         for key in ("exponent", "pressure_exponent"):
             value = getattr(self, key)
             if is_usable(value) and value is not None:
-                yield key, value, "belongs to a patch of radius_m, this one is Hertz's: give radius_m, or leave it out"
+                yield key, value, "applies to a patch with radius_m, not to that of Hertz: add radius_m, or remove it"

@@ -15,6 +15,7 @@ from softfinger.config.fields import (
     TopicPart,
     doc,
     is_usable,
+    normalise_orientation,
     orientation_faults,
     sized,
     within,
@@ -33,8 +34,11 @@ class Tool(Table, frozen=True, kw_only=True):
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         Orientation,
-        doc("tip to handle: quaternion w, x, y, z", [1.0, 0.0, 0.0, 0.0]),
+        doc("tip to handle: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
     ] = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
         yield from orientation_faults(self.orientation_wxyz)
@@ -177,7 +181,7 @@ class Metrics(Table, frozen=True, kw_only=True):
         if endpoint_complaint(f"tcp://{self.endpoint}") is not None or self.endpoint.endswith(":*"):
             yield "endpoint", self.endpoint, "must be HOST:PORT, port 0 to 65535, such as 127.0.0.1:9464"
         elif is_public(f"tcp://{self.endpoint}"):
-            yield "endpoint", self.endpoint, "is open to the network, and anybody could read it: take 127.0.0.1:PORT"
+            yield "endpoint", self.endpoint, "is open to the network without protection: use 127.0.0.1:PORT"
 
 
 class Rig(Table, frozen=True, kw_only=True):
@@ -221,9 +225,7 @@ class Rig(Table, frozen=True, kw_only=True):
             fault = "is missing: add the table [device], or a table [devices.NAME] for each of several fingers"
             yield "device", msgspec.UNSET, fault
         if self.device is not None and self.devices:
-            fault = (
-                "cannot be combined with [devices]: it is for a single finger; remove it, or the tables [devices.NAME]"
-            )
+            fault = "cannot be combined with [devices]: it is for a single finger; remove one of them"
             yield "device", msgspec.UNSET, fault
 
     def _endpoint_faults(self) -> Iterator[Complaint]:
@@ -236,11 +238,11 @@ class Rig(Table, frozen=True, kw_only=True):
         commands = self.commands_endpoint
         if commands is not None and endpoint_complaint(commands) is not None and self.commands.endpoint is None:
             fault = (
-                f"{commands}, which follows from the telemetry's, is none: give one, of at most {IPC_PATH_MAX} bytes"
+                f"{commands}, derived from the telemetry endpoint, is too long: set one of at most {IPC_PATH_MAX} bytes"
             )
             yield "commands.endpoint", msgspec.UNSET, fault
         elif commands == self.telemetry.endpoint and not commands.endswith((":*", ":0")):
-            yield "commands.endpoint", commands, "is the telemetry's: give another"
+            yield "commands.endpoint", commands, "is also the telemetry endpoint: use another"
         elif is_usable(self.security):
             yield from self._public_faults(commands)
 
@@ -252,8 +254,8 @@ class Rig(Table, frozen=True, kw_only=True):
         ):
             if endpoint is not None and is_public(endpoint) and getattr(self.security, folder, None) is None:
                 fault = (
-                    f"is open to the network, and it has no keys of clients that may {use}: add [security] with key "
-                    f"and {folder} (create one with softfinger keys), or take tcp://127.0.0.1:PORT or ipc://PATH"
+                    f"is open to the network, but without keys of clients that may {use}: add [security] with key and "
+                    f"{folder} (`softfinger keys` creates them), or use tcp://127.0.0.1:PORT or ipc://PATH"
                 )
                 yield key, endpoint, fault
                 if self.commands.endpoint is None:  # it is derived, and its fault would be a repetition

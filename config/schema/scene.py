@@ -102,8 +102,8 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
         yield "fingertip", msgspec.UNSET, fault
     if scene.fingertip is not None and scene.finger:
         fault = (
-            "cannot be combined with [[finger]]: it is the short form for one finger; remove it, or the tables "
-            "[[finger]]"
+            "cannot be combined with [[finger]]: it is the short form for one finger; remove it, or remove the "
+            "tables [[finger]]"
         )
         yield "fingertip", msgspec.UNSET, fault
     for key in ("name", "device"):
@@ -114,11 +114,11 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
             name = item.name if key == "name" else item.device or item.name
             for earlier_name, earlier in first.items():
                 if key == "device" and name == earlier_name and name != item.name:
-                    yield (f"finger[{index}].device", name, f"moves finger[{earlier}] already: name another")
+                    yield (f"finger[{index}].device", name, f"already moves finger[{earlier}]: use another device")
                 elif key == "name" and (name.startswith(earlier_name) or earlier_name.startswith(name)):
                     fault = (
-                        f"overlaps with the name of finger[{earlier}], {earlier_name!r}: a subscriber to the "
-                        "telemetry of the shorter name would get both; choose another"
+                        f"overlaps with the name of finger[{earlier}], {earlier_name!r}: a subscriber to the shorter "
+                        "name would receive the telemetry of both; choose another name"
                     )
                     yield f"finger[{index}].name", name, fault
             first.setdefault(name, index)
@@ -133,9 +133,9 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
         if not is_usable(item) or not is_usable(item.motion) or not isinstance(item.motion, Body):
             continue
         if scene.world is None:
-            yield f"object[{scene_index}].motion", "body", "needs a table [world], with the model that the body is of"
+            yield f"object[{scene_index}].motion", "body", "needs a table [world] with the model that contains the body"
         elif is_usable(item.effect) and item.effect:
-            fault = "would push the hand and not the body: remove it, or the motion of the object"
+            fault = "would push the hand but not the body: remove the effect, or the motion of the object"
             yield f"object[{scene_index}].effect", item.effect[0].kind, fault
 
 
@@ -148,7 +148,7 @@ def _patch_faults(scene: Scene) -> Iterator[Complaint]:
         return
     for index, item in enumerate(scene.finger):
         if is_usable(item) and is_usable(item.patch) and item.patch is None:
-            fault = "is missing, and another finger has one: give it to all of them, or to none"
+            fault = "is missing, but another finger has a patch: add one to every finger, or remove all"
             yield f"finger[{index}].patch", msgspec.UNSET, fault
 
 
@@ -165,8 +165,8 @@ def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
         k_t = coupling.stiffness_n_per_m
         if is_usable(k_t) and k_tau > k_t:
             fault = (
-                f"must be at most {path}.stiffness_n_per_m = {k_t:g} N/m, or a roll gives back more than was put in; "
-                "leave it out to have the coupling's"
+                f"must be at most {path}.stiffness_n_per_m = {k_t:g} N/m, otherwise rolling generates energy: lower it "
+                "or, to use the stiffness of the coupling, remove it"
             )
             yield "rolling.torque_stiffness_n_per_m", k_tau, fault
 
@@ -177,8 +177,8 @@ def _method_faults(scene: Scene) -> Iterator[Complaint]:
     for scene_index, item in enumerate(scene.object):
         if is_usable(item) and is_usable(item.shape) and not item.unrolls:
             fault = (
-                f"has no closed form on object[{scene_index}], which is of shape {item.shape}: choose montana_rk4, "
-                "or midpoint for half the cost"
+                f"has no closed form for the {item.shape} object[{scene_index}]: use montana_rk4, or midpoint at half "
+                "the cost"
             )
             yield "rolling.method", "rotation_vector", fault
 
@@ -197,7 +197,7 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
     if is_usable(scene.rolling) and scene.rolling is not None and is_usable(scene.rolling.method):
         method = scene.rolling.method
         if method not in ("midpoint", "montana_rk4", "montana_rk45"):
-            fault = f"rolls a sphere, and {key} are an ellipsoid's: choose midpoint, or montana_rk4 for long ticks"
+            fault = f"needs a spherical fingertip, but {key} is set: use midpoint, or montana_rk4 for long ticks"
             yield "rolling.method", method, fault
     if not is_usable(scene.object):
         return
@@ -206,13 +206,13 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
             continue
         if all(is_usable(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
             fault = (
-                f"as it is cannot be touched by an ellipsoid, and {key} are those of one: planes can, spheres and "
-                "cylinders without ends from outside, and boxes from inside; take one of these, or radius_m"
+                f"cannot be touched by an ellipsoidal fingertip ({key}): use a plane, a sphere or infinite cylinder "
+                "touched from outside, or a box touched from inside; or use radius_m"
             )
             yield f"object[{scene_index}].shape", item.shape, fault
         texture = getattr(item, "texture", None)
         if is_usable(texture) and texture is not None:
-            fault = f"is felt under a sphere, and {key} are an ellipsoid's: leave it out, or take radius_m"
+            fault = f"needs a spherical fingertip, but {key} is set: remove the texture, or use radius_m"
             yield f"object[{scene_index}].texture", msgspec.UNSET, fault
 
 
@@ -258,8 +258,8 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
         coupled.setdefault(torsion.model == "limit_surface", f"object[{scene_index}]")
         if len(coupled) > 1:
             fault = (
-                f"{coupled[torsion.model != 'limit_surface']} has another: either all objects with torsion have the "
-                "model limit_surface, or none has"
+                f"differs from {coupled[torsion.model != 'limit_surface']}: use limit_surface for all objects with "
+                "torsion, or for none"
             )
             yield f"{path}.torsion.model", torsion.model, fault
             return
@@ -280,13 +280,16 @@ def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
         if not soft:
             table = "[fingertip.patch]" if scene.fingertip is not None else "[finger.patch]"
             for key in lacking:
-                yield f"{path}.{key}", msgspec.UNSET, f"is missing: give it, or the fingertip a {table}"
+                yield f"{path}.{key}", msgspec.UNSET, f"is missing: add it, or add {table}"
         elif lacking and material.friction is None:
-            yield path, msgspec.UNSET, "follows from the patch and from friction, and there is none: leave it out"
+            fault = "is derived from patch and friction, but the material has no friction: remove it, or add friction"
+            yield path, msgspec.UNSET, fault
 
 
 def _not_in_the_paper(known_law: str) -> str:
-    return f'rolling.state_machine = "paper" has {known_law} only: leave this out, or take the default machine'
+    return (
+        f'is not supported by rolling.state_machine = "paper", which has {known_law} only: remove it, or use "default"'
+    )
 
 
 def _object_faults(scene: Scene) -> Iterator[Complaint]:
@@ -297,19 +300,19 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
         if not is_usable(item) or not is_usable(item.name):
             continue
         if item.name.partition(".")[0].isdecimal():
-            why = "starts with a digit, and object.1 is the second object: start it with a letter"
+            why = "starts with a digit, but object.1 selects the second object: start the name with a letter"
             yield f"object[{scene_index}].name", item.name, why
         if item.name in first:
             earlier = f"object[{first[item.name]}]"
-            yield f"object[{scene_index}].name", item.name, f"is the name of {earlier} already: choose another"
+            yield f"object[{scene_index}].name", item.name, f"is already the name of {earlier}: choose another name"
         first.setdefault(item.name, scene_index)
     materials = [item.material if is_usable(item) else msgspec.UNSET for item in scene.object]
     if scene.rolling is None or not is_usable(scene.rolling, *materials):
         return
     if scene.object and all(item.material.friction is None for item in scene.object):
         fault = (
-            "needs friction to roll on, and no object has any: give one "
-            "`friction = { static = 0.6, kinetic = 0.5 }` in its material, or leave [rolling] out"
+            "needs friction, but no object has any: add `friction = { static = 0.6, kinetic = 0.5 }` to a material, "
+            "or remove [rolling]"
         )
         yield "rolling", msgspec.UNSET, fault
 
@@ -323,9 +326,13 @@ def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
             continue
         path = f"object[{scene_index}].elastic"
         if len(scene.object) > 1:
-            yield path, msgspec.UNSET, "must be of the only object of a scene: remove the other objects, or this table"
+            yield path, msgspec.UNSET, "needs a scene with a single object: remove the other objects, or this table"
         if len(scene.finger) > 2:
-            yield path, msgspec.UNSET, f"is felt by one or two fingers, and there are {len(scene.finger)}: remove some"
+            yield (
+                path,
+                msgspec.UNSET,
+                f"supports one or two fingers, but the scene has {len(scene.finger)}: remove some",
+            )
         for key, table in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
             if is_usable(table) and table is not None:
                 yield path, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"

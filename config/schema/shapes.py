@@ -94,7 +94,11 @@ class Textured(ObjectBase, frozen=True, kw_only=True):
         if not is_usable(self.texture, self.material) or self.texture is None or not is_usable(self.material.friction):
             return
         if self.texture.friction_scale is not None and self.material.friction is None:
-            yield "texture.friction_scale", self.texture.friction_scale, "needs friction to scale in the material"
+            yield (
+                "texture.friction_scale",
+                self.texture.friction_scale,
+                "scales the friction of the material, which has none: add material.friction",
+            )
 
 
 class Plane(Textured, frozen=True, kw_only=True, tag_field="shape", tag="plane"):
@@ -143,8 +147,8 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
         if abs(around / wide - max(round(around / wide), 1)) > CLOSES:
             nearest = around / max(round(around / wide), 1)
             fault = (
-                f"goes {around / wide:g} times round the cylinder, must be an integer of times to meet itself: "
-                f"make it {nearest:.6g} m wide"
+                f"fits {around / wide:g} times round the cylinder; must be an integer, so that the ends meet: set the "
+                f"width to {nearest:.6g} m"
             )
             yield "texture.size_m", self.texture.size_m, fault
 
@@ -280,15 +284,15 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
             if is_usable(table) and table is not None:
                 yield key, msgspec.UNSET, "cannot be combined with [object.elastic]: remove one of them"
         if is_usable(self.inside) and self.inside:
-            yield "inside", True, "is not a side of an elastic body: leave it out"
+            yield "inside", True, "is not supported by an elastic body: remove it"
         if self.mesh is not None:
-            yield "mesh", self.mesh, "of a MuJoCo model cannot be elastic: export it to a file"
+            yield "mesh", self.mesh, "cannot be elastic as part of a MuJoCo model: export it to a file"
 
 
 def _too_tight(least_m: float, measure: str = "radius", part: str = "") -> str:
     """Return the fault of a shape without room for the fingertip; `least_m` is its radius or diameter."""
-    room = f"must be above {least_m:g} m, the {measure} of the fingertip that has to fit in"
-    return f"{part} {room}".strip() + ": widen it, or take a smaller fingertip"
+    room = f"must be above {least_m:g} m, the {measure} of the fingertip, so that it fits in"
+    return f"{part} {room}".strip() + ": increase it, or use a smaller fingertip"
 
 
 Object = Plane | Sphere | Cylinder | Capsule | Box | Ellipsoid | Torus | Heightmap | Mesh

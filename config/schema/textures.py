@@ -37,4 +37,8 @@ class Texture(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.height_m, self.friction_scale) and self.height_m is None and self.friction_scale is None:
-            yield "height_m", msgspec.UNSET, "give height_m or friction_scale or both: this texture does nothing"
+            yield (
+                "height_m",
+                msgspec.UNSET,
+                "is missing, as is friction_scale, so the texture has no effect: set one or both",
+            )

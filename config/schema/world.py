@@ -24,7 +24,11 @@ class GeomMaterial(Table, frozen=True, kw_only=True):
         if is_usable(self.name, self.group, self.default) and not any(
             condition is not None for condition in (self.name, self.group, self.default)
         ):
-            yield "name", msgspec.UNSET, "is missing, and group and default are too: give one, or use world.material"
+            yield (
+                "name",
+                msgspec.UNSET,
+                "is missing, as are group and default: set one of the three, or use world.material",
+            )
 
 
 BodyMass = Annotated[float, msgspec.Meta(ge=limits.BODY_MASS_KG.low, le=limits.BODY_MASS_KG.high)]
@@ -37,7 +41,9 @@ class World(Table, frozen=True, kw_only=True):
     root: (
         Annotated[
             str,
-            sized(limits.FILE_NAME_LENGTH, "folder below which the files of the model lie; default: the model's", ".."),
+            sized(
+                limits.FILE_NAME_LENGTH, "folder that contains all files of the model; default: that of the model", ".."
+            ),
         ]
         | None
     ) = None
@@ -49,19 +55,25 @@ class World(Table, frozen=True, kw_only=True):
         ),
     ] = "tick"
     keyframe: (
-        Annotated[str, sized(limits.NAME_LENGTH, "<key> of the model at which the bodies begin, with its ctrl", "home")]
+        Annotated[
+            str,
+            sized(limits.NAME_LENGTH, "<key> of the model with the initial state of the bodies and its ctrl", "home"),
+        ]
         | None
     ) = None
     substeps: Annotated[
-        int, within(limits.SUBSTEPS, "contact and simulation steps in a tick; very light bodies need several", 1)
+        int, within(limits.SUBSTEPS, "contact and simulation steps per tick; very light bodies need several", 1)
     ] = 1
     budget_us: (
-        Annotated[float, within(limits.STEP_BUDGET_US, "time that a step of the bodies may take; default: any", 300.0)]
+        Annotated[float, within(limits.STEP_BUDGET_US, "time limit of a step of the bodies; default: none", 300.0)]
         | None
     ) = None
     mass_kg: Annotated[
         dict[str, BodyMass],
-        doc("other masses than the model's, by name of the body; its inertia is scaled alike", {"box": 0.2}),
+        doc(
+            "masses that replace those of the model, by name of the body; its inertia is scaled by the same factor",
+            {"box": 0.2},
+        ),
     ] = msgspec.field(default_factory=dict)
     material: Annotated[
         Material | None,
@@ -69,9 +81,9 @@ class World(Table, frozen=True, kw_only=True):
     ] = None
     geom: Annotated[
         tuple[GeomMaterial, ...],
-        sized(limits.GEOM_MATERIALS, "materials of certain geoms; of several that fit the last one counts"),
+        sized(limits.GEOM_MATERIALS, "materials of selected geoms; if several match, the last one applies"),
     ] = ()
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.model) and not self.model.lower().endswith((".xml", ".mjcf", ".urdf")):
-            yield "model", self.model, "must end in .xml, .mjcf or .urdf: the model as a file of MuJoCo"
+            yield "model", self.model, "must end in .xml, .mjcf or .urdf: name a MuJoCo model file"

@@ -80,8 +80,8 @@ class Falcon(BlockDevice):
             self._home()
             if options.counts_per_nm is None:
                 log.warning(
-                    "%s: force is not calibrated: %g motor counts per N m are assumed, and the true number may be "
-                    "several times smaller or larger; `counts_per_nm` in the rig sets it (docs/devices/falcon.md)",
+                    "%s: force is not calibrated: %g motor counts per N m are assumed, but the true value may be "
+                    "several times smaller or larger; set `counts_per_nm` in the rig (docs/devices/falcon.md)",
                     self.info.name, COUNTS_PER_NM,
                 )  # fmt: skip
             self._word[AT.has_sample] = 0  # the first sample must be from the time of the servo loop
@@ -126,7 +126,7 @@ class Falcon(BlockDevice):
         _active_blocks[at] = self._block
         word[AT.open] = 1
         if exchange.start_reading.ctypes(at) < 0:
-            raise DeviceLost(f"{self.info.name} takes no transfer (libusb's error {word[AT.error]}): replug it")
+            raise DeviceLost(f"{self.info.name} accepts no transfer (libusb error {word[AT.error]}): plug it in again")
 
     def _home(self) -> None:
         """Wait until the device knows the zeros of its encoders: the user pulls the knob out and pushes it in."""
@@ -140,7 +140,7 @@ class Falcon(BlockDevice):
             if status == TIMEOUT:
                 raise DeviceTimeout(f"{self.info.name} does not answer: switch it off and on, then start again")
             if status < 0:
-                raise DeviceLost(f"{self.info.name} is gone (status {status}): plug in its USB cable and its power")
+                raise DeviceLost(f"{self.info.name} is disconnected (status {status}): check USB cable and power")
             if word[AT.homed] == packets.HOMED:
                 return
             if not was_logged:
@@ -167,12 +167,12 @@ class Falcon(BlockDevice):
             return
         self._zero_failure = ""
         if not self._wait_until_true(exchange.silence):
-            self._zero_failure = f"it has taken no packet for {STOP_WAIT_S:g} s"
+            self._zero_failure = f"it has accepted no packet for {STOP_WAIT_S:g} s"
             log.error(
-                "%s: takes no packet for %g s; zero force was not sent: switch it off", self.info.name, STOP_WAIT_S
+                "%s: accepts no packet for %g s; zero force was not sent: switch it off", self.info.name, STOP_WAIT_S
             )
         elif self._word[AT.has_force] or Transfer.from_address(int(self._word[AT.transfer_out])).status != _COMPLETED:
-            self._zero_failure = self.reason() or "its last packet did not go through"
+            self._zero_failure = self.reason() or "its last packet was not sent"
 
     def close(self) -> None:
         if not self._word[AT.transfer_in]:
@@ -187,7 +187,7 @@ class Falcon(BlockDevice):
                     self._free(int(self._word[field]))
             _active_blocks.pop(self._block.handle, None)
         elif self._word[AT.open]:  # a thread is inside libusb and uses the transfers: free nothing
-            log.error("%s: a call of libusb hangs: the device remains open", self.info.name)
+            log.error("%s: a call of libusb does not return: the device stays open", self.info.name)
             return
         else:  # closing removes them from libusb; they and the block are not freed
             log.error("%s: libusb does not cancel its transfers", self.info.name)
@@ -196,7 +196,7 @@ class Falcon(BlockDevice):
 
     def reason(self) -> str:
         if self._word[AT.was_homed] and self._word[AT.homed] != packets.HOMED:
-            return "it has lost the zeros of its encoders (its power was off?): start again and home it"
+            return "it has lost its encoder zeros, possibly by a power failure: start again and home it"
         error = int(self._word[AT.error])
         return f"libusb's error {error}" if error else ""
 

@@ -58,7 +58,7 @@ def start_firmware(open_chip: Callable[[], SerialChip], path: str | None) -> Ser
                 if has_firmware(chip):
                     log.info("Falcon: firmware %s runs", path)
                     return chip
-                fault = "it sends no valid reply once it has its firmware: is this a Falcon's firmware file"
+                fault = "it sends no valid reply with this firmware; check that the file is for the Falcon"
             log.warning("Falcon: firmware, try %d of %d: %s", attempt + 1, ATTEMPTS_MAX, fault)
     except BaseException:
         chip.close()
@@ -87,8 +87,8 @@ def has_firmware(chip: SerialChip) -> bool:
 def _read_firmware(path: str | None) -> bytes:
     if path is None:
         raise DeviceError(
-            "no firmware runs in the Falcon: give the path of its firmware file as `firmware` in the rig's [device] "
-            "table; the maker's drivers have the file (docs/devices/falcon.md), and it may not come with this program"
+            "no firmware runs in the Falcon: set `firmware` in the rig's [device] table to its firmware file; the file "
+            "is part of the maker's drivers (docs/devices/falcon.md) and may not be distributed with this program"
         )
     try:
         data = read_input(expand_home(path), 1 << 20)
@@ -96,7 +96,7 @@ def _read_firmware(path: str | None) -> bytes:
         raise DeviceError(f"firmware = {path} cannot be read: {error.strerror}: correct the path in the rig") from error
     if len(data) not in FILE_BYTES:
         raise DeviceError(
-            f"firmware = {path} has {len(data)} bytes, a Falcon's firmware 7324 to 8492: name the firmware file itself"
+            f"firmware = {path} has {len(data)} bytes, must have 7324 to 8492: name the firmware file itself"
         )
     return data
 
@@ -121,14 +121,14 @@ def _send(chip: SerialChip, data: bytes) -> str | None:
     chip.write(READY)
     echo = chip.read(len(READY), ECHO_TRANSFERS)
     if echo != READY:
-        return f"its boot loader answers {echo.hex() or 'nothing'} and not {READY.hex()} at 140000 baud"
+        return f"its boot loader answers {echo.hex() or 'nothing'} instead of {READY.hex()} at 140000 baud"
     for at in range(0, len(data), CHUNK_BYTES):
         chunk = data[at : at + CHUNK_BYTES]
         chip.write(chunk)
         echo = chip.read(len(chunk), ECHO_TRANSFERS)
         if echo != chunk:
             wrong = next((k for k, byte in enumerate(chunk) if echo[k : k + 1] != bytes([byte])), 0)
-            return f"byte {at + wrong} of {len(data)} came back as {echo[wrong : wrong + 1].hex() or 'nothing'}"
+            return f"byte {at + wrong} of {len(data)} was returned as {echo[wrong : wrong + 1].hex() or 'nothing'}"
     return None
 
 

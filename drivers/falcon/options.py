@@ -20,25 +20,29 @@ COUNTS_PER_NM: Final = 10000.0
 class Options(Table, frozen=True, kw_only=True):
     """Selection of the device, its firmware, and its motors."""
 
-    serial: Annotated[str, doc("serial number, where several are attached", "SN42")] | None = None
+    serial: Annotated[str, doc("serial number, if several are attached", "SN42")] | None = None
     firmware: (
-        Annotated[str, doc("file of the device's firmware, sent when none runs in it", "/home/me/falcon.bin")] | None
+        Annotated[str, doc("firmware file, sent to the device if no firmware runs in it", "/home/me/falcon.bin")] | None
     ) = None
     counts_per_nm: (
-        Annotated[float, within(GAIN, "motor counts per N m at a leg; absent: 10000, not measured", 10000.0)] | None
+        Annotated[float, within(GAIN, "motor counts per N m at a leg; default: 10000, not measured", 10000.0)] | None
     ) = None
-    motors_reversed: Annotated[bool, doc("a positive motor count pulls the knob in, as libnifalcon has it", True)] = (
-        True
-    )
+    motors_reversed: Annotated[bool, doc("a positive motor count pulls the knob in, as in libnifalcon", True)] = True
     centre_m: Annotated[
-        Point, doc("the world's origin, in the device's frame: right, up, out to the user", [0.0, 0.0, 0.11])
+        Point, doc("origin of the world in the device frame: right, up, towards the user", [0.0, 0.0, 0.11])
     ] = (0.0, 0.0, 0.11)
-    homing_s: Annotated[float, within(HOMING_S, "wait so long for the user to home it", 60.0)] = 60.0
-    kick_s: Annotated[float, within(SILENCE_S, "no force after so long without a reply, and zeros instead", 0.02)] = (
-        0.02
-    )
-    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a reply the device is given up", 0.1)] = 0.1
+    homing_s: Annotated[float, within(HOMING_S, "time limit for homing by the user", 60.0)] = 60.0
+    kick_s: Annotated[
+        float, within(SILENCE_S, "time without a reply after which zeros are sent instead of forces", 0.02)
+    ] = 0.02
+    timeout_s: Annotated[
+        float, within(GIVE_UP_S, "time without a reply after which the device counts as lost", 0.1)
+    ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
-            yield "timeout_s", self.timeout_s, f"must be at least kick_s = {self.kick_s:g}, so that a zero can help"
+            yield (
+                "timeout_s",
+                self.timeout_s,
+                f"must be at least kick_s = {self.kick_s:g}, so that a zero is sent first",
+            )

@@ -108,8 +108,7 @@ class SerialChip:
             return Libusb(backend.lib, int(backend.ctx.value), int(handle.value))
         except (AttributeError, TypeError) as error:
             raise DeviceError(
-                f"pyusb {usb.__version__} stores libusb's handle elsewhere than 1.3.1 ({error}): "
-                "`pip install pyusb==1.3.1`"
+                f"pyusb {usb.__version__} is not compatible, unlike 1.3.1 ({error}): `pip install pyusb==1.3.1`"
             ) from error
 
     def close(self) -> None:
@@ -127,11 +126,11 @@ def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
     try:
         devices = libusb.find(idVendor=VENDOR, idProduct=PRODUCT)
     except usb.core.USBError as error:
-        raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb is there") from error
+        raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb exists") from error
     if node is not None:
         devices = [device for device in devices if usb_node(device.bus, device.address) == node]
     if not devices:
-        raise DeviceNotFound(f"no Falcon ({IDS}) is attached: plug in its USB cable and its power")
+        raise DeviceNotFound(f"no Falcon ({IDS}) is attached: check USB cable and power")
     device = _choose(devices, serial)
     name = f"Falcon ({IDS}) at {usb_node(device.bus, device.address)}"
     try:
@@ -157,7 +156,7 @@ def _choose(devices: list[Any], serial: str | None) -> Any:
         usb.util.dispose_resources(device)  # reading the serial number opened it
     serial_list = ", ".join(f"'{serial}'" for serial in sorted(serials))
     if serial is None:
-        raise DeviceNotFound(f"{len(devices)} Falcons are attached: name one with serial: {serial_list}")
+        raise DeviceNotFound(f"{len(devices)} Falcons are attached: select one with serial: {serial_list}")
     if serial not in serials:
         raise DeviceNotFound(f"no Falcon has the serial number '{serial}': attached are {serial_list}")
     return serials[serial]
@@ -167,11 +166,11 @@ def _open_error(name: str, error: usb.core.USBError) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(f"{name} may not be opened by this user: {how_to_permit(VENDOR, PRODUCT)}")
     if error.errno == errno.EBUSY:
-        return DeviceBusy(f"{name} is used by another program: close that one first")
+        return DeviceBusy(f"{name} is used by another program: close it first")
     if error.errno in (errno.ENODEV, errno.ENOENT):
-        return DeviceNotFound(f"{name} is not there any more: plug in its USB cable and its power")
+        return DeviceNotFound(f"{name} is no longer attached: check USB cable and power")
     return DeviceError(f"{name} cannot be opened: {error}: unplug it and plug it in again")
 
 
 def _lost_error(error: usb.core.USBError) -> DeviceLost:
-    return DeviceLost(f"the Falcon does not accept data ({error}): plug in its USB cable and its power")
+    return DeviceLost(f"the Falcon does not accept data ({error}): check USB cable and power")

@@ -38,17 +38,23 @@ class InputField(Table, frozen=True, kw_only=True):
 
     meaning: Annotated[Sensed, doc("quantity; several buttons are combined", "a")]
     offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), doc("first byte, from 0; a report id does not count", 0)]
-    type: Annotated[Type, doc("of the number", "int16")]
+    type: Annotated[Type, doc("type of the number", "int16")]
     scale: Annotated[float, within(SCALE, "per count, to m, rad or encoder counts", 1.0)] = 1.0
     bias: Annotated[float, within(SCALE, "added after scaling", 0.0)] = 0.0
     button_above: (
         Annotated[
-            float, within(SCALE, "a raw value above it: button 0 is pressed, and twice this is subtracted", 5000.0)
+            float,
+            within(SCALE, "button 0 is pressed if the raw value is above this; twice this is then subtracted", 5000.0),
         ]
         | None
     ) = None
-    least: Annotated[float, within(SCALE, "a meaning below it is a fault", -3.2)] | None = None
-    most: Annotated[float, within(SCALE, "a meaning above it is a fault", 3.2)] | None = None
+    least: (
+        Annotated[float, within(SCALE, "smallest valid value after scaling; below it the sample is faulty", -3.2)]
+        | None
+    ) = None
+    most: (
+        Annotated[float, within(SCALE, "largest valid value after scaling; above it the sample is faulty", 3.2)] | None
+    ) = None
 
 
 class OutputField(Table, frozen=True, kw_only=True):
@@ -56,8 +62,8 @@ class OutputField(Table, frozen=True, kw_only=True):
 
     meaning: Annotated[Commanded, doc("quantity", "current_a")]
     offset: Annotated[int, Meta(ge=0, le=int(BYTES.high)), doc("first byte, from 0; a report id does not count", 0)]
-    type: Annotated[Type, doc("of the number", "int16")]
-    scale: Annotated[float, within(SCALE, "counts per A, N or N m; of a constant its value", 1000.0)] = 1.0
+    type: Annotated[Type, doc("type of the number", "int16")]
+    scale: Annotated[float, within(SCALE, "counts per A, N or N m; value of a constant", 1000.0)] = 1.0
 
 
 def layout_faults(
@@ -71,11 +77,15 @@ def layout_faults(
         end = field.offset + TYPE_BYTES[field.type]
         if end > bytes_:
             span = f"bytes {field.offset} to {end - 1}"
-            yield f"field[{index}].offset", field.offset, f"{span} of {owner} of {bytes_}: count from 0{note}"
+            yield (
+                f"field[{index}].offset",
+                field.offset,
+                f"{span} exceed {owner} of {bytes_} bytes: offsets start at 0{note}",
+            )
         for byte in range(field.offset, min(end, bytes_)):
             first_index = field_of_byte.setdefault(byte, index)
             if first_index != index:
-                fault = f"byte {byte} belongs to field[{first_index}] already: move one"
+                fault = f"byte {byte} already belongs to field[{first_index}]: move one of them"
                 yield f"field[{index}].offset", field.offset, fault
                 break
 
@@ -86,7 +96,7 @@ def find_repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint
     for index, field in enumerate(fields):
         if is_usable(field) and is_usable(field.meaning) and field.meaning != "buttons":
             if field.meaning in meanings_seen:
-                yield f"field[{index}].meaning", field.meaning, "another field has this meaning: leave one out"
+                yield f"field[{index}].meaning", field.meaning, "another field has the same meaning: remove one"
             meanings_seen.add(field.meaning)
 
 
@@ -101,4 +111,4 @@ def find_missing_meanings(key: str, present: set[str], required: set[str], kind:
     """Yield a complaint if the fields at `key` lack meanings that kinematics of this `kind` need."""
     missing = ", ".join(sorted(required - present))
     if missing:
-        yield f"{key}.field", msgspec.UNSET, f"lacks {missing}, which a {kind} needs: add a field for each"
+        yield f"{key}.field", msgspec.UNSET, f"has no {missing}, required for {kind}: add a field for each"

@@ -25,32 +25,33 @@ class Fields(NamedTuple):
     # settings
     id: Annotated[int, word("the library's number of the device")]
     has_frame: Annotated[
-        int, word("whether the library returns its frame; otherwise its position, and `frame` is the identity")
+        int,
+        word("whether the library returns a frame; otherwise it returns a position, and the rotation is the identity"),
     ]
-    has_gripper: Annotated[int, word("whether it has one")]
-    has_torque: Annotated[int, word("whether motors turn the handle: else no torque is sent")]
-    status_every: Annotated[int, word("reads from one question for the status to the next")]
+    has_gripper: Annotated[int, word("whether the device has a gripper")]
+    has_torque: Annotated[int, word("whether the device has motors for torque; otherwise no torque is sent")]
+    status_every: Annotated[int, word("number of reads between two status requests")]
     started_at: Annotated[int, word("ns")]
     # written by several threads
     open: Annotated[int, word("whether the library may be called")]
-    armed: Annotated[int, word("whether a force may go out")]
+    armed: Annotated[int, word("whether forces may be sent")]
     stopped: Annotated[int, word("permanent; set before `armed` is cleared, so that a concurrent `arm` has no effect")]
     lock: Annotated[int, word("lock: set during a call, since the library is not documented as thread-safe")]
     # counters and last errors
     reads: Annotated[int, counter("readings")]
-    reads_guarded: Annotated[int, counter("reads that the library answered with the last reading, TIMEGUARD")]
-    writes: Annotated[int, counter("forces given")]
+    reads_guarded: Annotated[int, counter("reads answered with the previous reading, TIMEGUARD")]
+    writes: Annotated[int, counter("forces sent")]
     writes_guarded: Annotated[int, counter("of these, withheld by the library, TIMEGUARD")]
-    saturated: Annotated[int, counter("forces that the motors could not give in full")]
-    error: Annotated[int, word("of the library, at the failure")]
-    cause: Annotated[int, word("why the device turned its force off; -1: it did not")]
-    faulty: Annotated[int, word("its error code, if not 0")]
+    saturated: Annotated[int, counter("forces reduced to the limit of the motors")]
+    error: Annotated[int, word("error code of the library at the failure")]
+    cause: Annotated[int, word("reason for which the device disabled its force; -1: none")]
+    faulty: Annotated[int, word("error code of the device, 0 for none")]
     # buffers of the calls
-    timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
+    timespec: Annotated[int, numbers("struct timespec of the clock", TIMESPEC_WORDS)]
     gripper: Annotated[int, numbers("rad", 1)]
     frame: Annotated[int, numbers("position, then the matrix row by row", 12)]
     status: Annotated[int, raw_bytes("int32 each", 4 * STATUS_WORDS)]
-    sample: Annotated[int, numbers("the last one, as the servo got it", SAMPLE_SIZE)]
+    sample: Annotated[int, numbers("last sample returned to the servo", SAMPLE_SIZE)]
 
 
 AT: Final = lay_out(Fields)

@@ -38,7 +38,7 @@ HANG_WAIT_S: Final = 0.3
 """Maximum wait for a call in parallel to a hanging one, because the library may block it too."""
 
 NO_WATCHDOG: Final = (
-    "firmware before 3.0 has no watchdog, and then nothing takes the force off if this program is killed: keep a hand "
+    "firmware before 3.0 has no watchdog, so the force persists if this program is killed: keep a hand "
     "at the force button and set watchdog_s = 0 in the rig's [device] table, or have the maker renew the firmware"
 )
 

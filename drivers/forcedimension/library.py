@@ -31,10 +31,10 @@ ERROR_COM, ERROR_BUSY, ERROR_NO_DRIVER, ERROR_NO_DEVICE, ERROR_TIMEOUT, ERROR_IN
 FORCE_OFF_CAUSES: Final = {
     1: "the force button was pressed",
     2: "the handle was faster than the velocity threshold",
-    3: "no force arrived within the watchdog's time",
+    3: "the watchdog expired without a force",
     4: "by a call of the library",
     5: "USB was disconnected",
-    6: "the dead-man switch was let go",
+    6: "the dead-man switch was released",
 }
 """Texts by the 15th entry of the status."""
 
@@ -89,9 +89,9 @@ LIBRARY: Final = MakersLibrary(
     name="Force Dimension's library libdrd",
     sonames=SONAMES,
     prototypes=PROTOTYPES,
-    advice=f"get the maker's SDK ({DOWNLOAD}), then set FDSDK to its folder, or give the file as `library_file` in the "
+    advice=f"install the maker's SDK ({DOWNLOAD}), then set FDSDK to its folder, or set `library_file` in the "
     "rig's [device] table",
-    needs=f"it has to be the build for {platform.machine()}, and libusb-1.0 has to be installed",
+    needs=f"the build for {platform.machine()} and libusb-1.0 are required",
     version=f"SDK 3.17 or a later 3.x, {DOWNLOAD}",
 )
 

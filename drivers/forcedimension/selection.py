@@ -68,7 +68,7 @@ def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
     criteria = {"model": options.model, "serial": options.serial, "number": options.number}
     criteria_text = ", ".join(f"{key} = {value}" for key, value in criteria.items() if value is not None)
     raise DeviceNotFound(
-        f"no device fits {criteria_text or 'this driver'}: attached are {'; '.join(rejected)}: "
+        f"no device matches {criteria_text or 'this driver'}: attached are {'; '.join(rejected)}: "
         "change [device] in the rig, or attach the device"
     )
 
@@ -113,7 +113,7 @@ def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
         by = ", ".join(holders) or "another process"
         return DeviceBusy(f"device {number} is used by {by} ({text}): end that process, then start again")
     if code == library.ERROR_NO_DEVICE:
-        return DeviceNotFound(f"device {number} is not there any more ({text}): check cable and power")
+        return DeviceNotFound(f"device {number}is no longer attached ({text}): check cable and power")
     if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):
         for device in list_attached():
             if message := refusal(device):

@@ -60,7 +60,7 @@ class HaplyDevice(BlockDevice):
             if word[AT.failed] < 0:
                 raise DeviceLost(f"{self.info.name}: {self.reason()}")
             if time.monotonic() > until:
-                raise DeviceTimeout(f"{self.info.name}: the Inverse Service has fallen silent: restart it")
+                raise DeviceTimeout(f"{self.info.name}: the Inverse Service no longer sends states: restart it")
             time.sleep(POLL_S)
         word[AT.dropped_reported] = word[AT.dropped]
         word[AT.armed] = 1

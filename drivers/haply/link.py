@@ -66,7 +66,7 @@ class WebSocketLink:
         except BlockingIOError:
             return messages
         except OSError as error:
-            raise DeviceLost(f"the connection with the Inverse Service broke: {error.strerror or error}") from error
+            raise DeviceLost(f"the connection to the Inverse Service was lost: {error.strerror or error}") from error
         return messages + self._process_data(data)
 
     def next(self, until: float) -> bytes:
@@ -164,7 +164,7 @@ class WebSocketLink:
             # The library's Close frame is not sent yet: `close` sends the last message before it.
             if protocol.parser_exc is not None and not isinstance(protocol.parser_exc, EOFError):
                 raise Malformed(f"the service's WebSocket: {protocol.parser_exc}: {excerpt(data)}")
-            raise DeviceLost("the Inverse Service closed the connection: was it stopped or restarted?")
+            raise DeviceLost("the Inverse Service closed the connection: check whether it was stopped or restarted")
         self._flush()
         return messages
 
@@ -176,9 +176,9 @@ class WebSocketLink:
         except BlockingIOError:
             pass
         except OSError as error:
-            raise DeviceLost(f"the connection with the Inverse Service broke: {error.strerror or error}") from error
+            raise DeviceLost(f"the connection to the Inverse Service was lost: {error.strerror or error}") from error
         if self._unsent:
-            raise DeviceTimeout("the Inverse Service takes no message: restart it")
+            raise DeviceTimeout("the Inverse Service accepts no message: restart it")
 
 
 def library() -> tuple[Any, Any, Any]:

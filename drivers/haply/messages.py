@@ -201,13 +201,13 @@ def parse_version(version: str) -> tuple[int, int]:
         parsed = int(parts[0]), int(parts[1])
     except (ValueError, IndexError):
         raise DeviceError(
-            f"the Inverse Service has the version '{version[:EXCERPT_CHARS]}', which is not a number: "
-            "name it with version under [device]"
+            f"the Inverse Service has the version '{version[:EXCERPT_CHARS]}', which is not a version number: "
+            "set version under [device]"
         ) from None
     if not FIRST_SUPPORTED <= parsed < FIRST_UNSUPPORTED:
         raise DeviceError(
-            f"the Inverse Service is version {version[:EXCERPT_CHARS]}; this driver speaks 3.1 to 3.x "
-            "and not the format 3.0: install a service of these, with the Haply Hub"
+            f"the Inverse Service is version {version[:EXCERPT_CHARS]}; this driver supports 3.1 to 3.x "
+            "but not 3.0: install such a version with the Haply Hub"
         )
     return parsed
 
@@ -252,7 +252,7 @@ def _warning(status: Status) -> str:
     if status.power_supply and status.calibrated and status.ready:
         return ""
     problems = (
-        "" if status.power_supply else "it has no power supply, and gives no force",
+        "" if status.power_supply else "it has no power supply and exerts no force",
         "" if status.calibrated else "it is not calibrated, so its position may be off: calibrate it in the Haply Hub",
         "" if status.ready else "it is not ready",
     )

@@ -86,7 +86,7 @@ def find(options: Options) -> Connection:
             link.send(command(device, key, _ZERO, basis=True))
             connection = Connection(link, lock, device, grip, key, read_state(link.next(until), device, grip))
         except (Malformed, Missing) as error:
-            raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
+            raise DeviceError(f"{error}: check that this is the Inverse Service, of version 3.1 to 3.5") from None
         opened.pop_all()
         return connection
 
@@ -121,7 +121,7 @@ def choose_device(
     if candidates and models is not None:
         present = ", ".join(f"{ref} (type {_model(ref, entry)})" for ref, entry in candidates)
         raise DeviceNotFound(
-            f"the Inverse Service lists {present}, but the rig is for {', '.join(models)}: take rig haply-inverse3 or "
+            f"the Inverse Service lists {present}, but the rig is for {', '.join(models)}: use rig haply-inverse3 or "
             "haply-minverse, or change models, limits and mounting under [device]"
         )
     id_text = f" with device_id = '{device_id}'" if device_id is not None else ""
@@ -167,8 +167,8 @@ def _version(port: int, until: float) -> str:
     if status == 200 and (version := version_info.project_version or version_info.git_tag):
         return version
     raise DeviceError(
-        f"what listens on port {port} says no version (GET /version: {status} {excerpt(body)}): is it the Inverse "
-        "Service? If so, name the version that the Haply Hub shows with version under [device]; with a wrong one the "
+        f"the program on port {port} returns no version (GET /version: {status} {excerpt(body)}): if it is the Inverse "
+        "Service, set version under [device] to the one that the Haply Hub shows; with a wrong version the "
         "service ignores forces"
     )
 
@@ -200,7 +200,7 @@ def _inventory(link: WebSocketLink, until: float) -> Inventory:
     except DeviceTimeout:
         raise DeviceTimeout(f"the Inverse Service does not answer within {OPEN_S:g} s: restart it ({START})") from None
     except Malformed as error:
-        raise DeviceError(f"{error}: is this the Inverse Service, and one of 3.1 to 3.5?") from None
+        raise DeviceError(f"{error}: check that this is the Inverse Service, of version 3.1 to 3.5") from None
 
 
 def _apply_filters(

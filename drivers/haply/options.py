@@ -14,7 +14,7 @@ from softfinger.drivers.mounting import Mounting
 
 PORT: Final = Range(1, 65535, "the ports of TCP")
 FORCE_MAX_N: Final = Range(0.0, 20.0, "twice the stated maximum of any of these devices")
-GAIN: Final = Range(0.0, 1.0, "0 disables the filter; past 1 nothing is published")
+GAIN: Final = Range(0.0, 1.0, "0 disables the filter; values above 1 are not documented")
 DAMPING: Final = Range(0.0, 10.0, "the vendor states no range")
 GRAVITY: Final = Range(0.0, 2.0, "1 compensates the weight of the device; 2 accelerates it upwards")
 SILENCE_S: Final = Range(
@@ -27,17 +27,17 @@ OLD_FORMAT_PORT: Final = 10000
 class Filters(Table, frozen=True, kw_only=True):
     """Force processing by the service. The defaults are those of the service; they are set when a device is opened."""
 
-    force_gate: Annotated[float, within(GAIN, "gain of the guard against oscillation", 0.3)] = 0.3
+    force_gate: Annotated[float, within(GAIN, "gain of the filter against oscillation", 0.3)] = 0.3
     damping: Annotated[float, within(DAMPING, "damping that the service adds; unit not published", 0.0)] = 0.0
     gravity_compensation: Annotated[bool, doc("compensate the weight of the device", True)] = True
-    gravity_scale: Annotated[float, within(GRAVITY, "share of the weight that it carries", 1.0)] = 1.0
-    torque_scaling: Annotated[bool, doc("whether motor torques are scaled; how is not published", True)] = True
+    gravity_scale: Annotated[float, within(GRAVITY, "fraction of the weight that is compensated", 1.0)] = 1.0
+    torque_scaling: Annotated[bool, doc("scale motor torques; the method is not published", True)] = True
 
 
 class Options(Table, frozen=True, kw_only=True):
     """Selection of device and grip, mount, limits, filters and timeouts."""
 
-    port: Annotated[int, within(PORT, "of the Inverse Service on this machine", 10001)] = 10001
+    port: Annotated[int, within(PORT, "port of the Inverse Service on this machine", 10001)] = 10001
     version: (
         Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), doc("of the service, if it does not send it", "3.5")] | None
     ) = None
@@ -59,17 +59,19 @@ class Options(Table, frozen=True, kw_only=True):
     ] = "auto"
     mounting: Mounting = Mounting()
     force_max_n: Annotated[float, within(FORCE_MAX_N, "most that it displays", 2.0)]
-    stiffness_max_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "most that it renders stably", 500.0)]
+    stiffness_max_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "largest value rendered stably", 500.0)]
     damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 2.0)]
     workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), doc("about the world's origin", 0.1)]
     filters: Filters = Filters()
-    stale_s: Annotated[float, within(SILENCE_S, "zero in place of a force that is older", 0.02)] = 0.02
-    quiet_s: Annotated[float, within(SILENCE_S, "after so long without a state no force is sent", 0.02)] = 0.02
-    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a state the device is given up", 0.1)] = 0.1
+    stale_s: Annotated[float, within(SILENCE_S, "age above which a force is replaced by zero", 0.02)] = 0.02
+    quiet_s: Annotated[float, within(SILENCE_S, "time without a state after which no force is sent", 0.02)] = 0.02
+    timeout_s: Annotated[
+        float, within(GIVE_UP_S, "time without a state after which the device counts as lost", 0.1)
+    ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.port) and self.port == OLD_FORMAT_PORT:
-            yield "port", self.port, "is that of the old format 3.0, which this driver does not speak: 10001"
+            yield "port", self.port, "is the port of format 3.0, which this driver does not support: use 10001"
         if is_usable(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
             fault = f"must be at least quiet_s = {self.quiet_s:g}, so that a zero is sent first"
             yield "timeout_s", self.timeout_s, fault

@@ -32,7 +32,11 @@ def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
     if announced.includes(expected):
         return
     matching_names = [name for name, lengths in library_lengths().items() if announced.includes(lengths)]
-    hint = f'set reports to "{matching_names[0]}", whose they are' if matching_names else "correct [device.reports]"
+    hint = (
+        f'set reports to "{matching_names[0]}", which has these reports'
+        if matching_names
+        else "correct [device.reports]"
+    )
     raise DeviceError(
         f"{path} has different reports from the rig: the device reports {announced}; the rig describes {expected}: "
         f"{hint} (descriptor {descriptor.hex()})"

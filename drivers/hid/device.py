@@ -104,7 +104,7 @@ class HidDevice(BlockDevice):
         if self.threads is not None and not self.threads.flush(self.counts()["written"], until):
             self._log_missing_zero(was_logged)
         elif self._block.word[BOARD.has_force]:
-            self._zero_failure = "its node takes no report"
+            self._zero_failure = "its node accepts no report"
 
     def _log_missing_zero(self, was_logged: bool) -> None:
         """Log that no zero was sent, once: the loop, the daemon and `close` each stop the device."""
@@ -125,7 +125,7 @@ class HidDevice(BlockDevice):
         if self.threads is None:
             return ""
         hang_s = self.threads.hang_duration_s()
-        return f"a write has been under way for {hang_s:.2g} s" if hang_s else self.threads.failure
+        return f"a write has not returned for {hang_s:.2g} s" if hang_s else self.threads.failure
 
     def warning(self) -> str:
         return SINGULAR_POSE if self._block.word[AT.singular] else ""
@@ -153,7 +153,7 @@ class HidDevice(BlockDevice):
         while np.max(np.abs(counts - target_counts)) > PRESET_NEAR:
             if time.monotonic() > until:
                 raise DeviceError(
-                    f"{self.info.name} did not take the calibration: encoders a, b, c show "
+                    f"{self.info.name} did not apply the calibration: encoders a, b, c are "
                     f"{counts.tolist()} and not {target_counts.tolist()}: hold the arm still in its calibration "
                     "pose, or set calibrate = false and press the calibration button"
                 )
@@ -168,13 +168,13 @@ class HidDevice(BlockDevice):
         try:
             os.write(int(self._block.word[BOARD.fd]), data)
         except OSError as error:
-            raise DeviceLost(f"{self.info.name} is gone: {error.strerror}: plug it in again") from error
+            raise DeviceLost(f"{self.info.name} was disconnected: {error.strerror}: plug it in again") from error
         self._block.word[AT.written] += 1
         if self.threads is not None and not self.threads.flush(
             self.counts()["written"], time.monotonic() + PRESET_WAIT_S
         ):
             because = f" ({self.reason()})" if self.reason() else ""
-            raise DeviceTimeout(f"{self.info.name} takes no report{because}: check its power, and its firmware")
+            raise DeviceTimeout(f"{self.info.name} accepts no report{because}: check its power, and its firmware")
 
     def _read_fresh_report(self) -> None:
         """Read a current report; raises DeviceTimeout or DeviceLost if there is none."""

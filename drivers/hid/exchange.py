@@ -68,34 +68,34 @@ class Fields(NamedTuple):
     """Fields of this driver, after the fields of `board_exchange`."""
 
     reports: Annotated[int, counter("reports received")]
-    drained: Annotated[int, counter("of these, older ones passed over for a newer")]
+    drained: Annotated[int, counter("of these, skipped because a newer one had arrived")]
     written: Annotated[int, counter("reports sent, kicks included")]
-    kicks: Annotated[int, counter("zero reports sent into a silence")]
-    cut: Annotated[int, counter("wrenches that the motors could not give")]
+    kicks: Annotated[int, counter("zero reports sent because no report arrived")]
+    cut: Annotated[int, counter("wrenches above the limit of the motors")]
     singular: Annotated[
-        int, counter("forces that were less, and samples without a place, because the mechanism is singular there")
+        int, counter("forces reduced and samples without a position because the mechanism was in a singular pose")
     ]
-    foreign: Annotated[int, counter("reports of another id, passed over")]
+    foreign: Annotated[int, counter("reports with another id, skipped")]
     held: Annotated[int, counter("forces not sent, because others were pending")]
-    kind: Annotated[int, word("of the mechanism")]
-    in_id: Annotated[int, word("of a report, 0 where reports have none")]
-    in_bytes: Annotated[int, word("with the id, if there is one")]
-    out_bytes: Annotated[int, word("with the id, which is always there")]
-    in_rows: Annotated[int, word("fields of a report")]
-    out_rows: Annotated[int, word("the same")]
+    kind: Annotated[int, word("kind of mechanism")]
+    in_id: Annotated[int, word("id of input reports, 0 if they have none")]
+    in_bytes: Annotated[int, word("bytes of an input report, with the id if there is one")]
+    out_bytes: Annotated[int, word("bytes of an output report, always with an id")]
+    in_rows: Annotated[int, word("fields of an input report")]
+    out_rows: Annotated[int, word("fields of an output report")]
     in_table: Annotated[int, address("(in_rows, ROW) float64")]
     out_table: Annotated[int, address("(out_rows, ROW) float64")]
     in_buffer: Annotated[int, address("buffer of the next report; swapped with that of the latest")]
     latest_report: Annotated[int, address("the latest report")]
     out_buffer: Annotated[int, address("the last report sent")]
     accepted_address: Annotated[
-        int, address("how many reports the pump has handed on, and whether a write hangs; 0 without one")
+        int, address("number of reports written by the threads, and flag of a hanging write; 0 without threads")
     ]
-    scratch: Annotated[int, word("of a field being read or written")]
-    values: Annotated[int, numbers("of the latest report", SENSED_SIZE)]
-    command: Annotated[int, numbers("of the report being written", COMMANDED_SIZE)]
-    has_orientation: Annotated[int, word("whether an orientation is sensed")]
-    last_position: Annotated[int, numbers("m, where a delta was", 3)]
+    scratch: Annotated[int, word("buffer for one field")]
+    values: Annotated[int, numbers("values of the latest report", SENSED_SIZE)]
+    command: Annotated[int, numbers("values of the report being written", COMMANDED_SIZE)]
+    has_orientation: Annotated[int, word("whether the device measures its orientation")]
+    last_position: Annotated[int, numbers("last position of a delta mechanism, m", 3)]
     model: Annotated[int, numbers("a `FrameConversion`", MODEL_SIZE)]
 
 

@@ -86,7 +86,7 @@ def find_device(options: Options) -> str:
     without_node = [device for device in discovery.usb_devices() if (device.vendor, device.product) == usb_ids]
     if without_node:
         raise DeviceNotFound(
-            f"{without_node[0]} has no node that may be used here: `sudo modprobe usbhid` gives it one on hidraw; in a "
+            f"{without_node[0]} has no usable node: `sudo modprobe usbhid` creates one on hidraw; in a "
             f"container, `docker run --device {without_node[0].node or '/dev/bus/usb'}`"
         )
     present_ids = sorted({ids(node.vendor, node.product) for node in nodes_found})
@@ -115,7 +115,7 @@ def _choose(options: Options, serials: dict[str, str]) -> str:
         return matching[0]
     if matching:
         choices = ", ".join(f"{path} (serial '{serials[path]}')" for path in sorted(matching))
-        raise DeviceNotFound(f"{len(matching)} HID devices are {usb_ids}: name one with serial or path: {choices}")
+        raise DeviceNotFound(f"{len(matching)} HID devices are {usb_ids}: select one with serial or path: {choices}")
     serial_list = ", ".join(f"'{serial}'" for serial in sorted(serials.values()))
     raise DeviceNotFound(
         f"no HID device {usb_ids} has the serial number '{options.serial}': attached are {serial_list}"

@@ -105,7 +105,7 @@ class Reports(Table, frozen=True, kw_only=True):
             return
         if (self.preset.bytes, self.preset.id) != (self.output.bytes, self.output.id):
             described = f"{self.output.bytes} bytes with id {self.output.id}"
-            yield "preset.bytes", self.preset.bytes, f"must be an output report like the other one: {described}"
+            yield "preset.bytes", self.preset.bytes, f"must have the length and id of the output report: {described}"
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -113,31 +113,45 @@ class Options(Table, frozen=True, kw_only=True):
 
     vendor_id: Annotated[int, within(USB_ID, "USB vendor", 0x1234)]
     product_id: Annotated[int, within(USB_ID, "USB product", 0x0006)]
-    serial: Annotated[str, doc("serial number, where several are attached", "SN42")] | None = None
-    path: Annotated[str, doc("node, or hidapi's name on USB, in place of looking", "/dev/hidraw0")] | None = None
-    through: Annotated[Through, doc("the loop at the node, threads at hidapi, or the available one", "auto")] = "auto"
+    serial: Annotated[str, doc("serial number, if several are attached", "SN42")] | None = None
+    path: Annotated[str, doc("node, or path of hidapi on USB; default: searched for", "/dev/hidraw0")] | None = None
+    through: Annotated[
+        Through, doc("node: by the servo loop; thread: by threads through hidapi; auto: node if available", "auto")
+    ] = "auto"
     reports: Reports
     kinematics: Kinematics
     mounting: Mounting = Mounting()
-    calibrate: Annotated[bool, doc("the arm rests in its calibration pose when opened: set its counts", False)] = False
+    calibrate: Annotated[
+        bool, doc("set the encoder counts when opened; the arm must be in its calibration pose", False)
+    ] = False
     force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force displayed", 5.0)]
     stiffness_max_n_per_m: Annotated[
         float, within(limits.STIFFNESS_N_PER_M, "largest stiffness rendered stably", 1000.0)
     ]
     damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "largest damping rendered stably", 8.0)]
     workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), doc("about the workspace centre", 0.1)]
-    kick_s: Annotated[float, within(SILENCE_S, "after so long without a report a zero is sent", 0.01)] = 0.01
-    timeout_s: Annotated[float, within(GIVE_UP_S, "after so long without a report the device is given up", 0.1)] = 0.1
+    kick_s: Annotated[float, within(SILENCE_S, "time without a report after which a zero is sent", 0.01)] = 0.01
+    timeout_s: Annotated[
+        float, within(GIVE_UP_S, "time without a report after which the device counts as lost", 0.1)
+    ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
-            yield "timeout_s", self.timeout_s, f"must be at least kick_s = {self.kick_s:g}, so that a kick can help"
+            yield (
+                "timeout_s",
+                self.timeout_s,
+                f"must be at least kick_s = {self.kick_s:g}, so that a kick is sent first",
+            )
         if is_usable(self.path, self.through) and self.through == "node" and not (self.path or "/").startswith("/"):
-            yield "path", self.path, 'is hidapi\'s name on USB, and through = "node" needs a node such as /dev/hidraw0'
+            yield (
+                "path",
+                self.path,
+                'is a path of hidapi on USB, but through = "node" needs a node such as /dev/hidraw0',
+            )
         if not is_usable(self.reports, self.kinematics):
             return
         reports, kinematics = self.reports, self.kinematics
         if is_usable(reports.input, reports.output, reports.preset):
             yield from field_faults("reports", reports.input.field, reports.output.field, kinematics)
         if self.calibrate is True and not isinstance(kinematics, Chain):
-            yield "calibrate", True, "only a chain has a calibration pose: leave it false"
+            yield "calibrate", True, "is for chains only, which have a calibration pose: set it to false"

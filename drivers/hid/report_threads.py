@@ -116,7 +116,7 @@ class ReportThreads:
         for thread in (self._reader, self._writer):
             thread.join(max(0.0, until - time.monotonic()))
             if thread.is_alive():
-                log.error("%s: a call of hidapi hangs; the device will be closed when it returns", thread.name)
+                log.error("%s: a call of hidapi does not return; the device will be closed when it does", thread.name)
 
     def _run(self, work: Callable[[], None], direction: int) -> None:
         try:
@@ -159,7 +159,7 @@ class ReportThreads:
                 hang_s, self._write_start = self.hang_duration_s(), None
                 if count != len(report):
                     after = f" after {hang_s:.2g} s" if hang_s else ""
-                    raise OSError(f"a write of {len(report)} bytes came back as {count}{after}")
+                    raise OSError(f"a write of {len(report)} bytes returned {count}{after}")
                 self._accepted[0] += 1
         finally:
             self._ending.set()

@@ -80,11 +80,11 @@ def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
     vendor, product = options.vendor_id, options.product_id
     device_entry = _find_device(path)
     if device_entry is None:
-        raise DeviceNotFound(f"no USB device is at {path}: plug the device in, or leave `path` out")
+        raise DeviceNotFound(f"there is no USB device at {path}: plug it in, or remove `path`")
     if (device_entry.vendor, device_entry.product) != (vendor, product):
         raise DeviceError(
-            f"{path} is the device {device_entry.ids}, and the rig is for {ids(vendor, product)}: "
-            "name the right one, or leave `path` out"
+            f"{path} is the device {device_entry.ids}, but the rig is for {ids(vendor, product)}: "
+            "set path to the right one, or remove it"
         )
     lock_fd = open_locked(device_entry.node, how_to_permit(vendor, product))
     device: Any = hidapi("hid").device()
@@ -117,6 +117,6 @@ def _open_error(path: str, node: str) -> DeviceError:
     if program is not None and program.pid != os.getpid():
         return DeviceBusy(f"{path} ({node}) is used by {program}: end that process first")
     return DeviceError(
-        f"{path} ({node}) cannot be claimed through hidapi: another program may have it: end that one, or unplug the "
+        f"{path} ({node}) cannot be claimed through hidapi: another program may use it: end it, or unplug the "
         "device and plug it in again"
     )

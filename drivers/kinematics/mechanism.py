@@ -35,10 +35,7 @@ For a delta's joint angles: legs are collinear or do not meet, so the end has no
 INVALID: Final = 3
 """The sensed numbers are not an orientation."""
 
-SINGULAR_POSE: Final = (
-    "the mechanism has been in a singular pose, where its motors cannot hold the handle: there it gives less force, or "
-    "none"
-)
+SINGULAR_POSE: Final = "the mechanism was in a singular pose, where its motors exert less force, or none"
 
 _ZERO: Final = (0.0, 0.0, 0.0)
 _NO_POSITION: Final = (nan, nan, nan)

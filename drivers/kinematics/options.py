@@ -15,7 +15,7 @@ RATIO_M: Final = Range(1e-4, 1.0, "from the thinnest capstan to a wheel of 1 m")
 LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
 APART_M: Final = Range(0.0, 2.0, "0: both motors on one axis; a desktop device")
 TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01 to 1 N m/A")
-COUNTS: Final = Range(1, 1e7, "the finest encoders give some million counts one full turn")
+COUNTS: Final = Range(1, 1e7, "the finest encoders have some million counts per turn")
 PRESET_COUNTS: Final = Range(-32768, 32767, "range of a two-byte counter")
 CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices have at most a few amperes")
 TORQUE_NM: Final = Range(0.0, 20.0, "a joint of a desktop device; 40 N at half a metre")
@@ -63,12 +63,15 @@ class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
     calibration_counts: Annotated[
         tuple[Preset, Preset, Preset], doc("counts a, b, c in the calibration pose", [0, 0, 6000])
     ] = (0.0, 0.0, 0.0)
-    current_max_a: Annotated[float, within(CURRENT_A, "largest in a motor; all are scaled down together", 2.0)] = 2.0
+    current_max_a: Annotated[
+        float, within(CURRENT_A, "largest current of a motor; all are scaled down together", 2.0)
+    ] = 2.0
     wrist_counts_per_turn: (
         Annotated[float, within(COUNTS, "counts of encoders d, e, f; default: no wrist", 1024.0)] | None
     ) = None
     wrist_aligned: Annotated[
-        tuple[bool, bool, bool], doc("whether joints D, E, F turn with their counts", [False, True, False])
+        tuple[bool, bool, bool],
+        doc("whether joints D, E, F turn in the direction of their counts", [False, True, False]),
     ] = (True, True, True)
 
 
@@ -79,7 +82,7 @@ class Paddle(Table, frozen=True, kw_only=True, tag_field="kind", tag="paddle"):
     commanded: ClassVar[frozenset[str]] = frozenset({"torque_a"})
     dof: ClassVar[int] = 1
 
-    length_m: Annotated[float, within(LINK_M, "from the joint's axis to the end of the handle", 0.07)]
+    length_m: Annotated[float, within(LINK_M, "distance from the joint's axis to the end of the handle", 0.07)]
     torque_max_nm: Annotated[float, within(TORQUE_NM, "largest torque of the joint", 0.3)]
 
 
@@ -143,4 +146,4 @@ def field_faults(
         yield from find_missing_meanings(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
     sensed_quaternion = sorted(sensed & QUATERNION)
     if sensed_quaternion and (not isinstance(kinematics, Cartesian) or len(sensed_quaternion) < len(QUATERNION)):
-        yield f"{key}.input.field", sensed_quaternion, "a cartesian device senses all of qw to qz or none"
+        yield f"{key}.input.field", sensed_quaternion, "a cartesian device measures all of qw to qz or none"

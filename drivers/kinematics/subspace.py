@@ -44,7 +44,7 @@ class MotionSubspace(NamedTuple):
             along = np.cross(self.axis, self.centre - self.origin)
             motion = f"on an arc, in its middle along ({_format_vector(along / np.linalg.norm(along))}) of the world; "
             motion += "forces across it"
-        return f"{motion} are shown, not displayed"
+        return f"{motion} are not displayed"
 
 
 def make_subspace(kinematics: Kinematics | None, mounting: Mounting) -> MotionSubspace | None:

@@ -138,11 +138,9 @@ class OpenHaptics(BlockDevice):
         self._warm = int(self._word[AT.temperature]) >= (COOL if self._warm else WARM)
         messages = []
         if self._warm:
-            messages.append("the motors are hot: pause, or the device switches the force off")
+            messages.append("the motors are hot: pause, otherwise the device disables the force")
         if self._word[AT.docked]:
-            messages.append(
-                "the stylus is in the inkwell, so there is no force (inkwell = false does not ask for that)"
-            )
+            messages.append("the stylus is in the inkwell, so no force is sent (inkwell = false ignores the switch)")
         if self._word[AT.late]:
             messages.append(
                 f"frames of the library are more than force_age_max_s = {self._options.force_age_max_s:g} s apart, so "
@@ -161,8 +159,8 @@ class OpenHaptics(BlockDevice):
         library.errors(call)  # a missing property shows in its value
         if self._options.model not in (None, model):
             raise DeviceNotFound(
-                f"no device fits model = {self._options.model}: it is a {model}, serial {serial}: change [device] in "
-                "the rig, or name another device of Touch_Setup as `name`"
+                f"no device matches model = {self._options.model}: it is a {model}, serial {serial}: change [device] "
+                "in the rig, or set `name` to another device of Touch_Setup"
             )
         if model not in MODELS:
             log.warning(
@@ -181,7 +179,7 @@ class OpenHaptics(BlockDevice):
         x0, y0, z0, x1, y1, z1 = corners
         library.errors(self._library)
         return DeviceInfo(
-            name=f"{self.model or 'device of 3D Systems'}, serial {self.serial or 'not known'}",
+            name=f"{self.model or 'device of 3D Systems'}, serial {self.serial or 'unknown'}",
             sensed_dof=FULL_DOF,
             actuated_dof=FULL_DOF if has_torque else 3,
             force_max_n=min(limits.force_max_n, nominal_force)
@@ -238,7 +236,7 @@ class OpenHaptics(BlockDevice):
         self._raise_errors("hdScheduleAsynchronous")
         if not wait_until(FIRST_FRAMES_S, lambda: word[AT.frames] > exchange.PROBES or word[AT.status] < 0):
             raise DeviceTimeout(
-                f"{self.info.name}: the library's thread has not called within {FIRST_FRAMES_S:g} s: {_RETRY_REMEDY}"
+                f"{self.info.name}: the library's thread did not start within {FIRST_FRAMES_S:g} s: {_RETRY_REMEDY}"
             )
         if word[AT.status] < 0:
             raise DeviceError(f"{self.info.name} returns no pose: {self.reason()}: {_RETRY_REMEDY}")
@@ -293,13 +291,13 @@ class OpenHaptics(BlockDevice):
         stop_thread.start()
         stop_thread.join(seconds)
         if failed[0]:
-            log.error("%s may still push: %s: switch the device off", self.info.name, failed[0])
+            log.error("%s may still exert force: %s: switch the device off", self.info.name, failed[0])
         return failed[0]
 
 
 _RETRY_REMEDY: Final = "check cable and power, run the maker's Touch_Diagnostic, then start again"
 _CALIBRATION_REMEDIES: Final = {
-    0: "it supports no calibration by programs: calibrate it with the maker's Touch_Setup or Touch_Diagnostic",
+    0: "it cannot be calibrated by a program: calibrate it with the maker's Touch_Setup or Touch_Diagnostic",
     library.AUTO: "move the handle through its full range",
     library.INKWELL: "put the stylus into the inkwell",
     library.ENCODER_RESET: (
@@ -343,7 +341,8 @@ def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn
     attached = usb.list_attached()
     if any(error.code == library.ALREADY_INITIATED for error in errors):
         raise DeviceBusy(
-            f"{subject} is in use by another program, or twice in this rig: {messages}: end the other, then start again"
+            f"{subject} is in use by another program, or twice in this rig: {messages}: end the other program, then "
+            "start again"
         )
     if any(error.code == library.INVALID_LICENSE for error in errors):
         raise DeviceError(f"{subject} cannot be opened: {messages}: install the developer edition's licence")

@@ -61,25 +61,25 @@ COMM_CONFIG_ERROR: Final = 0x0303
 INVALID_LICENSE: Final = 0x0600
 
 ERRORS: Final = {
-    INVALID_ENUM: "it does not know a parameter",
+    INVALID_ENUM: "it does not support a parameter",
     0x0101: "it refuses a value",
     0x0102: "it cannot do this now",
-    INVALID_INPUT_TYPE: "it does not have a parameter in this type",
-    BAD_HANDLE: "it does not know the device any more",
+    INVALID_INPUT_TYPE: "it does not support this type of a parameter",
+    BAD_HANDLE: "it no longer knows the device",
     WARM_MOTORS: "the motors are too warm",
-    0x0201: "the force was more than the device gives",
-    0x0202: "the force changed faster than the device bears",
+    0x0201: "the force exceeded the maximum of the device",
+    0x0202: "the force changed faster than the device allows",
     0x0203: "the handle was faster than the device allows",
-    FORCE_ERROR: "the motors do not give the force",
+    FORCE_ERROR: "the motors do not exert the force",
     DEVICE_FAULT: "the device has a fault",
-    ALREADY_INITIATED: "the device is in use already",
+    ALREADY_INITIATED: "the device is already in use",
     COMM_ERROR: "the device does not answer",
     COMM_CONFIG_ERROR: "the device's connection is not set up",
     0x0304: "its clock has failed",
-    0x0400: "a frame was begun in a frame",
+    0x0400: "a frame was started inside a frame",
     0x0401: "a frame was ended without a start",
-    0x0402: "a state was requested outside of a frame, or in a second one",
-    0x0500: "it does not know a priority",
+    0x0402: "a state was requested outside of a frame, or in a nested one",
+    0x0500: "it does not support a priority",
     0x0501: "its scheduler is full",
     INVALID_LICENSE: "it has no licence",
 }
@@ -139,8 +139,8 @@ LIBRARY: Final = MakersLibrary(
     name=f"{NAME} libHD",
     sonames=SONAMES,
     prototypes=PROTOTYPES,
-    advice=f"install the Touch driver and OpenHaptics ({DOWNLOAD}), or give the file as `library_file` in [device]",
-    needs=f"the maker has it for x86_64 only (this is {platform.machine()}), and it needs libPhantomIOLib42.so of the "
+    advice=f"install the Touch driver and OpenHaptics ({DOWNLOAD}), or set `library_file` in [device]",
+    needs=f"it exists for x86_64 only (this is {platform.machine()}) and requires libPhantomIOLib42.so of the "
     "Touch driver",
     version=f"OpenHaptics 3.4, {DOWNLOAD}",
 )
@@ -166,4 +166,4 @@ def error_text(library: ctypes.CDLL, code: int, internal: int) -> str:
     words = (library.hdGetErrorString(code) or b"").decode(errors="replace")
     known_text = ERRORS.get(code)
     detail = f", '{words}'" if words else ""
-    return f"{known_text or 'an error that is not known'} (error 0x{code:04x}{detail}, the device's code {internal})"
+    return f"{known_text or 'an error that is not known'} (error 0x{code:04x}{detail}, device code {internal})"

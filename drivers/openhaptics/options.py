@@ -31,13 +31,13 @@ class Options(Table, frozen=True, kw_only=True):
         ]
         | None
     ) = None  # fmt: skip
-    inkwell: Annotated[bool, doc("no force while the stylus is in the inkwell; false: ignore the switch")] = True
+    inkwell: Annotated[bool, doc("send no force while the stylus is in the inkwell; false: ignore the switch")] = True
     reset_encoders: Annotated[
-        bool, doc("a device without its zeros uses its position DURING OPENING as its reset position")
+        bool, doc("if the encoders have no zeros, use the position DURING OPENING as the reset position")
     ] = False
     calibration_wait_s: Annotated[
-        float, within(CALIBRATION_S, "how long opening waits for the stylus to be put into the inkwell", 20.0)
+        float, within(CALIBRATION_S, "time limit for placing the stylus in the inkwell during opening", 20.0)
     ] = 20.0
     force_age_max_s: Annotated[
-        float, within(FORCE_AGE_S, "the library's thread gives zero in place of a force that is older", 0.005)
+        float, within(FORCE_AGE_S, "the library's thread gives age above which a force is replaced by zero", 0.005)
     ] = 0.005

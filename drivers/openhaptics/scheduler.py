@@ -57,8 +57,8 @@ class Scheduler:
             for block, _ in self._scheduled.values():
                 if block.word[AT.armed]:
                     raise DeviceBusy(
-                        "another device of 3D Systems is in use by this program, and the library takes no second one "
-                        "then: name both in one rig, so that they are opened together"
+                        "another device of 3D Systems is in use by this program, and the library supports no second "
+                        "one then: list both in one rig, so that they are opened together"
                     )
             scheduled_blocks = [block for block, _ in self._scheduled.values()]
             for block in scheduled_blocks:

@@ -34,7 +34,7 @@ STOP_AGAIN_S: Final = 0.1
 WARN_NS: Final = 1_000_000_000
 """Duration of the warning about a blocked port; the daemon checks warnings twice a second."""
 BLOCKED: Final = (
-    "too many frames wait in the port: its line is too slow for them, or the board has stopped reading: "
+    "too many frames are queued in the port: the line is too slow, or the board no longer reads: "
     "zero is sent in place of the force"
 )
 
@@ -125,22 +125,21 @@ class SerialDevice(BlockDevice):
         until = time.monotonic() + self._options.wake_s
         while (status := exchange.read.ctypes(self._block.handle, sample)) < 0:
             if status == LOST:
-                raise DeviceLost(f"{self.info.name} is gone: plug it in again")
+                raise DeviceLost(f"{self.info.name} was disconnected: plug it in again")
             if time.monotonic() < until:
                 self._send_setup(setup)
                 continue
             if status == TIMEOUT:
                 raise DeviceTimeout(
                     f"{self.info.name} sends no frame within {self._options.wake_s:g} s: check its power and its "
-                    f"firmware, or give it more time with wake_s{self._unanswered_hint()}"
+                    f"firmware, or increase wake_s{self._unanswered_hint()}"
                 )
             spec = self._options.frames
             expected = "eight numbers in 64 bytes"
             if spec is not None:
                 expected = f"{spec.input.bytes} bytes as the rig describes them"
             raise DeviceError(
-                f"{self.info.name} sends no frame of {expected} ({self.reason()}): is it this device, "
-                "and does it run this firmware?"
+                f"{self.info.name} sends no frame of {expected} ({self.reason()}): check the device and its firmware"
             )
 
     def _unanswered_hint(self) -> str:
@@ -149,7 +148,7 @@ class SerialDevice(BlockDevice):
             return ""
         sent_hex = _encode_frame(spec.output, spec).hex(" ")
         return (
-            f"; it has not answered {sent_hex}, the frame without force: compare marks and checksum with its firmware's"
+            f"; it has not answered {sent_hex}, the frame without force: compare markers and checksum with its firmware"
         )
 
     def _send_setup(self, data: bytes) -> None:
@@ -180,7 +179,7 @@ class SerialDevice(BlockDevice):
         for step in (exchange.discard, exchange.silence):
             while not step.ctypes(self._block.handle):
                 if time.monotonic() > until:
-                    return f"the port has taken nothing for {wait_s:g} s"
+                    return f"the port has accepted no data for {wait_s:g} s"
                 time.sleep(0.0001)
         try:
             while unsent := count_unsent(int(self._block.word[BOARD.fd])):
@@ -188,7 +187,7 @@ class SerialDevice(BlockDevice):
                     return f"{unsent} bytes have been pending for {wait_s:g} s"
                 time.sleep(0.0005)
         except OSError as error:
-            return f"the port is gone: {error.strerror}"
+            return f"the port was removed: {error.strerror}"
         return ""
 
     def close(self) -> None:

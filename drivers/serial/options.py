@@ -23,7 +23,7 @@ from softfinger.drivers.kinematics.options import Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
-FORCE_MAX_N: Final = Range(0.0, 32.0, "a frame has two bytes for mN, up to 32.767 N")
+FORCE_MAX_N: Final = Range(0.0, 32.0, "a frame stores mN in two bytes, up to 32.767 N")
 SILENCE_S: Final = Range(
     0.005, 0.2, "a shorter time counts late answers as silence; after a longer one the force is outdated"
 )
@@ -31,7 +31,7 @@ GIVE_UP_S: Final = Range(0.005, 2.0, "a shorter time counts late answers as sile
 WAKE_S: Final = Range(0.2, 60.0, "a restart needs at least this time; waiting more than a minute is useless")
 
 FRAME_BYTES: Final = Range(1, 256, "at 115200 Bd a frame of 256 bytes takes 22 ms")
-MARKS: Final = Range(0, 8, "more bytes than any protocol marks frames with")
+MARKS: Final = Range(0, 8, "more bytes than the markers of any protocol")
 RESYNC: Final = Range(1, 256, "the longest frame")
 
 Order = Literal["little", "big"]
@@ -53,17 +53,17 @@ class Checksum(Table, frozen=True, kw_only=True):
 
     kind: Annotated[Check, doc("computation", "crc8")]
     offset: Annotated[
-        int, Meta(ge=1, le=int(FRAME_BYTES.high)), doc("its first byte; it covers the bytes from first up to it", 6)
+        int,
+        Meta(ge=1, le=int(FRAME_BYTES.high)),
+        doc("index of its first byte; it covers the bytes from `first` up to it", 6),
     ]
-    first: Annotated[
-        int, Meta(ge=0, le=int(FRAME_BYTES.high)), doc("first byte that it covers, 0 the first of the frame", 0)
-    ] = 0
+    first: Annotated[int, Meta(ge=0, le=int(FRAME_BYTES.high)), doc("index of the first byte that it covers", 0)] = 0
 
 
 class Frame(Table, frozen=True, kw_only=True):
     """Common properties of frames in both directions."""
 
-    bytes: Annotated[int, within(FRAME_BYTES, "length, marks and checksum included", 8)]
+    bytes: Annotated[int, within(FRAME_BYTES, "length, including markers and checksum", 8)]
     start: Annotated[tuple[Byte, ...], sized(MARKS, "first bytes of the frame", [165])] = ()
     end: Annotated[tuple[Byte, ...], sized(MARKS, "last bytes of the frame", [10])] = ()
     check: Checksum | None = None
@@ -89,11 +89,15 @@ def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> 
         if not is_usable(frame.check.kind, frame.check.offset, frame.check.first):
             return
         if frame.check.first >= frame.check.offset:
-            yield "check.first", frame.check.first, f"must be below offset = {frame.check.offset}: it covers nothing"
+            yield (
+                "check.first",
+                frame.check.first,
+                f"must be below offset = {frame.check.offset}, otherwise it covers no byte",
+            )
     uses = dict[int, str]()
     for byte, name in frame.find_reserved_bytes():
         if not 0 <= byte < frame.bytes or byte in uses:
-            yield name, byte, f"byte {byte} is {uses.get(byte, f'beyond a frame of {frame.bytes}')}: make room for it"
+            yield name, byte, f"byte {byte} is {uses.get(byte, f'beyond a frame of {frame.bytes}')}: move it"
             return
         uses[byte] = name
     for index, field in enumerate(fields):
@@ -131,18 +135,19 @@ class Resync(Table, frozen=True, kw_only=True):
     """Bytes in front of a zero after a missing answer; they complete a truncated frame, and the board ignores them."""
 
     byte: Annotated[Byte, doc("the byte", 3)]
-    count: Annotated[int, within(RESYNC, "how often: the length of a frame", 9)]
+    count: Annotated[int, within(RESYNC, "number of repetitions, in bytes of a frame", 9)]
 
 
 class Frames(Table, frozen=True, kw_only=True):
     """Frames of the board; without them it uses WoodenHaptics' text."""
 
-    mode: Annotated[Mode, doc("answer: the board answers each frame; stream: it sends by itself", "answer")]
+    mode: Annotated[Mode, doc("answer: the board answers each frame; stream: it sends continuously", "answer")]
     order: Annotated[Order, doc("byte order of numbers", "little")] = "little"
     input: InputFrame
     output: OutputFrame
     setup: Annotated[
-        OutputFrame | None, doc("sent when the port is opened, and at closing; its fields are constants")
+        OutputFrame | None,
+        doc("frame sent when the port is opened and when it is closed; all its fields are constants"),
     ] = None
     resync: Resync | None = None
 
@@ -150,7 +155,7 @@ class Frames(Table, frozen=True, kw_only=True):
         if is_usable(self.mode, self.input) and self.mode == "stream":
             marks = (self.input.start, self.input.end, self.input.check)
             if is_usable(*marks) and not self.input.is_searchable():
-                fault = "a stream needs a check, or both start and end: its frames cannot be found"
+                fault = "a stream needs a check, or start and end, so that its frames can be found: add one"
                 yield "input", msgspec.UNSET, fault
         if (
             is_usable(self.setup)
@@ -160,7 +165,11 @@ class Frames(Table, frozen=True, kw_only=True):
         ):
             for index, field in enumerate(self.setup.field):
                 if is_usable(field.meaning) and field.meaning != "constant":
-                    yield f"setup.field[{index}].meaning", field.meaning, "must be constant: nothing is commanded yet"
+                    yield (
+                        f"setup.field[{index}].meaning",
+                        field.meaning,
+                        "must be constant, since it is sent before the first command",
+                    )
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -173,7 +182,7 @@ class Options(Table, frozen=True, kw_only=True):
         Annotated[str, doc("the port; default: the one with the ids; one on USB must have them", "/dev/ttyACM0")] | None
     ) = None
     baud: Annotated[Baud, doc("speed in Bd; without effect on a native USB port", 115200)] = 115200
-    frames: Annotated[Frames | None, doc("language of the board; absent: WoodenHaptics' text")] = None
+    frames: Annotated[Frames | None, doc("protocol of the board; default: the text protocol of WoodenHaptics")] = None
     kinematics: Annotated[Kinematics | None, doc("mechanism, with frames")] = None
     mounting: Mounting = Mounting()
     force_max_n: Annotated[float, within(FORCE_MAX_N, "largest force displayed", 5.0)]
@@ -189,13 +198,17 @@ class Options(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
-            yield "timeout_s", self.timeout_s, f"must be at least quiet_s = {self.quiet_s:g}, so that a kick can help"
+            yield (
+                "timeout_s",
+                self.timeout_s,
+                f"must be at least quiet_s = {self.quiet_s:g}, so that a kick is sent first",
+            )
         if is_usable(self.vendor_id, self.product_id) and (self.vendor_id is None) != (self.product_id is None):
-            yield "product_id", self.product_id, "needs vendor_id, and vendor_id needs product_id: give both or neither"
+            yield "product_id", self.product_id, "vendor_id and product_id belong together: set both or none"
         if not is_usable(self.frames, self.kinematics):
             return
         if self.frames is None or self.kinematics is None:
             if (self.frames is None) != (self.kinematics is None):
-                yield "kinematics", msgspec.UNSET, "and frames belong together: describe both, or neither"
+                yield "kinematics", msgspec.UNSET, "and frames belong together: set both or none"
         elif is_usable(self.frames.input, self.frames.output):
             yield from field_faults("frames", self.frames.input.field, self.frames.output.field, self.kinematics)

@@ -44,11 +44,11 @@ def open_port(options: Options) -> tuple[int, str]:
     fd = open_locked(path, _how_to_permit(path, options))
     try:
         if not os.isatty(fd):
-            raise DeviceError(f"{path} is not a serial port: name a /dev/ttyACMN, or leave `path` out")
+            raise DeviceError(f"{path} is not a serial port: use a /dev/ttyACMN, or remove `path`")
         try:
             _set_raw(fd, options.baud)
         except (OSError, termios.error) as error:
-            raise DeviceError(f"{path} cannot be set to raw bytes: {error}: plug the device in again") from error
+            raise DeviceError(f"{path} cannot be set to raw mode: {error}: plug the device in again") from error
     except BaseException:
         os.close(fd)
         raise
@@ -100,12 +100,12 @@ def find_port(options: Options) -> str:
         if ambiguity is None:
             return matching[0].node
         raise DeviceNotFound(
-            f"{matching[0].node} may be the device or not: {ambiguity}: if it is the one, name its port with path = "
-            f'"{matching[0].node}" under [device] of the rig, or its serial number with serial'
+            f"{matching[0].node} may be another device: {ambiguity}: if it is the right one, set path = "
+            f'"{matching[0].node}" under [device] of the rig, or serial to its serial number'
         )
     if matching:
         choices = ", ".join(f"{port.node} (serial '{port.serial}')" for port in matching)
-        raise DeviceNotFound(f"{len(matching)} serial ports are {usb_ids}: name one with serial or path: {choices}")
+        raise DeviceNotFound(f"{len(matching)} serial ports are {usb_ids}: select one with serial or path: {choices}")
     if with_ids:
         serials = ", ".join(f"'{port.serial}'" for port in with_ids)
         raise DeviceNotFound(
@@ -114,10 +114,10 @@ def find_port(options: Options) -> str:
     ignored_ports = ", ".join(
         f"{describe_foreign_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports
     )
-    attached_text = f"attached are {ignored_ports}" if ports else "no serial port on USB is attached"
+    attached_text = f"attached are {ignored_ports}" if ports else "no USB serial port is attached"
     raise DeviceNotFound(
         f"no serial port {usb_ids} is attached: plug the device in and switch it on, correct vendor_id and product_id, "
-        f"or name its port with path; {attached_text}"
+        f"or set path to its port; {attached_text}"
     )
 
 
@@ -129,18 +129,20 @@ def _check_ids(path: str, options: Options) -> None:
     usb_ids = ids(options.vendor_id, options.product_id)
     if port is not None and port.ids != usb_ids:
         raise DeviceError(
-            f"{path} is the device {port.ids} ({port.name}), and the rig is for {usb_ids}: name the right port, or "
-            "leave `path` out"
+            f"{path} is the device {port.ids} ({port.name}), but the rig is for {usb_ids}: set path to the right "
+            "port, or remove it"
         )
     if port is not None and (product := describe_foreign_product(port)) is not None:
-        raise DeviceError(f"{path} is {product} ('{port.name}'), which uses another protocol: name the right port")
+        raise DeviceError(
+            f"{path} is {product} ('{port.name}'), which uses another protocol: set path to the right port"
+        )
 
 
 def _how_to_permit(path: str, options: Options) -> str:
     if (group := discovery.group_with_access(path)) is not None:
         return f"run `sudo usermod -aG {group} $USER`, and log in again"
     if options.vendor_id is None or options.product_id is None:
-        return "give your user the right to open it"
+        return "grant your user access to it"
     return how_to_permit(options.vendor_id, options.product_id)
 
 

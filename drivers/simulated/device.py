@@ -57,8 +57,8 @@ class Fields(NamedTuple):
     intention: Annotated[int, numbers("an `Intention`", _INTENTION_SIZE)]
     delay_line: Annotated[int, numbers("queued forces", DELAY_LINE_SIZE)]
     poses: Annotated[int, address("(n, 7) float64 of the recording")]
-    puck: Annotated[int, word("handle of the puck that leads the hand, 0 without one")]
-    hand: Annotated[int, word("handle of the hand that a program may lead")]
+    puck: Annotated[int, word("handle of the SpaceMouse that moves the hand, 0 without one")]
+    hand: Annotated[int, word("handle of the hand that a program may move")]
 
 
 AT: Final = lay_out(Fields, after=LOG)
@@ -191,7 +191,7 @@ class SimulatedDevice(LoggedDevice):
                 self._puck.close()
 
     def reason(self) -> str:
-        return f"its hand is led by {self._puck_name}" if self._puck_name else ""
+        return f"its hand is moved by {self._puck_name}" if self._puck_name else ""
 
     def hand(self) -> led_hand.HandWriter | None:
         return self._hand if self._puck is None else None

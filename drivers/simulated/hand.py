@@ -39,10 +39,10 @@ class Fields(NamedTuple):
 
     sequence: Annotated[int, numbers("counter of the seqlock", COUNTERS)]
     request: Annotated[int, numbers("of the writer", REQUEST_SIZE)]
-    copied: Annotated[int, numbers("the loop's copy, which may be torn", REQUEST_SIZE)]
-    received: Annotated[int, numbers("last complete copy of the loop", REQUEST_SIZE)]
-    turn: Annotated[int, numbers("orientation that the hand intends", 4)]
-    received_sequence: Annotated[int, word("counter of that copy, 0 before the first request")]
+    copied: Annotated[int, numbers("copy by the loop, possibly inconsistent", REQUEST_SIZE)]
+    received: Annotated[int, numbers("last consistent copy by the loop", REQUEST_SIZE)]
+    turn: Annotated[int, numbers("intended orientation of the hand", 4)]
+    received_sequence: Annotated[int, word("sequence number of that copy, 0 before the first request")]
 
 
 AT: Final = lay_out(Fields)

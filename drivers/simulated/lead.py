@@ -33,8 +33,7 @@ def hand_of(device: Device) -> LeadableHand:
     hand = device.hand()
     if hand is None:
         raise NoSimulatedHand(
-            f"no program leads the hand on {device.info.name}: it is a recording, a person or a puck; softfinger run "
-            "--rig simulated-hand has one"
+            f"{device.info.name} has no hand that a program can move: use softfinger run --rig simulated-hand"
         )
     return hand
 
@@ -67,7 +66,7 @@ def lead(device: Device, tool: Tool | None, offset: Vec3, requested: RequestedPo
         hand.release()
         return
     if requested.orientation is not None and info.sensed_dof < 6:
-        raise ConfigError(f"hand: {info.name} senses no rotation: leave orientation_wxyz out")
+        raise ConfigError(f"hand: {info.name} measures no orientation: remove orientation_wxyz")
     if requested.orientation is not None and not any(requested.orientation):
         raise ConfigError("hand: orientation_wxyz all zero is not an orientation: [1, 0, 0, 0] turns nothing")
     tip = requested.present_orientation if requested.orientation is None else normalize(requested.orientation)
@@ -76,7 +75,7 @@ def lead(device: Device, tool: Tool | None, offset: Vec3, requested: RequestedPo
     low, high = info.workspace_min_m, info.workspace_max_m
     if not all(a <= p <= b for a, p, b in zip(low, (x, y, z), high, strict=True)):
         raise ConfigError(
-            f"hand: position_m = {list(requested.position)} is out of reach of {info.name}, whose handle goes from "
-            f"{list(low)} to {list(high)} m"
+            f"hand: position_m = {list(requested.position)} is outside the workspace of {info.name}, {list(low)} to "
+            f"{list(high)} m"
         )
     hand.lead((x, y, z), None if requested.orientation is None else handle.orientation)

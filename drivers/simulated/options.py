@@ -51,7 +51,7 @@ class Hand(Table, frozen=True, kw_only=True):
 class Options(Table, frozen=True, kw_only=True):
     """Keys of a rig's [device] with `driver = "simulated"`; missing keys take the values of the preset."""
 
-    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], doc("device whose data are used", "omega.6")] = "omega.6"
+    preset: Annotated[Literal["omega.3", "omega.6", "falcon"], doc("device with these data", "omega.6")] = "omega.6"
     mass_kg: Annotated[tuple[Mass, Mass, Mass], doc("apparent mass along x, y, z")] | None = None
     damping_ns_per_m: Annotated[tuple[Damping, Damping, Damping], doc("viscous damping")] | None = None
     friction_n: Annotated[tuple[Friction, Friction, Friction], doc("Coulomb friction of the mechanism")] | None = None
@@ -68,18 +68,18 @@ class Options(Table, frozen=True, kw_only=True):
     position_m: Annotated[Point, doc("fixed position of the hand instead")] | None = None
     sway_m: Annotated[Point, doc("amplitude of a sinusoid about it")] = (0.0, 0.0, 0.0)
     sway_hz: Annotated[float, within(limits.MOTION_FREQUENCY_HZ, "cycles per second of the sinusoid")] = 0.0
-    sway_phase_rad: Annotated[float, within(limits.ANGLE_RAD, "where in its cycle it starts")] = 0.0
+    sway_phase_rad: Annotated[float, within(limits.ANGLE_RAD, "initial phase of the sinusoid")] = 0.0
     puck: Annotated[PuckOptions, doc("a SpaceMouse moves the intended position instead")] | None = None
     forces: Annotated[str, doc("file (.csv or .npz) for the wrenches written, saved on close")] | None = None
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.recording, self.position_m) and self.recording is not None and self.position_m is not None:
-            yield "position_m", self.position_m, "the hand follows a recording: leave one of the two out"
+            yield "position_m", self.position_m, "the hand follows a recording: remove one of the two"
         if not is_usable(self.puck) or self.puck is None:
             return
         for key in ("recording", "position_m"):
             if is_usable(getattr(self, key)) and getattr(self, key) is not None:
-                yield key, getattr(self, key), "the hand follows the puck: leave one of the two out"
+                yield key, getattr(self, key), "the hand follows the SpaceMouse: remove one of the two"
 
 
 class Simulation(NamedTuple):
@@ -125,7 +125,7 @@ def _make_poses(options: Options, preset: Preset, rate_hz: float) -> Array:
     fixed_position = options.position_m if options.puck is None else options.puck.start_m
     if fixed_position is not None:
         return np.array([[*fixed_position, 1.0, 0.0, 0.0, 0.0]])
-    samples = resample(load_poses(options.recording or RECORDING), rate_hz)
+    samples = resample(load_poses(RECORDING if options.recording is None else options.recording), rate_hz)
     poses = close_loop(samples, rate_hz) if options.loop else samples
     if preset.sensed_dof < 6:
         poses[:, 3:] = 1.0, 0.0, 0.0, 0.0

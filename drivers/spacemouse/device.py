@@ -74,12 +74,12 @@ class Fields(NamedTuple):
     """Fields of a puck, after the fields of the log."""
 
     reports: Annotated[int, counter("reports received")]
-    foreign: Annotated[int, counter("of these, of other kinds (such as the battery of a wireless puck)")]
-    fd: Annotated[int, word("file descriptor of its node, below 0 once it is closed")]
-    sampled_at: Annotated[int, word("ns, when it last reported its deflection")]
-    moved_at: Annotated[int, word("ns, up to when the fingertip has been moved")]
-    hold: Annotated[int, word("ns without a report after which it counts as let go")]
-    timespec: Annotated[int, numbers("for the clock", TIMESPEC_WORDS)]
+    foreign: Annotated[int, counter("reports of other kinds, such as the battery of a wireless device")]
+    fd: Annotated[int, word("file descriptor of the node, below 0 once it is closed")]
+    sampled_at: Annotated[int, word("time of the last reported deflection, ns")]
+    moved_at: Annotated[int, word("time up to which the motion of the fingertip is computed, ns")]
+    hold: Annotated[int, word("time without a report after which the puck counts as released, ns")]
+    timespec: Annotated[int, numbers("struct timespec of the clock", TIMESPEC_WORDS)]
     setup: Annotated[int, numbers("a `PuckParameters`", SETUP_SIZE)]
     state: Annotated[int, numbers("pose of the fingertip, see POSITION and the next indices", STATE_SIZE)]
     buffer: Annotated[int, raw_bytes("a report", REPORT_MAX)]
@@ -264,7 +264,7 @@ def find(options: Options) -> SystemDevice:
         return matching[0]
     if matching:
         choices = ", ".join(f"{node.node} (serial '{node.serial}')" for node in matching)
-        raise DeviceNotFound(f"{len(matching)} pucks are attached: name one with serial or path: {choices}")
+        raise DeviceNotFound(f"{len(matching)} SpaceMice are attached: select one with serial or path: {choices}")
     present = ", ".join(map(str, pucks or nodes)) or "no HID device"
     condition = f" with serial = '{options.serial}'" if options.serial is not None else ""
     raise DeviceNotFound(f"no SpaceMouse{condition} is attached: plug it in; attached are: {present}")

@@ -19,7 +19,7 @@ from softfinger.proxy.kernels.numerics.rotations import exp, multiply, normalize
 DEADBAND: Final = Range(0.0, 300.0, "an axis ends at 350 counts")
 GAIN_M_PER_S: Final = Range(0.0, 3e-3, "1 m/s at full deflection")
 GAIN_RAD_PER_S: Final = Range(0.0, 3e-2, "10 rad/s at full deflection")
-HOLD_S: Final = Range(0.05, 3600.0, "reports come every few hundredths of a second while the puck is moved")
+HOLD_S: Final = Range(0.05, 3600.0, "reports arrive every few hundredths of a second while the puck is moved")
 
 TRANSLATION: Final = 1
 ROTATION: Final = 2
@@ -34,18 +34,18 @@ class Options(Table, frozen=True, kw_only=True):
     """Keys of a puck: `[device]` of `driver = "spacemouse"`, or the `puck` of a simulated device."""
 
     path: Annotated[str, doc("node, in place of looking for one", "/dev/hidraw0")] | None = None
-    serial: Annotated[str, doc("serial number, where several are attached", "SN42")] | None = None
+    serial: Annotated[str, doc("serial number, if several are attached", "SN42")] | None = None
     deadband: Annotated[float, within(DEADBAND, "counts that move nothing, of 350", 15.0)] = 15.0
     gain_m_per_s: Annotated[float, within(GAIN_M_PER_S, "speed per count above the deadband", 2e-4)] = 2e-4
     gain_rad_per_s: Annotated[float, within(GAIN_RAD_PER_S, "turning speed per count above it", 3e-3)] = 3e-3
     invert: Annotated[
-        tuple[bool, bool, bool, bool, bool, bool], doc("axes to turn round: x, y, z, about x, about y, about z")
+        tuple[bool, bool, bool, bool, bool, bool], doc("axes to invert: x, y, z, about x, about y, about z")
     ] = (False, False, False, False, False, False)
     start_m: Annotated[Point, doc("initial position of the fingertip", [0.0, 0.0, 0.03])] = (0.0, 0.0, 0.03)
     workspace_min_m: Annotated[Point, doc("lower corner of its box", [-0.1, -0.1, -0.1])] = (-0.1, -0.1, -0.1)
     workspace_max_m: Annotated[Point, doc("upper corner", [0.1, 0.1, 0.1])] = (0.1, 0.1, 0.1)
-    hold_s: Annotated[float, within(HOLD_S, "after so long without a report the puck counts as let go", 2.0)] = 2.0
-    led: Annotated[bool, doc("light the puck while it is in use", True)] = True
+    hold_s: Annotated[float, within(HOLD_S, "time without a report after which the puck counts as released", 2.0)] = 2.0
+    led: Annotated[bool, doc("switch on its light while it is in use", True)] = True
 
     def faults(self) -> Iterator[Complaint]:
         if not is_usable(self.start_m, self.workspace_min_m, self.workspace_max_m):
@@ -56,7 +56,7 @@ class Options(Table, frozen=True, kw_only=True):
             not low <= at <= high
             for low, at, high in zip(self.workspace_min_m, self.start_m, self.workspace_max_m, strict=True)
         ):
-            yield "start_m", self.start_m, "is outside of the workspace: begin in it"
+            yield "start_m", self.start_m, "is outside of the workspace: choose a position inside"
 
 
 class PuckParameters(NamedTuple):

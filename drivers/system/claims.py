@@ -113,7 +113,7 @@ def explain_ambiguity(device: SystemDevice) -> str | None:
     if (device.vendor, device.product) != TEENSY_SERIAL or describe_foreign_product(device) is not None:
         return None
     product_text = "it names no product" if device.name == NO_PRODUCT else f"its product is '{device.name}'"
-    return f"{product_text}, and {device.ids} is any Teensy with a serial port, with any firmware"
+    return f"{product_text}, and {device.ids} matches any Teensy with a serial port, with any firmware"
 
 
 def _has_reports(device: SystemDevice, claim: Claim) -> bool:

@@ -42,7 +42,7 @@ def parse_descriptor(descriptor: bytes) -> ReportLengths:
         length = (0, 1, 2, 4)[prefix & 3]
         data = descriptor[at + 1 : at + 1 + length]
         if len(data) != length:
-            raise ValueError(f"item 0x{prefix:02x} at byte {at} of {len(descriptor)} is cut off")
+            raise ValueError(f"item 0x{prefix:02x} at byte {at} of {len(descriptor)} is truncated")
         value, tag = int.from_bytes(data, "little"), prefix & 0xFC
         if tag in _MAIN:
             lengths = bits[_MAIN[tag]]

@@ -42,34 +42,37 @@ def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None
     """
     if claim is None:
         if (foreign_product := describe_foreign_product(device)) is not None:
-            return Diagnosis("unclaimed", f"it is {foreign_product}, which no driver knows")
+            return Diagnosis("unclaimed", f"it is {foreign_product}, which no driver supports")
         if device.bus == "hid" and claims_by_ids(device):
             return Diagnosis(
-                "unclaimed", "its reports are of no rig with these ids: another channel of a board, or another firmware"
+                "unclaimed",
+                "no rig with these ids has its reports: it may be another channel of a board, or have other firmware",
             )
         if device.bus == "hid":
             return Diagnosis(
-                "unclaimed", "no driver knows it", "if it is a haptic device, describe it: docs/devices/hid.md"
+                "unclaimed", "no driver knows it", "if it is a haptic device, describe its reports: docs/devices/hid.md"
             )
         if device.bus == "serial":
             return Diagnosis(
                 "unclaimed",
-                "no driver knows it by its ids",
+                "no driver supports its ids",
                 "if it is a Hapkit, a Haply 2DIY or another board, set this port: docs/devices/serial.md",
             )
         return Diagnosis("unclaimed", "no driver knows it")
     if claim.driver not in registry.names():
-        return Diagnosis("driver", f"its driver '{claim.driver}' is not in this installation")
+        return Diagnosis("driver", f"its driver '{claim.driver}' is not installed")
     if claim.driver == "haply":  # the service has the port open all the time
         return diagnose_requirements(claim, options_for(claim, rig))
     has_no_node = device.bus == "usb" and claim.bus in MODULES
     if has_no_node and claim.driver != "hid":
         node, module = MODULES[claim.bus]
-        return Diagnosis("node", f"the system gives it no {node}", f"sudo modprobe {module}, and plug it in again")
+        return Diagnosis(
+            "node", f"the system provides no {node} for it", f"sudo modprobe {module}, and plug it in again"
+        )
     if not os.path.exists(device.node):
         return Diagnosis(
             "node",
-            f"{device.node or 'its node'} is not there, as in a container that was not given it",
+            f"{device.node or 'its node'} does not exist; in a container it must be passed on",
             f"docker run --device {device.node or '/dev/bus/usb'} ..., or run outside of the container",
         )
     if not discovery.is_permitted(device.node):
@@ -77,12 +80,16 @@ def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None
     if (holder := discovery.holder(device.node)) is not None:
         return Diagnosis("busy", f"{device.node} is used by {holder}", f"kill {holder.pid}")
     if has_no_node:
-        return Diagnosis("usable", "the system gives it no hidraw node, so threads carry its reports over libusb")
+        return Diagnosis(
+            "usable", "the system provides no hidraw node for it, so threads transfer its reports through libusb"
+        )
     options = options_for(claim, rig)
     is_named = options.get("path") == device.node or options.get("serial") == device.serial != ""
     if not is_named and (why := explain_ambiguity(device)) is not None:
-        ask = "; a Haply device may be listed like this: softfinger devices --ask --rig haply-inverse3 asks its service"
-        return Diagnosis("product", why, f'if it is the one: path = "{device.node}" under [device] of the rig{ask}')
+        ask = "; a Haply device may appear so: softfinger devices --ask --rig haply-inverse3 queries its service"
+        return Diagnosis(
+            "product", why, f'if it is the right one: path = "{device.node}" under [device] of the rig{ask}'
+        )
     return diagnose_requirements(claim, options)
 
 
@@ -115,10 +122,10 @@ def diagnose_requirements(
             return Diagnosis("service", str(error), dial.START)
     loaded = answers is not None and answers.get("firmware", False)
     if claim.driver == "falcon" and not loaded and not os.path.isfile(firmware := options.get("firmware", "")):
-        is_named = f"'{firmware}' is not a file" if firmware else "no rig named one (--rig)"
+        is_named = f"'{firmware}' is not a file" if firmware else "no rig sets one (--rig)"
         return Diagnosis(
             "firmware",
-            f"it needs its firmware after every power-up, which does not come with this program, and {is_named}",
+            f"it needs its firmware after every power-up, which is not part of this program; {is_named}",
             'firmware = "/path/to/firmware.bin" under [device] of the rig',
         )
     return Diagnosis("usable")

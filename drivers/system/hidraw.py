@@ -52,13 +52,13 @@ def _check_device(fd: int, path: str, wanted_vendor: int, wanted_product: int) -
     info = bytearray(8)
     try:
         if not stat.S_ISCHR(os.fstat(fd).st_mode):
-            raise DeviceError(f"{path} is not a device node: name a /dev/hidrawN, or leave `path` out")
+            raise DeviceError(f"{path} is not a device node: use a /dev/hidrawN, or remove `path`")
         fcntl.ioctl(fd, _GET_INFO, info)
     except OSError as error:
-        raise DeviceError(f"{path} is not a hidraw node: {error.strerror}: name a /dev/hidrawN") from error
+        raise DeviceError(f"{path} is not a hidraw node: {error.strerror}: use a /dev/hidrawN") from error
     _, vendor, product = struct.unpack("<IHH", info)
     if (vendor, product) != (wanted_vendor, wanted_product):
         raise DeviceError(
-            f"{path} is the device {ids(vendor, product)}, and the rig is for "
-            f"{ids(wanted_vendor, wanted_product)}: name the right node, or leave `path` out"
+            f"{path} is the device {ids(vendor, product)}, but the rig is for "
+            f"{ids(wanted_vendor, wanted_product)}: set path to the right node, or remove it"
         )

@@ -12,7 +12,7 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceError
 
 SONAME: Final = "libusb-1.0.so.0"
-MISSING: Final = "libusb is not installed or cannot be loaded, and USB devices are reached through it"
+MISSING: Final = "libusb, which is needed for USB devices, is not installed or cannot be loaded"
 REMEDY: Final = "pip install --force-reinstall libusb-package, or apt install libusb-1.0-0"
 
 

@@ -42,7 +42,7 @@ def load(library: MakersLibrary, file: str | None, patterns: Sequence[Path], not
     if file is not None:
         path = expand_home(file)
         if not os.path.isfile(path):  # also if this user may not read the folder
-            raise DeviceNotFound(f"library_file = '{file}': there is no such file; {library.advice}")
+            raise DeviceNotFound(f"library_file = '{file}': the file does not exist; {library.advice}")
         return _open(library, str(path))
     for pattern in patterns:
         # The longest name contains the full version; the latest version sorts last.
@@ -54,7 +54,7 @@ def load(library: MakersLibrary, file: str | None, patterns: Sequence[Path], not
         except OSError:
             continue
     searched = ", ".join([*map(str, patterns), *(f"{name} by the loader" for name in library.sonames)])
-    raise DeviceNotFound(f"{library.name} is not on this machine: searched for {searched}{note}; {library.advice}")
+    raise DeviceNotFound(f"{library.name} was not found: searched for {searched}{note}; {library.advice}")
 
 
 def address(library: ctypes.CDLL, name: str) -> int:
@@ -74,6 +74,6 @@ def _declare_prototypes(library: MakersLibrary, loaded: ctypes.CDLL, path: str) 
         try:
             function = getattr(loaded, name)
         except AttributeError:
-            raise DeviceError(f"{path} has no function {name}: take {library.version}") from None
+            raise DeviceError(f"{path} has no function {name}: install {library.version}") from None
         function.restype, function.argtypes = result, list(parameters)
     return loaded

@@ -32,7 +32,7 @@ def open_locked(path: str, permit: str) -> int:
 def _open_error(path: str, permit: str, error: OSError) -> DeviceError:
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or leave `path` out")
+        return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or remove `path`")
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(f"{path} may not be opened by this user: {reason}: {permit}")
     if error.errno == errno.EBUSY:

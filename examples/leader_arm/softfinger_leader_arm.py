@@ -89,7 +89,7 @@ class Options(Table, frozen=True, kw_only=True):
     torque_max_nm: Annotated[float, within(_NUMBER, "largest torque of that joint", 0.2)] = 0.2
     mounting: Mounting = Mounting()
     force_max_n: Annotated[float, within(_NUMBER, "most that it displays", 1.0)] = 1.0
-    stiffness_max_n_per_m: Annotated[float, within(STIFFNESS_N_PER_M, "most that it renders stably", 50.0)] = 50.0
+    stiffness_max_n_per_m: Annotated[float, within(STIFFNESS_N_PER_M, "largest value rendered stably", 50.0)] = 50.0
     damping_max_ns_per_m: Annotated[float, within(DAMPING_NS_PER_M, "the same of damping", 0.5)] = 0.5
     workspace_radius_m: Annotated[float, within(Range(0.01, 2.0, "of arms on a table"), "about the origin", 0.4)] = 0.4
     quiet_s: Annotated[float, within(Range(0.01, 0.2, "of the bus"), "zero after so long without a pose", 0.05)] = 0.05
@@ -267,13 +267,13 @@ class LeaderArm(Device):
                 f"{self.info.name}: {error}: check path, baud, ids of [[device.joint]] and the supply of the servos"
             ) from error
         except OSError as error:
-            raise DeviceLost(f"{self.info.name}: the port is gone: {error}: plug it in again") from error
+            raise DeviceLost(f"{self.info.name}: the port was removed: {error}: plug it in again") from error
 
     def _read_pose(self) -> None:
         try:
             counts = self._bus.read(self._bus.position, list(self._servo_of.values()))
         except OSError as error:
-            raise DeviceLost(f"{self.info.name}: the port is gone: {error}: plug it in again") from error
+            raise DeviceLost(f"{self.info.name}: the port was removed: {error}: plug it in again") from error
         angles = {
             joint.name: (-1 if joint.reversed else 1) * (count - joint.zero) * math.tau / COUNTS_PER_TURN
             for joint, count in zip(self._options.joint, counts, strict=True)

@@ -147,7 +147,7 @@ def volume_of(obj: schema.Mesh, resolution_m: float) -> Volume:
     vertices, triangles = arrays_of(obj.file, read_bytes(obj.file))
     mended = mend(Arrays(vertices * obj.scale, triangles), obj.file.lower().endswith(".stl"))
     if not mended.watertight:
-        raise ValueError(f"the mesh is open at {mended.open_edges} edges: close it, or leave out [object.elastic]")
+        raise ValueError(f"the mesh is open at {mended.open_edges} edges: close it, or remove [object.elastic]")
     return fill(mended.arrays.vertices, mended.arrays.triangles.astype(np.int64), resolution_m)
 
 

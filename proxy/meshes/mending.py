@@ -116,13 +116,13 @@ def _check_size(vertices: Vertices) -> None:
     size, reach = _size(vertices), max(map(abs, low + high))
     if not limits.MESH_SIZE_M.low <= size <= limits.MESH_SIZE_M.high:
         raise ValueError(
-            f"is {size:g} m in size, must be {limits.MESH_SIZE_M.low:g} to {limits.MESH_SIZE_M.high:g}: `scale` is how "
-            "many metres a unit of the file has, 0.001 for millimetres"
+            f"is {size:g} m in size, must be {limits.MESH_SIZE_M.low:g} to {limits.MESH_SIZE_M.high:g}: set `scale` "
+            "to the metres per unit of the file, 0.001 for millimetres"
         )
     if reach > limits.COORDINATE_M.high:
         raise ValueError(
-            f"has a coordinate of {reach:g} m, at most {limits.COORDINATE_M.high:g} is allowed: move it to its "
-            "origin, and place it by position_m"
+            f"has a coordinate of {reach:g} m, at most {limits.COORDINATE_M.high:g} is allowed: move it to the "
+            "origin, and use position_m"
         )
 
 

@@ -85,7 +85,7 @@ def _kind(path: str | Path) -> str:
 def _check(faces: Faces) -> None:
     points, corners, counts, promised = faces
     if len(counts) != promised:
-        raise ValueError(f"promises {promised:,} faces, and has {len(counts):,}: it is truncated or damaged")
+        raise ValueError(f"declares {promised:,} faces, but has {len(counts):,}: it is truncated or damaged")
     if len(counts) == 0:
         raise ValueError("has no triangles: it is damaged or has only points: mesh them first")
     triangles = int(np.maximum(counts - 2, counts > 0).sum())
@@ -94,7 +94,7 @@ def _check(faces: Faces) -> None:
     if not (corners.min(initial=0) >= 0 and corners.max(initial=0) < len(points)):
         bad = int(((corners < 0) | (corners >= len(points))).argmax())
         face = int(np.searchsorted(np.cumsum(counts), bad, side="right"))
-        raise ValueError(f"face {face} has the corner {corners[bad]}, and there are vertices 0 to {len(points) - 1}")
+        raise ValueError(f"face {face} has the corner {corners[bad]}, but there are vertices 0 to {len(points) - 1}")
     if not np.isfinite(points).all():
         bad = int(np.isfinite(points).all(axis=1).argmin())
         x, y, z = points[bad]

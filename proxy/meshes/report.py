@@ -55,15 +55,13 @@ class MeshReport:
         why, remedy = "it is not watertight", "correct the faults in the notes"
         if self.open_edges:
             why, remedy = f"it has {self.open_edges:,} open edges", "close its holes"
-        return (
-            f"inside = true does nothing here: {why}, so it is felt from the side on which the hand starts; or {remedy}"
-        )
+        return f"inside = true has no effect: {why}, so the side on which the hand starts is touched: {remedy}"
 
     def _surface(self) -> str:
         if self.watertight:
             return f"watertight, {self.volume_m3:.4g} m^3"
         if self.open_edges:
-            return f"open, {self.open_edges:,} edges of one triangle: felt from both sides, as a sheet"
+            return f"open, {self.open_edges:,} edges of one triangle: touched from both sides, as a sheet"
         return "closed, but not watertight: see the notes"
 
 
@@ -87,7 +85,7 @@ def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
     else:
         advice = "give "
         advice += ", or ".join(f"scale = {scale * factor:g} ({unit}, {size * factor:.3g} m)" for unit, factor in units)
-    return (f"it is {size:.3g} m in size: if that is not meant, {advice}",)
+    return (f"it is {size:.3g} m in size: if that is not intended, {advice}",)
 
 
 def report_of(mended: RepairedMesh, loose: bool, scale: float | None) -> MeshReport:
@@ -97,17 +95,17 @@ def report_of(mended: RepairedMesh, loose: bool, scale: float | None) -> MeshRep
     tolerance = f" within {MERGED_WITHIN:g} of its size" if loose else ""
     repairs = [
         (mended.merged, f"vertices merged that coincide{tolerance}"),
-        (mended.unused, "vertices dropped that no triangle has"),
-        (mended.degenerate, "triangles dropped that have no area"),
-        (mended.duplicate, "triangles dropped that were there already"),
+        (mended.unused, "unused vertices removed"),
+        (mended.degenerate, "triangles without area removed"),
+        (mended.duplicate, "duplicate triangles removed"),
         (winding.alike, "triangles flipped because they were wound opposite to their neighbours"),
         (winding.outward, "triangles flipped because their body was wound inward"),
     ]
     faults = [
         (mended.open_edges, "edges of one triangle, at holes or the border of a sheet"),
         (mended.crowded_edges, "edges of more than two triangles"),
-        (winding.one_sided, "bodies with one side only, as a Moebius strip, where no winding is right"),
-        (winding.hollows, "bodies wound inward within another, taken for the walls of hollows"),
+        (winding.one_sided, "bodies with a single side, such as a Moebius strip, which have no consistent winding"),
+        (winding.hollows, "bodies wound inward within another, treated as walls of hollows"),
     ]
     return MeshReport(
         triangles=len(triangles),

@@ -39,7 +39,7 @@ class Server:
             )
         except Exception as error:  # a FoxgloveError, which is not a separate class
             raise AddressInUse(
-                f"Foxglove's server cannot listen on port {port}: {error}: --port 0 takes a free one"
+                f"Foxglove's server cannot listen on port {port}: {error}: --port 0 selects a free one"
             ) from error
 
     @property

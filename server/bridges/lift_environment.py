@@ -84,7 +84,7 @@ class Lift(LedHands):
         self.fingers: Final = tuple(finger.name for finger in self.config.fingers)
         bodies: Any = self._loop.scene.bodies
         if bodies is None:
-            raise ConfigError("the scene has no [world]: this environment needs a body that moves by itself")
+            raise ConfigError("the scene has no [world]: this environment needs a body that MuJoCo moves")
         self.world: Final = bodies.block.owner
         self._body = self.world.moving[0]
         position_space, force = box_space(POSITION_BOUND_M, 3), self._guard.force_max_n * (1.0 + 1e-9)

@@ -48,7 +48,7 @@ def stream(save: Path | None = None, connect: str | None = None) -> Any:
             stream.spawn()
     except RuntimeError as error:
         option = f"--save {save}" if save else f"--connect {connect}" if connect else "its viewer cannot be started"
-        raise ConfigError(f"{option}: Rerun says: {error}") from error
+        raise ConfigError(f"{option}: Rerun reports: {error}") from error
     return stream
 
 

@@ -60,7 +60,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
     counted = [row for row in rows if is_counted(row)]
     excluded = find_excluded_participants(experiment, rows)
     if not counted:
-        raise ConfigError("no trial beyond practice has been answered: nothing to draw yet")
+        raise ConfigError("no trial after the practice has an answer yet: nothing to plot")
     participants = sorted({row["participant"] for row in counted})
     if len(participants) > max(1, len(excluded)):
         participants.append(ALL_PARTICIPANTS)
@@ -103,7 +103,7 @@ def find_excluded_participants(experiment: ExperimentFile, rows: Sequence[Entry]
         return {}
     limit = experiment.catch.min_right
     return {
-        participant: f"{right} of {count} catch trials right, fewer than {limit:.0%}"
+        participant: f"{right} of {count} catch trials correct, fewer than {limit:.0%}"
         for participant, (right, count) in catch_shares(rows).items()
         if right < limit * count
     }
@@ -187,7 +187,7 @@ def mean_columns(rows: Sequence[Entry]) -> dict[str, tuple[float, float]]:
 
 def format_fit(result: Fit | PowerLaw) -> str:
     if isinstance(result, Fit):
-        unbounded = ", not bounded by the answers: take other levels or more trials" if result.bounded else ""
+        unbounded = ", not bounded by the answers: use other levels or more trials" if result.bounded else ""
         return f"threshold {format_interval(result.threshold, result.threshold_95)}{unbounded}"
     answer = f"answer {format_interval(result.answer, result.answer_95)} at {result.middle:.3g}"
     return (

@@ -107,13 +107,16 @@ class Participant:
 
     def pause(self, completed: int, total: int) -> None:
         progress_text = f"{completed} of {total} trials are done."
-        prompt = Prompt("A break", f"{progress_text} Go on when you are ready.", completed, total, (CONTINUE,))
+        prompt = Prompt("A break", f"{progress_text} Continue when you are ready.", completed, total, (CONTINUE,))
         self._ask(prompt, f"{progress_text} A break: Press Enter or a button to continue.")
 
     def end(self) -> None:
         """Show the debriefing until the participant has read it, and then that the session is over."""
         if text := self._experiment.debriefing:
-            self._ask(Prompt(self._experiment.title, text, choices=(CONTINUE,)), f"{text} Enter or a button goes on.")
+            self._ask(
+                Prompt(self._experiment.title, text, choices=(CONTINUE,)),
+                f"{text} Press Enter or a button to continue.",
+            )
         self._show(Prompt(self._experiment.title, END))
 
     def _prompt(self, text: str, **options: Any) -> Prompt:
@@ -142,7 +145,7 @@ class Participant:
                     self._last_key_s = time.monotonic()
                     self._send_answer(value, number)
         if prompted.number != number or prompted.answer is None:
-            raise ConfigError("another program has replaced the question by its own prompt: end that program first")
+            raise ConfigError("another program has replaced the question by its own prompt: end it first")
         return Response(prompted.answer, prompted.after_s)
 
     def _wait_for_release(self, keys: Callable[[], str]) -> None:

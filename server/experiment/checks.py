@@ -14,6 +14,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import FaultyConfig, apply_overrides, attempt, build_changed, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
+from softfinger.config.schema.pairing import pair
 from softfinger.config.words import format_value, near
 from softfinger.server.experiment.files import level_extremes, read, read_image, read_survey, resolve_source
 from softfinger.server.experiment.parameters import check_motors, load_changed_scene, split_rig
@@ -85,7 +86,9 @@ class _Checks:
         for factor in experiment.factor if is_usable(experiment.factor) else ():
             names += factor.scenes.values() if is_usable(factor) and is_usable(factor.scenes) else []
         for name in dict.fromkeys(names):
-            self._scenes[name] = self._part(load_scene, name, part_faults)
+            self._scenes[name] = scene = self._part(load_scene, name, part_faults)
+            if scene is not None and self._rig is not None:
+                attempt(partial(pair, scene, self._rig), self._faults)
         if self._are_sound("screen"):
             images = [experiment.screen.image, *(values.get("image") for values in experiment.screen.by.values())]
             for image in dict.fromkeys(image for image in images if image and isinstance(image, str)):
@@ -157,7 +160,7 @@ def _answer_faults(experiment: ExperimentFile) -> Iterator[str]:
         questions |= {CONSENT: consent_question(experiment)}
     observer = experiment.observer
     everywhere = [observer.answers, *(values.get("answers", {}) for values in observer.by.values())]
-    for name, answer in (pair for answers in everywhere if isinstance(answers, Mapping) for pair in answers.items()):
+    for name, answer in (item for answers in everywhere if isinstance(answers, Mapping) for item in answers.items()):
         location = f"observer.answers.{name} = {format_value(answer)}"
         if name not in questions:
             yield f"{location}: no survey has this question{near(name, list(questions))}"

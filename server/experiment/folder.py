@@ -94,7 +94,7 @@ class ParticipantFolder:
         for journal in sorted(self.root.glob(JOURNAL)):
             if any(entry["kind"] == "started" and entry["dry_run"] != dry_run for entry in read(journal)):
                 kind = "participants" if dry_run else "the simulated observer (--dry-run)"
-                raise ConfigError(f"{journal}: has answers of {kind}: give another folder, --out FOLDER")
+                raise ConfigError(f"{journal}: has answers of {kind}: use another folder, --out FOLDER")
 
     def add_run(self, files: Mapping[str, Any]) -> int:
         """Write the files of a new start, by name, and return its number."""
@@ -143,7 +143,7 @@ def _check_same(path: Path, text: bytes) -> None:
     if path.exists() and path.read_bytes() != text and not _is_same_experiment(path, text):
         raise ConfigError(
             f"{path}: belongs to an experiment with other values{_different_keys(path, text)}: name another folder "
-            "(--out), or run the experiment as it was"
+            "(--out), or run the experiment with its earlier values"
         )
 
 
@@ -199,7 +199,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def _write_new(path: Path, data: bytes) -> None:
     """Write a new file atomically. Raises ConfigError if it exists."""
     if path.exists():
-        raise ConfigError(f"{path}: already exists, and data of a participant is not overwritten: move it away")
+        raise ConfigError(f"{path}: already exists, and data of participants is never overwritten: move it away")
     _write(path, data)
 
 
@@ -230,6 +230,6 @@ def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
     except (OSError, msgspec.DecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(
-            f"{path}: cannot be read: {reason}: was this folder written by `softfinger experiment`?"
+            f"{path}: cannot be read: {reason}: check that `softfinger experiment` wrote this folder"
         ) from error
     return build(ExperimentFile, values, str(path)), read_trials(sorted(root.glob(JOURNAL)))

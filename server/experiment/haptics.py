@@ -34,8 +34,8 @@ HEARTBEAT_S: Final = 0.1
 DISK_TIMEOUT_S: Final = 30.0
 """Timeout for writing the ticks of a touch to disk; shorter than the time that the recorder can buffer in memory."""
 REPEAT_REMEDY: Final = (
-    ": the force is off, and no answer before is lost: make room on the disk and repeat the command, which presents "
-    "this trial again"
+    ": the force is off, and all earlier answers are stored: make room on the disk and repeat the command, which "
+    "presents this trial again"
 )
 """Remedy if the recording lacks the ticks of a trial."""
 

@@ -114,5 +114,5 @@ def _sync_folder(folder: Path) -> None:
 def make_write_error(path: Path, error: OSError) -> ConfigError:
     """Return the error for a file of a session that the disk did not accept."""
     return ConfigError(
-        f"{path}: cannot be written: {error.strerror}: no answer before is lost; mend that and repeat the command"
+        f"{path}: cannot be written: {error.strerror}: earlier answers are stored; correct it and repeat the command"
     )

@@ -34,8 +34,8 @@ def split_rig(values: Mapping[str, Any], where: str) -> tuple[dict[str, Any], di
     Raises ConfigError if a value of the rig needs a restart of the daemon.
     """
     faults = [
-        f"{where}: {path}: needs another start of the daemon, so it is not a factor: run a session with --rig for "
-        f"each of its levels; of the rig there are {', '.join(sorted(CHANGEABLE_KEYS))}"
+        f"{where}: {path}: cannot change in a running daemon, so it cannot be a factor: run a session with "
+        f"--rig for each of its levels; of the rig there are {', '.join(sorted(CHANGEABLE_KEYS))}"
         for path in values
         if (path.startswith(RIG_PREFIX) or path.partition(".")[0] in _TABLES) and path not in CHANGEABLE_KEYS
     ]
@@ -55,7 +55,7 @@ def check_motors(guard: Guard, rig_values: Mapping[str, Any], where: str) -> Non
         if value is None or value > limit:
             faults.append(
                 f"{where}: {RIG_PREFIX}guard.{key} = {value}: the rig's {limit:g} is the limit of its motors: "
-                f"give at most that"
+                f"use at most that"
             )
     if faults:
         raise FaultyConfig(faults)
@@ -73,7 +73,7 @@ def check_device_limits(values: Iterable[tuple[str, Mapping[str, Any]]], devices
                 if value > limit:
                     raise ConfigError(
                         f"{where}: {RIG_PREFIX}guard.{key} = {value:g} {unit}: {device.name} displays "
-                        f"{limit:g} {unit}, and more is not let through: give no more than that"
+                        f"{limit:g} {unit}, and more is not sent: use at most that"
                     )
 
 

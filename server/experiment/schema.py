@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -35,7 +36,10 @@ class Trial(Table, frozen=True, kw_only=True):
     gap_s: Annotated[float, within(SECONDS, "pause without force before each touch, at least", 0.2)] = 0.2
     start_m: Annotated[
         Point | None,
-        doc("where a hand that can be led and has no motion waits; default: it is not led", [0.0, 0.0, 0.02]),
+        doc(
+            "position of a hand that can be moved, without a motion, between touches; default: it is not moved",
+            [0.0, 0.0, 0.02],
+        ),
     ] = None
 
 
@@ -46,9 +50,9 @@ class Observer(Table, frozen=True, kw_only=True):
     or a duration is scale level^exponent exp(noise n), n standard normal (Stevens 1957).
     """
 
-    threshold: Annotated[Positive, doc("compare: level at which 82 % are right, but for lapses", 0.15)] = 0.15
+    threshold: Annotated[Positive, doc("compare: level at which 82 % are correct, without lapses", 0.15)] = 0.15
     slope: Annotated[float, within(Range(0.3, 20.0, ""), "compare: slope of the Weibull function", 2.0)] = 2.0
-    lapse: Annotated[float, within(SHARE, "compare: share of wrong answers however large the level", 0.02)] = 0.02
+    lapse: Annotated[float, within(SHARE, "compare: fraction of wrong answers at any level", 0.02)] = 0.02
     scale: Annotated[Positive, doc("rate, trace: answer at level 1", 10.0)] = 10.0
     exponent: Annotated[float, within(Range(-5.0, 5.0, ""), "rate, trace: exponent", 0.8)] = 1.0
     noise: Annotated[float, within(Range(1e-3, 2.0, ""), "rate, trace: standard deviation of the logarithm", 0.2)] = 0.2
@@ -76,7 +80,7 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         str, sized(Range(1, 4096, ""), "rig: a shipped name, or a file in the folder of this one", "omega-6")
     ] = "simulated-hand"
     instructions: Annotated[str, sized(TEXT, "first text that the participant reads")] = ""
-    consent: Annotated[str, sized(TEXT, "text that the participant has to agree to before the session")] = ""
+    consent: Annotated[str, sized(TEXT, "text for the consent of the participant before the session")] = ""
     debriefing: Annotated[str, sized(TEXT, "text at the end of the session")] = ""
     overrides: Annotated[dict[str, Any], doc("parameters of the scene, or rig.guard.KEY, for all trials")] = (
         msgspec.field(default_factory=dict)
@@ -88,11 +92,11 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
     trial: Trial = Trial()
     motion: Annotated[
         dict[str, tuple[Waypoint, ...]],
-        doc("path of a led hand in a touch, t x y z, by finger; `fingertip` if there is only one"),
+        doc("path of the hand during a touch, t x y z, by finger; `fingertip` if there is only one"),
     ] = msgspec.field(default_factory=dict)
     turn: Annotated[
         dict[str, tuple[Turn, ...]],
-        doc("rotation of the hand in a touch, t and a rotation vector (rad, world), by finger; default: none"),
+        doc("rotation of the hand during a touch, t and a rotation vector (rad, world), by finger; default: none"),
     ] = msgspec.field(default_factory=dict)
     observer: Observer = Observer()
     survey: Annotated[tuple[Survey, ...], sized(Range(0, 20, "a session"), "surveys, in order")] = ()
@@ -102,17 +106,24 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
-            yield "procedure.kind", self.procedure.kind, f"must be constant: a {self.task.kind} is not right or wrong"
+            yield (
+                "procedure.kind",
+                self.procedure.kind,
+                f"must be constant: answers of {self.task.kind} are not right or wrong",
+            )
         yield from self._participant_faults()
         if is_usable(self.motion, self.turn):
             for finger in self.turn.keys() - self.motion.keys():
-                fault = "turns a hand that [motion] does not move: give the finger a path"
+                fault = "rotates a hand that [motion] does not move: add a path for the finger"
                 yield f"turn.{finger}", msgspec.UNSET, fault
         if is_usable(self.motion, self.turn, self.trial) and is_usable(self.trial.touch_s):
             for key, paths in (("motion", self.motion), ("turn", self.turn)):
                 for finger, path in paths.items():
+                    times = [time for time, *_ in path]
+                    if any(after <= before for before, after in pairwise(times)):
+                        yield f"{key}.{finger}", times, "times must increase from point to point"
                     if path and path[-1][0] > self.trial.touch_s:
-                        yield f"{key}.{finger}", msgspec.UNSET, f"ends at {path[-1][0]:g} s: make trial.touch_s as long"
+                        yield f"{key}.{finger}", msgspec.UNSET, f"ends at {path[-1][0]:g} s: set trial.touch_s to that"
         if is_usable(self.factor):
             names = [factor.name for factor in self.factor if is_usable(factor)]
             if len(set(names)) < len(names):
@@ -129,7 +140,11 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         if is_usable(self.task):
             for key, value in (("catch", self.catch), ("confidence", self.confidence)):
                 if is_usable(value) and value is not None and self.task.kind != "compare":
-                    yield key, msgspec.UNSET, f"is only for compare: a {self.task.kind} is not right or wrong"
+                    yield (
+                        key,
+                        msgspec.UNSET,
+                        f"applies to compare only: answers of {self.task.kind} are not right or wrong",
+                    )
         if is_usable(self.survey):
             names = [survey.name for survey in self.survey if is_usable(survey)]
             if len(set(names)) < len(names):
@@ -137,5 +152,5 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
             if is_usable(self.design) and is_usable(self.design.order) and self.design.order == "random":
                 for survey in self.survey:
                     if is_usable(survey) and is_usable(survey.at) and "between" in survey.at:
-                        fault = "random order has no blocks: take latin-square"
+                        fault = "random order has no blocks: use latin-square"
                         yield f"survey.{survey.name}.at", list(survey.at), fault

@@ -38,7 +38,7 @@ class Question(Table, frozen=True, kw_only=True):
     ] = ()
     min: Annotated[Bound, doc("likert, number: smallest answer", 18)] = 1.0
     max: Annotated[Bound, doc("likert, number: largest answer", 99)] = 7.0
-    step: Annotated[Positive, doc("likert: distance of two marks", 1)] = 1.0
+    step: Annotated[Positive, doc("likert: distance between marks", 1)] = 1.0
     labels: Annotated[tuple[Option, ...], doc("likert: meaning of its two ends", ["very low", "very high"])] = ()
 
     @property
@@ -56,7 +56,7 @@ class Question(Table, frozen=True, kw_only=True):
         if not is_usable(self.kind, self.options, self.min, self.max, self.step, self.labels):
             return
         if (self.kind == "multi-choice") != (len(self.options) > 1):
-            yield "options", list(self.options), "multi-choice needs two or more, and no other kind has any"
+            yield "options", list(self.options), "required for multi-choice, at least two, and for no other kind"
         if len(set(self.options)) < len(self.options):
             yield "options", list(self.options), "has an answer twice"
         if self.kind in ("likert", "number") and not self.min < self.max:
@@ -64,7 +64,7 @@ class Question(Table, frozen=True, kw_only=True):
         elif self.kind == "likert" and (self.max - self.min) / self.step > CHOICES_MAX - 1 + 1e-9:
             yield "step", self.step, f"gives more than {CHOICES_MAX} marks"
         if len(self.labels) not in ((0, 2) if self.kind == "likert" else (0,)):
-            yield "labels", list(self.labels), "likert has two or none, and no other kind has any"
+            yield "labels", list(self.labels), "two for likert, and for no other kind"
 
 
 class SurveyFile(Table, frozen=True, kw_only=True):
@@ -95,16 +95,16 @@ class Survey(SurveyFile, frozen=True, kw_only=True):
     file: Annotated[
         str,
         sized(
-            Range(0, 4096, ""), "file of its questions, shipped or in the folder of this file, in place of [[question]]"
+            Range(0, 4096, ""), "file of its questions, shipped or in the folder of this file, instead of [[question]]"
         ),
     ] = ""
 
     def faults(self) -> Iterator[Complaint]:
         yield from super().faults()
         if is_usable(self.at) and not self.at:
-            yield "at", [], f"give one or more of {', '.join(AT)}"
+            yield "at", [], f"must be one or more of {', '.join(AT)}"
         if is_usable(self.file, self.question) and bool(self.file) == bool(self.question):
-            yield "file", self.file, "give one of file and question"
+            yield "file", self.file, "set either file or question"
 
 
 class CatchTrials(Table, frozen=True, kw_only=True):

@@ -11,7 +11,7 @@ from softfinger.config.fields import Complaint, Point, Table, doc, is_usable, si
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import MARKS_MAX, TEXT, Label, Positive
 
-LEVELS: Final = Range(1, 200, "more levels cannot be told apart")
+LEVELS: Final = Range(1, 200, "more levels cannot be distinguished")
 TRIALS: Final = Range(1, 2000, "longer than any session")
 
 
@@ -21,7 +21,7 @@ class Task(Table, frozen=True, kw_only=True):
     kind: Annotated[
         Literal["compare", "rate", "trace"],
         doc(
-            "compare: two touches in random order, one of them the reference, which had more; rate: a touch, a number; "
+            "compare: two touches in random order, one of them the reference: which had more; rate: a touch, a number; "
             "trace: a movement to a target, timed"
         ),
     ]
@@ -34,7 +34,7 @@ class Task(Table, frozen=True, kw_only=True):
         ),
     ]
     also: Annotated[
-        dict[str, float], doc("other parameters that the level sets, each the value times a factor", {"a.kinetic": 0.8})
+        dict[str, float], doc("further parameters that the level sets, each multiplied by a factor", {"a.kinetic": 0.8})
     ] = msgspec.field(default_factory=dict)
     reference: Annotated[Positive | None, doc("compare: value of the reference", 500.0)] = None
     more: Annotated[
@@ -72,9 +72,9 @@ class Task(Table, frozen=True, kw_only=True):
             if len(self.scale_ends) not in ((0,) if self.scale is None else (0, 2)):
                 yield "scale_ends", self.scale_ends, "requires scale, and has two labels"
         if is_usable(self.kind, self.reference) and (self.kind == "compare") != (self.reference is not None):
-            yield "reference", self.reference, "compare needs a reference, and nothing else has one"
+            yield "reference", self.reference, "required for compare, and for no other task"
         if is_usable(self.kind, self.target_m) and (self.kind == "trace") != (self.target_m is not None):
-            yield "target_m", self.target_m, "trace needs a target_m, and nothing else has one"
+            yield "target_m", self.target_m, "required for trace, and for no other task"
 
 
 class Procedure(Table, frozen=True, kw_only=True):
@@ -98,12 +98,13 @@ class Procedure(Table, frozen=True, kw_only=True):
         tuple[Positive, ...],
         sized(
             Range(0, 8, "a session"),
-            "staircase: first levels of interleaved staircases, in place of start; they share a condition's trials",
+            "staircase: first levels of interleaved staircases, instead of start; they share the trials of a condition",
             [0.6, 0.05],
         ),
     ] = ()
     step: Annotated[
-        float, within(Range(1.01, 10.0, "a step"), "staircase: factor of a step; twice as large until it turned", 1.2)
+        float,
+        within(Range(1.01, 10.0, "a step"), "staircase: factor of a step; squared before the second reversal", 1.2),
     ] = 1.2
     down: Annotated[int, within(Range(1, 5, ""), "staircase: right answers before a step down", 2)] = 2
     smallest: Annotated[Positive, doc("staircase: least level", 0.005)] = 0.005
@@ -119,7 +120,7 @@ class Procedure(Table, frozen=True, kw_only=True):
         if self.starts and self.kind != "staircase":
             yield "starts", list(self.starts), "only a staircase has starts"
         elif len(self.starts) > self.trials:
-            yield "starts", list(self.starts), f"is more staircases than the {self.trials} trials of a condition"
+            yield "starts", list(self.starts), f"has more staircases than a condition has trials, {self.trials}"
         for key, start in [("starts", value) for value in self.starts] or [("start", self.start)]:
             if self.kind == "staircase" and not self.smallest <= start <= self.largest:
                 yield key, start, f"must be from smallest = {self.smallest:g} to largest = {self.largest:g}"
@@ -138,10 +139,10 @@ class Factor(Table, frozen=True, kw_only=True):
         ),
     ] = ""
     levels: Annotated[tuple[float | Label, ...], sized(LEVELS, "its levels", [0.3, 0.6])]
-    scenes: Annotated[dict[str, str], doc("scene of each level, in place of a parameter")] = msgspec.field(
+    scenes: Annotated[dict[str, str], doc("scene of each level, instead of a parameter")] = msgspec.field(
         default_factory=dict
     )
-    values: Annotated[dict[str, dict[str, Any]], doc("parameters of each level, in place of one parameter")] = (
+    values: Annotated[dict[str, dict[str, Any]], doc("parameters of each level, instead of one parameter")] = (
         msgspec.field(default_factory=dict)
     )
 
@@ -149,7 +150,7 @@ class Factor(Table, frozen=True, kw_only=True):
         if not is_usable(self.parameter, self.levels, self.scenes, self.values):
             return
         if sum(map(bool, (self.parameter, self.scenes, self.values))) != 1:
-            yield "parameter", self.parameter, "give one of parameter, scenes and values"
+            yield "parameter", self.parameter, "set one of parameter, scenes and values"
         names = {str(level) for level in self.levels}
         if len(names) < len(self.levels):
             yield "levels", list(self.levels), "has a level twice"

@@ -51,7 +51,7 @@ class TelemetryProcess:
         if code in (ConfigError.exit_code, AddressInUse.exit_code):
             self.exit_code = code
         elif code is not None and time.monotonic() - self._started_s > RESTART_S:
-            log.warning("the process that forwards telemetry has ended (code %d) and is started again", code)
+            log.warning("the process that forwards telemetry ended with code %d and was restarted", code)
             self._process.communicate()
             self._process = self._start()
         return self.exit_code == 0

@@ -51,7 +51,7 @@ class Ledger:
             raise self._permission_error(record, error) from error
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(
-                f"{self._at(record)} is damaged ({error}): look at its content, and move it away"
+                f"{self._at(record)} is damaged ({error}): check its content, and move it away"
             ) from error
 
     @property
@@ -90,8 +90,8 @@ class Ledger:
         states = [self.state(file) for file in files]
         if foreign := [file.path for file, state in zip(files, states, strict=True) if state == "foreign"]:
             raise ConfigError(
-                f"{', '.join(str(self._at(path)) for path in foreign)}: there already, and not written by this "
-                "command: move it away first; nothing was written"
+                f"{', '.join(str(self._at(path)) for path in foreign)}: already exists and was not written by "
+                "this command: move it away first; nothing was written"
             )
         self.check(file.path for file in files)
         paths = {str(file.path) for file in files}
@@ -99,7 +99,9 @@ class Ledger:
             yield from self._remove([path for path in self._files if path not in paths])
             for file, state in zip(files, states, strict=True):
                 if state == "edited":
-                    yield Action("edited, so not replaced; move it away to get the new one:", self._at(file.path))
+                    yield Action(
+                        "edited, therefore not replaced; move it away to install the new one:", self._at(file.path)
+                    )
                     continue
                 if state != "unchanged":
                     self._write_file(file.path, file.text)
@@ -123,7 +125,7 @@ class Ledger:
         for path in paths:
             digest = self._digest_at(Path(path))
             if digest is not None and digest != self._files[path]:
-                yield Action("edited, so not removed; remove it yourself:", self._at(Path(path)))
+                yield Action("edited, therefore not removed; remove it yourself:", self._at(Path(path)))
                 continue
             if digest is not None:
                 self._at(Path(path)).unlink()
@@ -179,7 +181,7 @@ class Ledger:
     def _permission_error(self, path: Path, error: OSError) -> ConfigError:
         return ConfigError(
             f"{self._at(path)} may not be changed by this user ({error.strerror}): an installation for all users needs "
-            "root: use sudo; without --system it is for this user"
+            "root: use sudo, or omit --system to install for this user"
         )
 
     def _at(self, path: Path) -> Path:

@@ -163,7 +163,7 @@ def _set_fifo(applied: AppliedSettings, priority: int) -> Setting:
     applied._undo_thread.append(lambda: os.sched_setscheduler(0, policy, parameters))
     # The kernel's limit for a thread that never sleeps; it does not affect a servo that meets its deadlines.
     runtime = _read(RT_RUNTIME)
-    note = "" if runtime in ("", "-1") else f", paused if ever busy for {runtime} us of {_read(RT_PERIOD)} us"
+    note = "" if runtime in ("", "-1") else f", paused if busy for {runtime} us of {_read(RT_PERIOD)} us"
     return Setting("sched_fifo", True, f"priority {priority}{note}", "")
 
 
@@ -208,7 +208,7 @@ def _lock_memory(applied: AppliedSettings) -> Setting:
     applied._undo_process.append(lambda: _libc("munlockall"))
     _load_small_mappings()
     locked = f"{_status('VmLck')} locked, {_status('VmRSS')} of them in memory"
-    note = "later ones as they come" if later else "memory mapped later is not locked, because of a limit"
+    note = "later ones as they come" if later else "memory mapped later is not locked because of a limit"
     return Setting("mlockall", True, f"{locked}; {note}", "")
 
 
@@ -243,7 +243,7 @@ def _limit_latency(applied: AppliedSettings) -> Setting:
     except OSError as error:
         os.close(fd)
         refusal = f"writing {LATENCY_DEVICE}: {_reason(error.errno)}"
-        return Setting(name, False, refusal, "see the kernel's log: the device is there and takes no value")
+        return Setting(name, False, refusal, "see the kernel's log: the device exists but accepts no value")
     applied._undo_process.append(lambda: os.close(fd))
     return Setting(name, True, "0 us: processors stay out of deep sleep while the servo runs", "")
 

@@ -236,12 +236,12 @@ class ServoThread:
             if self._ended is not None and self._ended.error is not None:
                 raise self._ended.error
             if self._finished.is_set() or time.monotonic() > until:
-                raise SafetyStop("the servo stopped, or hangs in its device, before it was replaced")
+                raise SafetyStop("the servo stopped, or its device does not return, before it was replaced")
 
     def check_running(self) -> None:
         """Raise SafetyStop unless the loop is ticking."""
         if not self._armed or self._ended is not None:
-            raise SafetyStop("the servo does not run: nothing can be replaced")
+            raise SafetyStop("the servo is not running: nothing can be replaced")
 
     @property
     def devices(self) -> tuple[Device, ...]:

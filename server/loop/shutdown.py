@@ -114,7 +114,7 @@ def confirm_zero(devices: Sequence[Device]) -> None:
     for device in devices:
         if why := device.zero_failure():
             raise DeviceError(
-                f"{device.info.name}: zero force is not confirmed ({why}): it may still push: switch it off"
+                f"{device.info.name}: zero force is not confirmed ({why}): it may still apply a force: switch it off"
             )
 
 
@@ -158,19 +158,19 @@ def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticEr
         )
     if ended.ending == health.JUMPING:
         return DeviceError(
-            f"{name}: its pose jumps repeatedly, farther than a hand moves in that time{because}: zero force was "
-            "commanded; check its sensors and its cable, then start again; where it was a hand, raise "
+            f"{name}: its pose jumps repeatedly, farther than a hand can move in that time{because}: zero force was "
+            "commanded; check its sensors and its cable, then start again; if a hand moved it, raise "
             "guard.speed_max_m_per_s or guard.turn_max_rad_per_s"
         )
     if ended.ending not in (READ_FAILED, WRITE_FAILED):
         return None
     if ended.status == FORCE_OFF:
-        return SafetyStop(f"{name} turned its force off{because}: fix the cause, then start again")
+        return SafetyStop(f"{name} disabled its force{because}: correct the cause, then start again")
     if ended.status == TIMEOUT:
         return DeviceTimeout(
             f"{name}: no answer to a {action} in time{because}: check cable and power, then start again"
         )
-    text = "sent an answer that is not in its protocol" if ended.status == PROTOCOL else "is gone"
+    text = "sent an answer that violates its protocol" if ended.status == PROTOCOL else "is gone"
     return DeviceLost(f"{name} {text} (status {ended.status} on {action}){because}: plug it in again, then start again")
 
 
@@ -186,7 +186,7 @@ def loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> H
         )
     if ended.ending != health.STARVED:
         return None
-    phase, remedy = "in the device's exchange", "see to the device and its cable, or take a lower servo.rate_hz"
+    phase, remedy = "in the device's exchange", "check the device and its cable, or reduce servo.rate_hz"
     if woken_late:
         phase, remedy = "before the servo thread was woken", "see softfinger doctor, or end other work"
     return SafetyStop(

@@ -87,7 +87,7 @@ def _warn_if_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo
         stiffness = obj.material.stiffness_under(force_max)
         if stiffness > device.stiffness_max_n_per_m * (1.0 + 1e-9):  # beyond rounding
             log.warning(
-                "object '%s' has %.0f N/m at the guard's %g N, beyond the %g N/m of device %s, and may buzz: lower "
+                "object '%s' has %.0f N/m at the guard's %g N, above the %g N/m of device %s, and may vibrate: lower "
                 "stiffness_n_per_m%s",
                 obj.name,
                 stiffness,
@@ -105,10 +105,10 @@ def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard
     """
     force, torque = guard.force_max_n, guard.torque_max_nm
     if device is not None and force > device.force_max_n:
-        log.warning("guard.force_max_n = %g N is lowered to the device's %g N", force, device.force_max_n)
+        log.warning("guard.force_max_n = %g N is reduced to the %g N of the device", force, device.force_max_n)
         force = device.force_max_n
     if device is not None and torque > device.torque_max_nm:
-        log.warning("guard.torque_max_nm = %g N m is lowered to the device's %g N m", torque, device.torque_max_nm)
+        log.warning("guard.torque_max_nm = %g N m is reduced to the %g N m of the device", torque, device.torque_max_nm)
         torque = device.torque_max_nm
     limits = Guard(force, torque, guard.force_slew_n_per_s, guard.torque_slew_nm_per_s, guard.ramp_s, 1.0)
     if device is not None and device.actuated_dof <= FORCE_DOF:

@@ -156,14 +156,14 @@ class MetricsCollector(Collector):
             metrics = [*self._servo_metrics(), *self._finger_metrics()]
         subscribers, lost, refused, restarts = self._wire()
         yield from metrics
-        yield GaugeMetricFamily("softfinger_subscribers", "Connections that subscribe to something", subscribers)
-        yield _counter("softfinger_messages_lost", "Messages that subscribers were too slow to take", lost)
+        yield GaugeMetricFamily("softfinger_subscribers", "Connections with a subscription", subscribers)
+        yield _counter("softfinger_messages_lost", "Messages lost because subscribers were too slow", lost)
         yield _counter(
             "softfinger_connections_refused", "Connections refused or closed because of their messages", refused
         )
         yield _counter(
             "softfinger_publisher_restarts",
-            "Times the processes of telemetry and commands were started again",
+            "Restarts of the processes of telemetry and commands",
             restarts,
         )
         yield from _recording_metrics(self._written())
@@ -176,10 +176,10 @@ class MetricsCollector(Collector):
     def _servo_metrics(self) -> Iterator[Metric]:
         yield _counter("softfinger_ticks", "Ticks of the servo", self._ticks)
         yield _counter("softfinger_deadlines_missed", "Deadlines of the servo that passed without a tick", self._missed)
-        yield _counter("softfinger_records_dropped", "Ticks that the daemon was too slow to take", self._drops)
+        yield _counter("softfinger_records_dropped", "Ticks lost because the daemon was too slow", self._drops)
         for name, text, histogram in (
             ("softfinger_lateness_seconds", "Wake-up of the servo after its deadline", self._late),
-            ("softfinger_execution_seconds", "From the servo's wake-up until the device was written", self._exec),
+            ("softfinger_execution_seconds", "Time from the servo's wake-up until the device was written", self._exec),
         ):
             family = HistogramMetricFamily(name, text)
             histogram.write_to(family)
@@ -204,11 +204,17 @@ def _recording_metrics(totals: RecordingTotals) -> Iterator[Metric]:
     yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", totals.ticks)
     yield _counter("softfinger_recorded_bytes", "Bytes of recordings", totals.bytes)
     yield _counter(
-        "softfinger_unrecorded_ticks", "Ticks of any finger that the disk was too slow for", totals.ticks_dropped
+        "softfinger_unrecorded_ticks",
+        "Ticks of any finger that were not recorded because the disk was too slow",
+        totals.ticks_dropped,
     )
-    yield _counter("softfinger_unrecorded_events", "Events that the disk was too slow for", totals.events_dropped)
+    yield _counter(
+        "softfinger_unrecorded_events",
+        "Events that were not recorded because the disk was too slow",
+        totals.events_dropped,
+    )
     yield GaugeMetricFamily(
-        "softfinger_recording_worst_write_seconds", "The longest that the disk took for a write", totals.worst_write_s
+        "softfinger_recording_worst_write_seconds", "Longest duration of a write to the disk", totals.worst_write_s
     )
 
 

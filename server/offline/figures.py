@@ -19,7 +19,7 @@ def reason_unsavable(path: Path) -> str | None:
     if path.suffix not in FORMATS:
         return f"a figure is {' or '.join(FORMATS)} by its file name"
     if not path.parent.is_dir():
-        return f"there is no folder {path.parent}: create it or name another"
+        return f"the folder {path.parent} does not exist: create it, or use another"
     if importlib.util.find_spec("matplotlib") is None:
         return "matplotlib is not installed: pip install 'softfinger[plots]'"
     return None

@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, HapticError, RecordingError
 from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import attempt
 from softfinger.config.schema import DeviceConfig, Mesh, Rig, Scene, Servo
 from softfinger.server.offline.summary import object_rows
+
+PLAYERS: Final = ("replay", "simulated")
+"""Drivers with an option `recording`, which they read when the device is opened."""
 
 
 def part_faults(config: Any, file: str) -> list[str]:
@@ -68,11 +71,12 @@ def _check_device(device: DeviceConfig, rate_hz: float, table: str, file: str) -
     except HapticError as error:
         raise ConfigError(f"{file}: {table}.driver = {device.driver!r}: {error}") from error
     registry.check(device, rate_hz, f"{file} [{table}]")
-    if device.driver != "replay":
+    recording = device.options.get("recording")
+    if device.driver not in PLAYERS or recording is None:
         return
     from softfinger.drivers.poses import load_poses
 
     try:
-        load_poses(device.options["recording"])
+        load_poses(recording)
     except RecordingError as error:
         raise ConfigError(f"{file}: {table}.recording: {error}") from error

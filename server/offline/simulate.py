@@ -219,7 +219,9 @@ def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Pat
     if not has_one_file and set(recordings) != set(fingers):
         expected_fingers = ", ".join(filter(None, fingers)) or "one, without its name"
         given_fingers = ", ".join(filter(None, recordings)) or "a single finger"
-        raise ConfigError(f"poses of {given_fingers}: not the scene's fingers: give poses of {expected_fingers}")
+        raise ConfigError(
+            f"poses of {given_fingers} do not match the fingers of the scene: use poses of {expected_fingers}"
+        )
     poses_of_fingers = [
         resample(
             load_poses(recordings["" if has_one_file else name], name if has_one_file and has_fingers else ""), rate_hz
@@ -260,6 +262,6 @@ def _open_simulated(paired: FingerDevice, rate_hz: float) -> Any:
         raise ConfigError(f"device '{config.driver}' cannot run offline: use the device `simulated`, or --poses")
     options = build(driver.Options, config.options, paired.table)
     if getattr(options, "puck", None) is not None:
-        raise ConfigError("a hand led by a puck cannot run offline: use `run`, or remove puck")
+        raise ConfigError("a hand moved by a SpaceMouse cannot run offline: use `run`, or remove puck")
     # The records contain the forces; a file of forces written by a servo would be empty.
     return driver.open_device(msgspec.structs.replace(options, forces=None), rate_hz)

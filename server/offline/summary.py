@@ -35,13 +35,13 @@ def scene_summary(scene: schema.Scene) -> list[tuple[str, str]]:
 
 def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[str, str]]:
     coupling, probe = finger.coupling, finger.probe
-    rolling = "left out: rotation moves no contact"
+    rolling = "absent: rotation moves no contact"
     if scene.rolling is not None:
         own_stiffness = scene.rolling.torque_stiffness_n_per_m
         stiffness = coupling.stiffness_n_per_m if own_stiffness is None else own_stiffness
         rolling = f"{scene.rolling.method}, torque stiffness {stiffness:g} N/m"
     smoothing = f"low-pass {probe.velocity_time_constant_s:g} s" if probe.velocity_time_constant_s else "none"
-    drags = "left out: nothing sticks"
+    drags = "absent: nothing sticks"
     if any(item.material.friction is not None for item in scene.object):
         drags = f"{coupling.stiffness_n_per_m:g} N/m, {coupling.damping_ns_per_m:g} N s/m"
         if coupling.torsional_damping_nms_per_rad:
@@ -52,7 +52,7 @@ def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[
     within = "" if not finger.name else "  "
     return [
         (label, f"{_form(finger)}{moved_text}"),
-        (f"{within}patch", "left out" if finger.patch is None else _values(finger.patch)),
+        (f"{within}patch", "absent" if finger.patch is None else _values(finger.patch)),
         (f"{within}rolling", rolling),
         (f"{within}coupling", drags),
         (f"{within}velocity filter", smoothing),
@@ -78,7 +78,7 @@ def _size(item: schema.ObjectBase) -> str:
 def object_rows(item: schema.Object, has_patch: bool) -> list[tuple[str, str]]:
     """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
-    friction, torsion = "left out: frictionless", "left out: no moment about the normal"
+    friction, torsion = "absent: frictionless", "absent: no moment about the normal"
     if material.friction is not None:
         friction = _values(material.friction)
     if material.torsion is not None:
@@ -195,7 +195,7 @@ def rig_summary(rig: schema.Rig) -> list[tuple[str, str]]:
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
     heat = "no heat limit"
     if guard.continuous_force_n is not None:
-        heat = f"{guard.continuous_force_n:g} N for ever, heated in {guard.heat_time_s:g} s"
+        heat = f"{guard.continuous_force_n:g} N continuous, heated in {guard.heat_time_s:g} s"
     hand = f"handle up to {guard.handle_speed_max_m_per_s:g} m/s, {guard.energy_max_j:g} J given, {heat}"
     return [
         *(row for table, device in rig.tables.items() for row in _device(table, device)),
@@ -267,5 +267,5 @@ def _timestep(world: schema.World, model_step: float) -> str:
     step = 1.0 / (schema.Servo().rate_hz * world.substeps)
     text = f"a tick's, {step:g} s at {schema.Servo().rate_hz:g} Hz; the model's own is {model_step:g} s"
     if model_step < 0.999 * step:
-        text += f": substeps = {math.ceil(step * world.substeps / model_step - 1e-3)} would keep to it"
+        text += f": substeps = {math.ceil(step * world.substeps / model_step - 1e-3)} would match it"
     return text

@@ -113,7 +113,7 @@ def text(wall: Workspace, objects: list[PlacedObject], freedom: MotionSubspace |
     lines.append(f"{WALL_MARK} inside of the wall, + its centre, numbers: objects")
     if freedom is not None:
         curve = "the arc" if freedom.degrees == 1 else "the edge of the plane"
-        lines.append(f"{CURVE_MARK} {curve} in which the handle moves; other forces are shown, not displayed")
+        lines.append(f"{CURVE_MARK} {curve} in which the handle moves; other forces are not displayed")
     return lines
 
 

@@ -180,7 +180,7 @@ def prepare_folder(directory: Path) -> None:
         If other users may write to it.
     """
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-    check_owner(directory, directory.stat(), "could select the file that ours replaces")
+    check_owner(directory, directory.stat(), "could select the file that this program replaces")
     files_left, bytes_left = FILES_MAX - 1, BYTES_MAX
     for path in reversed(files(directory)):
         with contextlib.suppress(OSError):  # another daemon may delete files, too

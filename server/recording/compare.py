@@ -135,7 +135,7 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
     names = [finger.name for finger in scene.fingers]
     if len(names) != len(run.fingers) or (len(names) > 1 and names != list(run.fingers)):
         raise ConfigError(
-            f"the scene has the fingers {', '.join(names) or 'of one'}, the recording {', '.join(run.fingers)}"
+            f"the scene has the fingers {', '.join(names) or 'of one'}, but the recording has {', '.join(run.fingers)}"
         )
     ticks = run.first["tick"].astype(np.int64)
     poses = np.stack([np.column_stack((f["probe.position"], f["probe.orientation"])) for f in run.fingers.values()], 1)
@@ -167,7 +167,7 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
         first = max(0, row - ramp - round(COMMAND_S * run.rate_hz))
         comparable[first:row] = False
         left_out += _span(
-            ticks, first, row, "the time of the command after them is not recorded, or it was not yet done"
+            ticks, first, row, "the time of the following command is not recorded, or it was not yet executed"
         )
     withheld = _withheld(run)
     comparable[withheld] = False

@@ -8,11 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import find_recording, load_poses
 from softfinger.server.recording.layout import TickField, tick_layout
 from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, read_contents
-from softfinger.server.recording.results import read_results
+from softfinger.server.recording.results import NoResults, read_results
 
 POSE_PARTS: Final = [
     TickField("timestamp", 1, False, 0),
@@ -42,7 +41,7 @@ def read_recording(recording: str | Path) -> Iterator[TickBlock | Event | Record
 def _read_table(path: Path) -> TickBlock:
     try:
         return TickBlock("", tick_layout().parts, read_results(path))
-    except RecordingError:  # no results: poses, or an invalid file
+    except NoResults:  # poses, or an invalid file
         poses = load_poses(path)
         numbers = np.arange(len(poses.t))
         return TickBlock("", POSE_PARTS, np.column_stack((poses.t, numbers, poses.position, poses.orientation)))

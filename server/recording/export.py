@@ -61,12 +61,11 @@ def _read_finger(recording: str | Path, finger: str) -> Iterator[TickBlock]:
         elif isinstance(part, TickBlock):
             other_fingers.add(part.finger)
     if not has_ticks:
-        available = (
-            f"it has fingers {', '.join(sorted(other_fingers))}: --finger NAME" if other_fingers else "it has none"
-        )
-        raise RecordingError(
-            f"{recording}: no ticks of {f'finger {finger!r}' if finger else 'a single finger'}: {available}"
-        )
+        of = f"finger {finger!r}" if finger else "a single finger"
+        remedy = f"it has fingers {', '.join(sorted(other_fingers))}: --finger NAME" if other_fingers else "it has none"
+        if "" in other_fingers:
+            remedy = "leave --finger out"
+        raise RecordingError(f"{recording}: no ticks of {of}: {remedy}")
 
 
 def column_names(ticks: TickBlock) -> list[str]:

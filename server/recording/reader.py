@@ -191,7 +191,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
     except (GeneratorExit, OSError, RecordingError):
         raise
     except Exception as error:  # the decoders raise exceptions of many types on damaged bytes
-        if not isinstance(error, EndOfFile):
+        if not isinstance(error, EndOfFile | struct.error):
             cut = f"{type(error).__name__}: {str(error)[:120]}"
         if not channels:
             raise RecordingError(f"{path}: not a readable MCAP recording: {cut}") from error

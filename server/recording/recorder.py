@@ -227,8 +227,8 @@ class Recorder:
         if count := dropped - self._reported_dropped:
             self._reported_dropped = dropped
             first_tick = self._dropped_from
-            self._on_trouble(f"{count} ticks from tick {first_tick} on are not recorded: the disk was too slow", False)
+            self._on_trouble(f"{count} ticks from tick {first_tick} on were not recorded: the disk was too slow", False)
         events_dropped = self._events_dropped
         if count := events_dropped - self._reported_events_dropped:
             self._reported_events_dropped = events_dropped
-            self._on_trouble(f"{count} events are not recorded: the disk was too slow", False)
+            self._on_trouble(f"{count} events were not recorded: the disk was too slow", False)

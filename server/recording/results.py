@@ -135,14 +135,18 @@ def read_results(path: str | Path, finger: str = "") -> Array:
         return reader(source, finger)
 
 
+class NoResults(RecordingError):
+    """The file is not a table of results of this version; it may be one of poses."""
+
+
 def _check_count(path: Path, count: int) -> None:
     if count > RESULTS_MAX:
         raise RecordingError(f"{path}: more than {RESULTS_MAX:,} records, the limit for reading")
 
 
 def _unknown_suffix(path: Path) -> str:
-    suffix = f"'{path.suffix}'" if path.suffix else "no ending"
-    return f"{path}: {suffix} names no results format: use one of {', '.join(SUFFIXES)}"
+    reason = f"'{path.suffix}' is no format of results" if path.suffix else "has no suffix"
+    return f"{path}: {reason}: use one of {', '.join(SUFFIXES)}"
 
 
 def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
@@ -192,15 +196,15 @@ def _with_integers(column: Array, is_integral: NDArray[np.bool_]) -> list[Any]:
 
 
 def _read_csv(path: Path, finger: str) -> Array:
+    values = array("d")
     try:
         with open_input(path) as file:
-            header = file.readline(LINE_MAX).decode("ascii").rstrip("\n").split(",")
+            header = file.readline(LINE_MAX).decode("ascii", "replace").rstrip("\n").split(",")
             expected = [prefix(finger) + column for column in columns()]
             first = header.index(expected[0]) if expected[0] in header else 0
             if header[first : first + RECORD_SIZE] != expected or len(header) % RECORD_SIZE:
                 of_finger = f" of a finger '{finger}'" if finger else ""
-                raise RecordingError(f"{path}, line 1: the columns are not those of this version's results{of_finger}")
-            values = array("d")
+                raise NoResults(f"{path}, line 1: the columns differ from those of this version{of_finger}")
             with progress(f"reading {path.name}", os.fstat(file.fileno()).st_size) as advance:
                 while line := file.readline(LINE_MAX):
                     if not len(values) % (CSV_CHUNK_ROWS * RECORD_SIZE):
@@ -212,7 +216,7 @@ def _read_csv(path: Path, finger: str) -> Array:
                     _check_count(path, len(values) // RECORD_SIZE)
         return np.array(values, dtype=np.float64).reshape(-1, RECORD_SIZE)
     except ValueError as error:
-        raise RecordingError(f"{path}: not a results file: {error}") from error
+        raise RecordingError(f"{path}, line {len(values) // RECORD_SIZE + 2}: {error}") from error
 
 
 def _read_npz(path: Path, finger: str) -> Array:
@@ -221,11 +225,13 @@ def _read_npz(path: Path, finger: str) -> Array:
             records = open_npz(file)[prefix(finger) + "records"]
     except OSError:
         raise
+    except KeyError as error:
+        raise NoResults(f"{path}: has no array {error.args[0]}") from error
     except Exception as error:  # zip and npy decoders raise many types of errors on damaged bytes
         raise RecordingError(f"{path}: not a results file: {type(error).__name__}: {error}") from error
     _check_count(path, len(records) if records.ndim else 0)
     if records.dtype != np.float64 or records.ndim != 2 or records.shape[1] != RECORD_SIZE:
-        raise RecordingError(f"{path}: records of {records.dtype}, shape {records.shape}, must be (n, {RECORD_SIZE})")
+        raise NoResults(f"{path}: records of {records.dtype}, shape {records.shape}, must be (n, {RECORD_SIZE})")
     return records
 
 
@@ -252,9 +258,9 @@ def _read_mcap(path: Path, finger: str) -> Array:
             count += len(part.rows)
             _check_count(path, count)
         elif isinstance(part, End) and part.cut and count:
-            log.warning("%s is cut short or damaged (%s): %d messages read", path, part.cut, count)
+            log.warning("%s is truncated or damaged (%s): %d messages read", path, part.cut, count)
     if not count:
-        raise RecordingError(f"{path}: has no message of topic '{contact_topic(finger)}'")
+        raise RecordingError(f"{path}: has no message on topic '{contact_topic(finger)}'")
     return np.concatenate(blocks)
 
 

@@ -72,20 +72,20 @@ def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | Non
     if invalid:
         raise ConfigError(
             f"--columns {columns}: '{invalid[0]}' is not one of {','.join(POSE_COLUMNS)}, each once, or {SKIPPED} for "
-            "a column that is left out"
+            "a column to skip"
         )
     missing = [name for name in "xyz" if name not in names]
     quaternion_names = [name for name in POSE_COLUMNS[4:] if name in names]
     if missing or len(quaternion_names) not in (0, 4):
         raise ConfigError(
             f"--columns {columns}: a pose needs x, y and z, and of qw, qx, qy, qz all or none; without them the "
-            "fingertip is not turned"
+            "fingertip is not rotated"
         )
     if ("t" in names) == (rate_hz is not None):
-        raise ConfigError(f"--columns {columns}: times need either a column t or --rate")
+        raise ConfigError(f"--columns {columns}: times need either a column t or --rate, not both")
     for option, value in (("--unit-s", unit_s), ("--unit-m", unit_m), ("--rate", rate_hz)):
         if value is not None and not 0.0 < value < np.inf:
-            raise ConfigError(f"{option} {value:g}: must be above 0")
+            raise ConfigError(f"{option} {value:g}: must be above 0 and finite")
     if skip < 0:
         raise ConfigError(f"--skip {skip}: must be 0 or more lines")
     return TableFormat(names, unit_s, unit_m, rate_hz, skip)
@@ -112,7 +112,7 @@ def read_table(path: Path, layout: TableFormat) -> Poses:
             if number <= layout.skip or _is_comment(line, len(layout.columns)):
                 continue
             if len(numbers) >= POSES_MAX:
-                raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: cut it up")
+                raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: split it")
             numbers.append(number)
             values.extend(_parse_row(f"{path}, line {number}", line, layout, dialect))
     table = np.frombuffer(values).reshape(-1, len(layout.columns))

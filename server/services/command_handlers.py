@@ -95,7 +95,7 @@ class CommandHandlers:
 
     def get_state(self, request: Request) -> wire.State:
         if self._latest is None:
-            raise Declined("refused", "there has been no tick yet: ask again later")
+            raise Declined("refused", "there is no tick yet: repeat the request later")
         return wire.state_of(self._latest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
 
     def heartbeat(self, request: Request) -> wire.Alive:
@@ -136,7 +136,7 @@ class CommandHandlers:
     def reset_world(self, request: Request, on_result: OnResult) -> None:
         scene = self._rendering.scene
         if scene.world is None:
-            raise Declined("refused", "the scene has no [world]: there is nothing to be put back")
+            raise Declined("refused", "the scene has no [world]: there is nothing to reset")
         self._change_scene(lambda: scene, self._scene_name, request, wire.Applied, on_result)
 
     def _change_scene(
@@ -181,7 +181,7 @@ class CommandHandlers:
         names = [obj.name for obj in objects]
         scene_index = key if isinstance(key, int) else names.index(key) if key in names else len(names)
         if scene_index >= len(names):
-            raise Declined("bad_params", f"no object is {format_value(key)}: there are {', '.join(names)}")
+            raise Declined("bad_params", f"there is no object {format_value(key)}: there are {', '.join(names)}")
         return scene_index, objects[scene_index]
 
     def hand(self, request: Request) -> wire.Applied:
@@ -194,7 +194,7 @@ class CommandHandlers:
             turn = None if params.orientation_wxyz is msgspec.UNSET else params.orientation_wxyz
             hand_of(self._rendering.servo.devices[finger_index])  # raises NoSimulatedHand even before the first tick
             if self._latest is None:
-                raise Declined("refused", "there has been no tick yet: ask again later")
+                raise Declined("refused", "there is no tick yet: repeat the request later")
             at = AT.probe_orientation
             w, x, y, z = self._latest.reshape(-1, RECORD_SIZE)[finger_index][at : at + 4].tolist()
             target = RequestedPose(params.position_m, turn, (w, x, y, z))
@@ -218,16 +218,18 @@ class CommandHandlers:
         """Return the index of a finger given by name or index; a single finger need not be given. Raises Declined."""
         names = [finger.name for finger in self._rendering.scene.fingers]
         if key is msgspec.UNSET and len(names) > 1:
-            raise Declined("bad_params", f"there are several fingers: give finger, one of {', '.join(names)}")
+            raise Declined("bad_params", f"there are several fingers: set finger to one of {', '.join(names)}")
         selected = 0 if key is msgspec.UNSET else key
         finger_index = (
             selected if isinstance(selected, int) else names.index(selected) if selected in names else len(names)
         )
         if finger_index >= len(names):
             choices = (
-                f"there are {', '.join(names)}" if len(names) > 1 else "there is one, without a name: leave it out"
+                f"there are {', '.join(names)}"
+                if len(names) > 1
+                else "there is one, without a name: remove the parameter"
             )
-            raise Declined("bad_params", f"no finger is {format_value(selected)}: {choices}")
+            raise Declined("bad_params", f"there is no finger {format_value(selected)}: {choices}")
         return finger_index
 
     def arm(self, request: Request) -> wire.Armed:
@@ -249,11 +251,9 @@ class CommandHandlers:
         params: wire.Zero = request.params
         finger_index = self._finger(params.finger)
         if self._rendering.force.is_requested:
-            raise Declined(
-                "refused", "there may be force, and the probe would jump under it: disarm first, and arm after"
-            )
+            raise Declined("refused", "the probe would jump while force is enabled: disarm first, and arm afterwards")
         if self._latest is None:
-            raise Declined("refused", "there has been no tick yet: ask again later")
+            raise Declined("refused", "there is no tick yet: repeat the request later")
         record = self._latest.reshape(-1, RECORD_SIZE)[finger_index]
         tick = self._rendering.set_offset(finger_index, None if params.reset else params.position_m, record)
         offset = self._rendering.offsets[finger_index]
@@ -266,7 +266,8 @@ class CommandHandlers:
         params: wire.Mark = request.params
         if len(encode(params.data)) > EVENT_BYTES_MAX:
             raise Declined(
-                "bad_params", f"data has more than {EVENT_BYTES_MAX} bytes: store the data elsewhere, and mark its name"
+                "bad_params",
+                f"data has more than {EVENT_BYTES_MAX} bytes: store the data elsewhere, and mark the name of its file",
             )
         tick = self._rendering.servo.ticks
         self._daemon.event("mark", "mark", command_id=request.command_id, label=params.label, data=params.data)
@@ -301,5 +302,6 @@ class CommandHandlers:
 
     def stop(self, request: Request) -> wire.Stopping:
         self.publish_change("stop", request.command_id, {})
+        self._rendering.force.inhibit(COMMANDED)  # no force in the tick that ends the loop
         self._daemon.stop()
         return wire.Stopping(True)

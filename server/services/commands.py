@@ -102,7 +102,7 @@ class CommandService:
         """Return the parsed request and count it as a sign of life; raises Declined."""
         request = parse(body)
         if too_much:
-            raise Declined("busy", "too many requests from this client: ask more slowly", request.command_id)
+            raise Declined("busy", "too many requests from this client: send them more slowly", request.command_id)
         self._check_heartbeat()  # a heartbeat missed before this request counts as missed
         self._note_alive()
         return request
@@ -115,7 +115,7 @@ class CommandService:
     def _enqueue(self, client: bytes, message: Request | bytes, too_much: bool) -> None:
         with self._counts_lock:
             if self._pending_counts[client] >= WAITING_MAX:
-                raise Declined("busy", "too many requests of this client wait for their turn: wait for answers first")
+                raise Declined("busy", "too many requests of this client are waiting: wait for answers first")
             self._pending_counts[client] += 1
         self._queue.put((client, message, too_much))
 
@@ -181,7 +181,7 @@ class CommandService:
             log.exception("commands failed")
             self._daemon.serve(None)
             self._daemon.event("fault", "commands", message=str(error))
-            self._daemon.fail(SafetyStop(f"commands cannot be taken: {error}; the heartbeat cannot be checked"))
+            self._daemon.fail(SafetyStop(f"commands cannot be received: {error}; the heartbeat cannot be checked"))
 
     def _check_heartbeat(self) -> None:
         """Record a missed heartbeat, if it is missed.
@@ -193,7 +193,7 @@ class CommandService:
         if not self._rendering.force.is_inhibited_by(SILENT):
             self._rendering.disarm(SILENT)
             log.warning(
-                "commands: none for %.2f s: the force is taken off until the next heartbeat",
+                "commands: none for %.2f s: zero force until the next heartbeat",
                 time.monotonic() - self._last_request_s,
             )
             self._handlers.publish_change("heartbeat_missed", "", {"after_s": self._heartbeat_s})

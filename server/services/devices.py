@@ -36,7 +36,7 @@ def inject_faults(
         if fault.finger not in ("", *names):
             raise ConfigError(
                 f"a fault of kind '{fault.kind}' has finger = '{fault.finger}': the scene has "
-                f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: leave it out"
+                f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: remove finger"
             )
     from softfinger.drivers.injected import FaultInjector  # imported here, because its kernels are compiled on import
 
@@ -57,7 +57,7 @@ def check_replacement(
     if new_names != old_names and max(len(new_names), len(old_names)) > 1:
         raise ConfigError(
             f"the fingers of the new scene ({', '.join(new_names)}) differ from the running ones "
-            f"({', '.join(old_names)}), and telemetry keeps their names: start another daemon"
+            f"({', '.join(old_names)}), and the names in telemetry cannot change: start another daemon"
         )
     for name, new, old in (
         ("[telemetry]", rig.telemetry, running_rig.telemetry),
@@ -72,5 +72,5 @@ def check_replacement(
         if new != old:
             raise ConfigError(
                 f"{name} = {new} of the new rig differs from {old}, which cannot change in a running "
-                "daemon: leave it, or start another daemon"
+                "daemon: use the old value, or start another daemon"
             )

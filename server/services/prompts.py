@@ -31,9 +31,9 @@ class Prompts:
     def set(self, request: Request) -> wire.Prompted:
         prompt: wire.Prompt = request.params
         if bool(prompt.choices) + (prompt.number is not None) + bool(prompt.text_length) > 1:
-            raise Declined("bad_params", "give either choices or number or text_length: a prompt has one answer")
+            raise Declined("bad_params", "set either choices, number or text_length: a prompt has one answer")
         if prompt.number is not None and not prompt.number[0] < prompt.number[1]:
-            raise Declined("bad_params", f"number is {list(prompt.number)}: give the smallest, then the largest")
+            raise Declined("bad_params", f"number is {list(prompt.number)}: must be the smallest, then the largest")
         is_open = bool(prompt.choices) or prompt.number is not None or prompt.text_length > 0
         self._current, self._shown_s = wire.Prompted(self._current.number + 1, prompt, is_open), time.monotonic()
         self._publish("set_prompt", request.command_id, {"prompt": self._current.number})
@@ -43,7 +43,7 @@ class Prompts:
         """Store the answer; raises Declined if no question is open or the answer is not valid."""
         params: wire.Answer = request.params
         if not self._current.open or params.prompt not in (None, self._current.number):
-            raise Declined("refused", "this question is not open, or not any more: answer the one that is shown")
+            raise Declined("refused", "this question is not open: answer the one that is shown")
         if (expected := self._expected_answer(params.value)) is not None:
             raise Declined("bad_params", f"value is {format_value(params.value)}: give {expected}")
         after_s = time.monotonic() - self._shown_s

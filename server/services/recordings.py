@@ -154,10 +154,10 @@ class Recordings:
 
     def _begin(self, path: Path, folder: Path | None, scene_name: str) -> Path:
         if path.suffix.lower() != ENDING:
-            raise RecordingError(f"{path}: a recording is a file of MCAP: give its name the ending {ENDING}")
+            raise RecordingError(f"{path}: a recording is an MCAP file: its name must end in {ENDING}")
         with self._changing:
             if self._recorder is not None and not self._recorder.recorded.error:
-                raise RecordingError(f"{self._path} is being recorded: end that first")
+                raise RecordingError(f"{self._path} is being recorded: stop that first")
             file = _open_new_file(path, folder)
             if self._recorder is not None:
                 self._ending.append(self._recorder)

@@ -83,12 +83,12 @@ class RecordService(Worker):
                     log.exception("%s failed; stopping", sink.name)
                     self._fail(sink.vital(error))
                 else:
-                    log.exception("%s failed; going on without it", sink.name)
+                    log.exception("%s failed; continuing without it", sink.name)
                     self._event("fault", "sink", sink=sink.name, message=str(error))
 
     def handle_failure(self, error: Exception) -> None:
         """End the run: without records, rendering cannot be monitored."""
-        self._fail(SafetyStop(f"records cannot be taken: {error}; the rendered state would be invisible"))
+        self._fail(SafetyStop(f"ticks cannot be received: {error}; they would not be published"))
 
     def stop(self) -> None:
         # A servo that was never started, or that hangs, produces no last record.

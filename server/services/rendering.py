@@ -195,7 +195,7 @@ class Rendering:
         with _acquire(self._parameters_lock):
             before, after = self.scene, apply_overrides(self.scene, changes, where)
             if pair(after, self.rig) != pair(before, self.rig):
-                raise ConfigError(f"{where}: the name and the device of a finger are no parameters: use set_scene")
+                raise ConfigError(f"{where}: name and device of a finger cannot be set: use set_scene")
             tuning = with_scene(self._tuning, after)
             if not self.servo.is_compiled_for(tuning):
                 raise ConfigError(f"{where}: {other_model(before, changes)}: use set_scene")
@@ -224,9 +224,9 @@ class Rendering:
         """
         with _acquire(self._tuning_lock):
             if not self.force.is_off:
-                raise Replacing("the force is being switched off: nothing was changed; try again")
+                raise Replacing("the force is being disabled: nothing was changed; try again")
             if position is not None and record[AT.tick] < self._offset_tick + 2:
-                raise Replacing("where the probe is now is not known yet: nothing was changed; try again")
+                raise Replacing("the position of the probe is still unknown: nothing was changed; try again")
             offsets = list(self._tuning.offsets)
             offsets[finger] = UNMOVED
             if position is not None:
@@ -298,7 +298,7 @@ class Rendering:
         until = time.monotonic() + 2.0 * to_zero_s + PAUSE_WAIT_S
         while self.servo.is_ticking and not self.force.is_off:
             if time.monotonic() > until:
-                raise SafetyStop("nothing was replaced: the servo did not tick until the force was off")
+                raise SafetyStop("nothing was replaced: the servo did not tick before the force was off")
             time.sleep(POLL_S)
 
     def pause(self) -> Callable[[], None]:

@@ -37,12 +37,12 @@ class Supervisor(Worker):
 
     def handle_failure(self, error: Exception) -> None:
         """End the run: an unmonitored servo may stall with a force."""
-        self._fail(SafetyStop(f"the supervisor failed: {error}; a stall of the servo would go unnoticed"))
+        self._fail(SafetyStop(f"the supervisor failed: {error}; a stall of the servo would not be detected"))
 
     def _stop_stalled(self, idle_s: float, ticks: int) -> None:
         stalled = SafetyStop(
             f"no tick for {idle_s:.2f} s after tick {ticks}: zero force was commanded; "
-            "a device's exchange hangs, or this machine starves the servo thread"
+            "the exchange with a device does not return, or the machine gives the servo thread no time"
         )
         shutdown.run_all_steps(
             lambda: self._fail(stalled),  # first: it takes no time, unlike stopping a device

@@ -19,7 +19,7 @@ class TelemetryService:
         self.sink = Sink(
             "publisher",
             publisher.observe,
-            lambda error: SafetyStop(f"telemetry cannot be published: {error}; the rendered state would be invisible"),
+            lambda error: SafetyStop(f"telemetry cannot be published: {error}"),
         )
 
     def start(self) -> None:

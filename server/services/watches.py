@@ -20,8 +20,8 @@ DEVICE_WARNING: Final = "device_warning"
 SWAPPED: Final = "swapped"
 STATUS: Final = Path("/proc/self/status")
 ADVICE: Final = (
-    "a tick that needs it waits for the disk: end the programs that fill the memory, or let the daemon lock its memory "
-    "(see `softfinger doctor`)"
+    "ticks that need this memory wait for the disk: end programs that fill the memory, or let the daemon lock its "
+    "memory (see `softfinger doctor`)"
 )
 
 

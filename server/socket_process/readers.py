@@ -115,7 +115,7 @@ class Readers:
         self._new[key] += 1
         if self._new[key] <= SUBSCRIPTIONS_PER_S:
             return False
-        log.warning("key %s is barred: more than %d topics in 1 s", lock.allowed.name(key), SUBSCRIPTIONS_PER_S)
+        log.warning("key %s is blocked: more than %d topics in 1 s", lock.allowed.name(key), SUBSCRIPTIONS_PER_S)
         lock.allowed.revoke(key)
         lock.allowed.refresh()
         self.peers.renew()

@@ -78,8 +78,8 @@ def _draw_walls(findings: list[FileReport], plot: Path | None, quiet: bool) -> N
     scenes = [finding.file for finding in usable if finding.kind == "scene"]
     if plot is not None and len(walls) * len(scenes) != 1:
         raise ConfigError(
-            f"--plot draws one rig with [guard.workspace] and one scene, and there are {len(walls)} and {len(scenes)}: "
-            "name one of each"
+            f"--plot draws one rig with [guard.workspace] and one scene, but there are {len(walls)} and {len(scenes)}: "
+            "select one of each"
         )
     if not walls or not scenes or (quiet and plot is None):
         return
@@ -173,8 +173,7 @@ def kind_of(mapping: dict[str, Any], where: str) -> str:
         return "rig"
     if rig and scene:
         raise ConfigError(
-            f"{where}: both scene ({', '.join(sorted(scene))}) and rig ({', '.join(sorted(rig))}): "
-            "put them into two files"
+            f"{where}: both scene ({', '.join(sorted(scene))}) and rig ({', '.join(sorted(rig))}): use two files"
         )
     raise ConfigError(
         f"{where}: neither scene nor rig: a scene has [fingertip] or [[finger]], and [[object]], a rig has [device] or "

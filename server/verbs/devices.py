@@ -116,13 +116,14 @@ def lines(devices: list[ListedDevice]) -> list[str]:
         text.append(f"    driver {claim.driver}: softfinger run {command}")
         text.append(f"    {diagnosis.state}{': ' if diagnosis.reason else ''}{diagnosis.reason}")
         if identification is not None:
-            text.append(
-                f"    it says: {', '.join(f'{name} {_format_value(value)}' for name, value in identification.items())}"
-            )
+            answer = ", ".join(f"{name} {_format_value(value)}" for name, value in identification.items())
+            text.append(f"    it reports: {answer}")
         if diagnosis.remedy:
             text.append(f"    remedy: {diagnosis.remedy}")
     if not any(claim for _, claim, *_ in devices):
-        message = "no device that a driver knows is attached" if devices else "no USB or HID device is attached"
-        bus = "" if discovery.has_usb() else f"; this system has no USB bus ({Path('/') / discovery.USB} is not there)"
+        message = "no attached device is supported by a driver" if devices else "no USB or HID device is attached"
+        bus = (
+            "" if discovery.has_usb() else f"; this system has no USB bus ({Path('/') / discovery.USB} does not exist)"
+        )
         text.append(f"{message}{bus}. Without hardware: softfinger run, or softfinger run --rig simulated")
     return text

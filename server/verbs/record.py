@@ -104,7 +104,7 @@ class RecordingStats:
     def __str__(self) -> str:
         thinning = f", one in {self.every}" if self.every > 1 else ""
         losses = "" if self.lost else ", no tick lost"
-        skipped = f", {self.unusable} left out that are no pose" if self.unusable else ""
+        skipped = f", {self.unusable} skipped that are no valid pose" if self.unusable else ""
         ticks = f"ticks {self.first_tick} to {self.last_tick}{thinning}"
         return f"{self.poses} poses of {ticks}, {self.seconds:.3f} s{losses}{skipped}; {self.end_reason}"
 
@@ -142,7 +142,7 @@ def record(
             now = time.monotonic()
             if sample is None:
                 if now - received_s > timeout_s:
-                    set_end_reason(all_stats, f"nothing arrived for {timeout_s:g} s")
+                    set_end_reason(all_stats, f"no data for {timeout_s:g} s")
             else:
                 received_s = now
                 _dispatch(sample, writers, start)
@@ -222,8 +222,8 @@ class PoseWriter(Closeable):
         step = 0 if stats.last_tick < 0 else sample.tick - stats.last_tick
         if not DT_MIN_S <= sample.dt <= DT_MAX_S:
             raise ProtocolError(
-                f"tick {sample.tick} has dt = {sample.dt:g} s: no loop has such a period "
-                f"({DT_MIN_S:g} to {DT_MAX_S:g}): is it this program's stream?"
+                f"tick {sample.tick} has dt = {sample.dt:g} s: outside the range of a loop "
+                f"({DT_MIN_S:g} to {DT_MAX_S:g}): check that this program sent it"
             )
         if sample.lost:
             stats.lost += sample.lost

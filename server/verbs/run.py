@@ -40,7 +40,9 @@ def run(args: argparse.Namespace) -> int:
     if args.once:
         changes["device.loop"], sources["device.loop"] = False, "command line --once"
     if args.record is not None and not (folder := Path(args.record).absolute().parent).is_dir():
-        raise ConfigError(f"--record {args.record}: there is no folder {folder}: create it, or choose another file")
+        raise ConfigError(
+            f"--record {args.record}: the folder {folder} does not exist: create it, or choose another file"
+        )
     if args.view:
         check_viewer()
     with report_compilation("kernels that call the device"):  # compiled when the driver is imported
@@ -132,7 +134,7 @@ def start_watchers(daemon: Daemon) -> list[Watcher]:
         if zero_command is None:
             raise ConfigError(
                 f"--watcher: no other process can remove the force of {device.info.name} "
-                "(see docs/devices/overview.md): leave it out"
+                "(see docs/devices/overview.md): remove --watcher"
             )
         zero_commands.append(zero_command)
     return [Watcher(*zero_command) for zero_command in zero_commands]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import socket
 import sys
 import threading
 from contextlib import nullcontext
@@ -31,6 +32,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("the page needs viser: pip install 'softfinger[viewer]'") from None
     if not 0 <= args.port < 65536:
         raise ConfigError(f"--port {args.port} is not a port: must be 0 to 65535")
+    _check_host(args.host)
     from softfinger.server.viewer.door.opening import open_browser
     from softfinger.server.viewer.door.process import log_address
     from softfinger.server.viewer.live import LivePage
@@ -64,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
                 log_address(page.address)
             if args.host != PAGE_HOST:
                 log.warning(
-                    "anyone with this address can command the daemon, and it is sent over the network in plain text"
+                    "anyone with this address can command the daemon, and it is sent unencrypted over the network"
                 )
             opening = nullcontext() if args.no_open or not _can_open() else open_browser(page.address)
             with signals.stop_on_signal(lambda: stop_requests.append(True)), opening:
@@ -74,6 +76,16 @@ def run(args: argparse.Namespace) -> int:
     finally:
         page.close()
     return signals.stop_exit_code()
+
+
+def _check_host(host: str) -> None:
+    """Raise ConfigError if nothing can listen on a host; viser would wait forever."""
+    try:
+        found = socket.getaddrinfo(host or None, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        socket.create_server(found[0][4][:2], family=found[0][0]).close()
+    except (OSError, UnicodeError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else "") or error
+        raise ConfigError(f"--host {host}: {reason}: must be an address or a name of this machine") from None
 
 
 def _until_eof(stop_requests: list[bool]) -> None:

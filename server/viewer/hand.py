@@ -44,7 +44,7 @@ TWO_HANDS: Final = (
     "apart. Choose a finger to drag it alone; **ctrl** rolls."
 )
 NO_HAND: Final = (
-    "Nothing here is to be led: a person, a puck or a recording moves the fingertip. `softfinger run --view` has a "
+    "The page cannot move this fingertip: a person, a SpaceMouse or a recording does. `softfinger run --view` has a "
     "hand."
 )
 BOTH: Final = "both fingers"

@@ -32,10 +32,10 @@ from softfinger.server.viewer.tuning import SceneControls
 from softfinger.server.viewer.wire import CommandQueue, QueuedCommand, TelemetryReceiver, ignore
 from softfinger.server.wire.commands import Held, Triangles
 
-WAITING: Final = "no daemon answers yet: is `softfinger run` running, and are these its endpoints?"
-SILENT: Final = "no tick for 3 s: the picture shows the last one. Has `softfinger run` ended?"
+WAITING: Final = "no daemon answers: check that `softfinger run` is running with these endpoints"
+SILENT: Final = "no tick for 3 s: the picture shows the last one; check that `softfinger run` is running"
 SILENCE_S: Final = 3.0
-PREPARING: Final = "the scene is prepared; the old one is rendered until then"
+PREPARING: Final = "the new scene is being prepared; the old one is rendered until then"
 REQUEST_PERIOD_S: Final = 1.0
 SCENE_COMMANDS: Final = ("set_params", "set_scene")
 POSE_KEYS: Final = ("position_m", "orientation_wxyz")

@@ -101,7 +101,7 @@ class Play:
     def _try_start(self, name: str) -> str:
         finger = self._hand.chosen_finger()
         if finger is None:
-            return "nothing here is to be led; `softfinger run --view` has a hand"
+            return "the page cannot move this fingertip; use `softfinger run --view`"
         stage = Stage(self._hand.target, self._proxy, self._normal_force, self._hand.radius, self._height)
         if name == LIFT:
             return self._try_lift(stage)
@@ -137,7 +137,7 @@ class Play:
         if name == "spin" and below.material.torsion is None:
             return f"{below.name} has no torsion (`material.torsion` of the scene)"
         if name in ("roll", "spin") and self._sensed_dof[finger] < ORIENTATION_DOF:
-            return "this device does not sense how it is turned"
+            return "this device does not measure its orientation"
         return ""
 
     def _try_lift(self, stage: Stage) -> str:
@@ -150,7 +150,7 @@ class Play:
                 self._start(lift(stage, sides[0], sides[1], box))
                 return ""
         if tuple(finger.name for finger in self._scene.fingers) != FINGERS or not sides:
-            return "it takes two fingers and a box: end the program, and begin with `run --scene lift-a-box --view`"
+            return "this needs two fingers and a box: end the program, and start `run --scene lift-a-box --view`"
         self._after_scene = LIFT
         self._actions.scene(LIFT_SCENE)
         return ""

@@ -99,7 +99,7 @@ def load(recording: str, scene: str | None) -> LoadedRecording:
     names = {scene_finger.name for scene_finger in rendered_scene.fingers}
     if names != set(fingers) and not (len(names) == 1 and set(fingers) == {""}):
         raise RecordingError(
-            f"{recording}: has fingers {sorted(fingers)}, and the scene {sorted(names)}: give its --scene"
+            f"{recording}: has fingers {sorted(fingers)}, but the scene has {sorted(names)}: add its --scene"
         )
     rate_hz, name = float(notes.get("rate_hz", 1000.0)), str(notes.get("scene_name", scene or DEFAULT_SCENE))
     start = _find_scene_start(notes, fingers, rate_hz)

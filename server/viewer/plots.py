@@ -49,7 +49,7 @@ class Plots:
         with tab:
             self._plots += [
                 _plot(gui, "spin, degrees; roll (red)", ("spin", "roll"), 1.0, has_time=True),
-                _plot(gui, "woken late, us; step (red)", ("woken late", "step"), 100.0, has_time=True),
+                _plot(gui, "wake-up lateness, us; step (red)", ("woken late", "step"), 100.0, has_time=True),
             ]
         self._titles = [str(plot.title) for plot in self._plots]
 

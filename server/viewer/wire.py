@@ -125,7 +125,7 @@ class CommandQueue:
 
     def submit(self, name: str, request: QueuedCommand) -> None:
         if self._allowed_methods is not None and request.method not in self._allowed_methods:
-            request.on_error(f"{request.method}: this page has a --role that may not")
+            request.on_error(f"{request.method}: the --role of this page does not permit it")
             return
         with self._changed:
             self._pending[name] = request

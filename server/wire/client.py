@@ -179,7 +179,7 @@ class Subscription(Closeable):
         if len(frames) != 2:
             raise ProtocolError(
                 f"message of {len(frames)} frames from {self.endpoint}, expected 2 (topic and map): "
-                "is another program publishing here?"
+                "check that no other program publishes here"
             )
         topic, body = frames
         message = decode(topic, body)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple, Ty
 import msgspec
 from msgspec import Meta, Struct, inspect
 
-from softfinger.config.fields import Coordinate
+from softfinger.config.fields import Coordinate, Orientation, normalise_orientation
 from softfinger.proxy.record import AT
 
 if TYPE_CHECKING:
@@ -26,10 +26,10 @@ ERRORS: Final[dict[ErrorName, str]] = {
     "malformed": "the message does not have the envelope of a request",
     "unknown_method": "the method does not exist",
     "bad_params": "a parameter is missing, unknown, of another type or out of range",
-    "refused": "the daemon cannot do this in its present state",
-    "busy": "too many requests, or a scene is being replaced: ask again later",
+    "refused": "the daemon cannot do this in its current state",
+    "busy": "too many requests, or a scene is being replaced: repeat the request later",
     "superseded": "a later set_scene arrived before this one was compiled",
-    "expired": "the client had stopped waiting before the daemon handled it: nothing was done",
+    "expired": "the client stopped waiting before the daemon handled the request: nothing was done",
     "failed": "a defect of the daemon; its log has details",
 }
 """Names with which an error may start."""
@@ -128,9 +128,12 @@ class Hand(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     position_m: tuple[Coordinate, Coordinate, Coordinate] | msgspec.UnsetType = msgspec.UNSET
-    orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
+    orientation_wxyz: Orientation | msgspec.UnsetType = msgspec.UNSET
     finger: Name | Annotated[int, Meta(ge=0)] | msgspec.UnsetType = msgspec.UNSET
     release: bool = False
+
+    def __post_init__(self) -> None:
+        normalise_orientation(self)
 
 
 class Hold(Struct, frozen=True, forbid_unknown_fields=True):
@@ -318,16 +321,16 @@ class Method(NamedTuple):
 
 METHODS: Final = {
     "get_state": Method(Empty, State, "Return the latest tick of the first finger."),
-    "heartbeat": Method(Empty, Alive, "Send a sign of life; restores the force that a missed heartbeat removed."),
+    "heartbeat": Method(Empty, Alive, "Send a heartbeat; restores the force that a missed one removed."),
     "set_params": Method(Values, Changed, "Change parameters of the scene, all between the same two ticks or none."),
     "set_scene": Method(SetScene, SceneSet, "Compile another scene, then switch to it at zero force."),
     "reset_world": Method(Empty, Applied, "Return the bodies of [world] to their initial poses, at zero force."),
     "drive": Method(Drive, Applied, "Set the pose of a driven object."),
     "hand": Method(Hand, Applied, "Set the goal of the hand on a simulated device."),
-    "hold": Method(Hold, Held, "Keep the present goal of the hand on a simulated device, and return it."),
+    "hold": Method(Hold, Held, "Keep the current goal of the hand on a simulated device, and return it."),
     "arm": Method(Empty, Armed, "Fade the force in."),
-    "disarm": Method(Empty, Armed, "Fade the force out and keep it off."),
-    "zero": Method(Zero, Zeroed, "Define the present position of the probe; only while disarmed."),
+    "disarm": Method(Empty, Armed, "Reduce the force to zero and keep it there."),
+    "zero": Method(Zero, Zeroed, "Define the current position of the probe; only while disarmed."),
     "mark": Method(Mark, Applied, "Publish an event with a label."),
     "get_prompt": Method(Empty, Prompted, "Return the prompt and its answer."),
     "set_prompt": Method(Prompt, Prompted, "Show a text or a question on every page."),

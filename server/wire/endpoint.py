@@ -55,9 +55,9 @@ def check_endpoint(endpoint: str, key: str, public: bool = False) -> None:
         )
     if not public and not _is_loopback(host):
         raise ConfigError(
-            f"{key} = {endpoint!r} can be reached from other machines, which needs CURVE keys, and none "
-            f"are configured: use tcp://127.0.0.1:{port} or an ipc:// path; docs/operate/network.md shows how others "
-            "get keys, or reach it through an SSH tunnel"
+            f"{key} = {endpoint!r} can be reached from other machines, which needs CURVE keys, but none "
+            f"are configured: use tcp://127.0.0.1:{port} or an ipc:// path; docs/operate/network.md describes keys "
+            "and access through an SSH tunnel"
         )
 
 
@@ -83,7 +83,7 @@ def make_runtime_folder() -> None:
     except OSError as error:
         raise ConfigError(
             f"{folder}: cannot be created for the socket of commands: {error.strerror}; set XDG_RUNTIME_DIR "
-            "to a folder that belongs to you, or give [commands] endpoint"
+            "to a folder that belongs to you, or set [commands] endpoint"
         ) from error
     check_runtime_folder()
 
@@ -104,7 +104,7 @@ def check_runtime_folder() -> None:
         raise ConfigError(
             f"{folder}: is not a folder: move it away, or set XDG_RUNTIME_DIR to a folder that belongs to you"
         )
-    check_owner(folder, status, "could take commands in the place of the daemon")
+    check_owner(folder, status, "could receive commands instead of the daemon")
 
 
 def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> BoundSocket:
@@ -194,7 +194,7 @@ def _claim(path: Path, endpoint: str, key: str) -> int:
 def _in_use_error(endpoint: str, key: str) -> AddressInUse:
     scheme, _, address = endpoint.partition("://")
     program = holder(f"{address}.lock") if scheme == "ipc" else _find_listener(int(address.rpartition(":")[2]))
-    free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* takes a free one)"
+    free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* selects a free one)"
     return AddressInUse(
         f"{key} {endpoint} is in use: stop {program or 'the softfinger or other program that holds it'}, "
         f"or set {key} to {free}"

@@ -85,7 +85,9 @@ def parse(body: bytes | None) -> Request:
     command_id = command_id if isinstance(command_id, str) and len(command_id) <= 128 else ""
     if not _is_plain(decoded):
         raise Declined(
-            "malformed", f"deeper than {DEPTH_MAX}, of more than {NODES_MAX} values, or not of plain ones", command_id
+            "malformed",
+            f"deeper than {DEPTH_MAX}, or of more than {NODES_MAX} values, or of unsupported types",
+            command_id,
         )
     try:
         envelope = msgspec.convert(decoded, _Envelope)
@@ -100,7 +102,7 @@ def parse(body: bytes | None) -> Request:
         raise Declined("bad_params", f"{envelope.method}: {error}", command_id) from error
     # The clock of another machine is unknown.
     if envelope.expires is not None and envelope.expires[0] == _BOOT and envelope.expires[1] < time.monotonic():
-        raise Declined("expired", "its client has given up waiting: nothing was done", command_id)
+        raise Declined("expired", "its client stopped waiting: nothing was done", command_id)
     return Request(command_id, envelope.method, params)
 
 

@@ -21,17 +21,18 @@ event.
 """
 
 ADVICE: Final = {
-    "not_finite": "the scene gave no finite force: softfinger check names values that do not go together",
-    "pose_refused": "the device gave no usable pose: see to its sensors and its cable",
-    "pose_jumped": "the pose jumped farther than a hand moves: check sensors and cable; if it was a hand, raise "
+    "not_finite": "the scene gave no finite force: softfinger check reports inconsistent values",
+    "pose_refused": "the device sent no usable pose: check its sensors and its cable",
+    "pose_jumped": "the pose jumped farther than a hand can move: check sensors and cable; if a hand moved it, raise "
     "guard.speed_max_m_per_s",
     "pose_frozen": "the pose repeats bit for bit under a force: move the handle; if it rests, disarm",
     "too_fast": "the handle was faster than guard.handle_speed_max_m_per_s: hold it, and arm if the rig requires it; "
     "if no hand moved it so fast, use a softer scene, or check the sign of the force",
-    "motor_hot": "the force is lowered until the motors have cooled: let go for a while, or take a softer scene",
-    "energy_spent": "the rendering gave the hand more than guard.energy_max_j, and its force fades: take a softer "
+    "motor_hot": "the force is reduced until the motors have cooled: release the handle for a while, or use a softer "
+    "scene",
+    "energy_spent": "the hand received more energy than guard.energy_max_j, so the force is reduced: use a softer "
     "scene or [passivity]; for an object that is meant to push, raise that limit",
-    "workspace_edge": "the handle is at the edge of guard.workspace: come back from it",
+    "workspace_edge": "the handle is at the edge of guard.workspace: move it back",
 }
 """Remedy by name of a guard's event; other events need none."""
 
@@ -45,7 +46,7 @@ _TRANSITIONS: Final[dict[str, tuple[str, int | None]]] = {
     "release": ("release", None),
 }
 
-NONLINEAR: Final = "the elastic object is deformed more than its linear model describes: press less, or raise youngs_pa"
+NONLINEAR: Final = "the deformation exceeds the range of the linear elastic model: press less, or raise youngs_pa"
 """Remedy of the event `nonlinear`."""
 
 _WATCHED: Final = [AT.contact_mode, AT.contact_cause, AT.servo_guard, AT.servo_missed, AT.contact_nonlinear]

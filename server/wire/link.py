@@ -88,6 +88,8 @@ class SocketProcess:
         self._setup, self._files, self._event = setup, list(files), event
         self._on_handled, self._silent_max_s = on_handled, silent_max_s
         self._handlers: RequestHandlers | None = None
+        self._early_requests: list[Message] = []
+        """Requests that arrived before `serve`; the process passes on only a few."""
         self._earlier_figures, self._present_figures = Figures(), Figures()
         self._logged, self._logged_s = Figures(), -LOG_PERIOD_S
         self._started_s = 0.0
@@ -121,7 +123,7 @@ class SocketProcess:
         self.send(Kind.DEFERRED_ANSWER, client, body)
 
     def serve(self, handlers: RequestHandlers | None) -> None:
-        """Set the handlers of requests; None: requests are no longer answered."""
+        """Set the handlers of requests, also of earlier ones; None: requests wait until there are handlers again."""
         self._handlers = handlers
 
     @property
@@ -177,6 +179,9 @@ class SocketProcess:
                 if is_late or start_s - self._received_s > self._silent_max_s:
                     self._process.kill()
                 if self._handlers is not None:
+                    early, self._early_requests = self._early_requests, []
+                    for message in early:
+                        self._answer(self._handlers, message)
                     self._handlers.each_period()
                 self._log_figures(start_s)
                 while self._delayed_events and start_s >= self._delayed_events[0][0]:
@@ -219,16 +224,20 @@ class SocketProcess:
                 log.warning("%s", message.body.decode(errors="replace"))
             case Kind.REQUEST | Kind.TOO_MUCH | Kind.MALFORMED:
                 handlers = self._handlers
-                body = None if message.kind == Kind.MALFORMED else message.body
-                answer = None
-                if handlers is not None:
-                    answer = handlers.answer(message.key, body, message.kind == Kind.TOO_MUCH)
-                if answer is None or not self._channel.send(Kind.ANSWER, message.key, answer):
-                    self._channel.send(Kind.DEFERRED, message.key)
-                if message.kind == Kind.REQUEST:
-                    self._on_handled(message.body)
+                if handlers is None:
+                    self._early_requests.append(message)
+                else:
+                    self._answer(handlers, message)
                 return True
         return False
+
+    def _answer(self, handlers: RequestHandlers, message: Message) -> None:
+        body = None if message.kind == Kind.MALFORMED else message.body
+        answer = handlers.answer(message.key, body, message.kind == Kind.TOO_MUCH)
+        if answer is None or not self._channel.send(Kind.ANSWER, message.key, answer):
+            self._channel.send(Kind.DEFERRED, message.key)
+        if message.kind == Kind.REQUEST:
+            self._on_handled(message.body)
 
     def _restart(self) -> bool:
         """Start another process after one has exited; return False if none is needed."""
@@ -244,6 +253,7 @@ class SocketProcess:
             self.failed = True
             return False
         self._channel.close()
+        self._early_requests.clear()
         self._earlier_figures, self._present_figures = msgspec.structs.replace(self.figures, subscribers=0), Figures()
         if time.monotonic() - self._started_s > STABLE_S:
             self._pause_s = 0.0
@@ -254,7 +264,7 @@ class SocketProcess:
         if self._ending():
             return False
         self.restarts += 1
-        text = f"the {self.name} process has ended with code {code} and was started again: its peers connect again"
+        text = f"the {self.name} process has ended with code {code} and was restarted: its peers reconnect"
         log.error("%s", text)
         self._restart_reports.append(text)
         return True
@@ -284,10 +294,7 @@ class SocketProcess:
         except OSError as error:  # no file descriptor, process or memory is left
             if not self._restart_failed:
                 self._restart_failed = True
-                text = (
-                    f"the {self.name} process cannot be started: {error}; "
-                    f"it is tried again every {PAUSE_MAX_S:g} s or sooner"
-                )
+                text = f"the {self.name} process cannot be started: {error}; retrying at least every {PAUSE_MAX_S:g} s"
                 log.error("%s", text)
                 self._event(text)
             return False

@@ -166,20 +166,26 @@ HEALTH_KEYS: Final = (
     Key("passivity.owed", "float", "J", "", "largest energy that the rendering generated in a contact"),
     Key("passivity.damped", "int", "1", "", "ticks in which the passivity controller added damping"),
     Key("limits.speed", "float", "m/s", "", "largest smoothed speed of the handle; 0 without that limit"),
-    Key("limits.heat", "float", "1", "", "largest heat of the motors; at 1 they have the continuous force"),
+    Key("limits.heat", "float", "1", "", "largest heat of the motors; 1 is that of the continuous force"),
     Key("limits.energy", "float", "J", "", "largest energy that contacts gave to the hand"),
     Key("modes.free", "int", "1", "", "ticks in mode free"),
     Key("modes.rolling", "int", "1", "", "ticks in mode rolling"),
     Key("modes.sliding", "int", "1", "", "ticks in mode sliding"),
-    Key("subscribers", "int", "1", "", "connections that subscribe to something"),
-    Key("lost", "int", "1", "", "messages that subscribers were too slow to take, at least, since the server started"),
+    Key("subscribers", "int", "1", "", "connections with a subscription"),
+    Key(
+        "lost",
+        "int",
+        "1",
+        "",
+        "lower bound of the messages lost because subscribers were too slow, since the server started",
+    ),
     Key("refused", "int", "1", "", "connections refused or closed because of their messages, since the server started"),
     Key(
         "restarts",
         "int",
         "1",
         "",
-        "times the processes of telemetry and commands were started again, since the server started",
+        "restarts of the processes of telemetry and commands since the server started",
     ),
     Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
     Key(
@@ -230,7 +236,7 @@ SCHEMA_KEYS: Final = (
     SCHEMA_KEY,
     Key("timestamp", "float", "s", "", "when the server was started, since the epoch"),
     Key("topics", "str[]", "", "", "all topics"),
-    Key("commands", "str", "", "", "endpoint where commands are taken, empty where none are"),
+    Key("commands", "str", "", "", "endpoint for commands, empty if there is none"),
     Key("messages", "map", "", "", "keys of each kind of message: name, type, unit, frame, meaning"),
 )
 
@@ -316,8 +322,8 @@ def decode(topic: bytes, body: bytes) -> Any:
     decoder = _DECODERS.get(CONTACT if name.startswith(FINGERS) else name)
     if decoder is None:
         raise ProtocolError(
-            f"unknown topic {name[:40]!r}: expected one of {', '.join((*TOPICS, *SCENE_TOPICS))} or {FINGERS}NAME; is "
-            "another program publishing here?"
+            f"unknown topic {name[:40]!r}: expected one of {', '.join((*TOPICS, *SCENE_TOPICS))} or {FINGERS}NAME; "
+            "check that no other program publishes here"
         )
     if len(body) > MAX_BYTES:
         raise ProtocolError(f"{name} message of {len(body)} bytes is longer than the limit {MAX_BYTES}")

@@ -253,7 +253,7 @@ class Publisher(Closeable):
                 health["preparing"] = self._preparing or str(COMPILE_PROGRESS)
                 self._send(HEALTH, health)
             if any(link.failed for link in self._links) or self.tap.failed:
-                raise RuntimeError("a process of the endpoints, or the thread that forwards, has ended")
+                raise RuntimeError("a process of the endpoints, or the forwarding thread, has ended")
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
         """Send an event with the present time; `fields` are further keys, of types that msgpack can encode."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +9,10 @@ import pytest
 from helpers.refusals import faults_in
 
 from softfinger.config import limits, schema
-from softfinger.config.load import build, describe, load_scene
+from softfinger.config.load import build, describe
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import shape_bodies
-from softfinger.server.verbs import schema as schema_verb
 
 pytestmark = pytest.mark.plain
 
@@ -27,7 +24,7 @@ SHAPES: dict[str, dict[str, Any]] = {
     "box": {"size_m": [0.1, 0.2, 0.3]},
     "ellipsoid": {"semi_axes_m": [0.06, 0.05, 0.04]},
     "torus": {"major_radius_m": 0.06, "minor_radius_m": 0.02},
-    "mesh": {"file": "part.ply"},
+    "mesh": {"file": "part.PLY"},
 }
 UNSIZED = ("plane", "mesh")
 """Shapes whose tables have no length."""
@@ -48,12 +45,8 @@ def object_of(shape: str, fingertip: float = 0.01, **keys: Any) -> Any:
     return item
 
 
-def error_messages(raw: dict[str, Any]) -> list[str]:
-    return [str(fault) for fault in faults_in(build, schema.Scene, raw, "f.toml")]
-
-
 def faults_of(shape: str, fingertip: float = 0.01, **keys: Any) -> list[str]:
-    return error_messages(mapping(shape, fingertip, **keys))
+    return [str(fault) for fault in faults_in(build, schema.Scene, mapping(shape, fingertip, **keys), "f.toml")]
 
 
 def signed_distance(item: Any, x: tuple[float, float, float]) -> float:
@@ -70,13 +63,6 @@ def test_the_key_shape_selects_the_struct(shape: str) -> None:
 
 def test_all_shapes_are_tested_here() -> None:
     assert {kind.shape for kind in schema.Object.__args__} == set(SHAPES) | FROM_FILES
-
-
-def test_an_unknown_shape_lists_the_known_ones() -> None:
-    item = {"name": "x", "shape": "elipsoid", "material": {"stiffness_n_per_m": 500.0}}
-    (fault,) = error_messages({**mapping("sphere"), "object": [item]})
-    assert all(repr(name) in fault for name in SHAPES)
-    assert "did you mean 'ellipsoid'" in fault
 
 
 def keys_of_size(shape: str, size: float) -> dict[str, Any]:
@@ -104,11 +90,6 @@ def test_dimensions_are_required(shape: str, key: str) -> None:
     (fault,) = faults_of(shape, **{key: None})
     assert f"object[0].{key} is missing" in fault
     assert f"such as {key} = " in fault
-
-
-def test_a_cylinder_without_length_has_no_ends() -> None:
-    assert object_of("cylinder", length_m=None).length_m is None
-    assert any("object[0].length_m is missing" in fault for fault in faults_of("capsule", length_m=None))
 
 
 TIGHT: list[tuple[str, float, dict[str, Any], str]] = [
@@ -154,28 +135,10 @@ def test_faults_of_a_mesh_are_reported(keys: dict[str, Any], text: str) -> None:
     assert text in fault
 
 
-def test_a_mesh_file_is_relative_to_its_scene(tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(
-        '[fingertip]\nradius_m = 0.01\n[[object]]\nname = "part"\nshape = "mesh"\nfile = "parts/a.STL"\n'
-        "scale = 0.001\n[object.material]\nstiffness_n_per_m = 1000.0\n"
-    )
-    (part,) = load_scene(tmp_path / "scene.toml").object
-    assert isinstance(part, schema.Mesh) and part.scale == 0.001
-    assert part.file == str(tmp_path / "parts" / "a.STL")
-
-
-def test_a_ring_has_a_hole() -> None:
-    faults = faults_of("torus", minor_radius_m=0.06)
-    assert len(faults) == 1
-    assert "object[0].minor_radius_m = 0.06: must be below major_radius_m = 0.06 m" in faults[0]
-
-
 def test_faults_of_pose_and_shape_are_reported_together() -> None:
-    faults = faults_of("torus", minor_radius_m=0.07, orientation_wxyz=[0, 0, 0, 0])
-    assert {fault.split(" = ")[0] for fault in faults} == {
-        "f.toml: object[0].minor_radius_m",
-        "f.toml: object[0].orientation_wxyz",
-    }
+    ring, turn = sorted(faults_of("torus", minor_radius_m=0.06, orientation_wxyz=[0, 0, 0, 0]))
+    assert "object[0].minor_radius_m = 0.06: must be below major_radius_m = 0.06 m" in ring
+    assert turn.startswith("f.toml: object[0].orientation_wxyz = ")
 
 
 @pytest.mark.parametrize(
@@ -245,15 +208,3 @@ def test_the_walls_of_a_hollow_enclose_what_the_solid_fills(shape: str) -> None:
             assert room == pytest.approx(-within, abs=1e-16)
             inner += 1
     assert 50 < inner < 950
-
-
-def test_the_reference_has_the_dimensions_of_every_shape() -> None:
-    tables = schema_verb.markdown("scene").split("### `[[object]]`\n", 1)[1].split("\n### ", 1)[0]
-    for shape, keys in SHAPES.items():
-        (own,) = re.findall(rf'^\| `"{shape}"` \| .* \| (.*) \|$', tables, re.MULTILINE)
-        assert set(re.findall(r"`(\w+)`", own)) >= set(keys)
-        for key in keys:
-            rows = re.findall(rf"^\| `{key}`(?: of ([\w, ]+))? \| (.*?) \|", tables, re.MULTILINE)
-            (allowed,) = [allowed for of, allowed in rows if not of or shape in of.split(", ")]
-            assert allowed.removesuffix(", required").endswith(" m") == (shape not in UNSIZED)
-        assert ("`inside`" in own) == (shape != "plane")

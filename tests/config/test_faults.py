@@ -40,7 +40,7 @@ def test_the_page_lists_every_kind() -> None:
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({}, r"fault\[0\]\.at_tick: is missing, and at_s is too: give one of them"),
+        ({}, r"fault\[0\]\.at_tick: is missing, as is at_s: set one of them"),
         ({"at_tick": 5, "at_s": 1.0}, r"fault\[0\]\.at_s = 1\.0: at_tick already sets the start"),
         ({"at_tick": 5, "ticks": 3, "for_s": 1.0}, r"fault\[0\]\.for_s = 1\.0: ticks already sets the duration"),
         ({"at_tick": -1}, r"fault\[0\]\.at_tick = -1: must be an integer from 0"),

@@ -9,6 +9,7 @@ from typing import Final
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -91,9 +92,9 @@ def test_a_mass_for_an_unknown_or_massless_body_is_refused(body: str, mass: floa
 def test_a_model_of_several_files(tmp_path: Path) -> None:
     body = '<body name="ball" pos="0 0 1"><freejoint/><geom name="skin" type="mesh" mesh="ball"/></body>'
     (tmp_path / "part.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    mesh = write_stl(tmp_path / "ball.stl")
+    trimesh.creation.icosphere(subdivisions=1, radius=0.05).export(tmp_path / "ball.stl")
     (tmp_path / "whole.xml").write_text(
-        f'<mujoco><option timestep="0.001"/><asset><mesh name="ball" file="{mesh}"/></asset>'
+        '<mujoco><option timestep="0.001"/><asset><mesh name="ball" file="ball.stl"/></asset>'
         '<include file="part.xml"/></mujoco>'
     )
     file = tmp_path / "scene.toml"
@@ -101,15 +102,6 @@ def test_a_model_of_several_files(tmp_path: Path) -> None:
     file.write_text(f"[fingertip]\nradius_m = 0.01\n{world}\n")
     engine = Engine(load_changed_scene(file, {"mass.ball": 0.2, "fingertip.radius_m": 0.02}, "overrides"))
     assert engine.model.body("ball").mass[0] == 0.2 and engine.config.fingertip.radius_m == 0.02
-
-
-def write_stl(path: Path) -> str:
-    """A tetrahedron of 5 cm."""
-    corners = 0.05 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
-    faces = np.zeros(4, [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
-    faces["v"] = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
-    path.write_bytes(bytes(80) + np.uint32(4).tobytes() + faces.tobytes())
-    return path.name
 
 
 def test_masses_of_overrides_pass_the_check_and_stay_in_the_scene() -> None:

@@ -37,6 +37,8 @@ def material_refusal(material: Any) -> str:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_material_is_one_a_scene_may_have(name: str) -> None:
+    scene = scene_of({"name": name, "stiffness_n_per_m": 700})
+    assert build(Scene, describe(scene), "again") == scene
     material = material_of(name)
     assert material.name == name
     # Small desktop devices render up to 3000 N/m and have 1 to 2 N s/m of physical damping.
@@ -235,9 +237,3 @@ def test_a_wrong_name_does_not_hide_other_faults() -> None:
     message = refusal(build, Scene, {"fingertip": {"radius_m": -1}, "object": [table]}, "f.toml")
     assert "2 faults" in message
     assert "fingertip.radius_m" in message
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_named_material_survives_a_round_trip(name: str) -> None:
-    scene = scene_of({"name": name, "stiffness_n_per_m": 700})
-    assert build(Scene, describe(scene), "again") == scene

@@ -127,7 +127,7 @@ def test_unreadable_tables_give_no_devices(root: Path) -> None:
         assert discovery.names(root) == frozenset()
         # the devices that libusb finds, if any
         assert discovery.list_attached(root) == list(discovery.usb_devices(root))
-        with pytest.raises(DeviceNotFound, match="there is no such file"):
+        with pytest.raises(DeviceNotFound, match="the file does not exist"):
             library.load(str(hidden / "libdrd.so"))
         options = {"firmware": str(hidden / "libdrd.so")}
         assert diagnose_requirements(Claim("falcon", "usb", 0x0403, 0xCB48), options).state == "firmware"
@@ -185,7 +185,7 @@ def test_a_teensy_is_not_identified_by_its_ids(node: Path) -> None:
     board = at(node, 0x16C0, 0x0483, bus="serial")
     diagnosis = diagnose(board, find_claim(board))
     assert diagnosis.state == "product"
-    assert "its product is 'thing', and 16c0:0483 is any Teensy" in diagnosis.reason
+    assert "its product is 'thing', and 16c0:0483 matches any Teensy" in diagnosis.reason
     assert f'path = "{node}"' in diagnosis.remedy
     assert "Haply" in diagnose(board._replace(name="Teensyduino"), find_claim(board)).remedy
     rig = DeviceConfig(driver="serial", options={"path": str(node)})
@@ -296,14 +296,14 @@ def test_a_missing_library_is_diagnosed(node: Path, monkeypatch: pytest.MonkeyPa
     omega = at(node, 0x1451, 0x0402, bus="usb")
     diagnosis = diagnose(omega, find_claim(omega))
     assert diagnosis.state == "library"
-    assert "libdrd is not on this machine" in diagnosis.reason
+    assert "libdrd was not found" in diagnosis.reason
     assert "export FDSDK=" in diagnosis.remedy
 
 
 def test_the_library_file_of_the_rig_is_checked(node: Path) -> None:
     omega = at(node, 0x1451, 0x0402, bus="usb")
     named = DeviceConfig(driver="forcedimension", options={"library_file": "/no/libdrd.so.9"})
-    assert "libdrd.so.9': there is no such file" in diagnose(omega, find_claim(omega), named).reason
+    assert "libdrd.so.9': the file does not exist" in diagnose(omega, find_claim(omega), named).reason
     config = DeviceConfig(driver="hid", options={"library_file": "/no/libdrd.so.9"})
     assert "libdrd.so.9" not in diagnose(omega, find_claim(omega), config).reason
 
@@ -311,7 +311,7 @@ def test_the_library_file_of_the_rig_is_checked(node: Path) -> None:
 def test_a_falcon_needs_its_firmware(root: Path) -> None:
     claim = Claim("falcon", "usb", 0x0403, 0xCB48)
     file = root / "firmware.bin"
-    assert "no rig named one" in diagnose_requirements(claim, {}).reason
+    assert "no rig sets one" in diagnose_requirements(claim, {}).reason
     diagnosis = diagnose_requirements(claim, {"firmware": str(file)})
     assert diagnosis.state == "firmware"
     assert "firmware.bin' is not a file" in diagnosis.reason
@@ -322,7 +322,7 @@ def test_a_falcon_needs_its_firmware(root: Path) -> None:
 def test_a_missing_driver_is_diagnosed(root: Path) -> None:
     diagnosis = diagnose(at(root), Claim("no-such-driver", "hid", 0x046D, 0xC626))
     assert diagnosis.state == "driver"
-    assert "'no-such-driver' is not in this installation" in diagnosis.reason
+    assert "'no-such-driver' is not installed" in diagnosis.reason
 
 
 def test_output_without_devices() -> None:

@@ -139,8 +139,8 @@ def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("size", "spoil", "message"),
     [
-        (None, 0, "no firmware runs in the Falcon: give the path of its firmware file as `firmware`"),
-        (20, 0, "has 20 bytes, a Falcon's firmware 7324 to 8492"),
+        (None, 0, "no firmware runs in the Falcon: set `firmware` in the rig"),
+        (20, 0, "has 20 bytes, must have 7324 to 8492"),
         (3100, 99, "did not accept the firmware .* in 10 tries: byte 30\\d\\d of 3100 came back as"),
     ],
     ids=["no-file", "not-a-firmware", "never-right"],

@@ -85,6 +85,18 @@ def test_a_failed_search_restarts_at_the_centre() -> None:
             assert converged and math.dist(place, position) < 1e-9
 
 
+def test_rows_of_k_are_the_derivative() -> None:
+    h = 1e-6  # m: its square times the third derivative, and rounding over it, stay below 1e-6 rad/m
+    for place in places(300):
+        _, k = inverse(delta.FALCON, tuple(place))
+        for axis in range(3):
+            step = h * np.eye(3)[axis]
+            ahead, _ = inverse(delta.FALCON, tuple(place + step))
+            behind, _ = inverse(delta.FALCON, tuple(place - step))
+            slope = (np.array(ahead) - np.array(behind)) / (2 * h)
+            np.testing.assert_allclose(np.array(k)[:, axis], slope, rtol=1e-6, atol=1e-5)
+
+
 def test_torques_do_the_work_of_the_force() -> None:
     rng = np.random.default_rng(SEED)
     h = 1e-6

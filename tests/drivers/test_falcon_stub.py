@@ -168,7 +168,7 @@ def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, capl
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     device.close()
     assert "takes no packet" in caplog.text
-    assert device.zero_failure() == "it has taken no packet for 1 s"
+    assert device.zero_failure() == "it has accepted no packet for 1 s"
     steps = stub["steps"]
     stub["block"] = 0
     assert (stub["flying"], stub["dropped"], stub["steps"]) == (0, 0, steps)
@@ -274,7 +274,7 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
     stub[1, "attached"] = 1
     stub[1, "z"], stub[1, "x"] = 0.045, 0.02
     stub.place(1)
-    with pytest.raises(DeviceNotFound, match="2 Falcons are attached: name one with serial: 'SN1', 'SN2'"):
+    with pytest.raises(DeviceNotFound, match="2 Falcons are attached: select one with serial: 'SN1', 'SN2'"):
         bench.open()
     assert stub["opens"] == stub["closes"] and stub[1, "opens"] == stub[1, "closes"]
     with bench.open(serial="SN2") as second:

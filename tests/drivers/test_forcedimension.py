@@ -332,14 +332,16 @@ def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None
         assert part in str(caught.value), part
     with (
         plugged_in(0x0402, 0x040C, 0x7777, nodes=None),
-        pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x haptic device.*lambda.*1451:7777"),
+        pytest.raises(DeviceNotFound, match=r"the file does not exist.*omega\.x haptic device.*lambda.*1451:7777"),
     ):
         forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
     with tempfile.TemporaryDirectory() as folder:
         os.chmod(folder, 0o755)
         with (
             plugged_in(0x0402, nodes=Path(folder), mode=0),
-            pytest.raises(DeviceNotFound, match=r"no such file.*omega\.x.*may not be opened.*install --system"),
+            pytest.raises(
+                DeviceNotFound, match=r"the file does not exist.*omega\.x.*may not be opened.*install --system"
+            ),
         ):
             forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
 
@@ -358,7 +360,7 @@ def test_the_library_is_searched_without_a_home_directory(monkeypatch: pytest.Mo
     """Without a home directory, neither the search nor a path with ~ fails otherwise than by not finding the file."""
     forget_user(monkeypatch)
     for named in (None, "~/libdrd.so"):
-        with pytest.raises(DeviceNotFound, match=r"searched for /usr/local/lib|'~/libdrd.so': there is no such file"):
+        with pytest.raises(DeviceNotFound, match=r"searched for /usr/local/lib|'~/libdrd.so': the file does not exist"):
             library.load(named, {})
 
 

@@ -63,9 +63,9 @@ def test_the_closed_loop_displays_the_forces_of_the_contact_step(stub: Stub) -> 
 @pytest.mark.parametrize(
     ("fault", "error", "words"),
     [
-        ({"button_at": 700}, SafetyStop, "turned its force off.*button"),
-        ({"threshold": 20}, SafetyStop, "turned its force off.*velocity threshold"),
-        ({"delay_at": 700, "delay_s": 0.15}, SafetyStop, "turned its force off.*watchdog"),
+        ({"button_at": 700}, SafetyStop, "disabled its force.*button"),
+        ({"threshold": 20}, SafetyStop, "disabled its force.*velocity threshold"),
+        ({"delay_at": 700, "delay_s": 0.15}, SafetyStop, "disabled its force.*watchdog"),
         ({"error_word": 3}, SafetyStop, "error code is 3"),
         ({"unplug_at": 700}, DeviceLost, "omega.6 right, serial 1230 is gone.*error 2"),
         ({"fail_read": 700, "error": 7}, DeviceTimeout, "no answer to a read.*error 7"),

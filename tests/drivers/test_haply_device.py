@@ -188,8 +188,8 @@ def test_a_force_is_under_the_key_of_an_older_service() -> None:
 @pytest.mark.parametrize(
     ("page", "message"),
     [
-        ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver speaks 3.1 to 3.x"),
-        ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver speaks 3.1 to 3.x"),
+        ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver supports 3.1 to 3.x"),
+        ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver supports 3.1 to 3.x"),
         ('{"project_version":"new"}', "the version 'new', which is not a number"),
         ("[1, 2]", "says no version"), ("{}", "says no version"),
         ('{"project_version":' + 9000 * "[", "says no version"),

@@ -189,7 +189,7 @@ def test_unplugging_is_a_loss() -> None:
         assert servo.read()[0] == LOST
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST
         device.stop()
-        assert device.zero_failure() == "its node takes no report"
+        assert device.zero_failure() == "its node accepts no report"
         device.close()
         assert servo.read()[0] == LOST
 
@@ -286,7 +286,7 @@ def test_nodes_that_cannot_be_opened(tmp_path: Path) -> None:
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
     node = tmp_path / "hidraw9"
     node.write_bytes(b"")
-    with pytest.raises(DeviceError, match="is not a device node: name a /dev/hidrawN"):
+    with pytest.raises(DeviceError, match="is not a device node: use a /dev/hidrawN"):
         open_device(rig_options("woodenhaptics-2019", **options), 1000.0)
     with pytest.raises(DeviceError, match="is not a hidraw node: "):
         open_device(rig_options("woodenhaptics-2019", path="/dev/null"), 1000.0)

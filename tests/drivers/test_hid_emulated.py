@@ -128,16 +128,16 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
     ("connection", "case", "code", "message"),
     [
         *((name, {"lost_after": 300}, 4, "is gone .status -1 on (read|write).*: plug it in") for name in CONNECTIONS),
-        ("node", {"short_after": 300}, 4, "sent an answer that is not in its protocol .status -3 on read."),
-        ("usb", {"short_after": 300}, 4, "sent an answer that is not in its protocol .status -3 on read."),
+        ("node", {"short_after": 300}, 4, "sent an answer that violates its protocol .status -3 on read."),
+        ("usb", {"short_after": 300}, 4, "sent an answer that violates its protocol .status -3 on read."),
         ("node", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
         ("usb", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
         ("node", {"mute_after": 0}, 4, "sends no report: check its power, and its firmware"),
         # a node's write hangs the loop itself, which the supervisor detects
         ("node", {"block_after": 300}, 6, "no tick for 0.25 s .*a device's exchange hangs"),
-        ("thread", {"block_after": 300}, 4, r"no answer to a read in time \(a write has been under way for 1"),
+        ("thread", {"block_after": 300}, 4, r"no answer to a read in time \(a write has not returned for 1"),
         # libusb aborts a write after a second, while `stop` waits for the zero
-        ("usb", {"block_after": 300}, 4, r"in time \((a write has been under way|hid writer: a write .* -1 after) "),
+        ("usb", {"block_after": 300}, 4, r"in time \((a write has not returned|hid writer: a write .* -1 after) "),
         (
             "node",
             {"descriptor": OTHER_DESCRIPTOR},
@@ -239,7 +239,7 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
             {"serial": "SN43"},
             "DeviceNotFound no HID device 16c0:0486 has the serial number 'SN43': attached are 'SN42'",
         ),
-        ({"path": "1-2:1.0"}, "DeviceNotFound no USB device is at 1-2:1.0: plug"),
+        ({"path": "1-2:1.0"}, "DeviceNotFound there is no USB device at 1-2:1.0: plug"),
         ({"path": "/dev/hidraw0"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
         ({"through": "node"}, "DeviceNotFound /dev/hidraw0 cannot be opened: No such file"),
     ]
@@ -249,7 +249,7 @@ def test_a_listed_node_that_does_not_exist(tmp_path: Path) -> None:
     process, _ = run_beside_device(case, sys.executable, "-c", TRY, *rigs, third_rig, code=0)
     *lines, of_the_other = process.stdout.splitlines()[:-1]
     assert [line.startswith(wanted) for line, (_, wanted) in zip(lines, tries, strict=True)] == [True] * 7, lines
-    assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, and the rig is for 1234:0006")
+    assert of_the_other.startswith("DeviceError 1-1:1.0 is the device 16c0:0486, but the rig is for 1234:0006")
 
 
 def test_the_error_for_a_missing_node_names_the_module(tmp_path: Path) -> None:

@@ -67,6 +67,24 @@ def test_forward_inverts_an_independent_inverse(rig: str) -> None:
     assert worst < 1e-9
 
 
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("rig", RIGS)
+def test_jacobian_is_the_derivative(rig: str) -> None:
+    arm = arm_of(rig)
+    generator, h = np.random.default_rng(6), 1e-5
+    for angles in generator.uniform(-1.2, 1.2, (200, 3)):
+        columns = np.array(chain.jacobian(arm, tuple(angles)))
+        for joint in range(3):
+            step = np.eye(3)[joint] * h
+            ahead, behind = (chain.forward(arm, tuple(angles + s)) for s in (step, -step))
+            # h^2/6 of the third derivative, at most the arm's length, and rounding over 2 h
+            np.testing.assert_allclose(columns[joint], np.subtract(ahead, behind) / (2 * h), atol=1e-10)
+        force = generator.normal(size=3)
+        current, cut = chain.currents_for(arm._replace(current_max=1e9), tuple(angles), tuple(force))
+        np.testing.assert_allclose(current, columns @ force * arm.per_torque, rtol=1e-12, atol=1e-14)
+        assert not cut
+
+
 @pytest.mark.parametrize("unlike", [False, True], ids=["shipped", "three unlike joints"])
 def test_power_is_conserved(unlike: bool) -> None:
     """k I omega = f . v for turning motors, also if all joints differ: checks sign and size of each ratio."""

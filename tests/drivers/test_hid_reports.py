@@ -116,7 +116,7 @@ def test_descriptors_give_report_lengths() -> None:
     numbered = bytes.fromhex("05010908a101 8501 7510 9503 8102 8502 a4 7504 9503 8102 b4 c0".replace(" ", ""))
     assert parse_descriptor(numbered) == ({1: 6, 2: 2}, {})
     assert str(parse_descriptor(numbered)) == "input 6 bytes with id 1 and 2 bytes with id 2, output none"
-    with pytest.raises(ValueError, match="cut off"):
+    with pytest.raises(ValueError, match="truncated"):
         parse_descriptor(raw[:5])
 
 
@@ -156,23 +156,23 @@ def _with(path: str, value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("reports.input.bytes", 20, r"field\[5\].offset = 20: bytes 20 to 23 of a report of 20"),
-        ("reports.input.field.1.offset", 2, r"field\[1\].offset = 2: byte 2 belongs to field\[0\] already"),
+        ("reports.input.bytes", 20, r"field\[5\].offset = 20: bytes 20 to 23 exceed a report of 20"),
+        ("reports.input.field.1.offset", 2, r"field\[1\].offset = 2: byte 2 already belongs to field\[0\]"),
         ("reports.input.field.0.type", "int24", r"field\[0\].type = 'int24': must be one of .*'int8'"),
         ("reports.input.field.0.meaning", "w", r"field\[0\].meaning = 'w': must be one of"),
-        ("reports.input.field.0.meaning", "y", r"field\[1\].meaning = 'y': another field has this meaning"),
+        ("reports.input.field.0.meaning", "y", r"field\[1\].meaning = 'y': another field has the same meaning"),
         ("reports.input.field.3.meaning", "buttons", r"input.field = \['qx', 'qy', 'qz'\]: a cartesian device"),
-        ("reports.output.field.2.meaning", "constant", "output.field: lacks force_z, which a cartesian needs"),
+        ("reports.output.field.2.meaning", "constant", "output.field: has no force_z, required for cartesian"),
         ("kinematics.kind", "chain", "kinematics.capstan_m is missing"),
         ("kinematics.kind", "gear", "kinematics.kind = 'gear': must be one of .*'cartesian'"),
         ("reports.output.id", 256, "output.id = 256: must be an integer from 0 to 255"),
         ("vendor_id", 70000, "vendor_id = 70000: must be an integer from 0 to 65535"),
         ("reports", "woodenhaptics-v3", "'woodenhaptics-v3': not in the library"),
         ("timeout_s", 0.005, "timeout_s = 0.005: must be"),
-        ("calibrate", True, "only a chain has a calibration pose"),
+        ("calibrate", True, "is for chains only"),
         ("through", "usb", "through = 'usb': must be one of 'auto', 'node', 'thread'"),
         ("mounting", {"orientation_wxyz": [0, 0, 0, 0]}, "all zero is not an orientation"),
-        ("reports.preset", {"bytes": 8, "field": []}, "preset.bytes = 8: must be an output report like the other"),
+        ("reports.preset", {"bytes": 8, "field": []}, "preset.bytes = 8: must have the length and id of"),
     ],
 )  # fmt: skip
 def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:
@@ -183,7 +183,7 @@ def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message:
 def test_a_usb_interface_is_no_node() -> None:
     build(Options, described(path="1-2.3:1.0", through="thread"), "rig")
     build(Options, described(path="/dev/hidraw3", through="node"), "rig")
-    with pytest.raises(ConfigError, match=r"path = '1-2.3:1.0': is hidapi's name on USB, .* such as /dev/hidraw0"):
+    with pytest.raises(ConfigError, match=r"path = '1-2.3:1.0': is a path of hidapi on USB, .* such as /dev/hidraw0"):
         build(Options, described(path="1-2.3:1.0", through="node"), "rig")
 
 

@@ -129,7 +129,7 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
         assert status == TIMEOUT
         assert IGNORED_WRENCH_MAX_S - 0.1 < time.monotonic() - begun < 2.0  # 0.25 s on a machine without stalls
         assert linked.force()[0] == 1000
-        assert "a write has been under way for" in linked.device.reason()
+        assert "a write has not returned for" in linked.device.reason()
 
 
 @pytest.mark.parametrize("talkative", [False, True])
@@ -149,13 +149,13 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
             linked.push(3.0)
             time.sleep(0.001)
         assert status == TIMEOUT
-        assert "a write has been under way for" in linked.device.reason()
+        assert "a write has not returned for" in linked.device.reason()
         stop.set()
         linked.device.stop()
         linked.device.stop()
         linked.device.close()  # while the write still hangs
-        assert caplog.text.count("zero force has not reached it: a write has been under way for") == 1
-        assert "a write has been under way for" in linked.device.zero_failure()
+        assert caplog.text.count("zero force has not reached it: a write has not returned for") == 1
+        assert "a write has not returned for" in linked.device.zero_failure()
         assert "hid writer: a call of hidapi hangs" in caplog.text
         assert linked.api.closed == 0, "closed under a call"
         known = len(linked.received)
@@ -235,7 +235,7 @@ def test_a_failed_calibration_closes_the_device() -> None:
     options = rig_options("woodenhaptics-2019", calibrate=True, timeout_s=1.0)  # a busy machine answers late
     for answer, error, message in (
         (None, DeviceTimeout, "sends no report"),
-        (b"\0" * 64, DeviceError, r"did not take the calibration: .* show \[0.0, 0.0, 0.0\] and not \[.*6000"),
+        (b"\0" * 64, DeviceError, r"did not apply the calibration: .* are \[0.0, 0.0, 0.0\] instead of \[.*6000"),
     ):
         fd, end = ends()
         with Answering(end, lambda _, answer=answer: answer):
@@ -258,7 +258,7 @@ def test_a_hanging_preset_raises_an_error() -> None:
 
     with Answering(end, answer):
         link = link_by_threads(api, options)
-        with pytest.raises(DeviceTimeout, match=r"takes no report \(a write has been under way"):
+        with pytest.raises(DeviceTimeout, match=r"accepts no report \(a write has not returned"):
             HidDevice(options, link.fd, link.threads)
     api.ready.set()  # after the last answer, which would clear it again
 
@@ -278,7 +278,7 @@ def test_a_disconnected_device_is_lost(cause: str) -> None:
             linked.push(1.0)
         assert linked.until(lambda status: status < 0) == LOST
         linked.device.stop()
-        reasons = {"read": "hid reader: read error", "write": "hid writer: a write of 13 bytes came back as -1"}
+        reasons = {"read": "hid reader: read error", "write": "hid writer: a write of 13 bytes returned -1"}
         assert reasons.get(cause, "hid ") in linked.device.reason()
         if cause == "read":
             assert linked.force() == (0, 0, 0)

@@ -151,6 +151,17 @@ def test_a_pantograph_inverts_two_triangles(name: str) -> None:
         np.testing.assert_allclose(ask.end(joints) + kinematics.origin_m, (x, y, 0.0), **EXACT)
 
 
+def test_the_published_pantograph() -> None:
+    ask = MechanismProbe(MECHANISMS["pantograph"])
+    joints = (radians(168.0), radians(12.0), 0.0)
+    half = 0.019 + 0.07 * np.cos(radians(12.0))
+    height = 0.07 * np.sin(radians(12.0)) + sqrt(0.09**2 - half**2)
+    np.testing.assert_allclose(ask.end(joints) + np.array((0.019, 0.1, 0.0)), (0.019, height, 0.0), **EXACT)
+    how, torque = ask.torques(joints, (0.0, 1.0, 0.0))
+    assert how == FULL
+    np.testing.assert_allclose(torque[0], -torque[1], **EXACT)
+
+
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_a_delta_inverts_its_triangles(name: str) -> None:
     config, rng = MECHANISMS[name], np.random.default_rng(33)

@@ -61,7 +61,7 @@ def test_the_closed_loop_displays_the_forces_of_the_contact_step(hd: HdStub, tou
     ("fault", "error", "words"),
     [
         ({"unplug_at": 700}, DeviceLost, r"Touch, serial 70001 is gone.*does not answer \(error 0x0302"),
-        ({"error_at": 700, "error": 0x200}, SafetyStop, "turned its force off.*motors are too warm"),
+        ({"error_at": 700, "error": 0x200}, SafetyStop, "disabled its force.*motors are too warm"),
         ({"drop_at": 700}, DeviceTimeout, "no answer to a read"),
         ({"hang_at": 700}, DeviceTimeout, "no answer to a read"),
         ({"delay_at": 700, "delay_s": 0.9}, DeviceTimeout, "no answer to a read"),

@@ -58,11 +58,11 @@ def test_csv_in_any_column_order(tmp_path: Path) -> None:
     [
         ("", "line 1: column.*t, x"),
         ("t,x,y,z,qw,qx,qy\n", "line 1: column.*qz missing"),
-        ("t,x,y,z,qw,qx,qy,qz,t\n" + ROWS, "line 1: column.*t missing or given twice"),
+        ("t,x,y,z,qw,qx,qy,qz,t\n" + ROWS, "line 1: column.*t missing or duplicate"),
         (HEADER, "0 pose"),
         (HEADER + "0,0,0,0,1,0,0,0\n", "1 pose"),
         (HEADER + ROWS + "0.03,0,O,0,1,0,0,0\n", "line 5, column 'y': 'O' is not a number"),
-        (HEADER + ROWS + "0.03,0,0,0,1,0,0\n", "line 5: 7 values, the header names 8"),
+        (HEADER + ROWS + "0.03,0,0,0,1,0,0\n", "line 5: 7 values, but the header has 8 columns"),
         (HEADER + ROWS + "0.03,0,nan,0,1,0,0,0\n", "line 5, column 'y': nan is not a finite"),
         (HEADER + ROWS + "\n0.02,0,0,0,1,0,0,0\n", "line 6, column 't': 0.02 s does not follow 0.02 s"),
         (HEADER + ROWS + "0.03,0,0,0,0.1,0,0,0\n", "line 5, columns 'qw' to 'qz': quaternion of norm 0.1"),
@@ -133,7 +133,7 @@ def test_a_truncated_mcap_gives_its_first_part(tmp_path: Path, caplog: pytest.Lo
         part = load_poses(path)
     assert 100 < len(part.t) < 2000
     assert part.position.tobytes() == poses.position[: len(part.t)].tobytes()
-    assert "cut short or damaged" in caplog.text
+    assert "truncated or damaged" in caplog.text
     path.write_bytes(whole[:40])
     with pytest.raises(RecordingError, match="not a readable MCAP"):
         load_poses(path)
@@ -191,7 +191,7 @@ def test_a_fault_in_a_long_file_is_located(tmp_path: Path) -> None:
     lines[3] = ""
     lines[15_000] += ",7"
     (tmp_path / "p.csv").write_text("\n".join(lines))
-    with pytest.raises(RecordingError, match="line 15001: 9 values, the header names 8"):
+    with pytest.raises(RecordingError, match="line 15001: 9 values, but the header has 8 columns"):
         load_poses(tmp_path / "p.csv")
 
 

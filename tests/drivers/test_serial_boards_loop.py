@@ -149,7 +149,7 @@ def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
         assert board.torque() == 0.0
     assert process.returncode == 4, stderr
     assert "zero force is not confirmed" in stderr and "force is zero" not in stderr
-    assert "too many frames wait in the port" in stderr
+    assert "too many frames are queued in the port" in stderr
 
 
 def test_a_killed_program_leaves_a_hapkit_without_force(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         open_device(rig_options(path=str(tmp_path / "ttyACM9")), 1000.0)
     for path in ("/dev/null", str(tmp_path / "file")):
         (tmp_path / "file").write_bytes(b"")
-        with pytest.raises(DeviceError, match=f"{path} is not a serial port: name a /dev/ttyACMN"):
+        with pytest.raises(DeviceError, match=f"{path} is not a serial port: use a /dev/ttyACMN"):
             open_device(rig_options(path=path), 1000.0)
     with board() as (_, _, cable):
         with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):
@@ -86,7 +86,7 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
     ports, original = discovery.serial_ports, discovery.serial_port
     monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
     monkeypatch.setattr(discovery, "serial_port", lambda path: original(path, tmp_path))
-    with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no serial port on USB is"):
+    with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no USB serial port is"):
         port.find_port(rig_options())
     plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
     (tmp_path / discovery.TTY / "ttyS0").mkdir()
@@ -99,11 +99,11 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
     plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN43")
     assert port.find_port(rig_options(serial="SN43")) == "/dev/ttyACM0"
     with pytest.raises(
-        DeviceNotFound, match=r"2 serial ports are 16c0:0483: name one with serial or path: /dev/ttyACM0"
+        DeviceNotFound, match=r"2 serial ports are 16c0:0483: select one with serial or path: /dev/ttyACM0"
     ):
         port.find_port(rig_options())
     with pytest.raises(
-        DeviceError, match=r"/dev/ttyUSB0 is the device 0403:6001 \(Teensy\), and the rig is for 16c0:0483"
+        DeviceError, match=r"/dev/ttyUSB0 is the device 0403:6001 \(Teensy\), but the rig is for 16c0:0483"
     ):
         port.open_port(rig_options(path="/dev/ttyUSB0"))
 
@@ -120,7 +120,7 @@ def test_a_teensy_is_not_identified_by_its_ids(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(DeviceError, match=r"/dev/ttyACM0 is a Haply Inverse3 \('Haply inverse3'\), which"):
         port.open_port(rig_options(path="/dev/ttyACM0"))
     plug_serial(tmp_path, "ttyACM1", "16c0", "0483", "SN2", product="USB Serial")
-    message = r"/dev/ttyACM1 may be the device or not: its product is 'USB Serial', .*path = \"/dev/ttyACM1\" under"
+    message = r"/dev/ttyACM1 may be another device: its product is 'USB Serial', .*path = \"/dev/ttyACM1\" under"
     with pytest.raises(DeviceNotFound, match=message):
         port.find_port(rig_options())
     assert port.find_port(rig_options(serial="SN2")) == "/dev/ttyACM1"

@@ -288,11 +288,11 @@ def test_a_stop_reports_why_its_zero_is_not_confirmed(
     assert run.device.zero_failure() == ""
     monkeypatch.setattr(exchange, "write_now", lambda *_: -EAGAIN)
     run.device.stop()
-    assert run.device.zero_failure() == "the port has taken nothing for 1 s"
+    assert run.device.zero_failure() == "the port has accepted no data for 1 s"
     run.port.error = EIO
     monkeypatch.setattr(exchange, "write_now", run.port.write)
     run.device.stop()
-    assert run.device.zero_failure() == "the port is gone: Input/output error"
+    assert run.device.zero_failure() == "the port was removed: Input/output error"
 
 
 def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,7 +304,7 @@ def test_an_unplugged_port_is_lost_and_its_zero_not_confirmed(monkeypatch: pytes
     begun = run.clock.now
     run.end()
     assert run.clock.now - begun < 10 * MS
-    assert "gone" in run.device.zero_failure()
+    assert "removed" in run.device.zero_failure()
 
 
 @pytest.mark.parametrize("kind", KINDS)

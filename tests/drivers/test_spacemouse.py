@@ -340,12 +340,12 @@ def test_the_simulated_device_is_lost_with_its_puck() -> None:
         servo.read()
         end.close()
         assert servo.read()[0] == LOST
-        assert device.reason() == "its hand is led by puck"
+        assert device.reason() == "its hand is moved by puck"
 
 
 def test_a_puck_excludes_other_goals() -> None:
     for key, value in (("recording", "tap"), ("position_m", [0.0, 0.0, 0.0])):
-        with pytest.raises(ConfigError, match=rf"{key} = .*follows the puck"):
+        with pytest.raises(ConfigError, match=rf"{key} = .*follows the SpaceMouse"):
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
     rig = load_rig("simulated-spacemouse")
     with pytest.raises(ConfigError, match="cannot run offline"):
@@ -366,7 +366,7 @@ def test_selection_of_a_puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     attach(tmp_path, "hidraw3", nodes)
     assert find(Options()).node == "/dev/hidraw3"
     attach(tmp_path, "hidraw4", nodes)
-    with pytest.raises(DeviceNotFound, match=r"2 pucks are attached: name one .*hidraw3 \(serial 'hidraw3'\)"):
+    with pytest.raises(DeviceNotFound, match=r"2 SpaceMice are attached: select one .*hidraw3 \(serial 'hidraw3'\)"):
         find(Options())
     assert find(Options(serial="hidraw4")).product == 0xC63A
     assert find(Options(path="/dev/hidraw3")).vendor == 0x046D

@@ -28,7 +28,7 @@ MAY_MOUNT = (
 )
 mounts = pytest.mark.skipif(not MAY_MOUNT, reason="this system gives no name space of mounts (unshare)")
 
-NEITHER = "libusb is not installed or cannot be loaded.*pip install.* libusb-package, or apt install libusb"
+NEITHER = "libusb, which is .* not installed or cannot be loaded.*pip install.* libusb-package, or apt install libusb"
 
 LOADED = """
 from softfinger.drivers.system import libusb
@@ -105,8 +105,8 @@ def run_softfinger(bare: tuple[list[str], dict[str, str]], *words: str) -> tuple
 
 MISSING = {
     "falcon": NEITHER,
-    "omega-6": "libdrd is not on this machine",
-    "touch": "libHD is not on this machine",
+    "omega-6": "libdrd was not found",
+    "touch": "libHD was not found",
     "woodenhaptics-2019": "no HID device 16c0:0486",
     "woodenhaptics-v3": "no serial port 16c0:0483",
     "haply-inverse3": "no Inverse Service on port 10001",

@@ -13,6 +13,7 @@ from helpers.meshes import Mesh, write_ply
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
+from softfinger.proxy.record import CAUSE_NAMES
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,7 @@ R = 0.01
 """Radius of the fingertip, m."""
 FRICTION = {"static": 0.6, "kinetic": 0.5}
 TORSION = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
+GRIP: dict[str, Any] = {"stiffness_n_per_m": 1000.0, "friction": FRICTION, "torsion": TORSION}
 SMOOTH = {"friction": None, "torsion": None}
 """Material without friction, which has its own compiled code."""
 SLIPPERY = {"friction": {"static": 0.0, "kinetic": 0.0}}
@@ -34,7 +36,7 @@ def write_part(folder: Path, vertices: ArrayLike, triangles: ArrayLike, name: st
 
 def make_object(name: str, shape: str, **keys: Any) -> dict[str, Any]:
     """Return an object; `material` has the named keys, of which None removes one."""
-    material = {"stiffness_n_per_m": 1000.0, "friction": FRICTION, "torsion": TORSION} | keys.pop("material", {})
+    material = GRIP | keys.pop("material", {})
     return {"name": name, "shape": shape, "material": {k: v for k, v in material.items() if v is not None}, **keys}
 
 
@@ -75,6 +77,10 @@ def posed(points: ArrayLike, turned: Array | None = None) -> Array:
     """Return poses (n, 7) at `points` (n, 3) m, upright or `turned` (n, 4)."""
     places = np.asarray(points, float)
     return np.hstack([places, np.tile([1.0, 0.0, 0.0, 0.0], (len(places), 1)) if turned is None else turned])
+
+
+def causes(records: Array) -> list[str]:
+    return [CAUSE_NAMES[int(cause)] for cause in records["contact.cause"] if cause != 0]
 
 
 def visit(running: Engine, points: ArrayLike, turned: Array | None = None) -> Array:

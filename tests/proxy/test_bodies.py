@@ -357,117 +357,84 @@ BOMB = (
     '<!DOCTYPE mujoco [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">'
     '<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]><mujoco model="&c;"/>'
 )
+INERTIA = '<body><freejoint/><inertial pos="0 0 0" mass="{}" diaginertia="{}"/><geom size="0.1"/></body>'
+FLEXIBLE = '<flexcomp name="f" type="grid" count="{}" spacing=".1 .1 .1" dim="3" {}/>'
+OUTSIDE = {
+    "a file": '<mujoco><include file="../../etc/passwd"/></mujoco>',
+    "a file, in a namespace": '<mujoco xmlns="a"><include file="../secret.xml"/></mujoco>',
+    "a file, in an element of a namespace": '<mujoco><include xmlns="a" file="../secret.xml"/></mujoco>',
+    "a file, in a part that is not a UTF-8": '<mujoco><include file="latin.xml"/></mujoco>',
+    "a file, in a part beside a part": '<mujoco><include file="sub/part.xml"/></mujoco>',
+    "a file, included twice": '<mujoco><include file="inner.xml"/></mujoco>',
+    "a folder": '<mujoco><compiler meshdir="/etc"/><asset><mesh name="m" file="hosts.stl"/></asset></mujoco>',
+    "a file, of an attached model": '<mujoco><asset><model name="m" file="outer.xml"/></asset>'
+    '<worldbody><frame><attach model="m" body="b" prefix="p"/></frame></worldbody></mujoco>',
+}
+IN_BODY = f"<mujoco>{OPTION}<worldbody>{{}}</worldbody></mujoco>"
+LARGE_ASSET = "<mujoco><asset>{}</asset></mujoco>"
 HOSTILE = {
+    **{f"outside: {name}": (text, "outside of its folder") for name, text in OUTSIDE.items()},
     "nothing": ("", "not well-formed XML"),
     "no XML": ("<mujoco", "not well-formed XML"),
     "another root": ("<robots/>", "robots"),
     "an entity that grows": (BOMB, "declares a document type"),
     "an unknown element": ("<mujoco><wheel/></mujoco>", "wheel"),
-    "no mass": (
-        f'<mujoco>{OPTION}<worldbody><body><freejoint/><geom size="0.1" mass="0"/></body></worldbody></mujoco>',
-        "mass",
-    ),
-    "an inertia that is none": (
-        f'<mujoco>{OPTION}<worldbody><body><freejoint/><inertial pos="0 0 0" mass="nan" diaginertia="1 1 1"/>'
-        '<geom size="0.1"/></body></worldbody></mujoco>',
-        "",
-    ),
-    "a missing mesh": ('<mujoco><asset><mesh name="m" file="none.stl"/></asset></mujoco>', "none.stl"),
-    "a file outside": ('<mujoco><include file="../../etc/passwd"/></mujoco>', "outside of its folder"),
-    "a file outside, in a namespace": (
-        '<mujoco xmlns="a"><include file="../secret.xml"/></mujoco>',
-        "outside of its folder",
-    ),
-    "a file outside, in an element of a namespace": (
-        '<mujoco><include xmlns="a" file="../secret.xml"/></mujoco>',
-        "outside of its folder",
-    ),
+    "no mass": (IN_BODY.format('<body><freejoint/><geom size="0.1" mass="0"/></body>'), "mass"),
+    "an inertia that is none": (IN_BODY.format(INERTIA.format("nan", "1 1 1")), ""),
+    "an inertia of which a part is none": (IN_BODY.format(INERTIA.format("1", "nan 1 1")), "inertia"),
+    "a missing mesh": (LARGE_ASSET.format('<mesh name="m" file="none.stl"/>'), "none.stl"),
     "a file outside, in a declaration that MuJoCo does not know": (
         "<!DOCTYPE mujoco [<!NOTATION n SYSTEM \"> <mujoco><include file='../secret.xml'/></mujoco><!--\">]>"
         "<mujoco/><!-- -->",
         "declares a document type",
     ),
-    "a file outside, in a part that is not a UTF-8": (
-        '<mujoco><include file="latin.xml"/></mujoco>',
-        "outside of its folder",
-    ),
-    "a file outside, in a part beside a part": (
-        '<mujoco><include file="sub/part.xml"/></mujoco>',
-        "outside of its folder",
-    ),
     "a name that is not a UTF-8": ('<mujoco model="\N{REPLACEMENT CHARACTER}"/>', "is not text in UTF-8"),
-    "a file outside, included twice": (
-        '<mujoco><include file="inner.xml"/></mujoco>',
-        "outside of its folder",
-    ),
-    "a folder outside": (
-        '<mujoco><compiler meshdir="/etc"/><asset><mesh name="m" file="hosts.stl"/></asset></mujoco>',
-        "outside of its folder",
-    ),
-    "too many bodies": (f"<mujoco>{OPTION}<worldbody>{BALL * 6000}</worldbody></mujoco>", "1,001 bodies"),
+    "too many bodies": (IN_BODY.format(BALL * 6000), "1,001 bodies"),
     "too many bodies in a few words": (
-        f'<mujoco>{OPTION}<worldbody><replicate count="1100" offset="1 0 0">{BALL}</replicate></worldbody></mujoco>',
+        IN_BODY.format(f'<replicate count="1100" offset="1 0 0">{BALL}</replicate>'),
         "1,100 bodies",
     ),
     "too many bodies by copies of copies": (
-        f'<mujoco>{OPTION}<worldbody><replicate count="100"><replicate count="100">{BALL}</replicate></replicate>'
-        "</worldbody></mujoco>",
+        IN_BODY.format(f'<replicate count="100"><replicate count="100">{BALL}</replicate></replicate>'),
         "10,000 bodies",
     ),
     "too many bodies by an included file": (
-        f'<mujoco>{OPTION}<worldbody><replicate count="2000"><include file="ball.xml"/></replicate></worldbody>'
-        "</mujoco>",
+        IN_BODY.format('<replicate count="2000"><include file="ball.xml"/></replicate>'),
         "bodies or more; at most 1,000",
     ),
-    "a file that includes itself": ('<mujoco><include file="hostile.xml"/></mujoco>', "includes hostile.xml again"),
+    "a file that includes itself": ('<mujoco><include file="hostile.xml"/></mujoco>', "includes hostile.xml twice"),
     "too many bodies by an attached model": (
         f'<mujoco>{OPTION}<asset><model name="m" file="model.xml"/></asset><worldbody><replicate count="400">'
         '<attach model="m" prefix="p"/></replicate></worldbody></mujoco>',
         "bodies or more; at most 1,000",
     ),
-    "a file outside of an attached model": (
-        '<mujoco><asset><model name="m" file="outer.xml"/></asset>'
-        '<worldbody><frame><attach model="m" body="b" prefix="p"/></frame></worldbody></mujoco>',
-        "outside of its folder",
-    ),
-    "too many bodies of a flexible one": (
-        f'<mujoco>{OPTION}<worldbody><flexcomp name="f" type="grid" count="20 20 20" spacing=".1 .1 .1" dim="3"/>'
-        "</worldbody></mujoco>",
-        "8,000 bodies",
-    ),
+    "too many bodies of a flexible one": (IN_BODY.format(FLEXIBLE.format("20 20 20", "")), "8,000 bodies"),
     "too fine a flexible body": (
-        f'<mujoco>{OPTION}<worldbody><flexcomp name="f" type="grid" count="60 60 60" spacing=".1 .1 .1" dim="3" '
-        'dof="trilinear"/></worldbody></mujoco>',
+        IN_BODY.format(FLEXIBLE.format("60 60 60", 'dof="trilinear"')),
         "count = 216,000; at most 16,000",
     ),
     "too many sites by copies": (
-        '<mujoco><worldbody><replicate count="10000"><site size="0.1"/></replicate></worldbody></mujoco>',
+        IN_BODY.format('<replicate count="10000"><site size="0.1"/></replicate>'),
         "10,000 copies of elements or more; at most 5,000",
     ),
     "too many elements": (f"<mujoco>{'<site/>' * 500_000}</mujoco>", "more than 20,000 elements"),
     "a height field of 14 GB": (
-        '<mujoco><asset><hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/></asset></mujoco>',
+        LARGE_ASSET.format('<hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/>'),
         "nrow x ncol = 3,600,000,000; at most 1,048,576",
     ),
     "a texture of 10 GB": (
-        '<mujoco><asset><texture name="t" type="2d" builtin="flat" width="60000" height="60000"/></asset></mujoco>',
+        LARGE_ASSET.format('<texture name="t" type="2d" builtin="flat" width="60000" height="60000"/>'),
         "width x height = 3,600,000,000; at most 16,777,216",
     ),
     "numbers of the user for each body": ('<mujoco><size nuser_body="100000"/></mujoco>', "at most 1,000"),
     "vertices in the model": (
-        f'<mujoco><asset><mesh name="m" vertex="{"0 1 2 " * 200_000}"/></asset></mujoco>',
+        LARGE_ASSET.format(f'<mesh name="m" vertex="{"0 1 2 " * 200_000}"/>'),
         "put it in a file",
     ),
     "bodies that overlap at the start, in too little memory": (
-        f'<mujoco><size memory="30K"/>{OPTION}<worldbody>'
-        + '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4
-        + "</worldbody></mujoco>",
+        '<mujoco><size memory="30K"/>'
+        + IN_BODY.removeprefix("<mujoco>").format('<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>' * 4),
         "cannot be simulated from its initial state: {'constraints full'",
-    ),
-    "an inertia of which a part is none": (
-        f'<mujoco>{OPTION}<worldbody><body><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="nan 1 1"/>'
-        '<geom size="0.1"/></body></worldbody></mujoco>',
-        "inertia",
     ),
 }
 

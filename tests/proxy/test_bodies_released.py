@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from helpers.touching import GRIP
 from numpy.typing import NDArray
 
 from softfinger.proxy.engine import Engine
@@ -18,12 +19,7 @@ pytestmark = pytest.mark.plain
 Array = NDArray[np.float64]
 R, SIZE, STEP = 0.006, 0.02, 0.001
 """m: radius of the fingertip, largest distance of a geom's surface from its middle, path of the probe per tick."""
-GRIP = {
-    "stiffness_n_per_m": 1000.0,
-    "damping_ns_per_m": 2.0,
-    "friction": {"static": 0.8, "kinetic": 0.6},
-    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-}
+RUBBER = GRIP | {"damping_ns_per_m": 2.0, "friction": {"static": 0.8, "kinetic": 0.6}}
 HILLS = 'hfield name="hills" nrow="5" ncol="5" size="0.04 0.04 0.004 0.01" elevation="{}"'
 ELEVATIONS = "0 1 0 2 1  1 2 1 0 0  0 3 2 1 1  1 0 0 2 3  2 1 0 1 0"
 GEOMS = {
@@ -51,7 +47,7 @@ def make_engine(folder: Path, kind: str) -> Engine:
     )
     scene: dict[str, Any] = {"fingertip": {"radius_m": R}, "rolling": {"method": "midpoint"}}
     scene["coupling"] = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0}
-    return Engine(scene | {"world": {"model": str(folder / "one.xml"), "material": GRIP}})
+    return Engine(scene | {"world": {"model": str(folder / "one.xml"), "material": RUBBER}})
 
 
 def visit(random: np.random.Generator, above: bool) -> Array:

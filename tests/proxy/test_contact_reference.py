@@ -95,7 +95,6 @@ FEW = 6
 """Number of seeds in `make test`."""
 
 
-@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "seed", [pytest.param(seed, marks=[pytest.mark.exhaustive] if seed >= FEW else []) for seed in SEEDS]
 )

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from conftest import SceneFactory
 from helpers.examples import examples
-from helpers.refusals import refusal
 from helpers.touching import posed
 from hypothesis import given
 from hypothesis import strategies as st
@@ -395,25 +394,6 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
     )
 
 
-@pytest.mark.parametrize(
-    ("effect", "message"),
-    [
-        ({"kind": "viscocity", "damping_ns_per_m": 1}, "did you mean 'viscosity'?"),
-        ({"kind": "boundary", "stiffness_n_per_m": 300, "force_max_n": 5}, "give either size_m"),
-        (WORKSPACE[4] | {"radius_m": 0.2}, "give either size_m"),
-        (WORKSPACE[0] | {"region": {}}, "effect[0].region.radius_m: give either size_m"),
-        (WORKSPACE[3] | {"direction": [0, 0, 0]}, "effect[0].direction = [0.0, 0.0, 0.0]: all zero is not a direction"),
-        (WORKSPACE[1] | {"force_n": [0, 0, -41]}, "from -40 to 40 N"),
-        (WORKSPACE[3] | {"frequency_hz": 600}, "effect[0].frequency_hz = 600: must be a number from 0 to 500 Hz"),
-        (OBJECT[4], "must be one of"),
-    ],
-)
-def test_a_faulty_effect_is_refused(plane_scene: SceneFactory, effect: dict[str, Any], message: str) -> None:
-    """An unknown kind, a missing or duplicate extent, a zero direction, an excessive value and an object's effect in
-    the workspace are faults."""
-    assert message in refusal(plane_scene, effect=[effect])
-
-
 def page() -> str:
     return (Path(__file__).resolve().parents[2] / "docs" / "model" / "effects.md").read_text()
 
@@ -447,27 +427,6 @@ def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> No
     # The velocity is that of the last millisecond; its rounding is 1e-16 m / 1 ms times 4 N s/m.
     assert force[:, 2] == pytest.approx(expected, abs=1e-9)
     assert np.abs(force[:, :2]).max() < 1e-12
-
-
-def test_stick_slip_works_on_a_frictionless_table(plane_scene: SceneFactory) -> None:
-    ridges = {"kind": "stick_slip", "stiffness_n_per_m": 1000.0, "force_max_n": 0.5}
-    scene = plane_scene(table={"effect": [ridges]}, material={"friction": None, "torsion": None}, rolling=None)
-    x = np.arange(1001) * 5e-6
-    path = np.stack([x, 0.0 * x, np.full_like(x, 0.009)], axis=1)
-    records = Engine(scene).run(posed(path), DT)
-    force = records["force"]
-    moments = (moment(tuple(p), touched=1.0) for p in path)
-    texture = run(model.StickSlip(1000.0, 0.5), moments)
-    assert force == pytest.approx(texture + np.array([0.0, 0.0, 1.0]), abs=1e-9)
-
-
-def test_a_scene_without_effects_has_none_to_compile() -> None:
-    scene = build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": [PLAIN]}, "test"))
-    assert scene.effects == ()
-    assert scene.objects.effects == ()
-
-
-PLAIN = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": 1000.0}}
 
 
 @pytest.mark.sampled(1)

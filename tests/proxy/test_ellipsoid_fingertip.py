@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import touching
 from helpers.examples import Cases
 from numpy.typing import ArrayLike, NDArray
 from references.ellipsoid_finger import roll_ellipsoid, touching_at
@@ -58,10 +59,7 @@ GRIP = {"static": 0.6, "kinetic": 0.5}
 
 def scene(tip: dict[str, Any], *objects: dict[str, Any], friction: dict[str, float] = GRIP, **changes: Any) -> Scene:
     """Return a scene whose type depends only on the list of shapes, since each type is compiled."""
-    made_of = {
-        "stiffness_n_per_m": K, "damping_ns_per_m": 0.0, "friction": friction,
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    } | changes  # fmt: skip
+    made_of = touching.GRIP | {"damping_ns_per_m": 0.0, "friction": friction} | changes
     tables: dict[str, Any] = {
         "fingertip": tip,
         "rolling": {"method": "montana_rk4"},
@@ -305,11 +303,11 @@ FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
         {},
         "fingertip.radius_m: is missing: give a number from 1e-05 to 1000 m, such as radius_m = 0.01, or the radii_m",
     ),
-    (TIP | {"radius_m": 0.01}, {}, "fingertip.radius_m = 0.01: is that of a sphere, and radii_m of an ellipsoid"),
+    (TIP | {"radius_m": 0.01}, {}, "fingertip.radius_m = 0.01: describes a sphere, and radii_m an ellipsoid"),
     (
         {"radius_m": 0.01, "orientation_wxyz": [1, 0, 0, 0]},
         {},
-        "turns an ellipsoid, and this is a sphere: leave it out",
+        "applies to an ellipsoid, but the fingertip is a sphere: remove it",
     ),
     (TIP | {"orientation_wxyz": [0, 0, 0, 0]}, {}, "fingertip.orientation_wxyz = [0.0, 0.0, 0.0, 0.0]: all zero is no"),
     (
@@ -322,17 +320,18 @@ FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         TIP,
         {"rolling": {"method": "euler_zxz"}},
-        "rolling.method = 'euler_zxz': rolls a sphere, and fingertip.radii_m are",
+        "rolling.method = 'euler_zxz': needs a spherical fingertip, but fingertip.radii_m is set",
     ),
-    (TIP, {"rolling": {"method": "rotation_vector"}}, "choose midpoint, or montana_rk4 for long ticks"),
+    (TIP, {"rolling": {"method": "rotation_vector"}}, "use midpoint, or montana_rk4 for long ticks"),
     (
         TIP,
         {"shape": "capsule", "radius_m": 0.05, "length_m": 0.1},
-        "object[0].shape = 'capsule': as it is cannot be touch",
+        "object[0].shape = 'capsule': cannot be touch",
     ),
-    (TIP, {"shape": "sphere", "inside": True, "radius_m": 0.05}, "spheres and cylinders without ends from outside"),
+    (TIP, {"shape": "sphere", "inside": True, "radius_m": 0.05}, "a sphere or infinite cylinder touched from outside"),
     (TIP, {"shape": "cylinder", "radius_m": 0.05, "length_m": 0.1}, "object[0].shape"),
     (TIP, {"shape": "box", "size_m": [0.1, 0.1, 0.1]}, "object[0].shape"),
+    (TIP, {"shape": "mesh", "file": "part.ply"}, "object[0].shape = 'mesh'"),
     (TIP, {"shape": "box", "size_m": [0.1, 0.1, 0.02], "inside": True}, "must be above 0.024 m, the diameter"),
 ]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory, paper_mapping
+from conftest import paper_mapping
 from helpers.examples import Cases
 from numpy.typing import NDArray
 from references.hand import Hand, drive, pressed
@@ -18,12 +18,10 @@ from references.laws import Array, axis_angles, check_random_handling, work_of_t
 from references.rotation import matrix
 from scipy.integrate import quad
 
-from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels import model
-from softfinger.proxy.laws import lever_of, torsion_laws
+from softfinger.proxy.laws import lever_of
 from softfinger.proxy.record import AT
 
 pytestmark = pytest.mark.plain
@@ -182,16 +180,6 @@ def test_work_of_a_long_roll_is_the_loss_factor_times_the_angle() -> None:
     assert work[-1] - work[2] == pytest.approx(limit * (turn - 0.5 * a / R), abs=limit * 6e-3)
 
 
-def test_a_drag_stretches_the_skin_the_other_way_in_the_fingertips_frame() -> None:
-    """A stuck finger turned by 90 degrees about z and dragged by .3 mm along world x stretches its skin along its y."""
-    hand = Hand([0, 0, R + 0.001]).go(1, turn=[0, 0, pi / 2]).go_to(1, [0, 0, R - 0.001]).go(30, move=[3e-4, 0, 0])
-    records = run(soft(HERTZ, coupling={"damping_ns_per_m": 0.0}), hand)
-    # World -x is fingertip +y; rounding of 30 steps of positions of 10 mm, 1e-18 m each.
-    assert records["contact.patch_stretch"][-1] == pytest.approx([0.0, 3e-4, 0.0], abs=1e-16)
-    assert records["contact.patch_normal"][-1] == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
-    assert records["contact.tangential_force"][-1] == pytest.approx(K * 3e-4, rel=1e-9)
-
-
 @pytest.mark.scaled
 def test_patch_in_the_fingertips_frame_is_the_rotated_world_frame() -> None:
     """Normal and stretch equal the world's, rotated by the measured orientation; the patch centre is -r normal."""
@@ -261,47 +249,6 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
         assert (work - stored).min() >= -1e-17 * len(records)
 
     check_random_handling(engine, 8, 300, check)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"material": {"torsion": FOLLOWS}}, r"torsion\.stiffness_nm_per_rad: is missing: give it, or the fingertip a"),
-        ({"fingertip": {"patch": {}}}, r"fingertip\.patch\.shear_modulus_pa is missing"),
-        ({"fingertip": {"patch": HERTZ | {"exponent": 0.2}}}, "belongs to a patch of radius_m, this one is Hertz's"),
-        ({"fingertip": {"patch": HERTZ | {"pressure_exponent": 4.0}}}, "belongs to a patch of radius_m"),
-        ({"fingertip": {"patch": HERTZ | {"rolling_loss": 1.5}}}, "from 0 to 1 "),
-        ({"material": {"shear_modulus_pa": 1.0}}, "from 100 to 1e"),
-        (
-            {"fingertip": None, "finger": [{"name": "a", "radius_m": R}, {"name": "b", "radius_m": R, "patch": HERTZ}]},
-            r"finger\[0\]\.patch: is missing, and another finger has one",
-        ),
-        (
-            {"fingertip": None, "finger": [{"name": "a", "radius_m": R}], "material": {"torsion": FOLLOWS}},
-            r"torsion\.friction_length_m: is missing: give it, or the fingertip a \[finger\.patch\]",
-        ),
-        (
-            {"fingertip": {"patch": HERTZ}, "rolling": None, "material": {"friction": None, "torsion": FOLLOWS}},
-            "follows from the patch and from friction, and there is none",
-        ),
-    ],
-)
-def test_a_faulty_patch_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        build(Scene, paper_mapping(**changes), "test scene")
-
-
-def test_the_patch_replaces_the_torsion_parameters_of_the_material(plane_scene: SceneFactory) -> None:
-    own = model.PatchTorsion(0.6)
-    for torsion, law in [
-        ({}, own),
-        (FOLLOWS, own),
-        ({"model": "limit_surface"}, model.LimitSurface(own)),
-        ({"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003}, model.SoftFingerProxy(own, 0.75)),
-        ({**FOLLOWS, "model": "soft_finger_proxy"}, model.SoftFingerProxy(own, 0.5 / 0.6)),
-    ]:
-        assert torsion_laws(plane_scene(fingertip={"patch": HERTZ}, material={"torsion": torsion})) == [law]
-    assert torsion_laws(plane_scene()) == [model.Torsion(0.05, 0.004)]
 
 
 def test_a_patch_without_torsion_changes_no_force() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory, paper_mapping
+from conftest import SceneFactory
 from references.hand import Hand, drive, pressed
 from references.laws import (
     ANISOTROPIC,
@@ -23,12 +23,7 @@ from references.laws import (
 )
 from references.rotation import matrix, multiply, quaternion
 
-from softfinger.config.errors import ConfigError
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels import model
-from softfinger.proxy.laws import friction_laws
 
 pytestmark = pytest.mark.plain
 
@@ -258,65 +253,3 @@ def test_contact_creates_no_energy(plane_scene: SceneFactory, law: str) -> None:
         assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
 
     check_random_handling(engine, 8, 90, check)
-
-
-def test_work_without_slip_equals_the_stored_energy(plane_scene: SceneFactory) -> None:
-    hand = pressed().go(400, move=[2e-4, -1e-4, 0]).go(400, turn=[0.01, 0.02, 0]).go(400, turn=[0, 0, 0.05])
-    hand.go(400, move=[0, 0, -1e-3])
-    records = Engine(plane_scene()).run(np.array(hand.poses))
-    work, stored = work_of_the_hand(records), stored_energy(records)
-    # Each step overestimates the work by K dx^2 / 2, and the touch by 0.5 K depth (2 height + depth).
-    surplus = work[-1] - work[1] - (stored[-1] - stored[1])
-    assert 0.0 < surplus < 4e-6
-    assert stored[-1] > 2e-3
-
-
-@pytest.mark.parametrize(
-    ("friction", "message"),
-    [
-        ({"static_scale": [1.0, 0.5]}, "needs direction_x"),
-        ({"direction_x": [0.0, 0.0, 0.0]}, "not a direction"),
-        ({"direction_x": [1.0, 0.0, 0.0], "static_scale": [1.0, 0.5]}, "across, above the static 0.3"),
-        ({"direction_x": [1.0, 0.0, 0.0], "kinetic_scale": [0.0, 0.5]}, "from 0.001"),
-        ({"stribeck_speed_m_per_s": 0.0}, "from 1e-05 to 10 m/s"),
-        ({"viscous_s_per_m": -1.0}, "from 0 to 100 s/m"),
-    ],
-)
-def test_faulty_friction_is_refused(friction: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        build(Scene, paper_mapping(material={"friction": friction}), "test scene")
-
-
-def test_only_the_features_of_a_scene_are_compiled(plane_scene: SceneFactory) -> None:
-    assert friction_laws(plane_scene(rolling=None, material={"friction": None})) == [None]
-    assert friction_laws(plane_scene()) == [model.Friction(0.6, 0.5)]
-    stribeck = plane_scene(material={"friction": {"stribeck_speed_m_per_s": 0.1}})
-    assert friction_laws(stribeck) == [model.SpeedFriction(0.6, 0.5, model.Stribeck(0.1), 0.0)]
-    viscous = plane_scene(material={"friction": {"viscous_s_per_m": 2.0}})
-    assert friction_laws(viscous) == [model.SpeedFriction(0.6, 0.5, None, 2.0)]
-    directed = plane_scene(material={"friction": {"direction_x": [0.0, 2.0, 0.0]}})
-    expected = model.Anisotropic(model.Friction(0.6, 0.5), (0.0, 1.0, 0.0), 1.0, 1.0, 1.0, 1.0)
-    assert friction_laws(directed) == [expected]
-
-
-def test_objects_of_a_scene_share_one_law() -> None:
-    mapping = paper_mapping()
-    table = mapping["object"][0]
-    rich = {**table["material"], "friction": {"static": 0.4, "kinetic": 0.3, **SPEED, "direction_x": [1.0, 0.0, 0.0]}}
-    smooth = {key: value for key, value in table["material"].items() if key != "friction"}
-    mapping["object"] = [
-        table,
-        {**table, "name": "rich", "material": rich},
-        {**table, "name": "smooth", "material": smooth},
-    ]
-    plain, richer, slick = friction_laws(build(Scene, mapping, "test scene"))
-    along = (1.0, 0.0, 0.0)
-    assert plain == model.Anisotropic(
-        model.SpeedFriction(0.6, 0.5, model.Stribeck(0.0), 0.0), along, 1.0, 1.0, 1.0, 1.0
-    )
-    assert richer == model.Anisotropic(
-        model.SpeedFriction(0.4, 0.3, model.Stribeck(0.05), 0.5), along, 1.0, 1.0, 1.0, 1.0
-    )
-    assert slick == model.Anisotropic(
-        model.SpeedFriction(0.0, 0.0, model.Stribeck(0.0), 0.0), along, 1.0, 1.0, 1.0, 1.0
-    )

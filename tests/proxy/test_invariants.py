@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from helpers import touching
 from helpers.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,12 +22,7 @@ from softfinger.proxy.kernels.query.motion import pose_at
 pytestmark = pytest.mark.plain
 
 R = 0.01
-GRIP = {
-    "stiffness_n_per_m": 1000.0,
-    "damping_ns_per_m": 1.0,
-    "friction": {"static": 0.6, "kinetic": 0.5},
-    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-}
+GRIP = touching.GRIP | {"damping_ns_per_m": 1.0}
 SLICK = {"stiffness_n_per_m": 1000.0}
 TURNED = [0.8, 0.36, 0.48, 0.0]
 HALF = np.array([0.02, 0.015, 0.01])

@@ -9,16 +9,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from conftest import SceneFactory, paper_mapping
+from conftest import SceneFactory
 from helpers.examples import Cases, examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 from references.hand import drive, pressed
 from references.laws import ANISOTROPIC, Array, check_random_handling
 
-from softfinger.config.errors import ConfigError
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP, limit_distance, multiplier, shrink
 from softfinger.proxy.record import ROLLING, SLIDING
@@ -172,8 +169,3 @@ def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kine
     normal = records["contact.normal_force"]
     assert (records["contact.tangential_force"] <= 1.2 * kinetic * normal * (1 + 1e-12)).all()
     assert (np.abs(records["torque"][:, 2]) <= length * normal * (1 + 1e-12)).all()
-
-
-def test_limit_surface_needs_friction() -> None:
-    with pytest.raises(ConfigError, match="needs friction to share its limit with"):
-        build(Scene, paper_mapping(rolling=None, material={**COUPLED, "friction": None}), "test scene")

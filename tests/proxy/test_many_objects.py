@@ -102,6 +102,7 @@ def test_a_mesh_supports_the_closed_form_of_rolling(company: tuple[dict[str, Any
     assert on_box["contact.rolled"].max() > 0.05
     # Vertices are float32 in the file: 2 cm to 1e-9 m, times 1000 N/m.
     np.testing.assert_allclose(on_mesh["force"], on_box["force"], atol=2e-6)
+    np.testing.assert_allclose(on_mesh["torque"], on_box["torque"], atol=2e-6 * R)
 
 
 @pytest.mark.plain

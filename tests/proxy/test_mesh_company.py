@@ -1,4 +1,4 @@
-"""Several meshes, shapes and fingers in one scene, and a moving mesh."""
+"""Several meshes, shapes and fingers in one scene."""
 
 import numpy as np
 import pytest
@@ -53,20 +53,3 @@ def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
     # A facet of the sphere is 2.5 mm long and up to 25 um below its sphere: 25 mN. The proxy takes ticks round an edge.
     apart = np.linalg.norm(mesh["force"] - solid["force"], axis=1)
     assert np.median(apart) < 0.03
-
-
-def test_a_moving_bumpy_mesh_is_touched_in_its_frame(tmp_path, cases):
-    bumpy = meshes.bumpy_sphere(cases(8, 24), 0.05, height=0.03)
-    file, rate, ticks = write_part(tmp_path, *bumpy), 0.8, cases(500, 2000)
-    turns = make_object("part", "mesh", file=file, motion={"kind": "turntable", "rate_rad_per_s": rate})
-    angle = rate * 1e-3 * np.arange(1, ticks + 1)  # the world is advanced before the fingers
-    still = np.tile((0.06, 0.01, 0.005), (ticks, 1))
-    still[:, 0] += 0.03 * np.maximum(1.0 - np.arange(ticks) / 200.0, 0.0)
-    records = visit(engine(turns), still)
-    cos, sin, proxy = np.cos(angle), np.sin(angle), records["proxy.position"]
-    local = np.stack(
-        [cos * proxy[:, 0] + sin * proxy[:, 1], cos * proxy[:, 1] - sin * proxy[:, 0], proxy[:, 2]], axis=1
-    )
-    assert (records["contact.mode"] > 0).mean() > 0.7
-    assert brute_distances(balls_of(*bumpy), local).min() >= OUTSIDE
-    assert np.isfinite(np.asarray(records)).all()

@@ -127,8 +127,8 @@ def test_unsupported_obj_files_are_refused(tmp_path: Path) -> None:
     path, box = tmp_path / "a.obj", "\n".join([*vertices(), *faces()])
     assert "has free-form surfaces (surf)" in file_refusal(path, f"{box}\nsurf 0 1 0 1 1 2 3 4\n".encode())
     assert "in another file (call)" in file_refusal(path, f"{box}\ncall more.obj\n".encode())
-    assert "names the vertex 0" in file_refusal(path, f"{box}\nf 0 1 2\n".encode())
-    assert "names the vertex -9 where there are 8 before it" in file_refusal(path, f"{box}\nf -9 -1 -2\n".encode())
+    assert "has the vertex 0" in file_refusal(path, f"{box}\nf 0 1 2\n".encode())
+    assert "has the vertex -9 with only 8 before it" in file_refusal(path, f"{box}\nf -9 -1 -2\n".encode())
     assert "decimal commas" in file_refusal(path, box.replace(".", ",").encode())
     assert "'1.5' is not a number" in file_refusal(path, f"{box}\nf 1.5 2 3\n".encode())
     assert "UTF-16" in file_refusal(path, box.encode("utf-16"))
@@ -180,7 +180,7 @@ def test_incomplete_stl_files_are_refused(tmp_path: Path) -> None:
     assert "has 15 bytes, fewer than the head of an STL file" in file_refusal(path, b"<!doctype html>")
     assert "states 10 triangles, but 85 bytes follow" in file_refusal(path, stl(count=10))
     assert "decimal commas" in file_refusal(path, TEXT.replace(".", ",").encode())
-    assert "promises 12 faces, and has 11" in file_refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
+    assert "declares 12 faces, but has 11" in file_refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
     assert "no endsolid" in file_refusal(path, TEXT.replace("endsolid", "end").encode())
 
 
@@ -242,7 +242,7 @@ def test_ply_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 
 def test_incomplete_ply_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
-    assert "promises 12 entries of face, and has 11" in file_refusal(path, PLYS["little endian"][:-1])
+    assert "declares 12 entries of face, but has 11" in file_refusal(path, PLYS["little endian"][:-1])
     assert "has other rows than its header declares" in file_refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
     assert "has other rows than its header declares: 4 numbers" in file_refusal(
         path, ply("ascii", [INDICES], LINES.encode(), 11)
@@ -352,10 +352,10 @@ def test_unsupported_glb_features_are_refused_by_name(tmp_path: Path) -> None:
     made = Glb()
     parts = [{"attributes": {"POSITION": made.add(CORNERS.astype(np.float32))}, "indices": made.add(SOME)}]
     copies = {"EXT_mesh_gpu_instancing": {"attributes": {}}}
-    assert "bent by a skeleton" in file_refusal(path, made.data(parts, {"skin": 0}))
+    assert "deformed by a skeleton" in file_refusal(path, made.data(parts, {"skin": 0}))
     assert "EXT_mesh_gpu_instancing" in file_refusal(path, made.data(parts, {"extensions": copies}))
     assert "morph targets" in file_refusal(path, made.data(parts, {"weights": [0.0, 0.5]}))
-    assert "needs an extension that is not read here (VND_bend)" in file_refusal(
+    assert "needs an unsupported extension (VND_bend)" in file_refusal(
         path, made.data(parts, extensionsRequired=["KHR_materials_unlit", "VND_bend"])
     )
     loop = [{"mesh": 0, "children": [1]}, {"children": [0]}]
@@ -380,7 +380,7 @@ def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
     assert "in size" not in noted(1.0) + noted(0.03) + noted(20.0)
     path.write_bytes(TEXT.replace("e-02", "e+01").encode())  # a box of 40 x 40 x 20
     assert noted(1.0) == (
-        "it is 40 m in size: if that is not meant, give scale = 0.001 (millimetres, 0.04 m), or scale = 0.01 "
+        "it is 40 m in size: if that is not intended, give scale = 0.001 (millimetres, 0.04 m), or scale = 0.01 "
         "(centimetres, 0.4 m)"
     )
     assert "give scale = 0.001 (a thousand times larger, 0.04 m)" in noted(1e-6)
@@ -391,6 +391,6 @@ def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
         name="m", file=str(tmp_path / "a.xml"), mesh="a", material=schema.Material(stiffness_n_per_m=1.0)
     )
     assert (
-        "it is 40 m in size: if that is not meant, multiply the scale of its <mesh> by 0.001 (millimetres"
+        "it is 40 m in size: if that is not intended, multiply the scale of its <mesh> by 0.001 (millimetres"
         in (about(of_model).report.noted[0])
     )

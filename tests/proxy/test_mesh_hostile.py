@@ -6,13 +6,12 @@ compiled meshes share it.
 
 import numpy as np
 import pytest
-from helpers import hostile_meshes, meshes
+from helpers import hostile_meshes
 from helpers.surface_hand import hand
 from helpers.touching import SLIPPERY, R, engine, make_object, visit, wander, write_part
 from mesh_truth import ask
 from references.brute_force import balls_of, brute_distances
 
-from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.contact.first_pose import GRAZE
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes.budget import BUDGET
@@ -68,17 +67,6 @@ def test_it_is_touched_safely(tmp_path, name):
     assert largest_query(smooth, np.concatenate([even["proxy.position"], poses[:, :3]])) <= BUDGET + LANES
 
 
-def test_a_mended_mesh_equals_the_intact_one(tmp_path):
-    ball, poses = meshes.geodesic(12, 0.05), hand(meshes.geodesic(12, 0.05), TICKS, R, np.random.default_rng(5))
-    whole, _ = smooth_and_rough(tmp_path, ball)
-    mended, _ = smooth_and_rough(tmp_path, hostile_meshes.messy_ball(12, 0.05))
-    expected, records = whole.run(poses), mended.run(poses)
-    assert (expected["contact.mode"] > 0).mean() > 0.3
-    # The order of two triangles decides which is touched at their edge, and thus the path around the edge.
-    np.testing.assert_allclose(records["force"], expected["force"], rtol=0.0, atol=0.02)
-    np.testing.assert_allclose(np.median(np.abs(records["force"] - expected["force"])), 0.0, atol=1e-9)
-
-
 @pytest.mark.scaled
 @pytest.mark.parametrize("room", [1e-6, 0.01, 0.3])
 def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
@@ -116,24 +104,6 @@ def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
         # It rests on a facet, whose tangent deviates by the angle of a facet, or in an edge between two.
         assert records["proxy.position"][-1] @ side > 0.99 * room * R
         assert not records["contact.budget"][-1]
-
-
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e300, 2000.0])
-def test_an_invalid_vertex_is_refused(tmp_path, wrong):
-    made = meshes.geodesic(4, 0.05)
-    vertices = made.vertices.copy()
-    vertices[7, 1] = wrong
-    file = write_part(tmp_path, vertices, made.triangles)
-    with pytest.raises(ConfigError, match="object 'part': file: ") as refused:
-        engine(make_object("part", "mesh", file=file))
-    assert file in str(refused.value) and "\n" not in str(refused.value)
-
-
-def test_an_ellipsoid_is_refused_by_name(tmp_path):
-    part = make_object("part", "mesh", file=write_part(tmp_path, *meshes.geodesic(4, 0.05)))
-    with pytest.raises(ConfigError, match="ellipsoid") as refused:
-        engine(part, fingertip={"radii_m": [0.01, 0.008, 0.006]})
-    assert "\n" not in str(refused.value) and "mesh" in str(refused.value)
 
 
 @pytest.mark.parametrize("name", ["star", "messy", "crossing"])

@@ -244,7 +244,7 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
     notes = {geom.name: geom.note for geom in convert_geoms(world)}
     assert notes["part"] == ""
     assert notes["l"] == (
-        "is touched as it is; other geoms collide with its convex hull, which has 1.17 times its volume"
+        "has its own shape for fingers; other geoms collide with its convex hull, which has 1.17 times its volume"
     )
 
 
@@ -290,7 +290,7 @@ def test_bodies_start_at_a_keyframe(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["check", str(path), str(tmp_path / "slow.toml")]) == 0
     assert "0.005 s, the model's own: a tick at servo.rate_hz = 200" in capsys.readouterr().out
     write_model(tmp_path / "arm.xml", ARM, '<option timestep="0.0005"/>')
-    assert main(["check", str(path)]) == 0 and "substeps = 2 would keep to it" in capsys.readouterr().out
+    assert main(["check", str(path)]) == 0 and "substeps = 2 would match it" in capsys.readouterr().out
 
 
 def test_check_refuses_bodies_that_cannot_start(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

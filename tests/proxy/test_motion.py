@@ -9,7 +9,6 @@ import numba
 import numpy as np
 import pytest
 from conftest import SceneFactory
-from helpers.refusals import refusal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.hand import Array
@@ -114,19 +113,3 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         built = build_scene(plane_scene(table={"motion": motion})).objects.body.motion
         assert (type(built), built) == (type(kernel), kernel)
     assert build_scene(plane_scene()).objects.body.motion is None
-
-
-@pytest.mark.parametrize(
-    ("motion", "message"),
-    [
-        ({"kind": "turntabel", "rate_rad_per_s": 1}, "object[0].motion.kind = 'turntabel': must be one of"),
-        ({"kind": "turntable"}, "object[0].motion.rate_rad_per_s is missing"),
-        ({"kind": "turntable", "rate_rad_per_s": 101}, "from -100 to 100 rad/s"),
-        ({"kind": "turntable", "rate_rad_per_s": 1, "axis": [0, 0, 0]}, "object[0].motion.axis = [0.0, 0.0, 0.0]"),
-        ({"kind": "sinusoid", "frequency_hz": 200}, "from 0 to 100 Hz"),
-        ({"frequency_hz": 2}, "object[0].motion.kind is missing"),
-        ([], "object[0].motion = []: must be a table"),
-    ],
-)
-def test_a_faulty_motion_is_refused(plane_scene: SceneFactory, motion: Any, message: str) -> None:
-    assert message in refusal(plane_scene, table={"motion": motion})

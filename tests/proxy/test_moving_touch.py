@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from helpers.blocks import whole
 from helpers.examples import examples
+from helpers.touching import causes
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
@@ -18,14 +18,8 @@ from test_invariants import GRIP, HALF, SLICK, R, numbers, visits
 
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, CAUSE_NAMES
-from softfinger.proxy.records import Records
-from softfinger.proxy.scene import build_scene
-from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.tick import Tuning
-from softfinger.server.offline.closed_loop import run_closed_loop
 
 pytestmark = pytest.mark.plain
 
@@ -62,10 +56,6 @@ class Driver:
         self.engine.tune(msgspec.structs.replace(self.scene, object=tuple(objects)))
         pose = np.asarray(finger, float)
         return self.engine.step(pose[:3], pose[3:] if len(pose) == 7 else UPRIGHT, dt)
-
-
-def causes(records: Array) -> list[str]:
-    return [CAUSE_NAMES[int(cause)] for cause in records["contact.cause"] if cause != 0]
 
 
 SHAPES: dict[str, tuple[dict[str, Any], float, float]] = {
@@ -160,15 +150,6 @@ def test_an_object_placed_around_the_finger_pushes_it_out(name: str) -> None:
     assert step.cause == "touch"
 
 
-def test_an_object_that_returns_touches_again() -> None:
-    """A plane that rises, sinks and rises again under a still finger makes two contacts, each from its first tick."""
-    driver = Driver(scene({"shape": "plane"}))
-    height = 0.002 * np.sin(2.0 * np.pi * np.arange(400) / 200.0)
-    steps = [driver.step((0.0, 0.0, R + 0.0005), ((0.0, 0.0, z), UPRIGHT)) for z in height]
-    np.testing.assert_allclose([s.force[2] for s in steps], K * np.maximum(height - 0.0005, 0.0), atol=ROUNDING_N)
-    assert [s.cause for s in steps if s.cause != "none"] == ["touch", "release"] * 2
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("thickness", [0.1, 0.001])
 @pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda distance: f"{1000 * distance:g} mm")
@@ -248,17 +229,3 @@ def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
                 assert np.abs(world.T @ got - row[at : at + 3]).max() < 1e-8 * max(1.0, normal_force)
 
     check()
-
-
-def test_in_closed_loop_a_rising_table_lifts_the_hand() -> None:
-    """A table rises under a softly held simulated device; in every tick the force is K times the depth."""
-    rise = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2.0, "phase_rad": -np.pi / 2}
-    tuning = Tuning(build_scene(scene({"shape": "plane", "motion": rise})), (Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0),))
-    options = Options(preset="omega.6", position_m=(0.0, 0.0, R + 0.002))
-    records = Records(whole(run_closed_loop(tuning, [make_simulation(options, 1000.0)], 1000.0, 500)))
-    z = records["probe.position"][:, 2]
-    height = -0.01 * np.cos(4.0 * np.pi * np.cumsum(records["dt"]))
-    expected = K * np.maximum(height + R - z, 0.0)
-    np.testing.assert_allclose(records["force"][:, 2], expected, atol=ROUNDING_N)
-    assert expected.max() > 0.1 and np.ptp(z) > 1e-4
-    assert causes(records)[:2] == ["touch", "release"]

@@ -158,28 +158,6 @@ def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
             assert sum(kind.startswith("{ {") for kind in kinds) == 1  # the pair, as one argument
 
 
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_variables_in_loops_and_branches_equal_those_of_python(count: int) -> None:
-    """`storevar`, `_blk_local_varmap`: variables of several blocks, assigned once or more often."""
-
-    def steps(n: int, x: float) -> tuple[float, float]:
-        factor, total = x + 1.0, 0.0
-        for i in range(n):
-            square = factor * i
-            if square > 3.0:
-                total += square
-                continue
-            last = square - factor
-            while last < 2.0:
-                last += factor
-            total -= last
-        return total, factor
-
-    kernel: Any = decorators.jit(steps)
-    caller: Any = numba.njit(**decorators.OPTIONS)(lambda n, x: kernel(n, x))
-    assert caller(count, 0.25) == steps(count, 0.25)
-
-
 def test_a_variable_with_one_assignment_is_not_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """`_find_singly_assigned_variable`: even before LLVM optimises the code."""
     monkeypatch.setattr(InlinedCode, "_optimize_final_module", lambda self: None)
@@ -287,11 +265,26 @@ def looped(x: float, n: int) -> Any:
     return total, last
 
 
-@pytest.mark.parametrize(("function", "rounds"), [(straight, 0), (branched, 0), (looped, 1)])
+def nested(x: float, n: int) -> Any:
+    factor, total = x + 1.0, 0.0
+    for i in range(n):
+        square = factor * i
+        if square > 3.0:
+            total += square
+            continue
+        last = square - factor
+        while last < 2.0:
+            last += factor
+        total -= last
+    return total, factor
+
+
+@pytest.mark.parametrize(("function", "rounds"), [(straight, 0), (branched, 0), (looped, 1), (nested, 1)])
 def test_values_before_their_uses_are_typed_in_one_round(
     monkeypatch: pytest.MonkeyPatch, empty_cache: None, function: Any, rounds: int
 ) -> None:
-    """`TypeInferer`, `_strip_phi_nodes`: types and results are those of numba's compilation; only loops need rounds."""
+    """`TypeInferer`, `_strip_phi_nodes`, `storevar`, `_blk_local_varmap`: types and results are those of numba's
+    compilation, also of variables of several blocks; only loops need rounds."""
     ran: list[str] = []
     numba_propagate = TypeInferer.propagate
 
@@ -303,7 +296,7 @@ def test_values_before_their_uses_are_typed_in_one_round(
     kernel: Any = decorators.jit(function)
     caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, n: kernel(x, n))
     plain: Any = numba.njit(**decorators.OPTIONS)(function)
-    for arguments in ((1.5, 3), (2.5, 0), (0.0, 0)):
+    for arguments in ((1.5, 3), (2.5, 0), (0.0, 0), (0.25, 5), (0.25, 1)):
         assert caller(*arguments) == plain(*arguments) == function(*arguments)
     (typed,), (reference,) = kernel.dispatcher.nopython_signatures, plain.nopython_signatures
     assert typed == reference

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.touching import GRIP
 from numpy.typing import NDArray
 
 from softfinger.proxy.engine import Engine
@@ -39,12 +40,7 @@ PLATE = """
 
 def finger_on_a_plate(folder: Path, floor: float) -> Engine:
     (folder / "plate.xml").write_text(PLATE.format(floor=floor), encoding="utf-8")
-    material = {
-        "stiffness_n_per_m": STIFFNESS,
-        "damping_ns_per_m": 2.0,
-        "friction": {"static": STATIC, "kinetic": KINETIC},
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    }
+    material = GRIP | {"damping_ns_per_m": 2.0, "friction": {"static": STATIC, "kinetic": KINETIC}}
     return Engine(
         {
             "fingertip": {"radius_m": R},

@@ -94,17 +94,21 @@ def in_groove(running, points, vectors=None):
     return running.run(poses(points, vectors))
 
 
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
-    ("laws", "expected"),
-    [((GRIP, GRIP), 1.0 * F), ((GRIP, None), 0.5 * F), ((None, GRIP), 0.5 * F), ((GRIP, LATE), 0.6 * F)],
+    ("laws", "peak", "expected"),
+    [
+        ((GRIP, GRIP), 1.2 * F, 1.0 * F),
+        ((GRIP, None), 0.6 * F, 0.5 * F),
+        ((None, GRIP), 0.6 * F, 0.5 * F),
+        ((GRIP, LATE), 0.7 * F, 0.6 * F),
+    ],
 )
-def test_friction_along_a_groove_is_the_sum_of_both_laws(order, laws, expected):
+def test_friction_along_a_groove_is_the_sum_of_both_laws(laws, peak, expected):
     """Friction along the groove is mu_d1 f1 + mu_d2 f2 in either order: 0.354 N if one wall is frictionless, 0.424 N
-    for 0.5 and 0.1."""
-    running = engine(*groove(order, [material(law) for law in laws]))
+    for 0.5 and 0.1. It peaks when a contact breaks loose."""
+    running = engine(*groove(stuff=[material(law) for law in laws]))
     force = in_groove(running, line(IN_GROOVE, np.add(IN_GROOVE, [0.0, 0.02, 0.0]), 400))["force"]
+    assert -force[:, 1].min() == pytest.approx(peak, abs=1e-9)
     # Dragged by 20 mm; the component across decays by a factor e per 0.7 mm of slip.
     np.testing.assert_allclose(force[-1], [0.0, -expected, 1.0], atol=1e-9)
 
@@ -152,11 +156,9 @@ def test_equal_walls_give_no_moment_about_the_bisector():
     np.testing.assert_allclose(records["torque"][-1], [-R * F / SQRT2, 0.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("order", ORDERS)
-def test_a_spin_about_the_bisector_gives_no_force_along_the_groove(order):
+def test_a_spin_about_the_bisector_gives_no_force_along_the_groove():
     """By symmetry the tangential forces cancel, and the torques add."""
-    running = engine(*groove(order))
+    running = engine(*groove())
     spin = turning(2, 1.0, 400)
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), spin)
     assert np.abs(records["force"][:, :2]).max() < 1e-12
@@ -164,12 +166,10 @@ def test_a_spin_about_the_bisector_gives_no_force_along_the_groove(order):
     np.testing.assert_allclose(records["torque"][-1], [0.0, 0.0, -2.0 * 0.5 * F * R / SQRT2], atol=1e-9)
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("order", ORDERS)
-def test_rotation_about_the_groove_rubs_on_both_walls(order):
+def test_rotation_about_the_groove_rubs_on_both_walls():
     """As for a shaft in a V-block, the friction of each wall loads the other: they bear F (1 + mu) / (1 + mu^2) and F
     (1 - mu) / (1 + mu^2). The torque is r mu_d (f1 + f2) = 5.66 mN m; the force is that of the proxy's spring."""
-    running = engine(*groove(order))
+    running = engine(*groove())
     turn = turning(1, 1.0, 400)
     records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turn)
     np.testing.assert_allclose(records["torque"][-1], [0.0, -R * 0.5 * 2.0 * F / 1.25, 0.0], atol=1e-12)
@@ -181,10 +181,9 @@ ON_SEAM = np.array([0.0, 0.0, R - 0.001])
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("speed", [0.0123, 0.05, 1.0])
-def test_friction_is_constant_across_a_seam(order, speed):
-    running = engine(*[SEAM[i] for i in order])
+def test_friction_is_constant_across_a_seam(speed):
+    running = engine(*SEAM)
     half = min(0.03, 0.5 * speed)  # at most one second
     start, end = ON_SEAM - [half, 0.0, 0.0], np.add(ON_SEAM, [half, 0.0, 0.0])
     running.run(poses(pressing(start)))
@@ -284,26 +283,6 @@ def test_another_number_of_objects_is_another_scene():
         Engine(more).tune(fewer)
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_the_moment_is_constant_in_a_roll_across_a_seam(order):
-    running = engine(*[SEAM[i] | {"material": material(GRIP, LIMP)} for i in order])
-    start = ON_SEAM - [0.004, 0.0, 0.0]
-    running.run(poses(pressing(start)))
-    spin = turning(2, 0.06, 50)
-    running.run(poses(np.tile(start, (50, 1)), spin))
-    ticks = 400
-    angles = np.linspace(0.0, 0.8, ticks + 1)[1:, None]
-    points = start + np.hstack([R * angles, np.zeros((ticks, 2))])
-    # Roll about y in the world frame, after the spin.
-    q_spin, half = np.array([np.cos(0.03), 0.0, 0.0, np.sin(0.03)]), 0.5 * angles[:, 0]
-    c, s = np.cos(half), np.sin(half)
-    q = np.stack([c * q_spin[0], s * q_spin[3], s * q_spin[0], c * q_spin[3]], axis=1)
-    records = running.run(np.hstack([points, q]))
-    assert set(records["contact.object"]) == {0.0, 1.0}
-    np.testing.assert_allclose(records["torque"][:, 2], -0.05 * 0.06, atol=1e-12)
-    np.testing.assert_allclose(records["proxy.position"][:, 0], points[:, 0], atol=1e-12)
-
-
 def test_weight_shifted_between_walls_hands_the_moment_on():
     """When the load shifts between walls, the torque changes no faster than the shift of the load."""
     running = engine(*groove(stuff=[material(GRIP, STRONG)] * 2))
@@ -364,7 +343,21 @@ def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
 BALL, DEEP, ARC = 0.05, 0.001, 0.4
 """Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
 be 0.4 N."""
+
+
+BALL, DEEP, ARC = 0.05, 0.001, 0.4
+"""Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
+be 0.4 N."""
+
+
+BALL, DEEP, ARC = 0.05, 0.001, 0.4
+"""Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
+be 0.4 N."""
+
+
 STUCK = material({"static": 5.0, "kinetic": 4.0})
+
+
 FAR = wall("far", (0.0, 0.0, 1.0), offset=-5.0)
 
 
@@ -450,27 +443,15 @@ def test_a_shallow_valley_is_nearly_a_plane():
     assert np.abs(np.diff(force[56:], axis=0)).max() < 2.0 * 0.5 * np.sin(2.0 * half) * 1.05
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("order", ORDERS)
-def test_forces_of_a_pinch_add(order):
+def test_forces_of_a_pinch_add():
     """Floor 1 mm deep, ceiling 3 mm deep: 1 N up, 3 N down, and friction on each."""
     gap = 2.0 * R - 0.004
     objects = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-gap)]
-    running = engine(*[objects[i] for i in order])
+    running = engine(*objects)
     at = np.array([0.0, 0.0, R - 0.001])
     records = running.run(poses(np.vstack([np.tile(at, (10, 1)), line(at, np.add(at, [0.01, 0.0, 0.0]), 500)])))
     np.testing.assert_allclose(records["force"][5], [0.0, 0.0, -2.0], atol=1e-12)
     np.testing.assert_allclose(records["force"][-1], [-0.5 * 4.0, 0.0, -2.0], atol=1e-9)
-
-
-def test_a_ceiling_that_moves_down_adds_its_spring_gradually():
-    motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.02], "frequency_hz": 0.5}
-    objects = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-0.03) | {"motion": motion}]
-    records = engine(*objects).run(poses(np.tile([0.0, 0.0, R - 0.001], (500, 1))))
-    height = 0.03 - 0.02 * np.sin(np.pi * (records["timestamp"] + 0.001))
-    deep = np.maximum(R - (height - (R - 0.001)), 0.0)
-    assert deep.max() > 0.005
-    np.testing.assert_allclose(records["force"][:, 2], 1.0 - 1000.0 * deep, atol=1e-9)
 
 
 JAWS = [np.array([np.cos(a), np.sin(a), 0.0]) for a in 2.0 * np.pi / 3.0 * np.arange(3)]
@@ -529,11 +510,9 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
     np.testing.assert_allclose(spun[-1], [0.0, 0.0, -R * 0.5 * load], atol=1e-9)
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("order", ORDERS)
-def test_each_wall_has_the_contact_patch_of_its_own_load(order):
+def test_each_wall_has_the_contact_patch_of_its_own_load():
     """Spun by phi about the bisector, each patch winds by phi / sqrt 2 with stiffness f R, up to mu_s 3 pi / 16 a f."""
-    running = engine(*groove(order, [material(GRIP, LIMP)] * 2), **SOFT)
+    running = engine(*groove(stuff=[material(GRIP, LIMP)] * 2), **SOFT)
     spin = turning(2, 1.0, 300)
     records = in_groove(running, np.tile(IN_GROOVE, (300, 1)), spin)
     a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)
@@ -546,11 +525,9 @@ def test_each_wall_has_the_contact_patch_of_its_own_load(order):
     np.testing.assert_allclose(records["contact.torsion"], -F * R * wound, rtol=1e-9)
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("order", ORDERS)
-def test_each_wall_resists_rolling_by_its_own_load(order):
+def test_each_wall_resists_rolling_by_its_own_load():
     """Rotated about the groove's axis without friction, each wall resists with 3/16 alpha a f once it slips."""
-    running = engine(*groove(order, [material(None)] * 2), rolling=None, **SOFT)
+    running = engine(*groove(stuff=[material(None)] * 2), rolling=None, **SOFT)
     turn = turning(1, 1.0, 300)
     records = in_groove(running, np.tile(IN_GROOVE, (300, 1)), turn)
     a = (3.0 * F * R / (16.0 * 45e3)) ** (1.0 / 3.0)

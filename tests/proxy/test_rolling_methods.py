@@ -21,7 +21,6 @@ from references.rolling_cases import (
     touching,
 )
 
-from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.numerics import rotations
@@ -229,19 +228,3 @@ def test_a_scene_selects_the_method(plane_scene: SceneFactory, method: str) -> N
     less = build_scene(plane_scene(rolling={"method": method, "torque_stiffness_n_per_m": 250.0, **tolerance}))
     assert less.rolling == type(built.rolling)(*tolerance.values())
     assert less.fingers[0].torque_stiffness == 250.0
-
-
-@pytest.mark.parametrize(
-    ("table", "rolling", "message"),
-    [
-        ({"shape": "torus", "major_radius_m": 0.05, "minor_radius_m": 0.02}, {}, "torus: choose montana_rk4"),
-        ({"shape": "ellipsoid", "semi_axes_m": [0.05, 0.03, 0.02]}, {}, "ellipsoid: choose montana_rk4"),
-        ({}, {"tolerance": 1e-6}, "tolerance = 1e-06: is for montana_rk45"),
-        ({}, {"method": "montana_rk45", "tolerance": 1e-15}, "must be a number from 1e-13 to 0.001"),
-    ],
-)
-def test_a_scene_is_refused(
-    plane_scene: SceneFactory, table: dict[str, Any], rolling: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ConfigError, match=message):
-        plane_scene(table=table, rolling={"method": "rotation_vector"} | rolling)

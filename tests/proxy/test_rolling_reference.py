@@ -14,7 +14,7 @@ from references.hand import Array
 from references.paper import published
 from references.rolling_cases import METHODS
 from references.rolling_reference import rolled_path, rolling_equation, zxz_roll, zyx_roll
-from references.rotation import multiply, quaternion, rodrigues, tangent_frame
+from references.rotation import multiply, quaternion, rodrigues
 
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
@@ -27,19 +27,6 @@ pytestmark = pytest.mark.plain
 
 R = 0.01
 HIGH_FRICTION = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
-
-
-def quaternions(rotations: Array) -> Array:
-    """Quaternions (n, 4) of rotation matrices (n, 3, 3), by the axis of each step."""
-    out, last = [np.array([1.0, 0.0, 0.0, 0.0])], rotations[0]
-    for rotation in rotations[1:]:
-        step = rotation @ last.T
-        axis = np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
-        sine = np.linalg.norm(axis)
-        angle = np.arctan2(sine / 2, (np.trace(step) - 1) / 2)
-        out.append(multiply(quaternion(axis * (angle / sine if sine else 0.0)), out[-1]))
-        last = rotation
-    return np.array(out)
 
 
 def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: float = 0.001) -> Array:
@@ -152,6 +139,19 @@ def test_both_motions_and_both_interpretations(
     assert out.spin == pytest.approx(spin, abs=1e-15)
 
 
+def quaternions(rotations: Array) -> Array:
+    """Quaternions (n, 4) of rotation matrices (n, 3, 3), by the axis of each step."""
+    out, last = [np.array([1.0, 0.0, 0.0, 0.0])], rotations[0]
+    for rotation in rotations[1:]:
+        step = rotation @ last.T
+        axis = np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
+        sine = np.linalg.norm(axis)
+        angle = np.arctan2(sine / 2, (np.trace(step) - 1) / 2)
+        out.append(multiply(quaternion(axis * (angle / sine if sine else 0.0)), out[-1]))
+        last = rotation
+    return np.array(out)
+
+
 def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFactory) -> None:
     def rate(t: float) -> Array:
         return np.array([3 * np.cos(2 * t), 2 * np.sin(5 * t), 4 + 2 * np.sin(3 * t)])
@@ -166,16 +166,14 @@ def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFa
         assert 3.5 < coarse / fine < 4.5
 
 
-def test_decomposition_does_not_depend_on_the_tangent_axes() -> None:
-    rng = np.random.default_rng(5)
-    for _ in range(50):
-        normal = rng.normal(size=3)
-        normal /= np.linalg.norm(normal)
-        rotation = rodrigues(rng.normal(0, 0.5, 3))
-        roll, theta, spin = zxz_roll(rotation, normal)
-        turn = rodrigues(rng.normal(0, 1.0, 3))
-        roll_turned, theta_turned, spin_turned = zxz_roll(turn @ rotation @ turn.T, turn @ normal)
-        # tangent_frame selects axes by the normal's components, so the rotated frame has other axes.
-        assert roll_turned == pytest.approx(turn @ roll, abs=1e-13)
-        assert (theta_turned, spin_turned) == pytest.approx((theta, spin), abs=1e-13)
-        assert tangent_frame(normal)[:, 2] == pytest.approx(normal)
+@pytest.mark.parametrize("method", ["euler_zxz", "euler_zyx", "rotation_vector"])
+def test_a_step_of_the_experiment_has_the_angles_of_its_matrix(method: str) -> None:
+    """tests/tools/test_accuracy.py compares the paths of these steps with the published differences."""
+    w, normal = paper_step(), np.array([0.0, 0.0, 1.0])
+    plane, turn = model.Plane((0.0, 0.0, 1.0), 0.0), rotations.exp(tuple(w.tolist()))
+    out = roll(METHODS[method], plane, R, (0.0, 0.0, R), (0.0, 0.0, 1.0), turn)
+    axis, spin = w, w[2]
+    if method != "rotation_vector":
+        axis, _, spin = (zyx_roll if method == "euler_zyx" else zxz_roll)(rodrigues(w), normal)
+    assert np.array(out.motion) == pytest.approx(R * np.cross(axis, normal), abs=1e-15)
+    assert out.spin == pytest.approx(spin, abs=1e-15)

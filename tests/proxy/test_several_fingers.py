@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.touching import GRIP
 from numpy.typing import NDArray
 
 from softfinger.proxy.engine import Engine
@@ -33,12 +34,7 @@ FINGERS: dict[str, dict[str, Any]] = {
     },
 }
 """Two fingertips that have no parameter in common."""
-RUBBER = {
-    "stiffness_n_per_m": 1000.0,
-    "damping_ns_per_m": 2.0,
-    "friction": {"static": 0.6, "kinetic": 0.5},
-    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-}
+RUBBER = GRIP | {"damping_ns_per_m": 2.0}
 REMEMBERS = [
     {"kind": "stick_slip", "stiffness_n_per_m": 300.0, "force_max_n": 0.2},
     {"kind": "vibration", "amplitude_n": 0.1, "frequency_hz": 120.0},
@@ -120,9 +116,9 @@ def test_world_time_advances_once_per_tick() -> None:
 @pytest.mark.parametrize(
     ("poses", "message"),
     [
-        (np.zeros((3, 7)), "the fingers thumb, index: give `run` poses of each by its name"),
-        ({"thumb": np.ones((3, 7))}, "poses of thumb are not those of the scene's fingers: thumb, index"),
-        ({"thumb": np.ones((3, 7)), "ring": np.ones((3, 7))}, "poses of thumb, ring are not those"),
+        (np.zeros((3, 7)), "the fingers thumb, index: pass `run` the poses of each by its name"),
+        ({"thumb": np.ones((3, 7))}, "poses of thumb do not match the fingers of the scene: thumb, index"),
+        ({"thumb": np.ones((3, 7)), "ring": np.ones((3, 7))}, "poses of thumb, ring do not match"),
         ({"thumb": np.ones((3, 7)), "index": np.ones((2, 7))}, "the same number of poses, not 3 of thumb, 2 of index"),
         ({"thumb": np.ones((3, 7)), "index": np.full((3, 7), np.nan)}, "pose 0 is"),
     ],

@@ -472,13 +472,13 @@ def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"texture": {"height_m": None}}, "object[0].texture.height_m: give height_m or friction_scale"),
-        ({"texture": {"friction_scale": [0.5, 1.5]}}, "needs friction to scale in the material"),
+        ({"texture": {"height_m": None}}, "object[0].texture.height_m: is missing, as is friction_scale"),
+        ({"texture": {"friction_scale": [0.5, 1.5]}}, "scales the friction of the material, which has none"),
         ({"texture": {"height_m": 1.0}}, "object[0].texture.height_m = 1.0: must be a number from 1e-07 to 0.01 m"),
         ({"texture": {"border": "mirror"}}, "object[0].texture.border = 'mirror': must be"),
         ({"shape": "sphere", "radius_m": 0.05}, "object[0].texture is not a key here"),
-        ({"shape": "cylinder", "radius_m": 0.05}, "goes 15.708 times round the cylinder, must be an integer"),
-        ({"shape": "cylinder", "radius_m": 0.05}, "make it 0.0196350 m wide".replace("0.0196350", "0.019635")),
+        ({"shape": "cylinder", "radius_m": 0.05}, "fits 15.708 times round the cylinder; must be an integer"),
+        ({"shape": "cylinder", "radius_m": 0.05}, "width to 0.019635 m"),
         ({"texture": {"file": "/no/such.npy"}}, "object 'table': texture.file: /no/such.npy: cannot be read: No such"),
     ],
 )

@@ -9,18 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory, paper_mapping
+from conftest import SceneFactory
 from helpers.examples import Cases, examples
 from hypothesis import given
 from references.hand import drive, pressed
 from references.laws import Array, handling
 
-from softfinger.config.errors import ConfigError
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels import model
-from softfinger.proxy.laws import torsion_laws
 
 pytestmark = pytest.mark.plain
 
@@ -151,52 +146,3 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
     # While the proxy sticks, the wind-up follows the flicker, so their difference is constant.
     anchor = spin - flicker[199:]
     assert np.ptp(anchor) < 1e-12
-
-
-@pytest.mark.parametrize(
-    ("torsion", "message"),
-    [
-        ({"kinetic_friction_length_m": 0.003}, 'belongs to model = "soft_finger_proxy"'),
-        ({**PROXY, "kinetic_friction_length_m": 0.005}, "at most friction_length_m = 0.004"),
-        ({"exponent": 0.5}, "from 0 to 0.333333"),
-        ({"model": "soft_finger"}, "did you mean 'soft_finger_proxy'"),
-    ],
-)
-def test_faulty_torsion_is_refused(torsion: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        build(Scene, paper_mapping(material={"torsion": torsion}), "test scene")
-
-
-def test_only_the_features_of_a_scene_are_compiled(plane_scene: SceneFactory) -> None:
-    linear, power = model.Torsion(0.05, 0.004), model.PowerTorsion(0.05, 0.004, 0.2)
-    for torsion, law in [
-        (None, None),
-        ({}, linear),
-        ({"exponent": 0.2}, power),
-        ({"model": "limit_surface"}, model.LimitSurface(linear)),
-        ({"model": "limit_surface", "exponent": 0.2}, model.LimitSurface(power)),
-        (PROXY, model.SoftFingerProxy(linear, 0.75)),
-        ({**PROXY, "exponent": 0.2}, model.SoftFingerProxy(power, 0.75)),
-    ]:
-        assert torsion_laws(plane_scene(material={"torsion": torsion})) == [law]
-
-
-def test_objects_of_a_scene_share_one_law() -> None:
-    mapping = paper_mapping()
-    table = mapping["object"][0]
-    turning = {**table["material"], "torsion": {**table["material"]["torsion"], **PROXY}}
-    limp = {key: value for key, value in table["material"].items() if key != "torsion"}
-    mapping["object"] = [
-        table,
-        {**table, "name": "turning", "material": turning},
-        {**table, "name": "limp", "material": limp},
-    ]
-    assert torsion_laws(build(Scene, mapping, "test scene")) == [
-        model.SoftFingerProxy(model.Torsion(0.05, 0.004), 1.0),
-        model.SoftFingerProxy(model.Torsion(0.05, 0.004), 0.75),
-        model.SoftFingerProxy(model.Torsion(1.0, 0.0), 1.0),
-    ]
-    coupled = {**table["material"], "torsion": {**table["material"]["torsion"], "model": "limit_surface"}}
-    mapping["object"][1] = {**table, "name": "coupled", "material": coupled}
-    with pytest.raises(ConfigError, match="all objects with torsion have the model limit_surface, or none has"):
-        build(Scene, mapping, "test scene")

@@ -83,7 +83,7 @@ def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path)
     for root in (tmp_path, tmp_path / "toys"):
         world = schema.World(model=str(model), root=str(root), material=material)
         assert [geom.name for geom in convert_geoms(world)] == ["bottom", "lid", "lid 2"]
-    with pytest.raises(ConfigError, match=r'toys/meshes/lid\.stl is not found .* \[world\] root = "\.\./\.\."'):
+    with pytest.raises(ConfigError, match=r'toys/meshes/lid\.stl is in no folder .* \[world\] root = "\.\./\.\."'):
         list(convert_geoms(schema.World(model=str(model), material=material)))
 
 

@@ -49,11 +49,6 @@ def matrix(q: ArrayLike) -> Array:
     )
 
 
-def wrap(angle: float) -> float:
-    """The angle's representative in [-pi, pi]."""
-    return math.remainder(angle, 2 * math.pi)
-
-
 def tangent_frame(normal: ArrayLike) -> Array:
     """A right-handed frame (3, 3), columns x, y tangent and z = normal, to world."""
     n = np.asarray(normal, float)

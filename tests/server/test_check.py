@@ -21,8 +21,8 @@ def test_check_prints_modelled_and_omitted_effects() -> None:
     assert "paper-plane: scene, usable" in out
     assert re.search(r"rolling +euler_zxz, torque stiffness 1000 N/m", out)
     assert re.search(r"friction +static 0.6, kinetic 0.5", out)
-    assert re.search(r"rolling +left out", out)
-    assert re.search(r"friction +left out: frictionless", out)
+    assert re.search(r"rolling +absent", out)
+    assert re.search(r"friction +absent: frictionless", out)
     assert "replay: rig, usable" in out
     assert re.search(r"servo +1000 Hz, real time auto", out)
 
@@ -77,35 +77,12 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_check_prints_the_trials_of_an_experiment(tmp_path: Path) -> None:
+def test_check_prints_the_trials_of_an_experiment() -> None:
     result = called("check", "curvature-by-rolling", "stiffness-discrimination")
     assert result.returncode == 0, result.stderr
     assert re.search(r"conditions +rolls; slides\n +trials +102, 2 of them practice; questplus", result.stdout)
     # 82 trials of two touches, each of 2 s after a gap of 0.3 s.
     assert re.search(r"lasts +6 min and the answers, a break after each 40 trials", result.stdout)
-    file = tmp_path / "mine.toml"
-    file.write_text("""
-        title = "mine"
-        scene = "paper-plane"
-        [task]
-        kind = "rate"
-        parameter = "object.table.material.stifness_n_per_m"
-        question = "?"
-        [procedure]
-        kind = "constant"
-        levels = [1.0]
-        [design]
-        seed = 1
-    """)
-    result = called("check", str(file))
-    assert result.returncode == 2 and "did you mean 'stiffness_n_per_m'" in result.stderr
-    file.write_text(file.read_text().replace("stifness", "stiffness").replace("seed = 1", "sed = 1"))
-    result = called("check", str(file))
-    assert "2 faults" not in result.stderr and result.stderr.count("\n") == 3
-    assert (
-        "design.sed is not a key here (did you mean 'seed'?)" in result.stderr
-        and "design.seed is missing" in result.stderr
-    )
 
 
 @pytest.mark.plain
@@ -156,7 +133,8 @@ def test_an_error_does_not_hide_errors_of_other_parts(tmp_path: Path) -> None:
             world = { model = "none.xml" }
             object = [
                 { name = "one", shape = "mehs", file = "one.stl", material = "wood" },
-                { name = "two", shape = "mesh", file = "two.dae", material = "wood" }
+                { name = "two", shape = "mesh", file = "two.dae", material = "wood" },
+                { name = "three", shape = "mesh", file = "three.stl", material = "wood" }
             ]""",
         "rig": """
             servo = { rate_hz = 99 }
@@ -171,28 +149,16 @@ def test_an_error_does_not_hide_errors_of_other_parts(tmp_path: Path) -> None:
     }
     for name, text in files.items():
         (tmp_path / f"{name}.toml").write_text(text)
+    (tmp_path / "three.stl").write_bytes(b"solid")
     scene, rig = (examine_file(str(tmp_path / f"{name}.toml")).errors for name in files)
     expected = {
         "fingertip.radius_m = -1": scene, "'mehs'": scene, "one.stl: cannot be read": scene, "none.xml: cannot": scene,
-        "'two.dae': must end in": scene,
+        "'two.dae': must end in": scene, "three.stl: has no endsolid at its end": scene,
         "servo.rate_hz = 99": rig, "did you mean 'serial'": rig, "did you mean 'recording'": rig,
         "recording is missing": rig, "devices.middle.recording: ": rig,
     }  # fmt: skip
     assert [part for part, errors in expected.items() if sum(part in error for error in errors) != 1] == []
-    assert len(scene) == 5 and len(rig) == 5
-
-
-@pytest.mark.plain
-def test_check_reports_every_unusable_file(tmp_path: Path) -> None:
-    objects = [
-        f'[[object]]\nname = "{name}"\nshape = "mesh"\nfile = "{name}.stl"\nmaterial = "wood"\n'
-        for name in ("one", "two")
-    ]
-    (tmp_path / "two.stl").write_bytes(b"solid")
-    (tmp_path / "scene.toml").write_text("[fingertip]\nradius_m = 0.01\n" + "".join(objects))
-    result = called("check", str(tmp_path / "scene.toml"))
-    assert result.returncode == 2
-    assert re.search("object 'one': file: .*No such file.*\n.*object 'two': file: .*it is truncated", result.stderr)
+    assert len(scene) == 6 and len(rig) == 5
 
 
 def test_an_error_names_its_file_once(tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_reachable_curve_is_the_arc_or_plane_inside_the_workspace() -> None:
 
 def test_the_plane_of_a_device_is_drawn() -> None:
     completed = called("check", "haply-2diy", "paper-plane")
-    assert "edge of the plane in which the handle moves; other forces are shown, not displayed" in completed.stdout
+    assert "edge of the plane in which the handle moves; other forces are not displayed" in completed.stdout
     begins = 2 + workspace.COLUMNS + 3
     drawn = completed.stdout.partition("the soft wall of")[2].splitlines()
     views = [line for line in drawn if workspace.CURVE_MARK in line and "handle" not in line]
@@ -111,4 +111,4 @@ def test_the_plane_of_a_device_is_drawn() -> None:
 def test_a_plot_without_a_wall_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     completed = called("check", "simulated", "paper-plane", "--plot", str(tmp_path / "wall.png"))
     assert completed.returncode == ConfigError.exit_code
-    assert "there are 0 and 1: name one of each" in completed.stderr + caplog.text
+    assert "there are 0 and 1: select one of each" in completed.stderr + caplog.text

@@ -27,7 +27,6 @@ from helpers import raw_peers
 from helpers.called import VerbResult, called
 from helpers.daemons import QUIET, RecordSink, subscribed
 from helpers.faulty_device import registered
-from helpers.hapticore_client import Client
 from helpers.pressed import DEPTH_M, pressed_scene
 from helpers.processes import COMMAND, read_memory
 from helpers.programs import Program, run_program
@@ -36,7 +35,7 @@ from helpers.two_fingers import pressed_by_two, two_devices
 from helpers.waits import WAIT_S, eventually, repeated
 
 from softfinger.config.errors import AddressInUse, CommandRefused, ConfigError
-from softfinger.config.load import describe, load_rig, load_scene
+from softfinger.config.load import describe, load_rig
 from softfinger.config.schema import Scene
 from softfinger.proxy import progress as preparation
 from softfinger.proxy.record import AT
@@ -156,17 +155,19 @@ def test_every_method_answers(rig):
         assert eventually(lambda: recorder.batches[-1][-1, AT.contact_normal_force] == normal)
         with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
             control.mesh("lid.top")
-        with pytest.raises(CommandRefused, match="bad_params: no object is 7: there are lid"):
+        with pytest.raises(CommandRefused, match="bad_params: there is no object 7: there are lid"):
             control.mesh(7)
         reply = control.describe()
         assert reply["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and reply["scene_name"] == "pressed"
         assert reply["rig"]["guard"]["force_slew_n_per_s"] == SLEW and set(reply["commands"]["methods"]) == set(METHODS)
         assert reply["wire"]["schema"] == 1 and reply["versions"]["numba"] and reply["compiled"]["model"]
         assert json.dumps(reply)
-        assert control.set_scene("frictionless-plane").active_field == "frictionless-plane"
-        assert next_event("lifecycle")["name"] == "replaced"
-        assert next_event("command")["what"]["scene"] == "frictionless-plane"
-        assert control.get_state().active_field == "frictionless-plane"
+        set_scene = control.set_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 900.0}, "ice")
+        replaced = next_event("lifecycle")
+        assert (replaced["name"], replaced["first"]) == ("replaced", set_scene.tick)
+        assert next_event("command")["what"]["scene"] == "ice"
+        assert control.get_state().active_field == set_scene.active_field == "ice"
+        assert daemon.rendering.scene.object[0].material.stiffness_n_per_m == 900.0
         assert control.stop().shutting_down is True
         assert daemon.wait(60.0)
 
@@ -277,10 +278,10 @@ def test_several_fingers_are_commanded_together(rig):
         (
             "set_params",
             {"finger.0.name": "ring", "finger.0.device": "thumb"},
-            "the name and the device of a finger are no parameters",
+            "name and device of a finger cannot be set",
         ),
         ("set_params", {"finger.thumb.radius_m": 0.01, "finger.0.radius_m": 0.01}, "set twice"),
-        ("set_scene", {"scene": "sphere"}, "take a rig with [device]"),
+        ("set_scene", {"scene": "sphere"}, "use a rig with [device]"),
         ("set_scene", {"scene": swapped}, "(index, thumb) differ from the running ones (thumb, index)"),
     ]
     with running(two_devices(device, device, guard=describe(rig())["guard"]), scene) as (_, control, recorder):
@@ -380,24 +381,6 @@ def test_parameters_set_together_are_never_torn(rig):
     assert np.count_nonzero(np.diff(normal)) > 0.5 * requests > 100
 
 
-def test_changes_of_scene_cause_no_step_of_force(rig):
-    own = {"fingertip": {"radius_m": 0.01}, "object": [{"name": "a", "shape": "plane",
-           "material": {"stiffness_n_per_m": 700.0}}]}  # fmt: skip
-    with running(rig(), load_scene("frictionless-plane")) as (daemon, control, recorder):
-        first = daemon.servo.ticks
-        for number in range(8):
-            scene = "paper-plane" if number % 2 else own
-            answer = control.set_scene(scene, {"object.0.material.stiffness_n_per_m": 900.0}, f"number {number}")
-            assert answer.active_field == f"number {number}"
-            assert eventually(lambda: recorder.force_n > 0.85)
-            first_rows = recorder.since(answer.tick - 1)
-            assert not first_rows[0, AT.force : AT.force + 3].any() and first_rows[1, AT.tick] == answer.tick
-        rows = recorder.since(first)
-    assert (np.diff(rows[:, AT.tick]) == 1.0).all()
-    # without the last zero, of a stop in contact
-    assert find_largest_rise(rows[:-3]) <= SLEW / 1000.0 * (1.0 + ROUNDING)
-
-
 def test_disarm_fades_out_and_arm_fades_in(rig):
     with running(rig()) as (daemon, control, recorder):
         first = daemon.servo.ticks
@@ -411,9 +394,15 @@ def test_disarm_fades_out_and_arm_fades_in(rig):
         armed = daemon.servo.ticks
         assert control.arm().armed is True
         assert eventually(lambda: recorder.force_n > 0.99)
+        again = daemon.servo.ticks
+        for _ in range(20):
+            control.disarm()
+            control.arm()
+        assert eventually(lambda: recorder.force_n > 0.99)
         rows = recorder.since(first)
         assert find_largest_rise(rows) <= SLEW / 1000.0 * (1.0 + ROUNDING)
-        fading = rows[(rows[:, AT.tick] >= armed) & (rows[:, AT.force + 2] > 0.0) & (rows[:, AT.force + 2] < 0.999)]
+        rows = rows[(rows[:, AT.tick] >= armed) & (rows[:, AT.tick] < again)]
+        fading = rows[(rows[:, AT.force + 2] > 0.0) & (rows[:, AT.force + 2] < 0.999)]
         # The ramp's ticks; the last one has the full force.
         assert len(fading) >= RAMP_S * 1000.0 - 1
 
@@ -493,24 +482,6 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
         commands._check_heartbeat()
         alive.append(not reasons)
     assert alive == [False, False, False, False, True]
-
-
-def test_a_client_of_hapticores_protocol_works_unchanged(rig):
-    with running(rig(**{"commands.heartbeat_s": 1.0})) as (daemon, _, recorder):
-        client = Client(daemon.commands_endpoint)
-        try:
-            first = client.state()
-            assert first.active_field == "pressed" and eventually(lambda: client.state().sequence > first.sequence)
-            unknown = client.command("set_force_field", type="null", params={})
-            assert not unknown.success and unknown.error.startswith("unknown_method") and unknown.result == {}
-            assert eventually(lambda: len(client.beats) > 10)
-            assert all(beat.success and beat.result == {"timeout_ms": 1000} for beat in client.beats)
-            assert client.command("stop").result == {"shutting_down": True}
-            assert daemon.wait(60.0)
-        finally:
-            client._shutdown.set()  # before the daemon is closed and no longer answers
-            client.close()
-        assert recorder.force_n >= 0.0
 
 
 def test_each_client_gets_its_answers(rig):

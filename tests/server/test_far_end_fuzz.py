@@ -269,9 +269,7 @@ class Session:
 
     def spoil(self) -> None:
         cable, position = self.draw.choice(self.cables), self.draw.randrange(FRAME_BYTES - 8)
-        text = self.draw.choice(
-            [b"     nan", b"     inf", b"   1e999", b"  80.000", b" -80.000", b"\0\xff\n\n\n\n\n\n"]
-        )
+        text = self.draw.choice(SPOILT)
         cable.spoil = lambda frame: frame[:position] + text + frame[position + 8 :]
         time.sleep(self.draw.uniform(0.0, 0.05))
         cable.spoil = bytes

@@ -97,7 +97,7 @@ SET_BY = {
     "a device that warns": [(watches, "DEVICE_PERIOD_S")],
     "a device that is lost or breaks its protocol": [(DeviceError, "exit_code")],
     "a device that is silent, or sends invalid data": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
-    "a device that takes no force": [(base, "IGNORED_WRENCH_MAX_S")],
+    "a device that accepts no force": [(base, "IGNORED_WRENCH_MAX_S")],
     "a device that removes its force": [(SafetyStop, "exit_code")],
     "a loop that stalls": [(health, name) for name in ("STALL_POLLS", "STALL_POLL_S", "STALL_MAX_S")],
     "a machine that starves the loop": [
@@ -110,7 +110,7 @@ SET_BY = {
     "a process of commands that hangs": [(link, "SILENT_MAX_S")],
     "a page that ends, also while no memory or file descriptor is left": [(process, "RESTARTS")],
     "memory of the daemon in swap": [(watches, "SWAP_PERIOD_S")],
-    "commands that cannot be taken": [(SafetyStop, "exit_code")],
+    "commands that cannot be received": [(SafetyStop, "exit_code")],
 }
 """Constants that set the numbers of a row; defaults of rig keys are in the reference of rigs."""
 

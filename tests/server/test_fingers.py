@@ -18,7 +18,7 @@ from helpers.two_fingers import NAMES, SCENE, two_fingers
 from softfinger.config.errors import RecordingError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Scene
-from softfinger.drivers.base import HELD, WITHHELD
+from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.replay.device import Options as ReplayOptions
 from softfinger.drivers.replay.device import Replay
@@ -29,7 +29,7 @@ from softfinger.server import cli
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
-from softfinger.server.loop.health import JUMPING, NO_POSE
+from softfinger.server.loop.health import JUMPING, NO_FORCE_MAX_S, NO_POSE
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate, tick_many
@@ -140,22 +140,25 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed_r
     index = records[:, 1]
     np.testing.assert_array_equal(drop_clocked(index[:300]), drop_clocked(undisturbed_records[:300, 1]))
     force, during = AT.force + 2, slice(300, 320)
-    assert undisturbed_records[during, 1, force].min() > 0.4
+    largest = undisturbed_records[during, 1, force].max() * (1.0 + 1e-12)  # rounding
+    assert undisturbed_records[during, 1, force].min() > 0.4 and np.isfinite(records).all()
     if fault == "nan":
         assert (index[during, AT.servo_guard] == POSE_REFUSED).all() and (index[during, AT.contact_mode] == FREE).all()
     else:
         wanted = HELD if fault == "held" else WITHHELD
         assert (index[:, AT.servo_device] == wanted).nonzero()[0].tolist() == list(range(300, 320))
     if fault == "held":
-        assert (index[during, force] == index[299, force]).all()
+        assert (index[during, AT.force : AT.force + 3] == index[299, AT.force : AT.force + 3]).all()
+        # It has moved deeper by then, so the slew limit applies, from the force that the device holds.
+        change = np.linalg.norm(np.diff(index[:, AT.force : AT.force + 3], axis=0), axis=1)
+        assert change[319] == pytest.approx(GUARD.force_slew_n_per_s * 1e-3) == change.max()
     elif fault == "withheld_read":  # the read leaves the first tick of the ramp, a tenth, to the write
-        largest = undisturbed_records[during, 1, force].max()
-        assert index[during, force].max() <= 0.1 * largest * (1.0 + 1e-12)  # rounding
+        assert index[during, force].max() <= 0.1 * largest
     else:
         assert not index[during, force].any()
     np.testing.assert_array_equal(devices[1].wrenches[:600], index[:, AT.force : AT.force + 6])
     if fault != "held":  # that device has moved deeper by then
-        assert index[-1, force] == undisturbed_records[-1, 1, force]
+        assert index[320, force] <= 0.2 * largest and index[-1, force] == undisturbed_records[-1, 1, force]
 
 
 @pytest.mark.parametrize(("fault", "bit"), [("jump", POSE_JUMPED), ("frozen", POSE_FROZEN)])
@@ -166,15 +169,26 @@ def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, u
     np.testing.assert_array_equal(drop_clocked(records[:, 0]), drop_clocked(undisturbed_records[:, 0]))
     doubted = (records[:, 1, AT.servo_guard].astype(int) == bit).nonzero()[0]
     assert doubted.tolist() == ([300, 400] if fault == "jump" else list(range(351, 400)))
-    assert not devices[1].wrenches[doubted].any()
+    assert not devices[1].wrenches[doubted].any() and (records[doubted, 1, AT.contact_mode] == FREE).all()
+    after = devices[1].wrenches[doubted + 1, 2] if fault == "jump" else devices[1].wrenches[doubted[-1:] + 1, 2]
+    assert (after > 0.0).all() and (after <= 0.1 * devices[1].wrenches[299, 2]).all()  # a tenth: the ramp begins
+    assert np.abs(records[:, 1, AT.probe_velocity : AT.probe_velocity + 3]).max() < 0.2  # 0.1 m/s without a jump
 
 
-@pytest.mark.parametrize(("fault", "ending"), [("jumps", JUMPING), ("nan", NO_POSE)])
-def test_unusable_poses_end_the_run_and_name_the_finger(fault: Any, ending: int) -> None:
+@pytest.mark.parametrize(
+    ("fault", "ending", "lasted"),
+    [
+        ("jumps", JUMPING, 5),
+        ("nan", NO_POSE, round(NO_FORCE_MAX_S * 1e3)),
+        ("held", shutdown.WRITE_FAILED, round(IGNORED_WRENCH_MAX_S * 1e3)),
+    ],
+)
+def test_faults_that_last_end_the_run_and_name_the_finger(fault: Any, ending: int, lasted: int) -> None:
     devices = make_two_devices(fault=fault, at=100, count=100_000)
-    ended, _ = run_servo(*devices, ticks=3000, speed_max=10.0)
+    ended, records = run_servo(*devices, ticks=3000, speed_max=10.0)
     assert (ended.ending, ended.finger) == (ending, 1)
-    assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any()
+    assert abs(len(records) - 100 - lasted) <= (2 if fault == "nan" else 0)  # sums of 0.001
+    assert not devices[0].wrenches[-1].any() and devices[0].wrenches.any() and not devices[1].wrenches[-1].any()
 
 
 @pytest.mark.parametrize("both", [True, False])
@@ -241,10 +255,10 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("poses", "message"),
     [
-        (["tap"], "not the scene's fingers: give poses of thumb, index"),
-        (["thumb=tap"], "poses of thumb: not the scene's fingers"),
-        (["thumb=tap", "thumb=tap"], "--poses thumb=tap: give it once, or --poses NAME=FILE for each"),
-        (["tap", "index=tap"], "--poses index=tap: give it once, or"),
+        (["tap"], "do not match the fingers of the scene: use poses of thumb, index"),
+        (["thumb=tap"], "poses of thumb do not match the fingers"),
+        (["thumb=tap", "thumb=tap"], "--poses thumb=tap: use it once, or --poses NAME=FILE for each"),
+        (["tap", "index=tap"], "--poses index=tap: use it once, or"),
     ],
 )
 def test_simulate_refuses_recordings_that_do_not_match(

@@ -73,11 +73,12 @@ def test_a_hanging_read_zeroes_both_devices(driver: Driver) -> None:
             driver.devices[1].release()
 
 
-def test_a_pause_zeroes_both_devices(driver: Driver) -> None:
+def test_two_pauses_are_one_pause_that_zeroes_both_devices(driver: Driver) -> None:
     with Daemon(two_devices(FAULTY, FAULTY), two_fingers()) as running:
         running.start()
         until(lambda: len(driver.devices) == 2 and driver.pressed)
         go_on = running.pause()
+        running.pause()()
         before = running.servo.ticks
         until(lambda: running.servo.ticks > before + 10)
         assert not any(device.wrenches[-8:].any() for device in driver.devices)

@@ -176,7 +176,7 @@ EVERYWHERE = {
     "stale for long": "a pose that does not change under a force",
     "slow read": "ticks that are missed",
     "hang": "a loop that stalls",
-    "held for long": "a device that takes no force",
+    "held for long": "a device that accepts no force",
     "disconnect": "a device that is lost or breaks its protocol",
     "force off": "a device that removes its force",
 }

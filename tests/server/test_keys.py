@@ -102,7 +102,7 @@ def test_keys_writable_by_other_users_are_refused(tmp_path: Path) -> None:
         for bits in (right | 0o020, right | 0o002, 0o666):
             path.chmod(bits)
             with pytest.raises(
-                ConfigError, match=rf"{path.name}: other users may write to it .*another key.*chmod go-w"
+                ConfigError, match=rf"{path.name}: other users may write to it .*replace this key.*chmod go-w"
             ):
                 read(path)
         path.chmod(right)
@@ -183,7 +183,7 @@ READERS = {"key": "k", "readers": "r"}
         ({"telemetry": {"endpoint": "tcp://0.0.0.0:1"}, "security": {"key": "k"}}, "may read"),
         ({"telemetry": {"endpoint": "tcp://0.0.0.0:1"}, "security": READERS}, "may command"),
         ({"commands": {"endpoint": "tcp://eth0:1"}, "security": READERS}, "may command"),
-        ({"metrics": {"endpoint": "0.0.0.0:9464"}}, "anybody could read it"),
+        ({"metrics": {"endpoint": "0.0.0.0:9464"}}, "without protection"),
         ({"metrics": {"endpoint": "127.0.0.1"}}, "must be HOST:PORT"),
         ({"telemetry": {"endpoint": "tcp://[::]:1"}, "commands": {"endpoint": "off"}, "security": READERS}, ""),
         ({"telemetry": {"endpoint": "tcp://*:1"}, "security": ALL}, ""),

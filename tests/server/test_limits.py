@@ -26,7 +26,7 @@ from softfinger.server.loop import limits as lim
 from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, output_wrench
 from softfinger.server.loop.passivity import HandMotion
 from softfinger.server.loop.tick import begin, continue_memory
-from softfinger.server.loop.tuning import guard_limits, make_tuning, with_offsets
+from softfinger.server.loop.tuning import make_tuning, with_offsets
 from softfinger.server.offline.closed_loop import run_closed_loop
 from softfinger.server.offline.simulate import simulate
 
@@ -367,17 +367,6 @@ def test_no_limit_is_exceeded(steps):
         assert passed.limit_state.heat <= 1.0 + 6 * 16.0 / 21.0
         # As for the heat: six ticks of 12 N along the largest motion of this test in a tick.
         assert passed.limit_state.energy_given <= 0.02 + 7 * 12.0 * 0.01 * math.sqrt(3.0)
-
-
-def test_recorded_devices_are_not_limited():
-    rig = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
-    limits = guard_limits(rig, ARM).limits
-    wall = lim.Workspace(NONE, (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
-    assert limits == lim.Limits(2.0, lim.SLOW_S, 3.0, 30.0, 0.2, wall)
-    assert guard_limits(schema.Guard(arm="button"), ARM).limits.slow_s == inf
-    assert guard_limits(schema.Guard(workspace=schema.Workspace(radius_m=0.07)), ARM).limits.workspace.radius == 0.07
-    for recorded in (DeviceInfo("r", 6, 6, 40.0, 2.0, 1e9, 1e3, NONE, NONE, own_clock=True), None):
-        assert guard_limits(rig, recorded).limits == lim.UNLIMITED
 
 
 def test_the_workspace_moves_with_the_offset_of_its_device():

@@ -1,7 +1,6 @@
 """Command `mesh` over a real socket: triangles of a mesh and of a height map, and refused objects.
 
 The daemon's command service answers without a loop, because a loop for these shapes takes a minute to compile.
-`test_a_daemon_that_renders_a_mesh_answers`, for `make test-all`, uses a real loop.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from helpers import meshes
-from helpers.pages import LOCAL, running
+from helpers.pages import LOCAL
 from helpers.waits import WAIT_S
 
 from softfinger.config import schema
@@ -88,15 +87,6 @@ def test_a_mesh_has_the_triangles_of_its_file(control: Control, commands: str) -
     np.testing.assert_array_equal(order(corners), order(expected))
 
 
-@pytest.mark.real_time
-@pytest.mark.exhaustive
-def test_a_daemon_that_renders_a_mesh_answers(folder: Path) -> None:
-    scene = make_scene({"name": "ball", "shape": "mesh", "file": str(folder / "ball.ply")})
-    with running("replay", scene) as daemon, Control(str(daemon.commands_endpoint), timeout_s=WAIT_S) as control:
-        vertices, triangles = arrays(control.mesh("ball"))
-    np.testing.assert_array_equal(order(vertices[triangles]), order(BALL.vertices.astype("<f4")[BALL.triangles]))
-
-
 def order(corners: np.ndarray) -> np.ndarray:
     rows = np.sort(corners.reshape(len(corners), -1), axis=1)
     return rows[np.lexsort(rows.T)]
@@ -120,8 +110,8 @@ def test_a_large_height_map_is_reduced(control: Control) -> None:
 @pytest.mark.parametrize(
     ("object_name", "message"),
     [
-        (4, "bad_params: no object is 4: there are ball, hills, large, table"),
-        ("cube", "bad_params: no object is 'cube': there are ball, hills, large, table"),
+        (4, "bad_params: there is no object 4: there are ball, hills, large, table"),
+        ("cube", "bad_params: there is no object 'cube': there are ball, hills, large, table"),
         (-1, "bad_params: mesh: Expected `int` >= 0 - at `$.object`"),
         ("table", "refused: object table is a plane and no mesh: its table describes it completely"),
     ],

@@ -50,11 +50,21 @@ def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
 
 def test_a_command_without_an_answer_ends(endpoint: str) -> None:
     """Also if libzmq has disconnected from the peer, as it does at the telemetry's address."""
+    no_answer = pytest.raises(NoAnswer, match=r"no answer to get_state from .* within 0\.05 s")
+
+    async def ask() -> None:
+        async with AsyncControl(endpoint, WAIT_S) as control:
+            for _ in range(ASKED):
+                with no_answer:
+                    await control.get_state()
+                await asyncio.sleep(WAIT_S)
+
     with Control(endpoint, WAIT_S) as control:
         for _ in range(ASKED):
-            with pytest.raises(NoAnswer, match=r"no answer to get_state from .* within 0\.05 s"):
+            with no_answer:
                 control.get_state()
             time.sleep(WAIT_S)
+    asyncio.run(ask())
 
 
 def test_a_command_that_may_compile_first_checks_for_a_daemon(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,18 +151,6 @@ def test_each_of_many_clients_of_a_publisher_ends(tmp_path: Path) -> None:
                 for _ in range(2):
                     with pytest.raises(NoAnswer):
                         control.get_state()
-
-
-def test_a_command_of_asyncio_without_an_answer_ends(endpoint: str) -> None:
-
-    async def ask() -> None:
-        async with AsyncControl(endpoint, WAIT_S) as control:
-            for _ in range(ASKED):
-                with pytest.raises(NoAnswer):
-                    await control.get_state()
-                await asyncio.sleep(WAIT_S)
-
-    asyncio.run(ask())
 
 
 def test_more_requests_than_the_queue_of_libzmq_all_end(tmp_path: Path) -> None:

@@ -61,14 +61,10 @@ class Manager:
         self._socket.close()
 
 
-REST = pytest.mark.exhaustive
-ABSTRACT = pytest.mark.parametrize("manager", ["abstract", pytest.param("path", marks=REST)], indirect=True)
-"""One test uses an abstract name, the others a path as for system services; the messages are equal."""
-
-
-@pytest.fixture(params=["path", pytest.param("abstract", marks=REST)])
+@pytest.fixture
 def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
-    systemd = Manager(str(tmp_path / "notify") if request.param == "path" else f"@softfinger-test-{os.getpid()}")
+    """Socket at a path as for system services; in one test at an abstract name."""
+    systemd = Manager(getattr(request, "param", str(tmp_path / "notify")))
     yield systemd
     systemd.close()
 
@@ -100,7 +96,7 @@ def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) ->
         assert process.wait(60) == 0, log_path.read_text()
 
 
-@ABSTRACT
+@pytest.mark.parametrize("manager", [f"@softfinger-test-{os.getpid()}"], indirect=True, ids=["abstract"])
 def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process and its notifying thread are alive, but only ticks count."""
     faulty_device.registered(monkeypatch)

@@ -210,7 +210,7 @@ def test_largest_damping_is_only_for_control():
     guard = load_rig("replay").guard
     material = {"stiffness_n_per_m": 1000.0}
     table = {"fingertip": {"radius_m": 0.01}, "object": [{"name": "a", "shape": "plane", "material": material}]}
-    with pytest.raises(ConfigError, match=r"passivity.damping_max_ns_per_m = 5.0: is for mode"):
+    with pytest.raises(ConfigError, match=r"passivity.damping_max_ns_per_m = 5.0: applies to mode"):
         build(schema.Scene, table | {"passivity": {"mode": "observe", "damping_max_ns_per_m": 5.0}}, "here")
     for mode, damping in (("control", DAMPING_MAX_NS_PER_M), ("observe", 0.0)):
         scene = build(schema.Scene, table | {"passivity": {"mode": mode}}, "here")

@@ -125,9 +125,9 @@ def peers() -> Iterator[Peers]:
     assert (daemon.returncode, gateway.returncode) == (0, 0)
 
 
-def dial(address: str) -> socket.socket:
+def dial(address: str, wait_s: float = CUT_S) -> socket.socket:
     peer = socket.create_connection(("127.0.0.1", urlsplit(address).port or 0), CUT_S)
-    peer.settimeout(CUT_S)
+    peer.settimeout(wait_s)
     return peer
 
 

@@ -242,4 +242,4 @@ def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -
     assert completed.returncode == 0, completed.stderr
     assert json.loads(completed.stdout.splitlines()[-1]) == {"whole": True, "lost": 0, "heard": True, "state": "armed"}
     reaction = {"driver": "replay", "fault": "the link is down for 1000 ticks", "ticks": None, "event": "none"}
-    record_property(SEEN, reaction | {"state": "armed", "recovery": "subscribers reconnect by themselves"})
+    record_property(SEEN, reaction | {"state": "armed", "recovery": "subscribers reconnect automatically"})

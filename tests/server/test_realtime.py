@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from helpers.programs import run_program
 
-from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED, apply, list_refused_settings
+from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED, list_refused_settings
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(sys.platform != "linux", reason="Linux calls")]
 
@@ -319,10 +319,3 @@ def test_other_systems_are_refused_by_name() -> None:
     assert not any(s.ok for s in settings)
     assert all("darwin" in s.detail and s.advice for s in settings)
     assert "affinity" not in [s.name for s in list_refused_settings("darwin", cpu=None)]
-
-
-def test_off_in_this_process() -> None:
-    """Mode off makes no system call, so it works in any process."""
-    applied = apply("off", 80, 0)
-    applied.undo()
-    assert [s.ok for s in applied.settings] == [True]

@@ -227,17 +227,22 @@ def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_with
             assert eventually(pressed)
 
 
-def test_a_device_that_cannot_be_opened_ends_the_run_at_zero(driver):
+@pytest.mark.parametrize(
+    ("refuses", "error", "message", "opened"),
+    [("opening", DeviceNotFound, "plug it in", 1), ("arming", DeviceError, "force button", 2)],
+)
+def test_a_device_that_cannot_be_used_ends_the_run_at_zero(refuses, error, message, opened, driver):
     first, second = load_scenes()
     with Daemon(make_faulty_rig(), first) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 100)
-        driver.refuses = 1
-        with pytest.raises(DeviceNotFound, match="plug it in"):
-            running.replace(second, make_faulty_rig(**{"device.at": 7}))
-        with pytest.raises(DeviceNotFound, match="plug it in"):
+        driver.refuses = 1 if refuses == "opening" else driver.refuses
+        with pytest.raises(error, match=message):
+            running.replace(second, make_faulty_rig(**{"device.refuses_to_arm": True}))
+        with pytest.raises(error, match=message):
             running.wait(60.0)
-    assert "close" in acts(driver.devices[0]) and not driver.devices[0].wrenches[-1].any()
+    assert len(driver.devices) == opened and all("close" in acts(device) for device in driver.devices)
+    assert not driver.devices[0].wrenches[-1].any()
 
 
 def test_a_stop_during_a_replacement_arms_nothing(driver):
@@ -287,31 +292,3 @@ def test_the_number_of_ticks_is_counted_over_all_loops(driver):
         assert running.wait(120.0)
         assert running.servo.ticks == 1_000
     assert recorder.all[-1, AT.tick] == 999
-
-
-def test_two_pauses_are_one_pause(driver):
-    first, _ = load_scenes()
-    with started(make_faulty_rig(), first) as running:
-        device = driver.devices[0]
-        pressed = lambda: np.linalg.norm(device.wrenches[-1]) > 0.2  # noqa: E731
-        assert eventually(pressed)
-        outer = running.pause()
-        inner = running.pause()
-        inner()
-        before = running.servo.ticks
-        assert eventually(lambda: running.servo.ticks > before + 20)
-        assert not device.wrenches[-10:].any()
-        outer()
-        assert eventually(pressed)
-
-
-def test_a_device_that_refuses_arming_raises_its_error(driver):
-    first, second = load_scenes()
-    with Daemon(make_faulty_rig(), first) as running:
-        running.start()
-        assert eventually(lambda: running.servo.ticks > 100)
-        with pytest.raises(DeviceError, match="force button"):
-            running.replace(second, make_faulty_rig(**{"device.refuses_to_arm": True}))
-        with pytest.raises(DeviceError, match="force button"):
-            running.wait(60.0)
-    assert all("close" in acts(device) for device in driver.devices) and len(driver.devices) == 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from importlib.metadata import version
 from pathlib import Path
 from zipfile import ZIP_STORED, ZipFile
 
@@ -80,35 +79,6 @@ def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
     assert stored == {"records.npy", "tick.npy", "buttons.npy"}
 
 
-def test_mcap_is_readable_with_only_the_library(tmp_path: Path) -> None:
-    from mcap.reader import make_reader
-    from mcap_protobuf.decoder import DecoderFactory
-
-    records = make_records(1500)
-    write_results(tmp_path / "o.mcap", records)
-    with (tmp_path / "o.mcap").open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        assert reader.get_header().library == f"softfinger {version('softfinger')}"
-        summary = reader.get_summary()
-        messages = list(reader.iter_decoded_messages())
-    assert summary is not None
-    assert summary.statistics is not None
-    assert summary.statistics.message_count == 1500
-    assert summary.statistics.chunk_count > 5  # 64 KiB each
-    for row in (0, 700, 1499):
-        _, channel, message, decoded = messages[row]
-        assert channel.topic == "contact"
-        assert channel.message_encoding == "protobuf"
-        assert message.log_time == round(records[row, 0] * 1e9)
-        for field in FIELDS:
-            value = decoded
-            for name in field.name.split("."):
-                value = getattr(value, name)
-            decoded_value = np.array(value, dtype=float).reshape(field.size)
-            np.testing.assert_array_equal(decoded_value, records[row, field.at : field.at + field.size])
-            assert field.kind == "float" or isinstance(value, int)
-
-
 def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     records = make_records(3000)
     path = tmp_path / "live.mcap"
@@ -120,7 +90,7 @@ def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.L
     rows = read_results(copy)
     assert 3000 - 300 < len(rows) < 3000  # 64 KiB are about 170 messages
     assert rows.tobytes() == records[: len(rows)].tobytes()
-    assert "cut short" in caplog.text
+    assert "truncated" in caplog.text
     stream.close()
     stream.close()
     assert sum(1 for _ in decode_messages(path)) == 3000

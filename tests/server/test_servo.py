@@ -1,6 +1,5 @@
 """Servo loop: calls, forbidden operations, faults of devices and ends."""
 
-import ctypes
 import resource
 import threading
 from collections.abc import Callable
@@ -11,18 +10,14 @@ import pytest
 from helpers.allocations import HAS_COMPILER, counted
 from helpers.faulty_device import FaultyDevice, Options
 
-from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.config.load import load_rig, load_scene
-from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, PROTOCOL, TIMEOUT, WITHHELD
+from softfinger.drivers.base import LOST, PROTOCOL
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.driver_contract import run_for
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
-from softfinger.server.loop.guard import GUARD_NAMES, POSE_FROZEN, POSE_JUMPED, POSE_REFUSED, RAMPING, SLEW_LIMITED
-from softfinger.server.loop.health import JUMPING, NO_FORCE_MAX_S, NO_POSE
-from softfinger.server.loop.shutdown import WRITE_FAILED, device_failure
+from softfinger.server.loop.guard import RAMPING, SLEW_LIMITED
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.wire.events import RecordEvents
 
 pytestmark = pytest.mark.real_time
 
@@ -36,12 +31,9 @@ def make_servo(
     ticks: int | None,
     prepare: Callable[[], Callable[[], None]] | None = None,
     rate: float = 1000.0,
-    doubting: bool = False,
 ) -> tuple[FaultyDevice, s.ServoThread]:
     device = FaultyDevice(options)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
-    if doubting:  # of a device with its own clock, so that no stall of the machine affects the time of a pose
-        tuning = tuning._replace(guards=(tuning.guards[0]._replace(speed_max=10.0, turn_max=100.0, frozen=0.2005),))
     servo = s.ServoThread([device], tuning, rate, ticks, prepare)
     servo.compile()
     return device, servo
@@ -56,12 +48,6 @@ def finish(servo: s.ServoThread) -> tuple[s.LoopEnd, np.ndarray]:
     records = out[: servo.records.take(out)]
     servo.close()
     return ended, records
-
-
-def stop(servo: s.ServoThread) -> None:
-    servo.stop()
-    assert servo.join(30.0) == s.LoopEnd(s.STOPPED, 0)
-    servo.close()
 
 
 @pytest.mark.parametrize(
@@ -119,13 +105,6 @@ def test_arming_is_the_last_act_before_the_first_tick():
     assert len(s.servo_loop.signatures) == before
 
 
-def test_a_device_that_refuses_arming_ends_the_run_with_its_error():
-    device, servo = make_servo(Options(refuses_to_arm=True), 100)
-    ended, records = finish(servo)
-    assert ended.ending == s.CRASHED and isinstance(ended.error, DeviceError) and "force button" in str(ended.error)
-    assert len(records) == 0 and [act for act, *_ in device.acts] == ["arm", "stop"]
-
-
 def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():
     device, servo = make_servo(Options(), 100)
     servo.stop()
@@ -143,108 +122,6 @@ def test_a_device_whose_stop_fails_gets_zero(ticks, caplog):
     message = str(ended.error) if ticks else caplog.text  # if the device was lost first, that is the error
     assert (ended.ending, ended.status) == ((s.CRASHED, 0) if ticks else (shutdown.READ_FAILED, LOST))
     assert "could not be stopped" in message and "the port has gone" in message and "switch it off" in message
-
-
-@pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
-def test_an_unusable_pose_means_zero_force_immediately(fault):
-    device, servo = make_servo(Options(fault=fault, at=700), 900)
-    _, records = finish(servo)
-    wrenches = device.wrenches
-    assert np.abs(wrenches[699, 2]) > 0.9 and not wrenches[700].any()
-    assert 0.0 < wrenches[701, 2] < 0.01
-    assert np.isfinite(wrenches).all() and np.isfinite(records).all()
-    assert int(records[700, AT.servo_guard]) == POSE_REFUSED
-    assert records[700, AT.contact_mode] == 0
-
-
-def list_guard_events(records):
-    return [event["name"] for event in RecordEvents(GUARD_NAMES).observe(records) if event["kind"] == "guard"]
-
-
-@pytest.mark.parametrize("jump_m", [0.05, 1.0, 20.0])
-def test_a_pose_that_jumps_is_not_rendered(jump_m):
-    device, servo = make_servo(
-        Options(fault="jump", at=700, count=200, jump_m=jump_m, own_clock=True), 1000, doubting=True
-    )
-    ended, records = finish(servo)
-    guard, wrenches = records[:, AT.servo_guard].astype(int), device.wrenches
-    assert ended.ending == s.FINISHED
-    assert (guard & POSE_JUMPED).nonzero()[0].tolist() == [700, 900] and "pose_jumped" in list_guard_events(records)
-    for tick in (700, 900):
-        assert guard[tick] == POSE_JUMPED and records[tick, AT.contact_mode] == 0
-        assert wrenches[tick - 1, 2] > 0.3 and not wrenches[tick].any() and 0.0 < wrenches[tick + 1, 2] < 0.01
-    assert np.abs(records[:, AT.probe_velocity : AT.probe_velocity + 3]).max() < 0.2  # as without: 0.1 m/s at most
-
-
-def test_repeated_jumps_end_the_loop():
-    device, servo = make_servo(Options(fault="jumps", at=700, count=100_000, own_clock=True), 2000, doubting=True)
-    ended, records = finish(servo)
-    assert (ended.ending, len(records)) == (JUMPING, 705)
-    assert not device.wrenches[700:].any()
-    error = device_failure(device, ended)
-    assert isinstance(error, DeviceError) and "faulty: its pose jumps repeatedly" in str(error)
-    assert "guard.speed_max_m_per_s" in str(error)
-
-
-def test_a_frozen_pose_removes_the_force_until_it_changes():
-    device, servo = make_servo(Options(fault="frozen", at=700, count=1000, own_clock=True), 2000, doubting=True)
-    ended, records = finish(servo)
-    frozen = ((records[:, AT.servo_guard].astype(int) & POSE_FROZEN) != 0).nonzero()[0]
-    assert ended.ending == s.FINISHED and "pose_frozen" in list_guard_events(records)
-    assert frozen.tolist() == list(range(901, 1700))
-    assert device.wrenches[700:901, 2].min() > 0.9
-    assert not device.wrenches[901:1700].any() and 0.0 < device.wrenches[1700, 2] < 0.01
-
-
-@pytest.mark.parametrize("fault", ["jump", "frozen"])
-def test_recorded_or_computed_poses_may_jump_and_stand_still(fault):
-    """A device with an internal clock has no hand on it, so its poses are not checked."""
-    _, servo = make_servo(Options(fault=fault, at=600, count=300, own_clock=True), 900)
-    ended, records = finish(servo)
-    assert ended.ending == s.FINISHED
-    assert not (records[:, AT.servo_guard].astype(int) & (POSE_JUMPED | POSE_FROZEN)).any()
-    assert records[601:, FORCE + 2].min() > 0.9
-
-
-@pytest.mark.parametrize("fault", ["withheld_read", "withheld_write"])
-def test_a_force_withheld_by_the_driver_ramps_up_again(fault):
-    _, servo = make_servo(Options(own_clock=True), 900)
-    undisturbed = finish(servo)[1][:, FORCE : FORCE + 6]
-    device, servo = make_servo(Options(fault=fault, at=700, count=20, own_clock=True), 900)
-    _, records = finish(servo)
-    force = records[:, FORCE : FORCE + 6]
-    withheld = records[:, AT.servo_device] == WITHHELD
-    assert withheld.nonzero()[0].tolist() == list(range(700, 720))
-    assert (force[:700] == undisturbed[:700]).all()
-    assert np.linalg.norm(force[699, :3]) > 0.9
-    # If the read reports it, the write already uses the first tick of the ramp; otherwise the ramp starts one tick
-    # later.
-    gain = np.full(200, 0.002) if fault == "withheld_read" else np.zeros(200)
-    gain[20:] = gain[0] + 0.002 * np.arange(1, 181)
-    np.testing.assert_allclose(force[700:], gain[:, None] * undisturbed[700:], rtol=1e-12, atol=1e-15)  # sums of 0.002
-    assert (device.wrenches[:900] == force).all()
-
-
-def test_the_slew_limit_continues_from_the_force_a_device_holds():
-    device, servo = make_servo(Options(fault="held", at=700, count=20, own_clock=True), 900)
-    _, records = finish(servo)
-    force = records[:, FORCE : FORCE + 3]
-    assert (records[:, AT.servo_device] == HELD).nonzero()[0].tolist() == list(range(700, 720))
-    assert (force[700:720] == force[699]).all()
-    assert (device.wrenches[:900, :3] == force).all()
-    step = load_rig("replay").guard.force_slew_n_per_s / 1000.0
-    change = np.linalg.norm(np.diff(force, axis=0), axis=1)
-    assert change[719] == pytest.approx(step)  # it is 8 mm deep now, and 1 N is felt
-    assert change.max() <= step * (1 + 1e-9)  # rounding of a norm
-
-
-def test_a_device_that_never_accepts_a_force_ends_the_loop():
-    device, servo = make_servo(Options(fault="held", at=700, count=100_000, own_clock=True), 2000)
-    ended, records = finish(servo)
-    assert (ended.ending, ended.status) == (WRITE_FAILED, TIMEOUT)
-    assert len(records) == 700 + round(IGNORED_WRENCH_MAX_S * 1000)
-    error = device_failure(device, ended)
-    assert isinstance(error, DeviceTimeout) and "no answer to a write in time" in str(error)
 
 
 @pytest.mark.parametrize("direction", ["read", "write"])
@@ -275,44 +152,6 @@ def test_after_a_long_pause_the_force_fades_in():
     assert (force[701:] <= 0.002 * np.arange(1, 200) * FULL_N).all()
 
 
-def test_rearming_the_guard_ramps_the_force():
-    device, servo = make_servo(Options(), None)
-    armed = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
-    servo.start()
-
-    def until(ticks):
-        run_for(servo, ticks)
-        return servo.ticks
-
-    until(700)
-    servo.tune(armed._replace(guards=(armed.guards[0]._replace(armed=0.0),)))
-    off = until(servo.ticks + 20)
-    servo.tune(armed)
-    until(off + 200)
-    stop(servo)
-    force = np.linalg.norm(device.wrenches[:-2, :3], axis=1)
-    assert force[699] > 0.9
-    assert not force[off - 5 : off].any()
-    assert force[off:].max() > 0.1
-    back = off + int(np.argmax(force[off:] > 0.0))
-    assert (force[back:] <= 0.002 * np.arange(1, len(force) - back + 1) * FULL_N).all()
-
-
-@pytest.mark.parametrize("fault", ["nan", "zero_quaternion", "far"])
-def test_a_pose_that_stays_unusable_is_a_fault(fault):
-    device, servo = make_servo(Options(fault=fault, at=700, count=100_000), 5000)
-    ended, records = finish(servo)
-    assert ended.ending == NO_POSE
-    assert abs(len(records) - 700 - NO_FORCE_MAX_S * 1000) <= 2  # sums of 0.001
-    assert np.linalg.norm(device.wrenches[699]) > 0.9 and not device.wrenches[700:].any()
-
-
-def test_a_single_suspension_of_the_process_ends_nothing():
-    _, servo = make_servo(Options(fault="stall", at=100, stall_us=990_000), 300)
-    ended, records = finish(servo)
-    assert (ended.ending, len(records)) == (s.FINISHED, 300)
-
-
 @pytest.mark.parametrize("own_clock", [False, True])
 def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
     _, servo = make_servo(Options(fault="stall", at=50, stall_us=5500, own_clock=own_clock), 200)
@@ -328,17 +167,6 @@ def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
     # A float64 of the seconds since the epoch resolves 0.24 us, twice.
     assert np.abs(phase - np.round(phase)).max() < 1e-3
     assert np.array_equal(np.round(np.diff(phase)), 1.0 + np.diff(missed))
-
-
-def test_loop_runs_while_python_holds_the_interpreter_lock():
-    _, servo = make_servo(Options(), None)
-    servo.start()
-    run_for(servo, 10)
-    before = int(servo.shared.progress[0])
-    ctypes.PyDLL(None).usleep(300_000)  # PyDLL holds the lock
-    after = int(servo.shared.progress[0])
-    stop(servo)
-    assert after - before > 100  # of 300
 
 
 def test_no_page_fault_in_the_loop():
@@ -387,24 +215,6 @@ def test_loop_never_calls_malloc(tmp_path):
     few, many = map(int, counted(tmp_path, COUNT, str(Path(__file__).parents[1]), str(Path(__file__).parent)).split())
     assert few > 0  # the shim does count: entering the loop from Python allocates
     assert many == few
-
-
-def test_parameters_change_without_stopping():
-    device, servo = make_servo(Options(), None)
-    tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
-    table = tuning.scene.objects.body
-    friction = table.material.friction._replace(static=0.1, kinetic=0.1)
-    slippery = table._replace(material=table.material._replace(friction=friction))
-    servo.start()
-    run_for(servo, 1000)
-    changed_at = servo.ticks
-    servo.tune(tuning._replace(scene=tuning.scene._replace(objects=tuning.scene.objects._replace(body=slippery))))
-    run_for(servo, changed_at + 500)
-    stop(servo)
-    tangential = np.linalg.norm(device.wrenches[:, :2], axis=1)
-    assert tangential[600:changed_at].max() > 0.4
-    # The slew limit takes at most one tick; 1 N pressed and mu 0.1 leave 0.1 N up to rounding.
-    assert tangential[changed_at + 5 : -1].max() <= 0.1 * (1 + 1e-9)
 
 
 def test_other_parts_are_refused():

@@ -8,6 +8,7 @@ import os
 import threading
 import time
 import tty
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import nan
 from types import SimpleNamespace
@@ -97,6 +98,9 @@ def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptu
     assert steps_run == [1, 2]
     assert [record.getMessage() for record in caplog.records] == ["during shutdown, besides: KeyboardInterrupt"]
     assert shutdown.run_all_steps(lambda: None) is None
+    with pytest.raises(ValueError, match="one"):
+        shutdown.complete_all_steps(make_failing(first), lambda: steps_run.append(3))
+    assert steps_run == [1, 2, 3]
 
 
 def test_an_earlier_error_remains_the_first(caplog: pytest.LogCaptureFixture) -> None:
@@ -162,13 +166,19 @@ def test_an_error_without_a_message_is_reported_by_its_class() -> None:
 
 
 @pytest.mark.usefixtures("short_timeout")
-def test_all_devices_are_stopped_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize(("act", "acted"), [(shutdown.stop_all, "stopped"), (shutdown.close_all, "closed")])
+def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(
+    act: Callable[[Sequence[Device]], None], acted: str, caplog: pytest.LogCaptureFixture
+) -> None:
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
-    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"not returned for 0\.2 s"):
-        shutdown.stop_all([device(hangs), device(broken), device(sound)])
-    assert "could not be stopped (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
-    assert hangs.handles == [77] and broken.handles == [77] and sound.handles == [0]
+    message = rf"be {acted} \(the call has not returned for 0\.2 s.*switch"
+    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=message):
+        act([device(hangs), device(broken), device(sound)])
+    assert f"could not be {acted} (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
+    assert hangs.handles == broken.handles == ([77] if acted == "stopped" else [])
+    assert sound.handles == [0] and sound.closed == (acted == "closed")
     hangs.free.set()
+    act([])
 
 
 @pytest.mark.usefixtures("short_timeout")
@@ -203,17 +213,6 @@ def test_devices_are_called_simultaneously(monkeypatch: pytest.MonkeyPatch) -> N
     assert open_devices.call_all(lambda _: both.wait() and None, [Motor(), Motor()]) == []
 
 
-@pytest.mark.usefixtures("short_timeout")
-def test_all_devices_are_closed_if_some_fail_or_hang(caplog: pytest.LogCaptureFixture) -> None:
-    hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
-    with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=r"be closed \(it has not .* 0\.2 s.*switch"):
-        shutdown.close_all([device(hangs), device(broken), device(sound)])
-    assert "could not be closed (OSError: no power)" in caplog.text
-    assert sound.closed == 1 and hangs.handles == broken.handles == []
-    hangs.free.set()
-    shutdown.close_all([])
-
-
 def test_a_signal_stops_and_closes_all_open_devices() -> None:
     error = OSError("no power")
     motors = [Motor(error), Motor()]
@@ -243,10 +242,10 @@ SAID = "its driver said why"
     [
         (health.NO_POSE, 0, DeviceError, ["no usable pose for", "check its sensors"]),
         (health.JUMPING, 0, DeviceError, ["jumps repeatedly", "guard.speed_max_m_per_s"]),
-        (READ_FAILED, FORCE_OFF, SafetyStop, ["turned its force off"]),
+        (READ_FAILED, FORCE_OFF, SafetyStop, ["disabled its force"]),
         (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),
         (WRITE_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a write in time"]),
-        (READ_FAILED, PROTOCOL, DeviceLost, ["not in its protocol", "on read"]),
+        (READ_FAILED, PROTOCOL, DeviceLost, ["violates its protocol", "on read"]),
         (WRITE_FAILED, LOST, DeviceLost, ["is gone", "on write"]),
     ],
 )

@@ -44,7 +44,7 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
     assert (
         isinstance(error, SafetyStop)
         and "gone" in str(error)
-        and "a stall of the servo would go unnoticed" in str(error)
+        and "a stall of the servo would not be detected" in str(error)
     )
 
 

@@ -13,7 +13,7 @@ from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.model import State
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.limits import UNLIMITED, Limits, Workspace
+from softfinger.server.loop.limits import SLOW_S, UNLIMITED, Limits, Workspace
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import guard_limits, make_tuning
 
@@ -33,6 +33,10 @@ LIMITS = Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0, 4.0, 30.0, 2.0, limits=HAND)
 
 def test_every_limit_of_the_rig_reaches_the_guard():
     assert guard_limits(RIG, STRONG) == LIMITS
+    box = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
+    wall = Workspace((0.0, 0.0, 0.0), (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
+    assert guard_limits(box, STRONG).limits == Limits(2.0, SLOW_S, 3.0, 30.0, 0.2, wall)
+    assert guard_limits(schema.Guard(arm="button"), STRONG).limits.slow_s == math.inf
 
 
 def test_poses_are_checked_only_with_a_force_in_a_hand():
@@ -89,7 +93,7 @@ def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.
     make_tuning(load_scene({"fingertip": {"radius_m": 0.01}, "world": world, "object": [own]}), RIG)
     hills, cloth = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert hills.startswith("fingers pass through geom 'hills': it is a height field with pixels of 2 m along x and")
-    assert cloth == "fingers pass through geom 'cloth': it is a flexible body, which fingers do not touch"
+    assert cloth == "fingers pass through geom 'cloth': it is a flexible body, which fingers cannot touch"
 
 
 @pytest.mark.parametrize("name", ["paper-plane", "ball-in-a-bowl"])

@@ -60,12 +60,18 @@ PUSH = (0.0, 0.0, 1.0)
 NONE = (0.0, 0.0, 0.0)
 
 
-def check(poses: Sequence[Sequence[float]], statuses: Sequence[int] = (), force: Vec3 = NONE) -> list[int]:
+RECORDED = LIMITED._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0)
+"""Limits of a device without a hand on it: `test_tuning.py`."""
+
+
+def check(
+    poses: Sequence[Sequence[float]], statuses: Sequence[int] = (), force: Vec3 = NONE, guard: Guard = LIMITED
+) -> list[int]:
     """Return the result of the check for each pose, one tick apart."""
     memory = make_pose_memory()
     all_statuses = statuses or [OK] * len(poses)
     return [
-        int(check_pose(LIMITED, memory, make_sample(*pose), status, force, T))
+        int(check_pose(guard, memory, make_sample(*pose), status, force, T))
         for pose, status in zip(poses, all_statuses, strict=True)
     ]
 
@@ -101,6 +107,10 @@ def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
     same, moved = [pose_at(0.009)] * 20, pose_at(math.nextafter(0.009, 1.0))
     assert check([*same, moved], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
     assert check(same, force=(0.0, 0.0, 0.009)) == [0] * 20
+
+
+def test_recorded_poses_may_jump_and_stand_still() -> None:
+    assert check([pose_at(0.0)] * 20 + [pose_at(9.0), turn_pose(3.0)], force=PUSH, guard=RECORDED) == [0] * 22
 
 
 def test_a_frozen_pose_remains_frozen_without_the_force() -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from helpers.daemons import make_daemon
+from helpers.pages import running
 from helpers.processes import COMMAND
 from helpers.programs import Program
 
@@ -32,7 +33,6 @@ WAIT_S = 60.0
 NOBODY = 65534
 KEY = "[commands] endpoint"
 TELEMETRY = "tcp://127.0.0.1:5555"
-ENDPOINTS = ("telemetry.endpoint", "commands.endpoint")
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user")
 
@@ -65,42 +65,20 @@ def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemon
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
-@pytest.mark.real_time
-def test_ctl_accepts_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
-    for endpoint in (daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint)):
-        assert main(["ctl", "describe", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
-        assert daemons[0].publisher.endpoint in capsys.readouterr().out
-
-
-@pytest.mark.real_time
-def test_readers_accept_either_address(folder: Path, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]) -> None:
-    telemetry_endpoints = list[str]()
-    for number, endpoint in enumerate((daemons[0].publisher.endpoint, str(daemons[0].commands_endpoint))):
-        assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
-        assert '"tick"' in capsys.readouterr().out
-        recording = folder / f"{number}.mcap"
-        assert main(["record", str(recording), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
-        assert recording.stat().st_size > 0
-        with Client(endpoint, timeout_s=WAIT_S) as client:
-            telemetry_endpoints.append(client.describe()["endpoints"]["telemetry"])
-            assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
-    assert telemetry_endpoints == [daemons[0].publisher.endpoint] * 2
-
-
 @pytest.fixture
 def named_daemon() -> Iterator[Daemon]:
     """Run a daemon whose rig names a TCP address for commands, on a port unrelated to that of the telemetry."""
-    rig = load_rig("replay", dict.fromkeys(ENDPOINTS, "tcp://127.0.0.1:*") | {"servo.realtime": "off"})
-    with Daemon(rig, load_scene("paper-plane")) as daemon:
-        daemon.start()
+    with running("replay", "paper-plane") as daemon:
         yield daemon
 
 
 @pytest.mark.real_time
-def test_a_daemon_with_named_commands_is_found_from_either_address(
-    folder: Path, named_daemon: Daemon, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("named", [False, True], ids=["own socket", "named by the rig"])
+def test_a_daemon_is_found_from_either_address(
+    named: bool, folder: Path, named_daemon: Daemon, daemons: list[Daemon], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    both = (named_daemon.publisher.endpoint, str(named_daemon.commands_endpoint))
+    daemon = named_daemon if named else daemons[0]
+    both = (daemon.publisher.endpoint, str(daemon.commands_endpoint))
     for number, endpoint in enumerate(both):
         for to_command in (False, True):
             assert find_addresses(endpoint, to_command=to_command) == both
@@ -108,15 +86,12 @@ def test_a_daemon_with_named_commands_is_found_from_either_address(
         assert json.loads(capsys.readouterr().out)["endpoints"] == {"telemetry": both[0], "commands": both[1]}
         assert main(["monitor", "--once", "--json", "--endpoint", endpoint, "--timeout", "60"]) == 0
         assert '"tick"' in capsys.readouterr().out
-        folder.mkdir(mode=0o700, exist_ok=True)
         recording = folder / f"{number}.mcap"
         assert main(["record", str(recording), "--endpoint", endpoint, "--duration", "0.05", "--timeout", "60"]) == 0
-        assert any(
-            isinstance(part, Note) and part.name == "scene" for part in read_contents(recording)
-        )  # sent by the daemon
+        assert any(isinstance(part, Note) and part.name == "scene" for part in read_contents(recording))
         with Client(endpoint, timeout_s=WAIT_S) as client:
             assert next(client.subscribe(timeout_s=WAIT_S)).tick >= 0
-            assert client.describe()["endpoints"]["telemetry"] == named_daemon.publisher.endpoint
+            assert client.describe()["endpoints"]["telemetry"] == both[0]
 
 
 @pytest.mark.real_time

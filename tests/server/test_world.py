@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import math
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from helpers.allocations import HAS_COMPILER, counted
 from helpers.daemons import QUIET, RecordSink
 from helpers.key_world import KEY, ROLLING, key_world
 from helpers.processes import COMMAND
+from helpers.waits import eventually
 
 from softfinger.config import schema
 from softfinger.config.load import apply_overrides, load_rig, load_scene
@@ -246,10 +246,7 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
 
 def wait_for(running: Daemon, ticks: int) -> None:
     """Wait until the servo has run this many ticks."""
-    until = time.monotonic() + 60.0
-    while running.servo.ticks < ticks:
-        assert running.servo.is_running and time.monotonic() < until
-        time.sleep(0.01)
+    assert eventually(lambda: running.servo.ticks >= ticks or not running.servo.is_running) and running.servo.is_running
 
 
 def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:

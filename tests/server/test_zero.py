@@ -83,7 +83,7 @@ def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
     two_boards = two_devices(device, device, guard=describe(rig())["guard"])
     with running(two_boards, pressed_by_two()) as (_, control, recorder):
         control.disarm()
-        with pytest.raises(CommandRefused, match="give finger, one of thumb, index"):
+        with pytest.raises(CommandRefused, match="set finger to one of thumb, index"):
             control.zero()
         answer = zero_when_off(control, position_m=(0.0, 0.0, 0.0085), finger="index")
         assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > answer.tick + 2)

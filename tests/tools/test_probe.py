@@ -81,7 +81,7 @@ def test_answers_about_pushes_are_in_the_report(probing: Probing, home: Path) ->
     assert [push["seen"] for push in report["pushes"]] == ["+x", "+y", "+z"]
     assert all(push["largest_n"] == pytest.approx(probe.PUSH_N, rel=1e-3) for push in report["pushes"])
     assert "push along +y: +y; felt: away from me" in output
-    assert "right --> no motion   WRONG: it has to be +x" in output
+    assert "right --> no motion   WRONG: required is +x" in output
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
@@ -129,6 +129,6 @@ def test_the_picture_shows_wrong_motions() -> None:
         {"kind": "translation", "expected": "+y", "seen": "-z", "agrees": False},
     ]
     text = "\n".join(picture({"range": None, "moves": moves}))
-    assert "right --> +x   as it has to be" in text
-    assert "away from you --> -z   WRONG: it has to be +y" in text
+    assert "right --> +x   as required" in text
+    assert "away from you --> -z   WRONG: required is +y" in text
     assert "z  up: not seen" in text

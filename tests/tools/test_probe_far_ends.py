@@ -53,7 +53,7 @@ def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
     assert sizes[-1] == 0.0 or not ends
     assert 0.5 * probe.PUSH_N < sizes.max() <= probe.PUSH_N + far.resolution
     report = checked(home / "mine.json", home)
-    assert report["ended"] == {"whole": "in full", "Ctrl-C": "cut short by the user", "unplugged": "by a fault"}[course]
+    assert report["ended"] == {"whole": "in full", "Ctrl-C": "stopped by the user", "unplugged": "by a fault"}[course]
     assert "hold the handle lightly: it pushes with 0.2 N" in output.err
     if course == "whole":
         assert [push["axis"] for push in report["pushes"]] == [f"+{axis}" for axis in far.sees]

@@ -151,7 +151,7 @@ def test_a_damaged_end_is_dropped_with_a_warning(damage: str, tmp_path: Path, ca
         values = run_cases(roots, CASES, label="test", results=results)
     count = len(computed)
     assert bits(values) == bits(roots(CASES))
-    assert "cut short or damaged" in caplog.text
+    assert "truncated or damaged" in caplog.text
     assert count == 0 if damage == "cut at the end" else 0 < count < len(CASES)
     caplog.clear()
     computed.clear()

@@ -25,7 +25,7 @@ class TestCases(Cases):
     bus = "usb"
     packets, force = "steps", "motors"
     felt = 100  # motor counts: 1 N is some 240
-    held = "is used by another program: close that one first"
+    held = "is used by another program: close it first"
     forbidden = "may not be opened by this user: .*install --system"
 
     def test_the_attached_device_is_listed(self, tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_firmware_is_sent_on_request(tmp_path: Path) -> None:
     with gadget("falcon", firmware=FIRMWARE_BYTES, spoil=1) as falcon:
         with daemon(rig_with(tmp_path), "--duration", "0.1") as refused:
             assert refused.end(120) == 4, refused.err
-        assert "no firmware runs in the Falcon: give the path of its firmware file" in refused.err
+        assert "no firmware runs in the Falcon: set `firmware`" in refused.err
         with daemon(rig_with(tmp_path, firmware=str(path)), "--duration", "0.1") as running:
             assert running.end(180) == 0, running.err
         saw = falcon.seen()

@@ -100,7 +100,7 @@ def sentence(surface: str, motion: str, rate: float, target: float, best: Row | 
     question = f"{surface}, {motion} rate: for an error below {length(target)} at {rate:g} Hz"
     if best is None:
         least = min(group, key=lambda row: row["max_error_m"])
-        return f"{question} there is no method: {least['method']} comes to {length(least['max_error_m'])}"
+        return f"{question} no method does: {least['method']} reaches {length(least['max_error_m'])}"
     return f"{question} use {best['method']}: {best['ns_per_step']:.0f} ns"
 
 

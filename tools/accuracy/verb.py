@@ -81,7 +81,7 @@ def prepare_figures(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--figures {folder}: {error.strerror}: name a folder that can be written") from error
+        raise ConfigError(f"--figures {folder}: {error.strerror}: use a writable folder") from error
     if (why := reason_unsavable(folder / next(iter(FIGURES)))) is not None:
         raise ConfigError(f"--figures {folder}: {why}")
 
@@ -98,8 +98,8 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
     pairs = [(s, m) for s in surfaces for m in methods if has_method(s, m)]
     if not pairs:
         raise ConfigError(
-            f"--method {' '.join(methods)} --surface {' '.join(surfaces)}: rotation_vector is there for shapes with a "
-            "closed form, not for ellipsoids and tori: name another method or surface"
+            f"--method {' '.join(methods)} --surface {' '.join(surfaces)}: rotation_vector exists only for shapes with "
+            "a closed form, not for ellipsoids and tori: use another method or surface"
         )
     sweep = Sweep(surfaces, methods, args.rate or (QUICK_RATES_HZ if args.quick else RATES_HZ), args.quick)
     steps = args.drift_steps or (QUICK_DRIFT_STEPS if args.quick else DRIFT_STEPS)

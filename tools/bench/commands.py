@@ -112,7 +112,7 @@ class Listener:
         until = time.monotonic() + TURN_S
         while not self.is_force_applied():
             if time.monotonic() > until:
-                raise ConfigError(f"no unchanged force was seen within {TURN_S:g} s: is the machine overloaded?")
+                raise ConfigError(f"no unchanged force was seen within {TURN_S:g} s: the machine may be overloaded")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ TICKS_MIN: Final = 1000
 def run(args: argparse.Namespace) -> int:
     ticks, rounds = args.ticks, max(args.rounds, 1)
     if ticks < TICKS_MIN:
-        raise ConfigError(f"--ticks {ticks}: too few to measure: {TICKS_MIN} or more")
+        raise ConfigError(f"--ticks {ticks}: too few to measure: use {TICKS_MIN} or more")
     durations: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
         poses = Path(folder, "poses.csv")

@@ -203,7 +203,9 @@ def await_messages(endpoint: str) -> None:
         socket.connect(endpoint)
         with progress("the daemon starts, and compiles kernels that are not cached"):
             if not socket.poll(int(START_S * 1000)):
-                raise NoTelemetry(f"nothing arrived from {endpoint} within {START_S:g} s: does `softfinger run` start?")
+                raise NoTelemetry(
+                    f"nothing arrived from {endpoint} within {START_S:g} s: check that `softfinger run` starts"
+                )
 
 
 def subscribe_all(

@@ -61,12 +61,12 @@ def maker_library(rig: Rig, driver: str) -> Check:
     """Check a maker's library, which is not part of this program; only its devices need it."""
     library = makers_library(driver)
     needed = single_device(rig).driver == driver
-    expected = "there, for the maker's devices"
+    expected = "found, for the maker's devices"
     try:
         library.load(single_device(rig).options.get("library_file") if needed else None)
     except HapticError as error:
         if not needed:
-            return Check(library.NAME, "good", "not here, and this rig does not need it", expected)
+            return Check(library.NAME, "good", "not found; this rig does not need it", expected)
         return Check(library.NAME, "bad", str(error), expected, library.REMEDY)
     return Check(library.NAME, "good", "found", expected)
 
@@ -107,11 +107,11 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
     if not is_attached and driver != "haply" and driver in {claim.driver for claim in claims()}:
         remedy = "plug it in and switch it on; softfinger devices lists what is attached"
         results.append(
-            Check("device of the rig", "bad", f"nothing that driver {driver} of this rig drives", "attached", remedy)
+            Check("device of the rig", "bad", f"no device for driver {driver} of this rig", "attached", remedy)
         )
     if not results:
         results.append(
-            Check("devices", "good", "none attached that a driver claims; the rig needs none", "what the rig needs")
+            Check("devices", "good", "no supported device is attached; the rig needs none", "what the rig needs")
         )
     return results
 

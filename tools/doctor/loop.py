@@ -81,8 +81,8 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
         remedy = "export SOFTFINGER_CACHE_DIR=/a/folder/of/yours"
         return Check("kernel cache", "bad", state, expected, remedy)
     if warm:
-        return Check("kernel cache", "good", f"{CACHE_DIR} is warm for {scene_name}", expected)
-    state = f"{CACHE_DIR} was cold for {scene_name}: compiled now, in {seconds_taken:.1f} s"
+        return Check("kernel cache", "good", f"{CACHE_DIR} contains the kernels of {scene_name}", expected)
+    state = f"{CACHE_DIR} was empty for {scene_name}: compiled now, in {seconds_taken:.1f} s"
     remedy = f"softfinger warmup {scene_name}   # after an update"
     return Check("kernel cache", "could be better", state, expected, remedy)
 
@@ -113,8 +113,8 @@ def judge_loop(result: dict[str, Any]) -> list[Check]:
             "ticks in time",
             grade(share, MISSED_FAIR, MISSED_BAD),
             f"{servo['missed']} of {servo['ticks']} missed ({share:.3%}) at {result['rate_hz']:g} Hz",
-            f"at most {MISSED_FAIR:.2%}; above {MISSED_BAD:.0%} it is felt",
-            f"correct the faults listed above; {quiet}; or a lower servo.rate_hz",
+            f"at most {MISSED_FAIR:.2%}; above {MISSED_BAD:.0%} it is perceptible",
+            f"correct the faults listed above; {quiet}; or reduce servo.rate_hz",
         ),
         Check(
             "wake-up lateness",
@@ -136,7 +136,7 @@ def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
         grade(share, STEP_FAIR, STEP_BAD),
         f"{cost.median_ns:.0f} ns on {scene_name}, {share:.3%} of the period",
         f"at most {STEP_FAIR:.0%} of the period",
-        f"softfinger check {scene_name} --explain says what each part costs; or a lower servo.rate_hz",
+        f"softfinger check {scene_name} --explain shows the cost of each part; or reduce servo.rate_hz",
     )
 
 

@@ -75,7 +75,7 @@ def kernel(root: Path = ROOT) -> Check:
     expected = "Linux with PREEMPT_RT, which bounds the worst tick"
     if system != "Linux":
         return Check(
-            "system", "could be better", state, expected, "run on Linux: real-time settings are made with its calls"
+            "system", "could be better", state, expected, "run on Linux: real-time settings need its system calls"
         )
     if text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
         return Check("system", "good", f"{state}, PREEMPT_RT", expected)

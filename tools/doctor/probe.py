@@ -51,7 +51,7 @@ def attached_rig() -> str:
         if claim is not None and claim.rigs:
             return claim.rigs[0]
     raise DeviceNotFound(
-        "--probe: no device is attached that a shipped rig is for: name yours with --rig (`softfinger rigs` lists them)"
+        "--probe: no attached device has a shipped rig: select your rig with --rig (`softfinger rigs` lists them)"
     )
 
 
@@ -124,7 +124,7 @@ def summarize(report: Report) -> list[str]:
         return []
     text = picture(report)
     if (exchange := report["exchange"]) is not None:
-        text.append(f"  {exchange['new_samples_hz']:.0f} new samples a second, the rig asks for {report['rate_hz']:g}")
+        text.append(f"  {exchange['new_samples_hz']:.0f} new samples a second, the rig requires {report['rate_hz']:g}")
     return text
 
 
@@ -152,6 +152,6 @@ def _motions(report: Report) -> list[str]:
     motions = []
     for move in report["moves"]:
         if move["kind"] == "translation":
-            right = "as it has to be" if move["agrees"] else f"WRONG: it has to be {move['expected']}"
+            right = "as required" if move["agrees"] else f"WRONG: required is {move['expected']}"
             motions.append(f"    {WORDS[move['expected']]:>14} --> {move['seen']}   {right}")
     return motions

@@ -92,14 +92,14 @@ def make_report(
     """
     file = Path(request.file or f"softfinger-{single_device(rig).driver}-report.json")
     if not file.parent.is_dir() or file.is_dir():
-        raise ConfigError(f"{request.option} {file}: there is no folder {file.parent}, or it is one: name a file")
+        raise ConfigError(f"{request.option} {file}: {file.parent} is no folder, or the file is one: name a file")
     report, serials = start_report(rig, request.guided)
     failure: HapticError | KeyboardInterrupt | None = None
     try:
         record(rig, report, request, session_type)
         report["ended"], report["complete"] = "in full", True
     except KeyboardInterrupt as error:
-        report["ended"], failure = "cut short by the user", error
+        report["ended"], failure = "stopped by the user", error
     except (DeviceError, SafetyStop) as error:
         report["ended"], failure = "by a fault", error
         report["fault"] = {"kind": type(error).__name__, "message": str(error), "in_use": report["device"] is not None}
@@ -213,10 +213,10 @@ def record(rig: Rig, report: dict[str, Any], request: ReportRequest, session_typ
 def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-force") -> Guard:
     """Return the rig's guard, limited to the requested force; raises ConfigError if the device cannot push so hard."""
     if device.info.actuated_dof == 0:
-        raise ConfigError(f"{option} {force_n:g}: {device.info.name} displays no force: leave it out")
+        raise ConfigError(f"{option} {force_n:g}: {device.info.name} displays no force: remove the option")
     if force_n > device.info.force_max_n:
         raise ConfigError(
-            f"{option} {force_n:g}: {device.info.name} takes {device.info.force_max_n:g} N at most: use less"
+            f"{option} {force_n:g}: {device.info.name} accepts at most {device.info.force_max_n:g} N: use less"
         )
     return guard_limits(rig.guard, device.info)._replace(force_max=force_n)
 

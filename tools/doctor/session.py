@@ -78,12 +78,14 @@ class DeviceSession:
         if self._guided:
             self._record_moves()
         if force_n is not None:
-            warning = f"hold the handle lightly: it pushes to and fro with up to {force_n:g} N along each axis in turn"
+            warning = (
+                f"hold the handle lightly: it pushes back and forth with up to {force_n:g} N along each axis in turn"
+            )
             for _, result in self._push_each(warning, force_n, FORCE_CYCLES / self._seconds, self._seconds):
                 self._report["pushes"].append(result)
 
     def _record_rest(self) -> None:
-        self._ask("let go of the handle, or hold it still")
+        self._ask("release the handle, or hold it still")
         rows = self._record("the handle at rest", REST_S)
         self._rest_of(rows)
 

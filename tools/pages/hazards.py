@@ -144,7 +144,7 @@ _NO_FILES: Final = (
 HAZARDS: Final = (
     Hazard(
         "a wall that is unstable", "energy given in contacts, `energy_max_j`", "at once",
-        "the force fades, to zero in the end", f"by itself, over {limits.FORGET_S:g} s", ("guard energy_spent",),
+        "the force is reduced, finally to zero", f"automatic, over {limits.FORGET_S:g} s", ("guard energy_spent",),
         ("tests/server/test_limits.py::test_an_unstable_wall_fades",),
     ),
     Hazard(
@@ -167,23 +167,23 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a handle that runs away", "`handle_speed_max_m_per_s`", _CAUGHT,
-        "zero", f"slow for {limits.SLOW_S:g} s, or `arm`, as `arm` in the rig says", ("guard too_fast", FAILED),
+        "zero", f"slow for {limits.SLOW_S:g} s, or `arm`, as set by `arm` in the rig", ("guard too_fast", FAILED),
         ("tests/server/test_limits.py::test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says",
          "tests/server/test_arming.py::test_a_handle_that_is_too_fast_gets_its_force_back_by_itself",
          "tests/server/test_arming.py::test_a_handle_that_is_too_fast_waits_for_whoever_arms"),
     ),
     Hazard(
         "motors that heat", "thermal model, `continuous_force_n`", "before they are hot",
-        "the force falls to `continuous_force_n`", "by itself as they cool", ("guard motor_hot",),
+        "the force falls to `continuous_force_n`", "automatic, as they cool", ("guard motor_hot",),
         ("tests/server/test_limits.py::test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears",),
     ),
     Hazard(
         "a device that warns", f"the driver, every {watches.DEVICE_PERIOD_S:g} s",
-        f"{watches.DEVICE_PERIOD_S:g} s", "as before", "as its message says",
+        f"{watches.DEVICE_PERIOD_S:g} s", "as before", "as described by its message",
         ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_reported_once",),
     ),
     Hazard(
-        "the end of the workspace", "`[guard.workspace]`", "0 ticks", "a soft wall pushes back", "by itself",
+        "the end of the workspace", "`[guard.workspace]`", "0 ticks", "a soft wall pushes back", "automatic",
         ("guard workspace_edge",),
         ("tests/server/test_limits.py::test_the_soft_wall_pushes_back_by_the_depth_behind_it",),
     ),
@@ -196,15 +196,15 @@ HAZARDS: Final = (
     Hazard(
         "a device that is silent, or sends invalid data",
         "the driver: `quiet_s`, `kick_s` of falcon and hid, then `timeout_s`", by_driver(QUIET_S),
-        f"{_LOST}, after {by_driver(GIVEN_UP_S)}; until then the force of before",
+        f"{_LOST}, after {by_driver(GIVEN_UP_S)}; until then the previous force",
         "the ramp; start again after the end", ("guard ramping", FAILED),
         ("tests/server/test_silent_devices.py::test_a_device_that_falls_silent_is_given_zero_and_then_given_up",
          "tests/drivers/test_openhaptics_exchange.py::test_a_silent_library_is_given_up"),
         within=_QUIET,
     ),
     Hazard(
-        "a device that takes no force", "status of the driver", f"{base.IGNORED_WRENCH_MAX_S:g} s",
-        f"{_LOST}; until then the force of before", _START, (FAILED,),
+        "a device that accepts no force", "status of the driver", f"{base.IGNORED_WRENCH_MAX_S:g} s",
+        f"{_LOST}; until then the previous force", _START, (FAILED,),
         (_INJECTED, _EVERYWHERE,
          "tests/drivers/test_serial_queue.py::test_a_board_that_stops_reading_is_given_up_in_time",
          "tests/drivers/test_falcon_stub.py::test_a_force_that_hangs_is_withdrawn_and_a_zero_follows",
@@ -244,7 +244,7 @@ HAZARDS: Final = (
         "a machine that starves the loop",
         _GAPS,
         f"{floor(10 * _STARVED[0]) / 10} to {ceil(10 * _STARVED[1]) / 10} s of nothing but gaps, later with fewer",
-        f"{_STOPPED}; until then the force of before in each gap", _START, (FAILED,),
+        f"{_STOPPED}; until then the previous force in each gap", _START, (FAILED,),
         ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",
          "tests/server/test_health.py::test_gaps_of_every_length_end_the_run_when_the_fault_model_says"),
         within=ceil(_STARVED[1] / TICK_S),
@@ -294,21 +294,21 @@ HAZARDS: Final = (
     Hazard(
         "a process of telemetry or commands that ends, also while no memory or file descriptor is left", "the daemon",
         "none",
-        "as before; with `heartbeat_s`, zero until heartbeats come again", f"it is started again, {_RETRIES}",
+        "as before; with `heartbeat_s`, zero until heartbeats resume", f"it is started again, {_RETRIES}",
         ("fault publisher",),
         ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
          "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_started_again", _NO_FILES),
     ),
     Hazard(
         "a page that ends, also while no memory or file descriptor is left", "the daemon", "none", "as before",
-        f"it is started again at the same address, {process.RESTARTS} times in a run", ("fault page",),
+        f"it is restarted at the same address, {process.RESTARTS} times in a run", ("fault page",),
         ("tests/server/viewer/test_page_process.py::test_a_page_that_dies_is_started_again_at_the_same_address",
          "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again", _NO_FILES),
     ),
     Hazard(
         "a process of commands that hangs", "the daemon: no message of it", "none",
         "as before; `disarm` and `stop`, which clients send again, take effect after its restart",
-        f"it is started again after {link.SILENT_MAX_S:g} s", ("fault publisher",),
+        f"it is restarted after {link.SILENT_MAX_S:g} s", ("fault publisher",),
         ("tests/server/test_commands_at_once.py::test_a_lost_disarm_is_repeated",),
     ),
     Hazard(
@@ -325,11 +325,11 @@ HAZARDS: Final = (
          "tests/server/recording/test_recorder.py::test_a_disk_that_stalls_costs_ticks_and_no_time"),
     ),
     Hazard(
-        "a log that nobody reads", "standard error takes no line", "none", "as before; lines are dropped", _NONE, (),
+        "a log that nobody reads", "standard error accepts no line", "none", "as before; lines are dropped", _NONE, (),
         (f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",),
     ),
     Hazard(
-        "a clock that is set", "none needed: ticks, events and recordings go by CLOCK_MONOTONIC", "none", "as before",
+        "a clock that is set", "none needed: ticks, events and recordings use CLOCK_MONOTONIC", "none", "as before",
         _NONE, (),
         (f"{_PROCESS}::test_a_clock_that_is_set_puts_nothing_out_of_order",
          "tests/server/test_service_faults.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
@@ -358,7 +358,7 @@ HAZARDS: Final = (
         ("tests/server/test_service_faults.py::test_a_service_that_fails_is_told_and_ends_nothing",),
     ),
     Hazard(
-        "commands that cannot be taken", "an error in their thread", "none",
+        "commands that cannot be received", "an error in their thread", "none",
         f"as before; with `heartbeat_s` the run ends, exit code {SafetyStop.exit_code}", _START,
         ("fault commands", FAILED),
         ("tests/server/test_service_faults.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),

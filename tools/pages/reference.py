@@ -30,7 +30,7 @@ GENERATED_NOTE: Final = "<!-- made by `make reference`; change the program, not 
 
 _KEYS: Final = """\
 Units are SI and end each key. Neither a file nor a flag widens a range. A text has its length. A key without
-*required* or a default may be left out. `[[name]]` may be repeated."""
+*required* or a default may be omitted. `[[name]]` may be repeated."""
 
 
 def scenes() -> str:
@@ -165,7 +165,7 @@ def commands_page() -> str:
 # Commands: every method
 
 [Commands to a running daemon](../operate/commands.md) shows their use, [the protocol](../protocol.md#commands) the
-messages. Units are SI. A key in brackets may be left out. `object` and `finger` are a name or an index."""
+messages. Units are SI. A key in brackets may be omitted. `object` and `finger` are a name or an index."""
     results = Counter(method.result for method in commands.METHODS.values())
     shared = [kind for kind, times in results.items() if times > 1]
     parts = []
@@ -190,7 +190,7 @@ def states_page() -> str:
 
 A daemon is in one of these states. `health.state` and the command `describe` have it, each change is an event of
 kind `state`, and Prometheus has `softfinger_state`. There are no other transitions. `arm` in [`[guard]`](rigs.md)
-says who arms; [Safety](../safety.md) says what a fault is."""
+selects how the force is armed; [Safety](../safety.md) describes faults."""
     state_table, transition_table = states.tables()
     figure = "![states of the daemon, and what leads from one to another](../figures/states.svg)"
     return _page(head, figure, "## States", state_table, "## Transitions", transition_table)
@@ -200,10 +200,10 @@ def faults_page() -> str:
     head = """\
 # Faults: every hazard
 
-What can go wrong, what detects it, and what the hand feels. A reaction counts from the first tick with the fault.
+Each hazard with its detection, reaction and recovery. Reaction times count from the first tick with the fault.
 Every end of a run commands zero force. The tests in the last column inject each fault; `softfinger run --inject`
 [injects faults](../operate/faults.md) of a device. An error that ends a run is the cause of the event `state
-faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught."""
+faulted`. [Safety](../safety.md#crashes-that-cannot-be-handled) lists faults that cannot be detected."""
     results = json.loads(SEEN_IN.read_text("utf-8"))
     rows = [
         [
@@ -219,8 +219,8 @@ faulted`. [Safety](../safety.md#what-cannot-be-caught) has what cannot be caught
     table = schema.grid(["hazard", "detection", "reaction: safe state", "recovery", "event", "cases passed"], rows)
     about = """\
 Results of the test run (`make faults-seen`). Ticks at 1 kHz, from the first tick with the fault until the
-emulated device had received zero; where the guard waits, such as for `frozen_s` (0.1 s in the tests), that is in
-them. Then the state of the run."""
+emulated device had received zero, including times that the guard waits, such as `frozen_s` (0.1 s in the tests);
+and the state of the run."""
     columns = ["hazard", "injected", "ticks until zero", "event", "state", "recovery"]
     return _page(head, table, "## Injected faults and results", about, schema.grid(columns, _injected_rows(results)))
 
@@ -264,8 +264,8 @@ def materials_page() -> str:
     head = """\
 # Materials and fingertips: every entry
 
-What a scene may name: `material = "rubber"`, `fingertip = "human-index"`. [Materials](../model/materials.md) shows how,
-and the models beside what was published; `softfinger materials NAME` prints one, with `--plot` its figure."""
+Names that a scene can use: `material = "rubber"`, `fingertip = "human-index"`. [Materials](../model/materials.md)
+compares the models with published measurements; `softfinger materials NAME` prints one, with `--plot` its figure."""
     listed = library_texts.entries()
     parts = []
     for kind, title in (("material", "## Materials"), ("fingertip", "## Fingertips")):

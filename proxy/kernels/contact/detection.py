@@ -150,29 +150,29 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     start, budget = position, BUDGET // 2
     if any_creases(objects):  # a path over a height map takes more queries
         budget = 3 * BUDGET // 4
-    left, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
+    remaining, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     if state.started == 0.0:
-        index, known, left = first_touch(objects, radius, position, left)
+        index, known, remaining = first_touch(objects, radius, position, remaining)
         if not known:
             return Meeting(start, position, position, nothing, False, SPENT)
         met = position
     else:
         start = state.center
-        index, met, left = first_hit(objects, start, position, radius, False, NOBODY, left)
+        index, met, remaining = first_hit(objects, start, position, radius, False, NOBODY, remaining)
     active, center, exact = nothing, position, False
     if index >= 0.0:
-        gap, point, normal, left = closest_to_within(objects, index, met, left)
+        gap, point, normal, remaining = closest_to_within(objects, index, met, remaining)
         center = vec3.add_scaled(point, radius, normal)
         together = any_mesh(objects)
-        touch, exact = refine_touch(objects, index, start, position, radius, met, left)
+        touch, exact = refine_touch(objects, index, start, position, radius, met, remaining)
         if state.started != 0.0 and together:
             # Other facets may be equally near, or the search did not finish: on this one it might be inside another.
             center = met
             if exact:
-                _, point, normal, left = closest_to_within(objects, index, touch, left)
+                _, point, normal, remaining = closest_to_within(objects, index, touch, remaining)
                 center = vec3.add_scaled(point, radius, normal)
         elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE)) and not is_outside(
-            objects, radius, center, center, left
+            objects, radius, center, center, remaining
         ):  # the gap is a bound, because the search of a height map did not finish, or another triangle is equally near
             if state.started != 0.0:
                 center = met
@@ -183,7 +183,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
         depth = max(vec3.dot(vec3.sub(center, position), normal), 0.0)
         active = one_constraint(index, normal, depth)
         ended = state.mode != FREE and depth <= INSIDE * radius
-        if ended and is_outside(objects, radius, state.center, position, left):
+        if ended and is_outside(objects, radius, state.center, position, remaining):
             active, center = nothing, position  # the contact just released, up to rounding
     place, over = center, active[0].body >= 0.0 and exact
     if over:
@@ -193,8 +193,8 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     if not any_moves(objects):
         start = center
     # Without a height map, the search of the path does not reduce the budget of the rest position: see `BUDGET`.
-    left = BUDGET - budget + max(left, 0) if any_creases(objects) else BUDGET
-    return Meeting(start, center, place, active, over, left)
+    remaining = BUDGET - budget + max(remaining, 0) if any_creases(objects) else BUDGET
+    return Meeting(start, center, place, active, over, remaining)
 
 
 @jit

@@ -201,10 +201,10 @@ def hold_if_reversed(spot: Spot, error: Vec3) -> tuple[Spot, Vec3]:
 def nearest_spot(elastic: Elastic, objects: Any, position: Vec3) -> Spot:
     """Return the spot of the surface point nearest to a finger without contact."""
     shapes = all_bare(objects)
-    _, facet, left = deepest(shapes, position, EVERYWHERE, NOBODY, ROOM)
-    if facet < 0.0 or left < 0:
+    _, facet, remaining = deepest(shapes, position, EVERYWHERE, NOBODY, ROOM)
+    if facet < 0.0 or remaining < 0:
         return empty_spot()
-    _, point, normal, _ = closest_to_within(shapes, facet, position, left)
+    _, point, normal, _ = closest_to_within(shapes, facet, position, remaining)
     return replace(spot_on(elastic, objects.body, facet, point, normal), "slopes", mat3.ZEROS)
 
 

@@ -83,7 +83,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     rest = vec3.scale(1.0 - gain, last.displacement)
     before = relative_to(body, state.fingers[0], last.displacement)
     least, best = inf, u
-    for left in range(ROUNDS - 1, -1, -1):
+    for rounds_left in range(ROUNDS - 1, -1, -1):
         after, contact = step_finger(finger, before, shift_pose(body, poses[0], u), scene, objects, dt)
         spot = empty_spot()
         if contact.mode != FREE:
@@ -92,11 +92,11 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         goal = vec3.add_scaled(rest, gain, mat3.times(compliance_of(spot, rows), spot.load))
         error = vec3.sub(goal, u)
         square = vec3.dot(error, error)
-        if left == 0 or square <= SOLVED**2:
+        if rounds_left == 0 or square <= SOLVED**2:
             break
         if square < least:
             least, best = square, u
-        if left == 1 and not square <= CLOSE**2:  # also NaN
+        if rounds_left == 1 and not square <= CLOSE**2:  # also NaN
             u = best
             continue
         spot, added = hold_if_reversed(spot, error)
@@ -130,7 +130,7 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     before_two = relative_to(body, state.fingers[1], last[1].displacement)
     x, y = empty_spot(), empty_spot()
     least, best = inf, (u, v)
-    for left in range(ROUNDS - 1, -1, -1):
+    for rounds_left in range(ROUNDS - 1, -1, -1):
         after_one, first = step_finger(fingers[0], before_one, shift_pose(body, poses[0], u), scene, objects, dt)
         after_two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
         is_loaded = first.mode != FREE or second.mode != FREE
@@ -143,11 +143,11 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         error_u = vec3.sub(vec3.add_scaled(rest_u, gain, goal_u), u)
         error_v = vec3.sub(vec3.add_scaled(rest_v, gain, goal_v), v)
         square = vec3.dot(error_u, error_u) + vec3.dot(error_v, error_v)
-        if left == 0 or square <= SOLVED**2:
+        if rounds_left == 0 or square <= SOLVED**2:
             break
         if square < least:
             least, best = square, (u, v)
-        if left == 1 and not square <= CLOSE**2:  # also NaN
+        if rounds_left == 1 and not square <= CLOSE**2:  # also NaN
             u, v = best
             continue
         held_x, added_x = hold_if_reversed(x, error_u)

@@ -47,7 +47,7 @@ class ReadOnly:
     def __init__(self, values: ArrayLike) -> None:
         array: NDArray[Any] = np.array(values, order="C").ravel()
         if array.dtype.name not in KINDS or not array.dtype.isnative:
-            raise TypeError(f"an array of {array.dtype}: a scene may have arrays of {', '.join(KINDS)}")
+            raise TypeError(f"an array of {array.dtype}: a scene can contain arrays of {', '.join(KINDS)}")
         array.setflags(write=False)
         self.array = array
         self.address = int(array.ctypes.data)

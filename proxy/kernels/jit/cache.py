@@ -68,7 +68,7 @@ class Folder:
             except Unsound as error:
                 self._problem = str(error)
             except (OSError, ValueError) as error:
-                self._problem = f"{self.path} cannot be made: {_reason(error)}: {OWN_FOLDER}"
+                self._problem = f"{self.path} cannot be created: {_reason(error)}: {OWN_FOLDER}"
             self._looked = True  # last: another thread that reads True trusts the folder
         return self._problem
 
@@ -100,10 +100,10 @@ class Folder:
             raise Unsound(why)
         path = self.path / name
         fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-        found = os.fstat(fd)
-        if not stat.S_ISREG(found.st_mode) or _complaint(found, path) is not None:
+        status = os.fstat(fd)
+        if not stat.S_ISREG(status.st_mode) or _complaint(status, path) is not None:
             os.close(fd)
-            raise Unsound("not a file that only this user may write")
+            raise Unsound("not a file that only this user can write")
         return open(fd, "rb")
 
     def reject(self, name: str, why: Exception) -> None:
@@ -137,46 +137,46 @@ def make_private(folder: Path) -> None:
     Raises Unsound if that is not possible. The path is checked from the root down: no other user can change a checked
     folder, so the entries below it cannot be exchanged after their check.
     """
-    at, ways, links = Path("/"), list(reversed(folder.absolute().parts[1:])), 0
+    at, parts, links = Path("/"), list(reversed(folder.absolute().parts[1:])), 0
     _check(os.lstat(at), at)
-    while ways:
-        name = ways.pop()
+    while parts:
+        name = parts.pop()
         at = at.parent if name == ".." else at / name
         try:
-            found = os.lstat(at)
+            status = os.lstat(at)
         except FileNotFoundError:
             with contextlib.suppress(FileExistsError):  # another process has created it
                 os.mkdir(at, 0o700)
-            found = os.lstat(at)
-        _check(found, at)
-        if stat.S_ISLNK(found.st_mode):
+            status = os.lstat(at)
+        _check(status, at)
+        if stat.S_ISLNK(status.st_mode):
             links += 1
             if links > LINKS_MAX:
                 raise Unsound(f"{folder}: links without end: {OWN_FOLDER}")
-            way = Path(os.readlink(at))
-            ways += reversed(way.parts[1:] if way.is_absolute() else way.parts)
-            at = Path("/") if way.is_absolute() else at.parent
-        elif not stat.S_ISDIR(found.st_mode):
+            target = Path(os.readlink(at))
+            parts += reversed(target.parts[1:] if target.is_absolute() else target.parts)
+            at = Path("/") if target.is_absolute() else at.parent
+        elif not stat.S_ISDIR(status.st_mode):
             raise Unsound(f"{at} is not a folder: {OWN_FOLDER}")
-    if why := _complaint(found, at):
+    if why := _complaint(status, at):
         raise Unsound(why)
 
 
-def _check(found: os.stat_result, path: Path) -> None:
+def _check(status: os.stat_result, path: Path) -> None:
     """Raise Unsound if another user could replace this part of a path.
 
     Others may write to a sticky folder: they can neither move nor remove our entries in it.
     """
-    sticky = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
-    why = _complaint(found, path, 0 if sticky or stat.S_ISLNK(found.st_mode) else stat.S_IWGRP | stat.S_IWOTH)
+    sticky = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
+    why = _complaint(status, path, 0 if sticky or stat.S_ISLNK(status.st_mode) else stat.S_IWGRP | stat.S_IWOTH)
     if why is not None:
         raise Unsound(why)
 
 
-def _complaint(found: os.stat_result, path: Path, forbidden: int = stat.S_IWGRP | stat.S_IWOTH) -> str | None:
-    if found.st_uid not in (0, os.geteuid()):
-        return f"{path} belongs to user {found.st_uid}, who could replace the kernels: {OWN_FOLDER}"
-    if found.st_mode & forbidden:
+def _complaint(status: os.stat_result, path: Path, forbidden: int = stat.S_IWGRP | stat.S_IWOTH) -> str | None:
+    if status.st_uid not in (0, os.geteuid()):
+        return f"{path} belongs to user {status.st_uid}, who could replace the kernels: {OWN_FOLDER}"
+    if status.st_mode & forbidden:
         return f"{path} can be written by other users: chmod go-w it, or {OWN_FOLDER}"
     return None
 
@@ -203,12 +203,12 @@ def written_in(kind: Any, file: str) -> None:
 
 def kinds_in(signature: Any) -> list[Any]:
     """Return the classes of the named tuples in a signature, each once, in order of appearance."""
-    found: dict[Any, None] = {}
+    kinds: dict[Any, None] = {}
 
     def walk(each: Any) -> None:
         if isinstance(each, types.BaseTuple):
             if isinstance(each, types.BaseNamedTuple):
-                found[each.instance_class] = None
+                kinds[each.instance_class] = None
             for part in each:
                 walk(part)
         elif isinstance(each, types.TypeRef):  # a type passed as an argument
@@ -218,7 +218,7 @@ def kinds_in(signature: Any) -> list[Any]:
 
     for argument in signature if isinstance(signature, tuple) else signature.args:
         walk(argument)
-    return list(found)
+    return list(kinds)
 
 
 def sources_of(file: str) -> str | None:
@@ -229,8 +229,8 @@ def sources_of(file: str) -> str | None:
     cache folder covers them wherever the program is installed.
     """
     try:
-        found = os.stat(file)
-        return _sources(file, found.st_ino, found.st_mtime_ns, found.st_size)
+        status = os.stat(file)
+        return _sources(file, status.st_ino, status.st_mtime_ns, status.st_size)
     except OSError:
         return None
 

@@ -85,7 +85,7 @@ def _check(tree: types.Type) -> None:
         for child in tree:
             _check(child)
     elif tree != types.float64 and not isinstance(tree, types.NoneType | ReadOnlyType):
-        raise TypingError(f"a tree may hold float64, read-only arrays and None only, not {tree}")
+        raise TypingError(f"a tree can contain float64, read-only arrays and None only, not {tree}")
 
 
 def _data_pointer(context: Any, builder: Any, array_type: types.Type, array: Any, tree: types.Type) -> Any:

@@ -40,7 +40,7 @@ SUBJECT: Final = 8
 
 _key: Final = ctypes.c_uint32()
 if ctypes.CDLL(None).pthread_key_create(ctypes.byref(_key), None) != 0:
-    raise ImportError("this process has no more keys for memory of threads (pthread_key_create)")
+    raise ImportError("this process has no free key for thread-specific memory (pthread_key_create)")
 llvm.add_symbol(KEY_SYMBOL, ctypes.addressof(_key))
 
 _getspecific: Any = types.ExternalFunction("pthread_getspecific", types.int64(types.uint32))
@@ -119,10 +119,10 @@ def jump_on_error(message: int) -> None:
     memory = _getspecific(_rescue_key())
     while memory == 0:
         _pause()
-    said, words = uint8_at(memory + JUMP_BYTES), uint8_at(message + SUBJECT)
+    text, words = uint8_at(memory + JUMP_BYTES), uint8_at(message + SUBJECT)
     for i in range(SAID_BYTES - 1):
-        said[i] = words[i]
-        said[i + 1] = 0
+        text[i] = words[i]
+        text[i + 1] = 0
         if words[i] == 0:
             break
     _longjmp(memory, 1)

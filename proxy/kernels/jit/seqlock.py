@@ -52,23 +52,23 @@ def publish(slot: Slot, values: NDArray[np.float64]) -> None:
 
 
 @entry
-def read(slot: Slot, seen: int, values: NDArray[np.float64]) -> int:
+def read(slot: Slot, known_sequence: int, values: NDArray[np.float64]) -> int:
     """Copy a slot from Python, as `refresh`."""
-    return refresh(slot, seen, values)
+    return refresh(slot, known_sequence, values)
 
 
 @jit
-def refresh(slot: Slot, seen: int, values: NDArray[np.float64]) -> int:
-    """Copy the slot to `values` (n,) if it changed since sequence `seen`.
+def refresh(slot: Slot, known_sequence: int, values: NDArray[np.float64]) -> int:
+    """Copy the slot to `values` (n,) if it changed since sequence `known_sequence`.
 
-    returns  the sequence of `values`: equal to `seen` if there was no change or a write was in progress; then `values`
-             must not be used, because it may contain parts of two writes
+    returns  the sequence of `values`: equal to `known_sequence` if there was no change or a write was in progress; then
+             `values` must not be used, because it may contain parts of two writes
     """
     before = load_acquire(slot.sequence, 0)
-    if before == seen or before & 1:
-        return seen
+    if before == known_sequence or before & 1:
+        return known_sequence
     copy_numbers(values, slot.values)
     fence_acquire()
     if load_relaxed(slot.sequence, 0) != before:
-        return seen
+        return known_sequence
     return before

@@ -39,7 +39,7 @@ def read(data: bytes) -> Faces:
     head, buffer = _chunks(data)
     for name in head.get("extensionsRequired", []):
         if not str(name).startswith(_HARMLESS):
-            obstacle = "is compressed" if "compression" in str(name) else "needs an extension that is not read here"
+            obstacle = "is compressed" if "compression" in str(name) else "needs an unsupported extension"
             raise ValueError(f"{obstacle} ({str(name)[:60]}): export it without")
     file = _File(head, buffer)
     parts, promised = list[tuple[Points, Indices]](), 0
@@ -102,7 +102,7 @@ def _iterate_meshes(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.floa
         if "mesh" not in node:
             continue
         if "skin" in node:
-            raise ValueError(f"is bent by a skeleton (the skin of node {number}): apply it before the export")
+            raise ValueError(f"is deformed by a skeleton (the skin of node {number}): apply it before the export")
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
             raise ValueError("has copies by EXT_mesh_gpu_instancing: export them as nodes")
         if any(node.get("weights") or head["meshes"][node["mesh"]].get("weights") or []):
@@ -159,7 +159,7 @@ class _File:
             raise ValueError(f"is damaged or not a GLB file: {count:,} {accessor['type']}, must be {kind}")
         if "bufferView" not in accessor and "sparse" not in accessor:
             raise ValueError(
-                f"has no data for accessor {number}: it is compressed or cut off; export it without compression"
+                f"has no data for accessor {number}: it is compressed or truncated; export it without compression"
             )
         width = _WIDTHS[kind]
         values = np.zeros((count, width), component)
@@ -197,5 +197,5 @@ class _File:
         if address is None and number == 0:
             return self._buffer
         if not str(address).startswith("data:"):
-            raise ValueError(f"has its numbers in another file, {str(address)[:80]!r}: export it as one file")
+            raise ValueError(f"stores its numbers in another file, {str(address)[:80]!r}: export it as one file")
         return base64.b64decode(str(address).partition(",")[2])

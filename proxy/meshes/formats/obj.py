@@ -13,7 +13,7 @@ from softfinger.proxy.meshes.formats.text import clean, numbers, words_per_line
 _VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]+([^\n]*)", re.MULTILINE)
 _FACE: Final = re.compile(rb"^[ \t]*fo?[ \t]+([^\n]*)", re.MULTILINE)
 _REFUSED: Final = re.compile(rb"^[ \t]*(surf|curv2?|call|csh)[ \t]", re.MULTILINE)
-_REASONS: Final = {b"call": "has its numbers in another file", b"csh": "calls a program"}
+_REASONS: Final = {b"call": "stores its numbers in another file", b"csh": "calls a program"}
 
 
 def read(data: bytes) -> Faces:
@@ -57,13 +57,11 @@ def _to_zero_based(text: bytes, corners: Indices, counts: Indices) -> Indices:
         return corners - 1
     if (corners == 0).any():
         face = int(np.searchsorted(np.cumsum(counts), (corners == 0).argmax(), side="right"))
-        raise ValueError(f"is damaged: face {face + 1} names the vertex 0, and they count from 1")
+        raise ValueError(f"is damaged: face {face + 1} has the vertex 0, but vertices count from 1")
     vertices, faces = (np.array([match.start() for match in kind.finditer(text)]) for kind in (_VERTEX, _FACE))
     before = np.repeat(np.searchsorted(vertices, faces), counts)
     relative = np.where(corners < 0, before + corners, corners - 1)
     if (relative < 0).any():
         bad = int((relative < 0).argmax())
-        raise ValueError(
-            f"is damaged: a face names the vertex {corners[bad]} where there are {before[bad]:,} before it"
-        )
+        raise ValueError(f"is damaged: a face has the vertex {corners[bad]} with only {before[bad]:,} before it")
     return relative

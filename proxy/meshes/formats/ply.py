@@ -68,7 +68,7 @@ def read(data: bytes) -> Faces:
         tables[element.name], at = _rows(element, body, at, order)
     if behind := body[at:].strip(b"\0 \t\r\n"):
         rest = f"{(len(body) - at) // 8:,} numbers" if is_text else f"{len(behind):,} bytes"
-        raise ValueError(f"has other rows than its header declares: {rest} are left over")
+        raise ValueError(f"has other rows than its header declares: {rest} are unused")
     if not rows.get("vertex"):
         return Faces(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), 0)
     points = np.stack([_scalar(tables, axis) for axis in "xyz"], axis=1)
@@ -155,7 +155,7 @@ def _row_by_row(element: Element, body: bytes, at: int, order: str) -> tuple[Tab
             count = 1 if column.length is None else _count(body, at, order + column.length)
             at += count_size
             if at + count * size > len(body):
-                fault = f"promises {element.rows:,} entries of {element.name}, and has {row:,}"
+                fault = f"declares {element.rows:,} entries of {element.name}, but has {row:,}"
                 raise ValueError(f"{fault}: it is truncated or damaged")
             starts[number, row], counts[number, row] = at, count
             at += count * size
@@ -179,7 +179,7 @@ def _count(body: bytes, at: int, kind: str) -> int:
 def _scalar(tables: dict[str, Table], name: str) -> NDArray[np.float64]:
     column = tables.get("vertex", {}).get(name)
     if column is None or (column.counts != 1).any():
-        raise ValueError(f"is damaged, or no mesh: its vertices have no {name}")
+        raise ValueError(f"is damaged or no mesh: its vertices have no {name}")
     return column.values.astype(np.float64)
 
 

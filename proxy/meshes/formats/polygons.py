@@ -80,7 +80,7 @@ def _concave(points: Points, triangles: Indices, face: Indices, counts: Indices)
         against = (areas * normals).sum(axis=1) < -FLAT * (normals * normals).sum(axis=1)
     concave = np.unique(owner[against])
     if (counts[concave] ** 2).sum() > CONCAVE_MAX:
-        raise ValueError(f"has {len(concave):,} concave faces, too many to divide here: triangulate it")
+        raise ValueError(f"has {len(concave):,} concave faces, too many to triangulate: export it as triangles")
     return [int(index) for index in concave]
 
 

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(forward.close)
         for name, part in (("telemetry", forward.readers), ("commands", forward.commanders)):
             if part is not None:
-                audience = "clients with a key" if part.peers.lock else "every client that reaches it"
+                audience = "clients with a key" if part.peers.lock else "every client that can reach it"
                 log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, audience)
         telemetry = TelemetryProcess(args, origin) if args.commands_to and (args.to or args.lsl) else None
         if telemetry is not None:
@@ -93,7 +93,7 @@ def make_lock(endpoint: str, flag: str, key_file: str | None, folder: str | None
     if is_public(endpoint):
         raise ConfigError(
             f"{flag} {endpoint} is open to the network: set the allowed clients with --keys FILE and {folder_flag} DIR "
-            "(softfinger keys makes keys), or take tcp://127.0.0.1:PORT"
+            "(`softfinger keys` creates them), or use tcp://127.0.0.1:PORT"
         )
     return None
 

@@ -25,9 +25,9 @@ def _lines(info: dict[str, Any]) -> Iterator[str]:
     if info["missing"]:
         yield f"  {info['missing']} ticks are missing in {info['gaps']} gaps, the longest of {info['longest_gap']}"
     if info["dropped"]:
-        yield f"  {info['dropped']} were left out since the disk was too slow"
+        yield f"  {info['dropped']} were not recorded because the disk was too slow"
     if info["events_dropped"]:
-        yield f"  {info['events_dropped']} events were left out, too"
+        yield f"  {info['events_dropped']} events were not recorded either"
     if info["lost"]:
         yield f"  {info['lost']} did not arrive"
     device = info["device"]["name"] if isinstance(info["device"], dict) else "unknown"

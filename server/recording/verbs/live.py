@@ -77,8 +77,8 @@ def record_live(job: RecordingJob, path: Path) -> str:
     if recorded.error:
         raise RecordingError(f"{path}: cannot be written: {recorded.error}; it has {recorded.ticks} ticks")
     loss_text = f"{batcher.lost} did not arrive" if batcher.lost else "no tick lost"
-    slow = f", {recorded.dropped} left out since the disk was too slow" if recorded.dropped else ""
-    unfinished = "" if recorded.whole else f"; the disk has not taken the last of it within {DISK_TIMEOUT_S:g} s"
+    slow = f", {recorded.dropped} not recorded because the disk was too slow" if recorded.dropped else ""
+    unfinished = "" if recorded.whole else f"; the last ticks were not written to the disk within {DISK_TIMEOUT_S:g} s"
     ticks = f"{recorded.ticks} ticks, {batcher.first} to {batcher.last}"
     return f"{path}: {ticks}, {recorded.bytes / 1e6:.1f} MB, {loss_text}{slow}; {end_reason}{unfinished}"
 
@@ -155,7 +155,7 @@ def record_until_end(wire: Subscription, job: RecordingJob, first_samples: list[
             if sample is None:
                 batcher.flush()
                 if now - received_s > job.timeout_s:
-                    return f"nothing arrived for {job.timeout_s:g} s"
+                    return f"no data for {job.timeout_s:g} s"
             else:
                 received_s = now
                 if _is_over(sample, job, batcher):
@@ -164,7 +164,7 @@ def record_until_end(wire: Subscription, job: RecordingJob, first_samples: list[
             if job.is_stop_requested():
                 return "stopped"
             if batcher.receiver.failed:
-                return "the file takes no more"
+                return "the file accepts no more data"
             if show is not None and now - shown_s > SHOW_PERIOD_S:
                 shown_s = now
                 show(f"tick {batcher.last}, {batcher.lost} lost; Ctrl-C stops")
@@ -219,5 +219,5 @@ def _description(job: RecordingJob) -> dict[str, Any]:
         with Control(job.addresses.command_endpoint(), DESCRIBE_TIMEOUT_S, keys=job.keys) as control:
             return {key: value for key, value in control.describe().items() if key not in _UNRECORDED_KEYS}
     except HapticError as error:
-        log.warning("it is not known which rig and scene this is: %s", error)
+        log.warning("rig and scene are unknown: %s", error)
         return {}

@@ -17,7 +17,7 @@ from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import ConfigError, Different, RecordingError
 from softfinger.config.files import open_input, read_input
 from softfinger.config.load import build, load_rig, load_scene
-from softfinger.drivers.poses import load_poses
+from softfinger.drivers.poses import find_recording, load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
 from softfinger.proxy.record import NAMED
@@ -39,7 +39,8 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--tolerance {args.tolerance} is not a tolerance: must be 0 or more")
     path = Path(args.recording)
     recorded = path.suffix.lower() == ".mcap"
-    rig = load_rig(args.rig or "replay", {} if args.rate is None else {"servo.rate_hz": args.rate})
+    changes = {} if args.rate is None else {"servo.rate_hz": args.rate}
+    rig = load_rig(args.rig or "replay", changes, dict.fromkeys(changes, "command line --rate"))
     if recorded:
         if args.rate is not None:
             raise ConfigError("--rate is for poses: a recording contains its rate")
@@ -52,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
         if args.rig is None and "rig" in past.notes:
             rig = build(schema.Rig, past.notes["rig"], f"{path}: rig")
     else:
+        find_recording(args.recording)
         if args.scene is None or args.against is None:
             raise ConfigError(f"{path}: poses contain neither scene nor forces: add --scene and --against")
         past, scene = _run_from_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
@@ -160,7 +162,7 @@ def _to_json(outcome: ReplayComparison) -> dict[str, Any]:
 def _lines(outcome: ReplayComparison, past: Run) -> list[str]:
     lines = [f"{outcome.compared} of {outcome.ticks} ticks compared, {outcome.different} differ"]
     if past.cut:
-        lines.append(f"  the recording is cut short: {past.cut}")
+        lines.append(f"  the recording is truncated: {past.cut}")
     lines += [f"  {key}: largest difference {value:.3g}" for key, value in outcome.largest.items()]
     lines += [f"  ticks {s.first} to {s.last} are not compared: {s.why}" for s in outcome.left_out[:SPANS_SHOWN]]
     if len(outcome.left_out) > SPANS_SHOWN:

@@ -153,7 +153,7 @@ class Access:
             setattr(websockets_server, name, original)
         if not calls:
             raise ConfigError(
-                "the page cannot be protected with this version of viser: pip install 'softfinger[viewer]' has one"
+                "the page cannot be protected with this version of viser: pip install 'softfinger[viewer]'"
             )
 
 

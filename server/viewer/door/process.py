@@ -143,7 +143,7 @@ class PageProcess:
         if self._is_final:
             text += f"; to see it again: {program_name()} {shlex.join(self._arguments)}"
         elif self._restart():
-            text += f"; it is started again, {self._restarts} of {RESTARTS} times, at the same address"
+            text += f"; restart {self._restarts} of {RESTARTS}, at the same address"
         else:
             return
         log.warning("%s", text)
@@ -161,7 +161,7 @@ class PageProcess:
         except OSError as error:
             if not self._restart_failed:
                 self._restart_failed = True
-                text = f"the page cannot be started: {error}; it is tried again until the run ends"
+                text = f"the page cannot be started: {error}; retrying until the run ends"
                 log.error("%s", text)
                 self._on_event(text)
             return False

@@ -87,7 +87,7 @@ def make_memory(capacity: int, width: int) -> RingMemory:
     size = PAGE_BYTES + 8 * capacity * width
     try:
         if _FUTEX < 0:
-            raise OSError(errno.ENOSYS, f"there is no futex known for {platform.machine()}")
+            raise OSError(errno.ENOSYS, f"futex is not supported on {platform.machine()}")
         remove_stale_files()
         fd, name = _create_locked()
         try:
@@ -191,14 +191,16 @@ class Local(Closeable):
 
     def __init__(self, name: str) -> None:
         if not name.startswith(PREFIX) or "/" in name:
-            raise ConfigError(f"{name!r} is not a name of a daemon's ticks: get it with softfinger ctl describe")
+            raise ConfigError(f"{name!r} is not the name of a daemon's ticks: see softfinger ctl describe")
         with ExitStack() as opened:
             try:
                 self._fd = os.open(FOLDER / name, os.O_RDONLY | os.O_CLOEXEC)
                 opened.callback(os.close, self._fd)
                 words = np.frombuffer(mmap.mmap(self._fd, 0, prot=mmap.PROT_READ), np.int64)
             except (OSError, ValueError) as error:
-                raise ConfigError(f"the ticks {name} cannot be read: {error}: is the daemon still running?") from error
+                raise ConfigError(
+                    f"the ticks {name} cannot be read: {error}: check that the daemon is running"
+                ) from error
             if len(words) * 8 <= PAGE_BYTES or (words[_MAGIC], words[_LAYOUT]) != (MAGIC, LAYOUT):
                 raise ConfigError(f"{name} does not have layout {LAYOUT}: use the client of the daemon's version")
             opened.pop_all()

@@ -73,5 +73,5 @@ def test_a_rotation_vector_turns_as_the_kernels_have_it(rotation: tuple[float, f
 
 
 def test_a_turn_needs_a_motion() -> None:
-    with pytest.raises(ConfigError, match=r"turn\.thumb: turns a hand that \[motion\] does not move"):
+    with pytest.raises(ConfigError, match=r"turn\.thumb: rotates a hand that \[motion\] does not move"):
         Experiment(EXPERIMENTS / "curvature-by-rolling.toml", {"turn.thumb": [[0.0, 0.0, 0.0, 0.0]]})

@@ -123,25 +123,16 @@ def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> N
         assert force == pytest.approx(wanted, abs=1e-12)
 
 
-def test_a_guided_hand_turns_on_its_path_and_turns_back(session: tuple[Path, Run]) -> None:
+def test_a_guided_hand_starts_on_its_path_turns_and_turns_back(session: tuple[Path, Run]) -> None:
     _, run = session
     w, _, _, z = run.first["probe.orientation"].T
     angle = 2.0 * np.arctan2(z, w)
-    ends = [
-        (find_tick(run, start["tick"]), find_tick(run, end["tick"]))
-        for start, end in zip(select_marks(run, "touch"), select_marks(run, "release"), strict=True)
-    ]
-    for start, end in ends:
+    for begin, end in zip(select_marks(run, "touch"), select_marks(run, "release"), strict=True):
+        start = find_tick(run, begin["tick"])
+        assert np.linalg.norm(run.first["probe.position"][start] - MOTION[0][1:]) <= START_TOLERANCE_M
         assert abs(angle[start]) <= START_TOLERANCE_RAD
         # The path ends 0.2 s before the touch; the hand follows with a first-order lag of 30 ms.
-        assert angle[end] == pytest.approx(0.3, abs=START_TOLERANCE_RAD)
-
-
-def test_a_hand_is_at_the_start_of_its_path_when_a_touch_starts(session: tuple[Path, Run]) -> None:
-    _, run = session
-    for event in select_marks(run, "touch"):
-        position = run.first["probe.position"][find_tick(run, event["tick"])]
-        assert np.linalg.norm(position - MOTION[0][1:]) <= START_TOLERANCE_M
+        assert angle[find_tick(run, end["tick"])] == pytest.approx(0.3, abs=START_TOLERANCE_RAD)
 
 
 @pytest.mark.exhaustive
@@ -215,7 +206,7 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     monkeypatch.undo()
     start = re.escape(str(own / "sub-01_run-01_ticks.mcap")) + r": the recording ends after \d+ ticks: File too large: "
-    assert re.fullmatch(start + "the force is off, and no answer before is lost: make room .* this trial again",
+    assert re.fullmatch(start + "the force is off, and all earlier answers are stored: make room .* this trial again",
                         str(ended.value))  # fmt: skip
     assert presented == [1, 1, 2]
     assert force[-1] == 0.0 and max(force) > 0.3

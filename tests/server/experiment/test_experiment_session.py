@@ -146,11 +146,11 @@ def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
 def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> None:
     Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
     for participant in (1, 2):
-        with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): give another folder"):
+        with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): use another folder"):
             Experiment(make_tables()).run(tmp_path, participant)
     journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
     journal.write_bytes(journal.read_bytes().replace(b'"dry_run":true', b'"dry_run":false'))
-    with pytest.raises(ConfigError, match="answers of participants: give another folder"):
+    with pytest.raises(ConfigError, match="answers of participants: use another folder"):
         Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
 
 
@@ -170,7 +170,7 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
         journal.write("begun", trial=1)
         with (
             limit_file_size(5, path),
-            pytest.raises(ConfigError, match="cannot be written: File too large: no answer before is lost"),
+            pytest.raises(ConfigError, match="cannot be written: File too large: earlier answers are stored"),
         ):
             journal.write("done", trial=1)
         assert read(path) == journal.entries == [{"kind": "begun", "trial": 1}]
@@ -192,7 +192,7 @@ def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
     assert not list(table.parent.iterdir())
     folder.ticks(1, 1, rows)
     assert len(table.read_text().splitlines()) == 1001
-    with pytest.raises(ConfigError, match="already exists, and data of a participant is not overwritten"):
+    with pytest.raises(ConfigError, match="already exists, and data of participants is never overwritten"):
         folder.ticks(1, 1, rows)
 
 
@@ -261,7 +261,7 @@ def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
         (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
         (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be an integer from 1"),
-        (["figure", str(tmp_path)], "was this folder written by `softfinger experiment`"),
+        (["figure", str(tmp_path)], "check that `softfinger experiment` wrote this folder"),
     ):
         assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2
         assert message in capsys.readouterr().err

@@ -75,7 +75,7 @@ def test_practice_comes_first() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"task.reference": None}, "compare needs a reference"),
+        ({"task.reference": None}, "required for compare"),
         ({"procedure.kind": "stair"}, "did you mean 'staircase'"),
         ({"procedure.levels": []}, "constant needs levels"),
         ({"procedure.levels": 0.1}, "must be a list of 0 to 200 numbers above 0 and at most 1e"),
@@ -88,7 +88,7 @@ def test_practice_comes_first() -> None:
         ({"task.parameter": "object.chair.material.stiffness_n_per_m"}, "there is no object.chair"),
         ({"task.parameter": "mass.box"}, "the scene has no .world"),
         ({"task.parameter": "guard.force_max_n"}, "of the rig there are rig.guard"),
-        ({"task.parameter": "rig.guard.arm"}, "another start of the daemon"),
+        ({"task.parameter": "rig.guard.arm"}, "cannot change in a running daemon"),
         ({"factor.0.parameter": "rig.guard.force_max_n", "factor.0.levels": [1.0, -1.0]}, "guard.force_max_n = -1.0"),
         (
             {"rig": "touch", "factor.0.parameter": "rig.guard.continuous_force_n", "factor.0.levels": [0.5, 0.95]},
@@ -102,19 +102,19 @@ def test_practice_comes_first() -> None:
             {"task.parameter": "rig.guard.force_max_n", "task.reference": 40.5, "task.more": "down"},
             "guard.force_max_n = 40.5",
         ),
-        ({"task.parameter": "rig.servo.rate_hz"}, "another start of the daemon"),
+        ({"task.parameter": "rig.servo.rate_hz"}, "cannot change in a running daemon"),
         ({"task.scale": [1, 7]}, "only rate has a scale"),
         ({"task.kind": "rate", "task.reference": None, "task.scale": [7, 1]}, "the first mark, from 1"),
         ({"task.scale_ends": ["soft", "hard"]}, "requires scale"),
         ({"factor.0.levels": [-1.0, 0.0]}, "damping_ns_per_m = -1.0"),
-        ({"factor.0.scenes": {"a": "sphere"}}, "give one of parameter, scenes and values"),
+        ({"factor.0.scenes": {"a": "sphere"}}, "set one of parameter, scenes and values"),
         ({"rig": "omega-66"}, "did you mean"),
         ({"procedure.levels": [0.1, 0.2, 0.1]}, "has a level twice"),
         ({"observer.by": {"3.0": {"threshold": 0.1}}}, "no condition is called '3.0'.*; there are 0.0; 1.0; 2.0"),
         ({"observer.by": {"2.0": {"treshold": 0.1}}}, "did you mean 'threshold'"),
         ({"observer.by": {"2.0": {"threshold": -0.1}}}, "observer.by.2.0: threshold = -0.1: must be"),
         ({"motion": {"thumb": [[0.0, 0.0, 0.0, 0.0]]}}, "motion.thumb: no scene has this finger; there are fingertip"),
-        ({"motion": {"fingertip": [[3.0, 0.0, 0.0, 0.0]]}}, "ends at 3 s: make trial.touch_s as long"),
+        ({"motion": {"fingertip": [[3.0, 0.0, 0.0, 0.0]]}}, "ends at 3 s: set trial.touch_s to that"),
         ({"design.seed": -1}, "design.seed = -1"),
     ],
 )
@@ -142,5 +142,5 @@ def test_a_rating_stays_on_its_scale() -> None:
 
 def test_numbers_are_no_comparison() -> None:
     task = {"kind": "rate", "parameter": STIFFNESS, "question": "How stiff?"}
-    with pytest.raises(ConfigError, match="must be constant: a rate is not right or wrong"):
+    with pytest.raises(ConfigError, match="must be constant: answers of rate are not right or wrong"):
         Experiment(make_tables(task=task, procedure={"kind": "staircase"}))

@@ -88,7 +88,7 @@ def test_removal_keeps_foreign_and_edited_files(
     assert install("--remove") == 0
     output = capsys.readouterr().out
     assert set(content(root)) == {str(foreign.relative_to(root))} | ({UNIT, RECORD} if edited else set())
-    assert (f"edited, so not removed; remove it yourself: {root / UNIT}" in output) == edited
+    assert (f"edited, therefore not removed; remove it yourself: {root / UNIT}" in output) == edited
     if not edited:
         assert {path.name for path in root.rglob("*") if path.is_dir()} == {"etc", "udev", "rules.d"}
         return
@@ -115,7 +115,7 @@ def test_an_edited_file_remains_and_is_reported(
     assert install("--rig", "omega-6", "--scene", "sphere") == 0
     output = capsys.readouterr().out
     assert (root / RULES).read_text() == "# mine\n"
-    assert f"edited, so not replaced; move it away to get the new one: {root / RULES}" in output
+    assert f"edited, therefore not replaced; move it away to install the new one: {root / RULES}" in output
     assert f"renewed {root / UNIT}" in output
     assert "run --rig omega-6 --scene sphere\n" in (root / UNIT).read_text()
 
@@ -165,7 +165,7 @@ def test_without_permission_there_is_one_clear_line(root: Path, removes: bool) -
         os.seteuid(65534)
     try:
         ledger = Ledger(root, SYSTEM.record)
-        with pytest.raises(ConfigError, match=r"may not be changed by this user.*without --system") as caught:
+        with pytest.raises(ConfigError, match=r"may not be changed by this user.*omit --system") as caught:
             list(ledger.remove() if removes else ledger.write(files))
     finally:
         os.seteuid(user)

@@ -69,9 +69,6 @@ def test_a_column_that_is_sometimes_empty_is_skipped(tmp_path: Path) -> None:
     assert read_table(file, TableFormat(("t", "x", "y", "z", "-"))).position[:, 2].tolist() == [0.01, 0.02, 0.03, 0.04]
 
 
-DECIMAL_COMMA = ("0,004 0,1 0,2 0,3", "0,005 0,1 0,2 0,3")
-
-
 @pytest.mark.parametrize(
     ("text", "columns"),
     [
@@ -89,33 +86,6 @@ def test_dialects_of_spreadsheets(text: str, columns: str, tmp_path: Path) -> No
     assert main(["import", str(file), "--columns", columns, "--out", str(out)]) == 0
     poses = load_poses(out)
     assert poses.t.tolist() == [0.0, 0.1] and poses.position.tolist() == [[0.0, 0.0, 0.01]] * 2
-
-
-@pytest.mark.parametrize(
-    ("lines", "fault"),
-    [
-        ((*DECIMAL_COMMA, "0,006 0 0"), "line 3: 3 values where --columns has 4"),
-        (("0;0;0;0", "1,0,0,0"), "line 2: 1 value where --columns has 4"),
-        (("0 0 0 0", "1 0_2 0 0"), "column 'x': '0_2' is not a number; write a number such as"),
-        (("0|0|0|0",), "1 value where --columns has 4: separate them by commas, semicolons, tabs or blanks"),
-        (("0,0,0,1,0,0,0,2",), "8 values .*; decimal commas need semicolons, tabs or blanks"),
-        (("0;.;0;0",), r"'\.' is not a number"),
-    ],
-)
-def test_a_row_is_not_read_in_another_dialect(lines: tuple[str, ...], fault: str, tmp_path: Path) -> None:
-    """The first row sets the separator: splitting a decimal comma does not complete a row that lacks a value."""
-    file = tmp_path / "theirs.csv"
-    file.write_text("\n".join(lines))
-    with pytest.raises(RecordingError, match=fault):
-        read_table(file, TableFormat(("t", "x", "y", "z")))
-
-
-def test_an_empty_first_cell_is_not_a_comment(tmp_path: Path) -> None:
-    """A line that starts with ; is a comment unless it has a cell for each column."""
-    file = tmp_path / "theirs.csv"
-    file.write_bytes(b"\xef\xbb\xbf# made by hand\n; and here\n0;0;0;0,01\n;0;0;0,02\n")
-    with pytest.raises(RecordingError, match="line 4, column 't': the cell is empty"):
-        read_table(file, TableFormat(("t", "x", "y", "z")))
 
 
 def test_the_verb_writes_poses_for_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -166,6 +136,15 @@ def test_an_impossible_layout_is_refused(parts: tuple, fault: str) -> None:
         (b"0 0 0 0\r1 0 0 0\r", "line 1: has carriage returns: save it with line feeds"),
         (b"0,0,0,0\n1,,0,0\n", "line 2, column 'x': the cell is empty: fill it, or delete the line$"),
         (b"0 0 0 0\n1 0 0 1e9\n", "outside"),
+        # The first row sets the separator: splitting a decimal comma does not complete a row that lacks a value.
+        (b"0,004 0,1 0,2 0,3\n0,005 0,1 0,2 0,3\n0,006 0 0", "line 3: 3 values where --columns has 4"),
+        (b"0;0;0;0\n1,0,0,0", "line 2: 1 value where --columns has 4"),
+        (b"0 0 0 0\n1 0_2 0 0", "column 'x': '0_2' is not a number; write a number such as"),
+        (b"0|0|0|0", "1 value where --columns has 4: separate them by commas, semicolons, tabs or blanks"),
+        (b"0,0,0,1,0,0,0,2", "8 values .*; decimal commas need semicolons, tabs or blanks"),
+        (b"0;.;0;0", r"'\.' is not a number"),
+        # A line that starts with ; is a comment unless it has a cell for each column.
+        (b"\xef\xbb\xbf# made by hand\n; and here\n0;0;0;0,01\n;0;0;0,02\n", "line 4, column 't': the cell is empty"),
     ],
 )
 def test_a_file_that_is_no_such_table_is_refused_where_it_is_wrong(text: bytes, fault: str, tmp_path: Path) -> None:

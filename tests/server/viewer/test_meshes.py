@@ -60,7 +60,7 @@ def test_a_picture_is_unchanged_by_the_wire(tmp_path: Path) -> None:
     ("vertices", "triangles"), [(bytes(13), bytes(12)), (bytes(12), bytes(11)), (bytes(12), b"\x01" + bytes(11))]
 )
 def test_an_invalid_mesh_is_refused(vertices: bytes, triangles: bytes) -> None:
-    with pytest.raises(ValueError, match=r"buffer size|reshape|a triangle of vertex 1, and there are 1"):
+    with pytest.raises(ValueError, match=r"buffer size|reshape|a triangle has vertex 1, but there are 1"):
         decode_mesh(vertices, triangles)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import re
 import shlex
@@ -21,12 +20,11 @@ from urllib.request import url2pathname, urlopen
 
 import pytest
 from helpers.browser import browser, eventually, shown, why_none
-from helpers.called import called
 from helpers.processes import COMMAND, find_child
 from helpers.programs import Program
 
 from softfinger.server.viewer.door import process as of_page
-from softfinger.server.viewer.door.process import RESTARTS, log_address
+from softfinger.server.viewer.door.process import RESTARTS
 
 pytestmark = pytest.mark.real_time
 
@@ -144,19 +142,6 @@ def test_a_browser_opens_the_page_through_a_private_file(tmp_path: Path, monkeyp
         process.send_signal(signal.SIGINT)
         process.wait()
         assert not file.exists()
-
-
-def test_the_address_is_alone_on_its_line(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO):
-        log_address("http://localhost:8080/secret/")
-    assert caplog.messages[0].splitlines()[1:] == ["http://localhost:8080/secret/"]
-
-
-def test_run_without_a_page_names_the_option(caplog: pytest.LogCaptureFixture) -> None:
-    ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--realtime", "off"]
-    with caplog.at_level(logging.INFO):
-        assert called("run", *ends, "--duration", "0.01").returncode == 0
-    assert "--view opens a browser page" in caplog.messages[0]
 
 
 @pytest.mark.system

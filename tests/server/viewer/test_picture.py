@@ -323,35 +323,31 @@ def aim(to: np.ndarray) -> np.ndarray:
     return point
 
 
-def test_a_drag_moves_horizontally() -> None:
-    to = GRABBED + np.array([0.02, 0.01, 0.0])
-    target = drag_target(START, EYE, GRABBED, aim(to), "move", 0.01)
-    assert target is not None and target.orientation == glyphs.IDENTITY
-    np.testing.assert_allclose(target.position, START.position + np.array([0.02, 0.01, 0.0]), atol=1e-12)
+QUARTER = 0.5 * pi * 0.01
+"""A quarter circumference of the fingertip, m."""
 
 
-def test_a_drag_with_shift_presses_vertically() -> None:
-    target = drag_target(START, EYE, GRABBED, aim(GRABBED - (0.0, 0.0, 0.015)), "press", 0.01)
+@pytest.mark.parametrize(
+    ("moved", "gesture", "turn"),
+    [
+        ((0.02, 0.01, 0.0), "move", glyphs.IDENTITY),
+        ((0.0, 0.0, -0.015), "press", glyphs.IDENTITY),
+        ((QUARTER, 0.0, 0.0), "roll", (sqrt(0.5), 0.0, sqrt(0.5), 0.0)),  # about +y, as a ball without slip
+    ],
+)
+def test_a_drag_moves_presses_or_rolls(moved: Any, gesture: Any, turn: Any) -> None:
+    target = drag_target(START, EYE, GRABBED, aim(GRABBED + moved), gesture, 0.01)
     assert target is not None
-    np.testing.assert_allclose(target.position, START.position - (0.0, 0.0, 0.015), atol=1e-12)
-
-
-def test_a_drag_rolls_like_a_ball() -> None:
-    """A displacement of a quarter circumference along +x is a quarter turn about +y, without slip."""
-    distance = 0.5 * pi * 0.01
-    target = drag_target(START, EYE, GRABBED, aim(GRABBED + np.array([distance, 0.0, 0.0])), "roll", 0.01)
-    assert target is not None
-    np.testing.assert_allclose(target.position, START.position + np.array([distance, 0.0, 0.0]), atol=1e-12)
-    np.testing.assert_allclose(target.orientation, (sqrt(0.5), 0.0, sqrt(0.5), 0.0), atol=1e-9)
+    np.testing.assert_allclose(target.position, START.position + moved, atol=1e-12)
+    np.testing.assert_allclose(target.orientation, turn, atol=1e-9 if gesture == "roll" else 0.0)
 
 
 def test_a_nudge_moves_rolls_and_spins() -> None:
     on = nudge_target(START, Nudge(x=0.001, z=-0.002), 0.01)
     np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
     assert on.orientation == pytest.approx(glyphs.IDENTITY)
-    distance = 0.5 * pi * 0.01
-    by_mouse = drag_target(START, EYE, GRABBED, aim(GRABBED + np.array([0.0, distance, 0.0])), "roll", 0.01)
-    by_key = nudge_target(START, Nudge(roll_y=distance), 0.01)
+    by_mouse = drag_target(START, EYE, GRABBED, aim(GRABBED + np.array([0.0, QUARTER, 0.0])), "roll", 0.01)
+    by_key = nudge_target(START, Nudge(roll_y=QUARTER), 0.01)
     assert by_mouse is not None and by_key.orientation == pytest.approx(by_mouse.orientation)
     np.testing.assert_allclose(by_key.position, by_mouse.position, atol=1e-12)
     spun = nudge_target(START, Nudge(spin=0.5 * pi), 0.01)

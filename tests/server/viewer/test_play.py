@@ -113,7 +113,7 @@ def _is_resting(client: Client) -> bool:
 def test_lifting_a_box_needs_two_fingers(screen: Screen) -> None:
     screen.tab("Hand")
     screen.page.get_by_role("button", name="lift a box", exact=True).click()
-    assert eventually(lambda: screen.shows("it takes two fingers and a box"))
+    assert eventually(lambda: screen.shows("this needs two fingers and a box"))
     assert screen.shows("run --scene lift-a-box --view")
 
 

@@ -148,7 +148,7 @@ def test_a_page_follows_its_daemon(page: Page, live: LivePage, endpoints: tuple[
     live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
     assert step_until(live, lambda: "Not done:" in page.refusal and "stiffness_n_per_m" in page.refusal)
     live._lead_hand("", None)
-    assert step_until(live, lambda: "no program leads the hand on replay" in page.refusal)
+    assert step_until(live, lambda: "has no hand that a program can move" in page.refusal)
     live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": 1000.0})
     assert step_until(live, lambda: knob.value == 1000.0)
 

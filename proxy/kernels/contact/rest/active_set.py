@@ -66,12 +66,12 @@ def add_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, ne
 
     near  result of `deepest` at `center`
     """
-    gap, at, left = near
+    gap, at, remaining = near
     one, two, three = active
     if gap > radius * (1.0 + INSIDE) or three.body >= 0.0 or at == one.body or at == two.body:
-        return active, left
-    _, _, normal, left = closest_to_within(objects, at, center, left)
-    return add_constraint(active, at, normal), left
+        return active, remaining
+    _, _, normal, remaining = closest_to_within(objects, at, center, remaining)
+    return add_constraint(active, at, normal), remaining
 
 
 @jit

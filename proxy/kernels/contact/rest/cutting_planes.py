@@ -125,8 +125,10 @@ def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlan
     if three.body >= 0.0:
         count, n3 = 3, three.normal
         b3 = three.offset + lift - vec3.dot(n3, probe)
-    held = solve_half_spaces(count, one.normal, n2, n3, b1, b2, b3)
-    return CuttingPlanes(one, two, three, vec3.add(probe, vec3.weighted_sum(held.place, one.normal, n2, n3)), held.push)
+    solution = solve_half_spaces(count, one.normal, n2, n3, b1, b2, b3)
+    return CuttingPlanes(
+        one, two, three, vec3.add(probe, vec3.weighted_sum(solution.place, one.normal, n2, n3)), solution.push
+    )
 
 
 @jit

@@ -78,10 +78,10 @@ def settle_by_search(
 
 @settle_by_search.of(WITH_HEIGHTMAP)
 def settle_in_steps(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, remaining: int
 ) -> Rest:
     rest, target, constraints = Rest(center, active, True, 0), probe, active
-    for budget in (3 * left // 4, left // 4):
+    for budget in (3 * remaining // 4, remaining // 4):
         goal = vec3.add(target, displacement_of(constraints))
         if is_safe_step(center, goal, radius):
             rest = settle_for(objects, radius, target, start, center, constraints, budget)
@@ -138,47 +138,49 @@ def settle_on_facets(
 
 @settle_by_search.of(SINGLE_POINT)
 def settle_for(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, left: int
+    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, remaining: int
 ) -> Rest:
-    """Settle the proxy in one step, with the remaining budget `left`; see `settle_among_several`."""
+    """Settle the proxy in one step, with the remaining budget `remaining`; see `settle_among_several`."""
     is_creased = any_creases(objects)
     rounds = SLIDING_ROUNDS if is_creased else ROUNDS
     last_center, last_active = center, active
     goal = vec3.add(probe, displacement_of(active))
     for _ in range(4):
-        hit, stop, left = first_hit(objects, start, goal, radius, True, active_objects(active), left)
+        hit, stop, remaining = first_hit(objects, start, goal, radius, True, active_objects(active), remaining)
         if hit < 0.0:
             break
-        _, point, normal, left = closest_to_within(objects, hit, stop, left)
+        _, point, normal, remaining = closest_to_within(objects, hit, stop, remaining)
         if count_of(active) == 3:
             # Already three constraints: stop at the fourth, and continue in the next tick.
             goal = stop
             break
         active = add_constraint(active, hit, normal)
-        goal, active, _, left = project_until_rest(
-            objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, left
+        goal, active, _, remaining = project_until_rest(
+            objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, remaining
         )
     center = goal
     if not is_creased:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
-        near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), left)
-        active, left = add_touched(objects, radius, goal, active, near)
-    is_clear, lift, budget = False, 0.0, left
+        near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), remaining)
+        active, remaining = add_touched(objects, radius, goal, active, near)
+    is_clear, lift, budget = False, 0.0, remaining
     for attempt in range(ATTEMPTS_ON_MANY if is_creased else ATTEMPTS):
-        center, active, _, left = project_until_rest(objects, radius + lift, probe, center, active, rounds, left)
+        center, active, _, remaining = project_until_rest(
+            objects, radius + lift, probe, center, active, rounds, remaining
+        )
         if is_creased and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
-        gap, at, left = deepest(objects, center, radius, active_objects(active), left)
+        gap, at, remaining = deepest(objects, center, radius, active_objects(active), remaining)
         if gap >= radius * (1.0 - INSIDE):
             is_clear = True
             break
-        if left < 0:
+        if remaining < 0:
             break
-        if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * left < 3 * budget):
+        if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * remaining < 3 * budget):
             lift = 2.0 * (radius - gap)
         is_new = at != active[0].body and at != active[1].body and at != active[2].body
         if is_new or is_creased:
-            _, _, normal, left = closest_to_within(objects, at, center, left)
+            _, _, normal, remaining = closest_to_within(objects, at, center, remaining)
             if is_new or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
                 if count_of(active) == 3:
                     active = drop_weakest(active)
@@ -186,14 +188,14 @@ def settle_for(
     late = not is_clear
     if not is_clear:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
-        gap, _, left = deepest(objects, last_center, radius, active_objects(last_active), left)
-        late = gap >= radius * (1.0 - INSIDE) or left < 0 or not leaves_no_room(active)
+        gap, _, remaining = deepest(objects, last_center, radius, active_objects(last_active), remaining)
+        late = gap >= radius * (1.0 - INSIDE) or remaining < 0 or not leaves_no_room(active)
         if late:
             center = last_center
-            _, active, _, left = project_until_rest(objects, radius, probe, last_center, last_active, 1, left)
+            _, active, _, remaining = project_until_rest(objects, radius, probe, last_center, last_active, 1, remaining)
     if is_creased:
         active = merge_support_points(active)
-    return Rest(center, sort_by_load(objects, active), late, left)
+    return Rest(center, sort_by_load(objects, active), late, remaining)
 
 
 @jit

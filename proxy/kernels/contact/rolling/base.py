@@ -74,8 +74,8 @@ def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3,
 
 
 @by_type_with_default
-def shape_before(shape: Any, w: Vec3, left: float) -> Any:
-    """Return the shape at the time when the fraction `left` of the tick's rotation vector `w` (3,) rad remains."""
+def shape_before(shape: Any, w: Vec3, remaining: float) -> Any:
+    """Return the shape at the time when the fraction `remaining` of the tick's rotation vector `w` (3,) rad remains."""
     return shape
 
 
@@ -101,8 +101,8 @@ def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> float:
 
 
 @shape_before.of(MinkowskiSum)
-def reduce_turn(shape: MinkowskiSum, w: Vec3, left: float) -> MinkowskiSum:
-    back = rotations.exp(vec3.scale(-left, w))
+def reduce_turn(shape: MinkowskiSum, w: Vec3, remaining: float) -> MinkowskiSum:
+    back = rotations.exp(vec3.scale(-remaining, w))
     return MinkowskiSum(shape.shape, shape.semi_axes, rotations.multiply(back, shape.orientation), shape.radius)
 
 

@@ -64,19 +64,19 @@ def roll_montana_rk4(
     w = rotations.log(turn)
     point, n, moved = center, normal, (0.0, 0.0, 0.0)
     start_point = vec3.add_scaled(center, -radius, normal)
-    spin, length, tilted, left = 0.0, 0.0, 0.0, 1.0
+    spin, length, tilted, remaining = 0.0, 0.0, 0.0, 1.0
     # A loop instead of four explicit stages: the query of the closest point is compiled only once.
     for stage in range(4):
         weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
-        slope = center_velocity(shape_before(shape, w, left), radius, w, n)
+        slope = center_velocity(shape_before(shape, w, remaining), radius, w, n)
         moved = vec3.add_scaled(moved, weight, slope)
         spin += weight * vec3.dot(w, n)
         length += weight * surface_part(shape, slope, n)
         tilted += weight * vec3.norm(vec3.cross(w, n))
         ahead = moved if stage == 3 else vec3.scale(1.0 if stage == 2 else 0.5, slope)
-        left = 0.5 if stage < 2 else 0.0
+        remaining = 0.5 if stage < 2 else 0.0
         _, point, n, _ = closest_from(
-            shape_before(shape, w, left), vec3.add(center, ahead), start_point, BUDGET_OF_A_ROLL
+            shape_before(shape, w, remaining), vec3.add(center, ahead), start_point, BUDGET_OF_A_ROLL
         )
     end = vec3.add_scaled(point, radius, n)
     motion = unroll_displacement(moved, n, length)
@@ -131,33 +131,33 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
     remaining time divided by the remaining trials, and at this length it is accepted with any error. On a shape whose
     queries have a budget, the integration may end early (`Roll.whole`).
     """
-    n, motion, spin, tilted, left, h = normal, (0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 1.0
+    n, motion, spin, tilted, remaining, h = normal, (0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 1.0
     allowed, budget = tolerance * radius, BUDGET_OF_A_ROLL
     k1 = center_velocity(shape_before(shape, w, 1.0), radius, w, n)
     for trial in range(MAX_TRIALS):
         begun = vec3.add_scaled(center, -radius, n)
-        shortest = left / (MAX_TRIALS - trial) if trial >= MAX_TRIALS // 2 else 0.0
-        h = min(max(h, shortest), left)
-        then = shape_before(shape, w, left - 1 / 5 * h)
+        shortest = remaining / (MAX_TRIALS - trial) if trial >= MAX_TRIALS // 2 else 0.0
+        h = min(max(h, shortest), remaining)
+        then = shape_before(shape, w, remaining - 1 / 5 * h)
         _, n2, budget = foot(then, vec3.add_scaled(center, h / 5, k1), begun, budget)
         k2 = center_velocity(then, radius, w, n2)
         slope = combine(3 / 40, k1, 9 / 40, k2)
-        then = shape_before(shape, w, left - 3 / 10 * h)
+        then = shape_before(shape, w, remaining - 3 / 10 * h)
         _, n3, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k3 = center_velocity(then, radius, w, n3)
         slope = vec3.add_scaled(combine(44 / 45, k1, -56 / 15, k2), 32 / 9, k3)
-        then = shape_before(shape, w, left - 4 / 5 * h)
+        then = shape_before(shape, w, remaining - 4 / 5 * h)
         _, n4, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k4 = center_velocity(then, radius, w, n4)
         slope = vec3.add(
             combine(19372 / 6561, k1, -25360 / 2187, k2), combine(64448 / 6561, k3, -212 / 729, k4)
         )  # fmt: skip
-        then = shape_before(shape, w, left - 8 / 9 * h)
+        then = shape_before(shape, w, remaining - 8 / 9 * h)
         _, n5, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k5 = center_velocity(then, radius, w, n5)
         slope = vec3.add(combine(9017 / 3168, k1, -355 / 33, k2), combine(46732 / 5247, k3, 49 / 176, k4))
         slope = vec3.add_scaled(slope, -5103 / 18656, k5)
-        then = shape_before(shape, w, left - h)
+        then = shape_before(shape, w, remaining - h)
         _, n6, budget = foot(then, vec3.add_scaled(center, h, slope), begun, budget)
         k6 = center_velocity(then, radius, w, n6)
         slope = vec3.add(combine(35 / 384, k1, 500 / 1113, k3), combine(125 / 192, k4, -2187 / 6784, k5))
@@ -176,8 +176,8 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
             spin, tilted = spin + h * rate, tilted + h * tilt
             motion = vec3.add(transport(shape, motion, n, n7), unroll_displacement(slope, n7, h * length))
             center, n, k1 = end, n7, k7
-            left -= h
-            if left <= 0.0:
+            remaining -= h
+            if remaining <= 0.0:
                 break
         # Error ~ h^5 for a fifth-order rule; a zero error, as on a plane, allows the longest step.
         h *= min(max(0.9 * (allowed / error) ** 0.2, 0.2), 5.0) if error > 0.0 else 5.0

@@ -92,7 +92,7 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
     z, n = min(max(center[2], -shape.half_length), shape.half_length), normal
     if cap == 0.0:
         _, n = direction((n[0], n[1], 0.0), normal)
-    motion, spin, left = (0.0, 0.0, 0.0), 0.0, 1.0
+    motion, spin, remaining = (0.0, 0.0, 0.0), 0.0, 1.0
     for _ in range(MAX_PIECES):
         time, to = 0.0, 0.0
         if cap == 0.0:
@@ -101,7 +101,7 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
             sign, turning = cap * outward, vec3.cross(w, n)
             bend = share * share * vec3.cross(w, turning)[2]
             time = leaving_time(sign * n[2], sign * share * turning[2], sign * bend, abs(share) * vec3.norm(w))
-        part = vec3.scale(min(time, left), w)
+        part = vec3.scale(min(time, remaining), w)
         before = n
         if cap == 0.0:
             n, moved, twist = roll_over_cylinder(radius, share, axis, n, part)
@@ -109,9 +109,9 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
         else:
             n, moved, twist = roll_over_sphere(radius, share, n, part)
         motion, spin = vec3.add(transport(shape, motion, before, n), moved), spin + twist
-        if time >= left:
+        if time >= remaining:
             break
-        left -= time
+        remaining -= time
         z, cap = (to * shape.half_length, to) if cap == 0.0 else (z, 0.0)
         _, n = direction((n[0], n[1], 0.0), n)
     end = vec3.add_scaled((0.0, 0.0, cap * shape.half_length if cap != 0.0 else z), distance, n)
@@ -167,10 +167,10 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
         1.0 if n[1] > 0.0 else (-1.0 if n[1] < 0.0 else 0.0),
         1.0 if n[2] > 0.0 else (-1.0 if n[2] < 0.0 else 0.0),
     )
-    motion, spin, left = (0.0, 0.0, 0.0), 0.0, 1.0
+    motion, spin, remaining = (0.0, 0.0, 0.0), 0.0, 1.0
     for _ in range(MAX_PIECES):
         time, axis, side = box_pieces(h, radius, point, sides, n, w)
-        part = vec3.scale(min(time, left), w)
+        part = vec3.scale(min(time, remaining), w)
         clamped = abs(sides[0]) + abs(sides[1]) + abs(sides[2])
         before = n
         if clamped > 2.5:
@@ -183,9 +183,9 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
             moved, twist = vec3.scale(radius, vec3.cross(part, n)), vec3.dot(part, n)
             point = vec3.add(point, moved)
         motion, spin = vec3.add(transport(shape, motion, before, n), moved), spin + twist
-        if time >= left:
+        if time >= remaining:
             break
-        left -= time
+        remaining -= time
         if side == 0.0:
             _, n = direction(with_item(n, axis, 0.0), n)
         else:

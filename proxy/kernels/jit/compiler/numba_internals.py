@@ -183,8 +183,8 @@ def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | 
         if body is None:
             return None
         try:
-            kept, calls, reduced = pickle.loads(body)
-            if key is not None and kept != key:
+            cached_key, calls, reduced = pickle.loads(body)
+            if key is not None and cached_key != key:
                 return None
             units = [each for each in calls if each.startswith(UNIT)]
             if not all(_linked(folder, each, target_context) for each in units):

@@ -215,23 +215,23 @@ def meets_heightmap(
     if leaves and length <= short:
         return NO_HIT, 0.0, budget
     near = gap_within(shape, start, radius + length, budget // 2)
-    left, rest = remaining_budget(budget // 2, near.whole, near.spent), remaining_budget(budget, True, near.spent)
+    remaining, rest = remaining_budget(budget // 2, near.whole, near.spent), remaining_budget(budget, True, near.spent)
     clearance, touching, share = near.gap - radius, TOUCHING * radius, 0.0
     if clearance >= length:
         return NO_HIT, 0.0, rest
     begun = min(clearance, 0.0) if leaves else 0.0
     for _ in range(ADVANCES if clearance > touching else 0):
-        if left < 0:
+        if remaining < 0:
             break
         share += clearance / length
         if share >= 1.0:
             return NO_HIT, 0.0, rest
-        near = gap_within(shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, left)
-        left, rest = remaining_budget(left, near.whole, near.spent), remaining_budget(rest, True, near.spent)
+        near = gap_within(shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, remaining)
+        remaining, rest = remaining_budget(remaining, near.whole, near.spent), remaining_budget(rest, True, near.spent)
         clearance = near.gap - radius
-        if left >= 0 and clearance <= touching:
+        if remaining >= 0 and clearance <= touching:
             return share, 0.0, rest
-    if left < 0 and length > short:
+    if remaining < 0 and length > short:
         return share, 0.0, rest
     # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
     near = gap_within(shape, end, radius, min(rest, END_BUDGET))

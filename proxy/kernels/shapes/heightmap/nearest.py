@@ -253,8 +253,8 @@ def make_consistent(x: Vec3, near: TouchedPoint) -> tuple[float, Vec3, Vec3]:
 
 @closest_or_bound.of(Heightmap)
 def closest_or_bound_of_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
-    gap, point, normal, left = closest_within(shape, x, BUDGET)
-    return gap, point, normal, 1.0 if left < 0 else 0.0
+    gap, point, normal, remaining = closest_within(shape, x, BUDGET)
+    return gap, point, normal, 1.0 if remaining < 0 else 0.0
 
 
 @closest_within.of(Heightmap)

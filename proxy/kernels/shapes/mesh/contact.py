@@ -61,13 +61,13 @@ def nearest_facet(
     result = nearest(mesh, x, within, known, max(budget, 0), enough)
     if result.bound < result.square:
         return sqrt(result.bound), float(result.number), SPENT
-    left = SPENT if budget < 0 else max(budget - result.spent, 0)
+    remaining = SPENT if budget < 0 else max(budget - result.spent, 0)
     if result.number < 0:
-        return 1e300, -1.0, left
+        return 1e300, -1.0, remaining
     gap = sqrt(result.square)
     if within >= ANYWHERE:
         gap, _, _ = closest_on_triangle(mesh, float(result.number), x)
-    return gap, float(result.number), left
+    return gap, float(result.number), remaining
 
 
 @jit
@@ -105,8 +105,8 @@ def travel_to_facet(
         gap, number, budget = nearest_facet(shape, end, radius, NO_TRIANGLE, budget, 0.0)
         if number < 0.0 or gap >= radius:
             return NO_HIT, 0.0, budget
-        share, left = last_outside(shape, start, path, radius, budget)
-        return share, number, left
+        share, remaining = last_outside(shape, start, path, radius, budget)
+        return share, number, remaining
     moved, outside, number = 0.0, 0.0, -1.0
     for _ in range(STRIDES):
         moved = min(moved, length)
@@ -159,8 +159,8 @@ def is_a_facet(shape: Facet) -> float:
 @nearest_of_shape.of(Mesh)
 def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     enough = ENOUGH * within if within < EVERYWHERE else 0.0
-    gap, number, left = nearest_facet(shape, x, within, known, budget, enough)
-    return Deepest(gap, number, left)
+    gap, number, remaining = nearest_facet(shape, x, within, known, budget, enough)
+    return Deepest(gap, number, remaining)
 
 
 @neighbour_of.of(Facet)

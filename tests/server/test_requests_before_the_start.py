@@ -1,0 +1,62 @@
+"""Requests that arrive while the daemon starts, for example while it compiles: they are answered once it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+from helpers.faulty_device import FaultyDevice, registered
+from helpers.pressed import pressed_scene
+from helpers.waits import WAIT_S, eventually
+
+from softfinger.config.load import load_rig
+from softfinger.server.app import Daemon
+
+pytestmark = pytest.mark.real_time
+
+REQUESTS: dict[str, dict[str, Any]] = {"mark": {"label": "early"}, "describe": {}, "get_state": {}, "disarm": {}}
+
+
+@contextmanager
+def starting(folder: Path, requests: dict[str, dict[str, Any]]) -> Iterator[tuple[Daemon, dict[str, bool]]]:
+    """Send requests to a daemon, then start it; yield it, and the success of each request."""
+    changes = {"device.driver": "faulty", "telemetry.endpoint": f"ipc://{folder}/telemetry"}
+    rig = load_rig("replay", changes | {"servo.realtime": "off", "guard.ramp_s": 0.01})
+    with Daemon(rig, pressed_scene(), scene_name="pressed") as daemon, zmq.Context() as context:
+        with context.socket(zmq.DEALER) as client:
+            client.linger = 0
+            client.connect(daemon.commands_endpoint)
+            for method, params in requests.items():
+                client.send_multipart([b"", msgpack.packb({"command_id": method, "method": method, "params": params})])
+            assert not client.poll(500)  # they have arrived
+            daemon.start()
+            answers = dict[str, bool]()
+            while len(answers) < len(requests) and client.poll(1000.0 * WAIT_S):
+                answer = msgpack.unpackb(client.recv_multipart()[1])
+                answers[answer["command_id"]] = answer["success"]
+        yield daemon, answers
+        daemon.stop()
+        assert daemon.wait(WAIT_S)
+        (device,) = daemon.devices
+        assert isinstance(device, FaultyDevice)
+        assert not device.wrenches.any()
+
+
+def test_requests_before_the_start_are_answered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    registered(monkeypatch)
+    with starting(tmp_path, REQUESTS) as (daemon, answers):
+        assert answers.keys() == REQUESTS.keys()
+        assert answers["mark"] and answers["describe"] and answers["disarm"]
+        assert eventually(lambda: daemon.servo.ticks > 300)  # the ramp takes 10
+
+
+def test_a_stop_before_the_start_ends_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    registered(monkeypatch)
+    with starting(tmp_path, {"stop": {}}) as (daemon, answers):
+        assert answers == {"stop": True}
+        assert daemon.wait(WAIT_S)

@@ -1,0 +1,121 @@
+"""`bench`: what each measurement reports on small cases; times are not asserted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.browser import why_none
+
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import load_rig, load_scene
+from softfinger.server.cli import main
+from softfinger.tools.bench.commands import FORCE_N, count_torn
+from softfinger.tools.bench.loop import devices_of
+from softfinger.tools.bench.view import TurnResult, summary
+
+
+def measured(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
+    assert main(["bench", *words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.exhaustive
+def test_meshes_of_small_balls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--levels", "3", "--ticks", "1000", "--paced", "1000", "--plot", str(tmp_path / "cost.png")]
+    rows = measured(capsys, "mesh", *words)["rows"]
+    assert [(row["triangles"], row["bumpy"]) for row in rows] == [(1280, False), (1280, True)]
+    for row in rows:
+        assert row["distance_error_m"] < 1e-9 * 0.1
+        assert 1.0 <= row["asked"]["p50"] <= row["asked"]["max"] < 1280
+    assert (tmp_path / "cost.png").stat().st_size > 1000
+
+
+@pytest.mark.exhaustive
+def test_simulate_is_timed_in_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each format has a time and the ratio to real time that follows from it; a figure is drawn; no file remains."""
+    folder, drawing = tmp_path / "files", tmp_path / "times.svg"
+    folder.mkdir()
+    words = ["--ticks", "2000", "--rounds", "1", "--folder", str(folder), "--plot", str(drawing)]
+    rows = measured(capsys, "simulate", *words)["formats"]
+    assert [row["format"] for row in rows] == ["csv", "npz", "mcap"]
+    for row in rows:
+        assert row["times_real_time"] * row["seconds"] == pytest.approx(2.0)
+        assert 0.0 < row["seconds"] <= row["median_seconds"]
+        assert row["cpu_s"] > 0.0
+    assert drawing.stat().st_size > 0
+    assert not list(folder.iterdir())
+
+
+def test_a_scene_that_one_recording_cannot_run_on_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "simulate", "--ticks", "1000", "--scene", "pinch"]) == 2
+    assert "poses of" in capsys.readouterr().err
+
+
+@pytest.mark.real_time
+def test_commands_are_all_seen_and_none_torn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The force returns after each change of scene, no faster than the guard allows."""
+    drawing = tmp_path / "memory.svg"
+    words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing)]
+    content = measured(capsys, "commands", *words)
+    assert content["set_params"] == 100
+    assert content["ticks"] > 500
+    assert 50 < content["changes_felt"] <= 100  # of two within a tick, which a stall of the machine makes, one is felt
+    assert content["torn"] == 0
+    assert content["largest_step_n"] <= content["slew_n"] * (1.0 + 1e-9)  # rounding of the sum that makes a step
+    assert content["largest_step_n"] > 0.0
+    assert len(content["resident_mb"]) == 1
+    assert drawing.stat().st_size > 0
+
+
+def test_a_torn_parameter_set_is_detected() -> None:
+    """Stiffness and force of two pairs give another sum; ticks changed by the guard do not count."""
+    rows = np.zeros((4, 6))
+    rows[:, 2] = [FORCE_N, 1.0 + 1.5, FORCE_N, 0.5]
+    rows[3, 3] = 2.0
+    assert count_torn(rows) == 1
+
+
+@pytest.mark.real_time
+@pytest.mark.exhaustive
+@pytest.mark.skipif(bool(why_none()), reason=why_none())
+def test_view_measures_every_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ticks went on in all; a viewer has used a processor, a page has drawn; a figure is there."""
+    drawing = tmp_path / "late.svg"
+    words = ["--viewers", "2", "--browsers", "1", "--seconds", "1", "--plot", str(drawing)]
+    cases = measured(capsys, "view", *words)["cases"]
+    assert list(cases) == ["no viewer", "1 viewer", "2 viewers", "1 page"]
+    assert all(case["ticks"] > 100 for case in cases.values())
+    assert cases["no viewer"]["viewer_load"] == 0.0 < cases["1 viewer"]["viewer_load"]
+    assert [case["frames_per_s"] is None for case in cases.values()] == [True, True, True, False]
+    assert cases["1 page"]["frames_per_s"]["least"] > 0.0
+    assert drawing.stat().st_size > 0
+
+
+@pytest.mark.real_time
+def test_a_page_that_cannot_be_opened_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No viewers at all are no measurement, and pages need a Chromium."""
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert main(["bench", "view", "--browsers", "1"]) == ConfigError.exit_code
+    assert main(["bench", "view", "--viewers", "0"]) == ConfigError.exit_code
+
+
+def test_misses_are_counted_among_the_ticks_that_were_due() -> None:
+    """Of two turns with 2 misses each and 3 ticks each, 4 of 10 were missed; frames are the least and the median."""
+    ticks = np.array([[1e-5, 1e-4, 5.0], [1e-5, 1e-4, 5.0], [1e-5, 1e-4, 7.0]])
+    result = summary([TurnResult(ticks, 0.1, [20.0, 40.0]), TurnResult(ticks, 0.3, [30.0])])
+    assert result["missed_of_1000"] == pytest.approx(400.0)
+    assert result["viewer_load"] == pytest.approx(0.2)
+    assert result["frames_per_s"] == {"least": 20.0, "median": 30.0}
+
+
+@pytest.mark.plain
+def test_each_finger_has_the_device_of_its_own_hand() -> None:
+    scene = load_scene("lift-a-box")
+    with devices_of(load_rig("simulated-lift-a-box"), scene) as (thumb, index):
+        assert thumb is not index and thumb.info.name == index.info.name == "simulated omega.6"
+    with devices_of(load_rig("replay"), scene) as (thumb, index):
+        assert thumb is index
