@@ -67,6 +67,10 @@ def along_z(values) -> np.ndarray:
     return np.column_stack([np.zeros_like(values), np.zeros_like(values), values])
 
 
+def moving(v: float) -> PlantState:
+    return make_rest_state((0.0, 0.0, 0.0))._replace(velocity=(0.0, 0.0, v))
+
+
 @pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
 def test_free_mass_under_constant_force(period):
     mass, force = np.array([0.1, 0.3, 2.0]), np.array([1.0, -2.0, 0.5])
@@ -74,6 +78,14 @@ def test_free_mass_under_constant_force(period):
     t = period * np.arange(1, 501)[:, None]
     np.testing.assert_allclose(trip.x, force * t**2 / 2.0 / mass, rtol=1e-13)  # 500 additions
     np.testing.assert_allclose(trip.v, force * t / mass, rtol=1e-13)
+
+
+def test_damped_mass_runs_down():
+    for b in (0.5, 5.0, 8000.0):
+        trip = Journey(make_plant(T, Handle((0.2,) * 3, (b,) * 3)), np.zeros((200, 3)), start=moving(0.3))
+        t = T * np.arange(1, 201)
+        np.testing.assert_allclose(trip.v[:, 2], 0.3 * np.exp(-b * t / 0.2), rtol=1e-11, atol=FLUSH_MAX)
+        np.testing.assert_allclose(trip.x[:, 2], -0.3 * 0.2 / b * np.expm1(-b * t / 0.2), rtol=1e-12)
 
 
 def test_hand_spring_swings_at_its_frequency():
@@ -86,6 +98,16 @@ def test_hand_spring_swings_at_its_frequency():
     t = T * np.arange(1, 2001)
     expected = x0 * np.exp(-decay * t) * (np.cos(w * t) + decay / w * np.sin(w * t))
     np.testing.assert_allclose(trip.x[:, 2], expected, atol=1e-12 * x0)  # 2000 steps, each rounded once
+
+
+def test_lag_is_of_first_order():
+    m, tau, f = 0.2, 0.004, 2.0
+    trip = Journey(make_plant(T, Handle((m,) * 3, lag=tau)), along_z(np.full(300, f)))
+    t = T * np.arange(1, 301)
+    np.testing.assert_allclose(trip.force[:, 2], -f * np.expm1(-t / tau), rtol=1e-12)
+    np.testing.assert_allclose(trip.v[:, 2], f / m * (t + tau * np.expm1(-t / tau)), rtol=1e-10)
+    x = f / m * (t**2 / 2.0 - tau * t - tau**2 * np.expm1(-t / tau))
+    np.testing.assert_allclose(trip.x[:, 2], x, rtol=1e-9)  # the closed form itself loses digits at small t
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 7, DELAY_MAX])
