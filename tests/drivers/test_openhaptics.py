@@ -7,6 +7,7 @@ import ctypes
 import json
 import re
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -305,6 +306,26 @@ def test_a_device_that_usb_does_not_list_is_identified(
 
 
 # --- callback ---
+
+
+def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, bench: TouchBench) -> None:
+    age_s = 0.02
+    with bench.open(force_age_max_s=age_s) as device:
+        servo = Servo(device)
+        apply_force(servo, bench, (1.0, 0.0, 0.0))
+        wrote = time.monotonic_ns()
+        servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        until(lambda: not any(bench.displayed()))
+        rows = hd.journal()
+        rows = rows[rows["ns"] > wrote]
+        with_force = np.flatnonzero(rows["force"][:, 0])
+        last = with_force[-1]
+        assert rows["ns"][last] - wrote < age_s * 1e9 + (rows["ns"][last + 1] - rows["ns"][last]) + 2e6
+        lapses = device.counts()["lapses"]
+        assert lapses >= 1
+        assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert not any(bench.displayed())
+        apply_force(servo, bench, (0.5, 0.0, 0.0))
 
 
 def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
