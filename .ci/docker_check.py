@@ -1,13 +1,12 @@
-"""Run the Dockerfile's steps without Docker, in a scratch folder that stands in for `/`.
+"""Run the steps of the Dockerfile without Docker, in a temporary folder instead of `/`.
 
-Every RUN is executed with the paths the image owns moved under the scratch folder, every COPY is
-done with .dockerignore obeyed, and COPY --from goes through a tar archive with whole-second times,
-as an image layer does, after which everything else of the builder is deleted: what the final image
-forgot to copy is missing here too. Then the health check must fail, the image's command must run,
-the health check must pass, and the run must add nothing to the kernels compiled ahead.
+Each RUN is executed with the image's paths moved into the temporary folder. Each COPY respects .dockerignore.
+COPY --from uses a tar archive with times in whole seconds, like an image layer, and deletes all other files of
+the builder, so files that the final image does not copy are also missing here. Then the health check must fail,
+the image's command must run, the health check must pass, and the run must not add compiled kernels.
 
-Not covered: the base image (the interpreter that runs this file stands in for it), installing
-Debian packages, and the change of user.
+Not covered: the base image (the interpreter of this file replaces it), the installation of Debian packages, and
+the change of user.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ SYSTEM_STEPS = ("apt-get", "useradd")
 
 
 def instructions(text: str) -> list[tuple[str, str]]:
-    """Instructions of a Dockerfile as (name, rest), continued lines joined."""
+    """Return the instructions of a Dockerfile as (name, arguments), with continued lines joined."""
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     joined = "\n".join(lines).replace("\\\n", " ").splitlines()
     return [(name, rest.strip()) for name, _, rest in (line.partition(" ") for line in joined)]
 
 
 def allowed_in_context(name: str) -> bool:
-    """Whether .dockerignore (everything but the `!` lines) lets this top-level name into the build."""
+    """Return True if .dockerignore has an exception (`!`) for this top-level name."""
     rules = (SOURCE / ".dockerignore").read_text().splitlines()
     return f"!{name}" in rules
 
@@ -46,7 +45,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 
 
 class Image:
-    """The state a Dockerfile builds up: files under `root`, environment, working folder."""
+    """State of a build: files in `root`, environment, working folder."""
 
     def __init__(self, root: Path, base: Path) -> None:
         self.root, self.base = root, base
@@ -95,11 +94,11 @@ class Image:
             if source.is_dir():
                 shutil.copytree(source, to, ignore=shutil.ignore_patterns("__pycache__"))
             else:
-                to.mkdir(parents=True, exist_ok=True)  # a target ends with /
+                to.mkdir(parents=True, exist_ok=True)  # targets end with /
                 shutil.copy2(source, to / source.name)
 
     def step(self, name: str, rest: str) -> None:
-        """Carry out one instruction."""
+        """Execute one instruction."""
         print(f"docker-check: {name} {rest[:100]}", flush=True)
         if name == "FROM":
             self.start_stage()
@@ -120,7 +119,7 @@ class Image:
 
 
 def check_command(image: Image, steps: list[tuple[str, str]]) -> None:
-    """Run ENTRYPOINT and CMD beside the health check; nothing may be compiled again."""
+    """Run ENTRYPOINT and CMD with the health check; no kernel may be compiled again."""
     last = dict(steps)
     command = json.loads(last["ENTRYPOINT"]) + json.loads(last["CMD"]) + ["--realtime", "off"]
     health = json.loads(last["HEALTHCHECK"].partition("CMD ")[2])
@@ -134,7 +133,7 @@ def check_command(image: Image, steps: list[tuple[str, str]]) -> None:
     daemon = subprocess.Popen([program, *command[1:]], cwd=image.workdir, env=image.env)
     try:
         healthy = image.run(health) == 0
-        daemon.send_signal(signal.SIGTERM)  # what `docker stop` sends
+        daemon.send_signal(signal.SIGTERM)  # as `docker stop`
         code = daemon.wait(10.0)
     finally:
         daemon.kill()

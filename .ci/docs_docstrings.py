@@ -1,4 +1,4 @@
-"""For mkdocstrings: our docstrings as Markdown, where columns and examples would flow together."""
+"""mkdocstrings extension: convert columns and examples of docstrings to Markdown tables and code blocks."""
 
 import re
 from typing import Any
@@ -7,12 +7,12 @@ from griffe import Extension, Object
 
 
 def _columns(paragraph: str) -> bool:
-    """Lines of names and what they are, two spaces or more between."""
+    """Return True for lines of names and descriptions, separated by two or more spaces."""
     return bool(re.match(r"\S+(?:, \S+)*  +\S", paragraph))
 
 
 def _table(paragraph: str) -> str:
-    """Those lines as a table: name, and what it is; lines further in go on with the one before."""
+    """Return these lines as a table of names and descriptions; indented lines continue the previous one."""
     rows: list[str] = []
     for line in paragraph.splitlines():
         if line.startswith(" "):
@@ -24,7 +24,7 @@ def _table(paragraph: str) -> str:
 
 
 def as_markdown(text: str) -> str:
-    """Return the docstring with examples fenced, and columns as tables."""
+    """Return the docstring with fenced examples, and columns as tables."""
     parts = []
     for paragraph in text.split("\n\n"):
         if paragraph.startswith(">>>"):
@@ -36,7 +36,7 @@ def as_markdown(text: str) -> str:
 
 
 class Docstrings(Extension):
-    """Rewrites each docstring once, as it is collected."""
+    """Convert each docstring when it is collected."""
 
     def on_object(self, *, obj: Object, **_: Any) -> None:
         if obj.docstring:

@@ -1,4 +1,4 @@
-"""For mkdocs: links that lead out of docs/ go to the code host, where the pages link to files of the repository."""
+"""mkdocs hook: convert links to files outside docs/ to links to the code host."""
 
 import re
 from pathlib import Path, PurePosixPath
@@ -8,7 +8,7 @@ LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)\s]*)?\))")
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
-    """Links of a page with those that leave docs/ turned into addresses; others are mkdocs' own to check."""
+    """Return the page with links outside docs/ as web addresses; mkdocs checks the other links."""
     docs = Path(config.docs_dir)
     root = docs.parent
 
