@@ -130,7 +130,7 @@ print(loaded(*(f"softfinger.proxy.{part}" for part in parts)))
 """
 
 
-def test_an_engine_imports_what_its_scene_needs():
+def test_an_engine_imports_only_the_modules_of_its_scene():
     process = run_program([sys.executable, "-c", IMPORTS], check=True)
     assert process.stdout.splitlines() == ["[] True", "[]"]
 

@@ -77,7 +77,7 @@ def test_a_release_is_tested_attested_and_of_its_tag() -> None:
 
 
 @pytest.mark.parametrize("path", FORMS, ids=lambda path: path.name)
-def test_a_form_asks_with_commands_that_exist(path: Path) -> None:
+def test_forms_use_existing_commands(path: Path) -> None:
     form = read(path)
     assert form["name"] and form["description"]
     ids = [part["id"] for part in form["body"]]

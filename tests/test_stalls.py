@@ -133,7 +133,7 @@ def test_a_stall_of_one_processor_is_detected() -> None:
         sleepers.close()
 
 
-def test_a_machine_that_keeps_time_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tests_wait_for_a_machine_that_keeps_time(monkeypatch: pytest.MonkeyPatch) -> None:
     sleepers, overslept = Sleepers(), iter([0.0, 0.05, 0.001, 0.05])
     try:
         monkeypatch.setattr(sleepers, "longest_s", lambda: next(overslept))

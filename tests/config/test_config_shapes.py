@@ -197,7 +197,7 @@ def test_distances_of_bodies_equal_the_dimensions_in_the_file(
 
 
 @pytest.mark.parametrize("shape", ["box", "cylinder"])
-def test_the_walls_of_a_hollow_enclose_what_the_solid_fills(shape: str) -> None:
+def test_the_walls_of_a_hollow_enclose_the_volume_of_the_solid(shape: str) -> None:
     solid, hollow = object_of(shape), object_of(shape, inside=True)
     points = np.random.default_rng(5).uniform(-0.16, 0.16, (1000, 3))
     inner = 0

@@ -317,7 +317,7 @@ def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
         (NO_DEVICE, LOST, ERROR_NO_DEVICE),
     ],
 )  # fmt: skip
-def test_how_a_transfer_in_ended(ends: int, status: int, error: int, usb: Usb) -> None:
+def test_statuses_of_a_transfer_from_the_device(ends: int, status: int, error: int, usb: Usb) -> None:
     usb.ends = ends
     usb.incoming = [None]
     assert usb.read()[0] == status

@@ -553,7 +553,7 @@ def test_a_frame_is_read_once_and_then_repeated(library: Library) -> None:
     assert (library.counts()["reads"], library.counts()["repeated"]) == (5, 2)
 
 
-def test_a_silent_library_is_given_up(library: Library) -> None:
+def test_a_silent_library_counts_as_lost(library: Library) -> None:
     library.read()
     for _ in range(10):
         library.clock.now += 10 * MS

@@ -335,7 +335,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
 
 @pytest.mark.parametrize("wrench", [PUSH, ZERO], ids=["in contact", "out of contact"])
 @pytest.mark.parametrize(("timeout_s", "blocked_s"), [(0.1, 0.1), (2.0, 0.25)])
-def test_a_board_that_stops_reading_is_given_up_in_time(
+def test_a_board_that_stops_reading_counts_as_lost_in_time(
     timeout_s: float, blocked_s: float, wrench: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It retains its force while it reads nothing, so the run ends after 0.25 s or a shorter `timeout_s`."""

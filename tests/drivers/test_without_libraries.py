@@ -147,7 +147,7 @@ def test_no_libusb_at_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(COMPILER is None, reason="the stub for the maker's library is C, and there is no compiler")
-def test_makers_library_that_sees_no_device(
+def test_makers_library_without_a_device(
     bare: tuple[list[str], dict[str, str]], stub_library: Path, tmp_path: Path
 ) -> None:
     """With the maker's library but no device the error is that none is attached, though USB cannot be listed."""

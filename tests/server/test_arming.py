@@ -108,7 +108,7 @@ def test_a_command_arms_if_the_rig_requires_one(tmp_path: Path) -> None:
     assert states[0] == "ready" and states[-1] == "armed"
 
 
-def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path) -> None:
+def test_the_force_of_a_handle_that_was_too_fast_returns_automatically(tmp_path: Path) -> None:
     run = ArmingRun(tmp_path, write_press(tmp_path / "p.csv", 0.5), "automatic")
     assert run.forces[1] > 0.0 and run.forces[100] > TOUCH_N and run.forces[495] > TOUCH_N
     off = np.flatnonzero(run.forces[500:] == 0.0) + 500
@@ -121,7 +121,7 @@ def test_a_handle_that_is_too_fast_gets_its_force_back_by_itself(tmp_path: Path)
     assert run.states[2][1] == FAST and "too_fast" in run.guard and run.state == "armed"
 
 
-def test_a_handle_that_is_too_fast_waits_for_whoever_arms(tmp_path: Path) -> None:
+def test_a_handle_that_was_too_fast_waits_for_arming(tmp_path: Path) -> None:
     armed_at: list[int] = []
 
     def during(control: Control, tick: int) -> None:

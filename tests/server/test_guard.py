@@ -48,7 +48,7 @@ def test_output_is_always_finite_bounded_and_slow(wrenches):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("axis", range(6))
-def test_what_is_not_finite_becomes_zero_and_ramps_anew(bad, axis):
+def test_a_force_that_is_not_finite_becomes_zero_and_ramps_up_again(bad, axis):
     wrench = [1.0] * 6
     wrench[axis] = bad
     after, bits = limit(LIMITS, ENGAGED, tuple(wrench[:3]), tuple(wrench[3:]), DT)

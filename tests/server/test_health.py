@@ -49,7 +49,7 @@ def test_jumps_that_leave_nothing_to_render_are_a_fault():
         assert examine_ticks(([jump] + [GOOD] * (1000 // a_second - 1)) * 60 * a_second)[1] == fault
 
 
-def test_gaps_of_every_length_end_the_run_when_the_fault_model_says():
+def test_gaps_of_every_length_end_the_run_within_the_fault_model():
     shortest, longest = stall_range_s()
     assert 1.0 < shortest < longest < 1.3
     for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):

@@ -142,7 +142,7 @@ def check_limits(forces: np.ndarray) -> np.ndarray:
     [pytest.param(when, marks=[pytest.mark.exhaustive] * (when == "first")) for when in MOMENTS],
 )
 @pytest.mark.parametrize("name", CASES)
-def test_an_injected_fault_leaves_no_force_that_it_may_not(name: str, moment: str, tmp_path: Path) -> None:
+def test_an_injected_fault_leaves_no_unpermitted_force(name: str, moment: str, tmp_path: Path) -> None:
     case, at = CASES[name], MOMENTS[moment]
     result, _, wrenches = run_with_fault("replay", name, at, tmp_path)
     check_end(name, at, result)

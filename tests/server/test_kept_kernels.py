@@ -76,7 +76,7 @@ def list_kernels(cache: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in cache.rglob("*.kernel")}
 
 
-def test_loop_calls_only_what_is_listed(fresh_loop: tuple[str, Path, str]) -> None:
+def test_loop_calls_only_listed_functions(fresh_loop: tuple[str, Path, str]) -> None:
     scene, _, output = fresh_loop
     bodies = functions(output)
     assert any("servo_loop" in name for name in bodies)

@@ -189,7 +189,7 @@ READERS = {"key": "k", "readers": "r"}
         ({"telemetry": {"endpoint": "tcp://*:1"}, "security": ALL}, ""),
     ],
 )  # fmt: skip
-def test_what_is_open_to_the_network_needs_keys(tables: dict, fault: str) -> None:
+def test_public_endpoints_need_keys(tables: dict, fault: str) -> None:
     if fault:
         with pytest.raises(ConfigError) as caught:
             build(Rig, RIG | tables, "rig.toml")

@@ -52,7 +52,7 @@ def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE)
 
 
 @pytest.mark.parametrize("speed", [2.1, 3.0, 5.0])
-def test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says(speed):
+def test_the_filter_removes_the_force_of_a_handle_that_is_too_fast(speed):
     """A speed v is filtered to v (1 - r^n), r = tau / (tau + T); the force is zero from the first n above the limit."""
     guard, passed, forces = make_guard(speed=2.0, slow_s=0.5), INITIAL_OUTPUT, []
     for _ in range(100):
@@ -132,7 +132,7 @@ def test_heat_follows_a_first_order_model():
     assert cooled == passed.limit_state.heat == pytest.approx(hot * ratio, rel=1e-15)
 
 
-def test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears():
+def test_the_force_of_a_hot_motor_falls_to_the_continuous_force():
     """Under twice the continuous force, the force is unchanged until the heat is WARM, after -tau ln(1 - WARM / 4).
     Then dh/dt = (F^2 / F_c^2 - h) / tau, with F^2 falling by 3 / (1 - WARM) per unit of heat: 1 - h falls with the rate
     (1 + 3 / (1 - WARM)) / tau, and the force changes no faster than that."""
@@ -204,7 +204,7 @@ def test_the_force_fades_between_once_and_twice_the_energy(spent, share):
     assert lim.energy_scale(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
 
 
-def test_what_the_hand_puts_in_pays_within_a_contact_and_not_after_it():
+def test_energy_from_the_hand_counts_within_a_contact_only():
     guard, passed = make_guard(energy=0.1), INITIAL_OUTPUT
     for moved in [-0.001] * 100 + [0.001] * 100:
         passed, bits = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, moved), ROLLING)

@@ -76,7 +76,7 @@ def find_unexplained_zeroes(board: Board, first: int) -> list[int]:
     return frames
 
 
-def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
+def test_a_publisher_without_memory_is_restarted(tmp_path: Path) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         first_frame = len(board.sent)
@@ -101,7 +101,7 @@ def test_a_publisher_without_memory_is_started_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.exhaustive
-def test_a_page_without_memory_is_started_again(tmp_path: Path) -> None:
+def test_a_page_without_memory_is_restarted(tmp_path: Path) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process):
         assert process.stderr is not None
@@ -137,7 +137,7 @@ def read_line_with(words: str, lines: IO[str]) -> str:
     raise AssertionError(f"no line with {words!r}")
 
 
-def test_a_process_that_ends_while_no_descriptor_is_left_is_started_again(tmp_path: Path) -> None:
+def test_a_process_that_ends_without_free_descriptors_is_restarted(tmp_path: Path) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--view", "--record", str(recording)) as (board, process):
         assert process.stderr is not None

@@ -90,7 +90,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
     record_property(SEEN, reaction | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
 
 
-def test_a_publisher_that_stands_still_holds_up_nothing(tmp_path: Path, record_property: Note) -> None:
+def test_a_stopped_publisher_delays_nothing(tmp_path: Path, record_property: Note) -> None:
     recording = tmp_path / "on.mcap"
     with pressing(tmp_path, "--record", str(recording)) as (board, process):
         publisher = find_child(process.pid, b"socket_process\0telemetry")
@@ -234,7 +234,7 @@ def has_network() -> bool:
 
 
 @pytest.mark.exhaustive
-def test_a_network_that_is_lost_costs_subscribers_alone(record_property: Note) -> None:
+def test_a_lost_network_affects_only_subscribers(record_property: Note) -> None:
     if not has_network():
         pytest.skip("no network of its own: it needs iproute2, and root")
     words = ["unshare", "--net", sys.executable, "-c", NETWORK]

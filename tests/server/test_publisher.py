@@ -259,7 +259,7 @@ def test_a_thread_that_holds_the_interpreter_lock_does_not_delay_ticks(sockets):
     assert topics.count(b"contact") > 100 and topics.count(b"state") > 20
 
 
-def test_a_publisher_that_is_killed_is_started_again(sockets, tmp_path):
+def test_a_killed_publisher_is_restarted(sockets, tmp_path):
     with make_daemon(scene_name="paper-plane") as daemon:
         daemon.recordings.record(tmp_path / "all.mcap", "paper-plane")
         publisher = daemon.publisher

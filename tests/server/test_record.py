@@ -85,7 +85,7 @@ def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
-def test_a_recording_on_a_device_is_what_replay_plays(stub: Stub, tmp_path: Path) -> None:
+def test_a_recording_on_a_device_is_played_by_replay(stub: Stub, tmp_path: Path) -> None:
     stub.update(**PRESSING)
     file = tmp_path / "hand.csv"
     with (

@@ -144,7 +144,7 @@ def test_subscribers_stay_connected_and_get_an_event():
     assert 50 < replaced["first"] <= ticks[-1]
 
 
-def test_what_cannot_be_built_changes_nothing(monkeypatch):
+def test_a_scene_that_cannot_be_built_changes_nothing(monkeypatch):
     rig, recorder, (first, second) = load_rig("replay", QUIET), RecordSink(), load_scenes()
     refused = [
         (ConfigError, "forcse", {"rig": load_rig("replay", QUIET | {"device.forcse": "x.csv"})}),
@@ -192,7 +192,7 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
     assert recorder.all[:, AT.tick].tolist() == list(range(running.servo.ticks))
 
 
-def test_a_device_that_stays_keeps_arming_and_offset_and_another_one_begins_without(driver):
+def test_a_device_that_stays_keeps_arming_and_offset_but_a_new_one_does_not(driver):
     newest, (first, second) = [], load_scenes()
     rig = make_faulty_rig(**{"guard.arm": "command"})
     with started(rig, first, Sink("newest", lambda records, drops: newest.append(records[-1].copy()))) as running:

@@ -32,7 +32,7 @@ class BrokenSource:
 
 
 @pytest.mark.parametrize("name", ["hotplug", "metrics", "world"])
-def test_a_service_that_fails_is_told_and_ends_nothing(name: str) -> None:
+def test_a_failed_service_is_reported_and_ends_nothing(name: str) -> None:
     events: list[tuple[str, str, str]] = []
     came = threading.Event()
 

@@ -132,7 +132,7 @@ def test_an_unknown_status_is_a_fault(direction):
 
 
 @pytest.mark.parametrize("stall_us", [5_500, 60_000])
-def test_a_stall_is_no_licence_to_jump(stall_us):
+def test_the_force_does_not_jump_after_a_stall(stall_us):
     _, servo = make_servo(Options(fault="stall_and_jump", at=700, stall_us=stall_us), 900)
     _, records = finish(servo)
     force = records[:, FORCE : FORCE + 3]

@@ -330,7 +330,7 @@ print("left with", os.waitstatus_to_exitcode(status), flush=True)
 """Shell with a job in the foreground: it continues the job when that stops."""
 
 
-def test_ctrl_z_on_a_terminal_zeroes_what_does_not_pause() -> None:
+def test_ctrl_z_on_a_terminal_zeroes_devices_that_do_not_pause() -> None:
     ours, theirs = pty.openpty()
     words, output = [sys.executable, "-c", SHELL, JOB], b""
     with Program(words, stdin=theirs, stdout=theirs, stderr=theirs, kill_at_end=True), open(ours, "r+b", 0) as terminal:

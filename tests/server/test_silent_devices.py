@@ -35,7 +35,7 @@ def quiet_options(driver: str) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", DRIVERS)
-def test_a_device_that_falls_silent_is_given_zero_and_then_given_up(
+def test_a_silent_device_gets_zero_and_then_counts_as_lost(
     name: str, tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
     driver = DRIVERS[name]

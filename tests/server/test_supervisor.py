@@ -48,7 +48,7 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
     )
 
 
-def test_a_stall_is_told_and_every_device_stopped_whatever_fails() -> None:
+def test_a_stall_is_reported_and_every_device_stopped_if_anything_fails() -> None:
     calls: list[str] = []
     ended = threading.Event()
 

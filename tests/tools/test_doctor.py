@@ -257,7 +257,7 @@ def test_a_cache_that_others_may_write_is_bad(open_folder: Path, monkeypatch: py
     assert "can be written by other users" in check.seen and "SOFTFINGER_CACHE_DIR" in check.remedy
 
 
-def test_the_makers_library_is_asked_for_by_its_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rig_selects_the_makers_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))

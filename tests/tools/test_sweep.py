@@ -55,7 +55,7 @@ def forget() -> None:
     computed.clear()
 
 
-def test_results_are_in_case_order_whatever_the_block() -> None:
+def test_results_are_in_case_order_for_every_block_size() -> None:
     expected = bits(roots(CASES))
     for block in (None, 1, 5, 1000):
         assert bits(run_cases(roots, CASES, label="test", block=block)) == expected

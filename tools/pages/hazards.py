@@ -134,12 +134,10 @@ _GAPS: Final = (
     f"{health.LOST_MAX_S:g} s lost above {health.LOST_SHARE:.0%} of the time, in gaps of {health.GAP_MIN_S:g} s or more"
 )
 _RETRIES: Final = f"every {link.PAUSE_MAX_S:g} s or sooner while memory or file descriptors are missing"
-_INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_force_that_it_may_not"
+_INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_unpermitted_force"
 _EVERYWHERE: Final = "tests/server/test_injected_faults.py::test_on_every_driver"
 _PROCESS: Final = "tests/server/test_process_faults.py"
-_NO_FILES: Final = (
-    "tests/server/test_out_of_memory.py::test_a_process_that_ends_while_no_descriptor_is_left_is_started_again"
-)
+_NO_FILES: Final = "tests/server/test_out_of_memory.py::test_a_process_that_ends_without_free_descriptors_is_restarted"
 
 HAZARDS: Final = (
     Hazard(
@@ -150,7 +148,7 @@ HAZARDS: Final = (
     Hazard(
         "a force that is not finite", "the guard", "0 ticks", "zero", _RAMP,
         ("guard not_finite", FAILED),
-        ("tests/server/test_guard.py::test_what_is_not_finite_becomes_zero_and_ramps_anew",
+        ("tests/server/test_guard.py::test_a_force_that_is_not_finite_becomes_zero_and_ramps_up_again",
          "tests/server/test_health.py::test_half_a_second_without_a_force_is_a_fault"),
     ),
     Hazard(
@@ -168,14 +166,14 @@ HAZARDS: Final = (
     Hazard(
         "a handle that runs away", "`handle_speed_max_m_per_s`", _CAUGHT,
         "zero", f"slow for {limits.SLOW_S:g} s, or `arm`, as set by `arm` in the rig", ("guard too_fast", FAILED),
-        ("tests/server/test_limits.py::test_a_handle_that_is_too_fast_loses_its_force_when_the_filter_says",
-         "tests/server/test_arming.py::test_a_handle_that_is_too_fast_gets_its_force_back_by_itself",
-         "tests/server/test_arming.py::test_a_handle_that_is_too_fast_waits_for_whoever_arms"),
+        ("tests/server/test_limits.py::test_the_filter_removes_the_force_of_a_handle_that_is_too_fast",
+         "tests/server/test_arming.py::test_the_force_of_a_handle_that_was_too_fast_returns_automatically",
+         "tests/server/test_arming.py::test_a_handle_that_was_too_fast_waits_for_arming"),
     ),
     Hazard(
         "motors that heat", "thermal model, `continuous_force_n`", "before they are hot",
         "the force falls to `continuous_force_n`", "automatic, as they cool", ("guard motor_hot",),
-        ("tests/server/test_limits.py::test_a_hot_motor_is_given_less_and_in_the_end_what_it_bears",),
+        ("tests/server/test_limits.py::test_the_force_of_a_hot_motor_falls_to_the_continuous_force",),
     ),
     Hazard(
         "a device that warns", f"the driver, every {watches.DEVICE_PERIOD_S:g} s",
@@ -198,15 +196,15 @@ HAZARDS: Final = (
         "the driver: `quiet_s`, `kick_s` of falcon and hid, then `timeout_s`", by_driver(QUIET_S),
         f"{_LOST}, after {by_driver(GIVEN_UP_S)}; until then the previous force",
         "the ramp; start again after the end", ("guard ramping", FAILED),
-        ("tests/server/test_silent_devices.py::test_a_device_that_falls_silent_is_given_zero_and_then_given_up",
-         "tests/drivers/test_openhaptics_exchange.py::test_a_silent_library_is_given_up"),
+        ("tests/server/test_silent_devices.py::test_a_silent_device_gets_zero_and_then_counts_as_lost",
+         "tests/drivers/test_openhaptics_exchange.py::test_a_silent_library_counts_as_lost"),
         within=_QUIET,
     ),
     Hazard(
         "a device that accepts no force", "status of the driver", f"{base.IGNORED_WRENCH_MAX_S:g} s",
         f"{_LOST}; until then the previous force", _START, (FAILED,),
         (_INJECTED, _EVERYWHERE,
-         "tests/drivers/test_serial_queue.py::test_a_board_that_stops_reading_is_given_up_in_time",
+         "tests/drivers/test_serial_queue.py::test_a_board_that_stops_reading_counts_as_lost_in_time",
          "tests/drivers/test_falcon_stub.py::test_a_force_that_hangs_is_withdrawn_and_a_zero_follows",
          "tests/drivers/test_hid_threads.py::test_a_write_that_hangs_ends_the_run_within_any_timeout_s"), within=_HELD,
     ),
@@ -233,12 +231,13 @@ HAZARDS: Final = (
         f"{health.STALL_POLLS * health.STALL_POLL_S:.2f} to {health.STALL_MAX_S:.2f} s",
         f"{_STOPPED}; until then the last force", _START, ("fault stalled", FAILED),
         (_INJECTED, _EVERYWHERE,
-         "tests/server/test_supervisor.py::test_a_stall_is_told_and_every_device_stopped_whatever_fails"),
+         "tests/server/test_supervisor.py::test_a_stall_is_reported_and_every_device_stopped_if_anything_fails"),
         within=_STALLED,
     ),
     Hazard(
         "ticks that are missed", "the loop's clock", "the next tick", "the force changes as in one tick", _NONE,
-        ("servo missed",), (_INJECTED, _EVERYWHERE, "tests/server/test_servo.py::test_a_stall_is_no_licence_to_jump"),
+        ("servo missed",),
+        (_INJECTED, _EVERYWHERE, "tests/server/test_servo.py::test_the_force_does_not_jump_after_a_stall"),
     ),
     Hazard(
         "a machine that starves the loop",
@@ -246,7 +245,7 @@ HAZARDS: Final = (
         f"{floor(10 * _STARVED[0]) / 10} to {ceil(10 * _STARVED[1]) / 10} s of nothing but gaps, later with fewer",
         f"{_STOPPED}; until then the previous force in each gap", _START, (FAILED,),
         ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",
-         "tests/server/test_health.py::test_gaps_of_every_length_end_the_run_when_the_fault_model_says"),
+         "tests/server/test_health.py::test_gaps_of_every_length_end_the_run_within_the_fault_model"),
         within=ceil(_STARVED[1] / TICK_S),
     ),
     Hazard(
@@ -268,7 +267,7 @@ HAZARDS: Final = (
     Hazard(
         "a scene that cannot be rendered", "checked and compiled before the swap", "none", "as before",
         "send another scene", (),
-        ("tests/server/test_replace.py::test_what_cannot_be_built_changes_nothing",
+        ("tests/server/test_replace.py::test_a_scene_that_cannot_be_built_changes_nothing",
          "tests/server/test_commands.py::test_a_failed_compilation_is_reported"),
     ),
     Hazard(
@@ -296,14 +295,14 @@ HAZARDS: Final = (
         "none",
         "as before; with `heartbeat_s`, zero until heartbeats resume", f"it is started again, {_RETRIES}",
         ("fault publisher",),
-        ("tests/server/test_publisher.py::test_a_publisher_that_is_killed_is_started_again",
-         "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_started_again", _NO_FILES),
+        ("tests/server/test_publisher.py::test_a_killed_publisher_is_restarted",
+         "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_restarted", _NO_FILES),
     ),
     Hazard(
         "a page that ends, also while no memory or file descriptor is left", "the daemon", "none", "as before",
         f"it is restarted at the same address, {process.RESTARTS} times in a run", ("fault page",),
-        ("tests/server/viewer/test_page_process.py::test_a_page_that_dies_is_started_again_at_the_same_address",
-         "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_started_again", _NO_FILES),
+        ("tests/server/viewer/test_page_process.py::test_a_page_that_ends_is_restarted_at_the_same_address",
+         "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_restarted", _NO_FILES),
     ),
     Hazard(
         "a process of commands that hangs", "the daemon: no message of it", "none",
@@ -315,18 +314,18 @@ HAZARDS: Final = (
         "a publisher that hangs, a lost network", "none needed: no other thread waits for it", "none",
         "as before; subscribers miss ticks; commands are answered", _NONE, (),
         ("tests/server/test_commands_at_once.py::test_subscribers_do_not_delay_disarm",
-         f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",
-         f"{_PROCESS}::test_a_network_that_is_lost_costs_subscribers_alone"),
+         f"{_PROCESS}::test_a_stopped_publisher_delays_nothing",
+         f"{_PROCESS}::test_a_lost_network_affects_only_subscribers"),
     ),
     Hazard(
         "a disk that is full or stalls", "the recorder", "none",
         "as before; the recording ends, or counts the lost records", "another recording", ("fault recording",),
-        ("tests/server/recording/test_recorder.py::test_a_full_disk_is_one_event_and_the_run_goes_on",
-         "tests/server/recording/test_recorder.py::test_a_disk_that_stalls_costs_ticks_and_no_time"),
+        ("tests/server/recording/test_recorder.py::test_a_full_disk_is_one_event_and_the_run_continues",
+         "tests/server/recording/test_recorder.py::test_a_stalled_disk_loses_ticks_but_delays_nothing"),
     ),
     Hazard(
         "a log that nobody reads", "standard error accepts no line", "none", "as before; lines are dropped", _NONE, (),
-        (f"{_PROCESS}::test_a_publisher_that_stands_still_holds_up_nothing",),
+        (f"{_PROCESS}::test_a_stopped_publisher_delays_nothing",),
     ),
     Hazard(
         "a clock that is set", "none needed: ticks, events and recordings use CLOCK_MONOTONIC", "none", "as before",
@@ -355,7 +354,7 @@ HAZARDS: Final = (
     Hazard(
         "a service that fails: hot-plugging, metrics, bodies on the wire", "the end of its thread", "none", "as before",
         _START, ("fault hotplug", "fault metrics", "fault world"),
-        ("tests/server/test_service_faults.py::test_a_service_that_fails_is_told_and_ends_nothing",),
+        ("tests/server/test_service_faults.py::test_a_failed_service_is_reported_and_ends_nothing",),
     ),
     Hazard(
         "commands that cannot be received", "an error in their thread", "none",

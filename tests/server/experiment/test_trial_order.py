@@ -123,7 +123,7 @@ def test_an_unusable_design_is_refused_before_the_session(changes: dict[str, Any
         Experiment(make_tables(), changes)
 
 
-def test_progress_tells_the_block_and_no_condition() -> None:
+def test_progress_shows_the_block_but_no_condition() -> None:
     blocked = make_file(design={"seed": 5, "order": "given", "practice": 1})
     assert number_blocks(plan_trials(blocked, 1), is_mixed=False) == [1] * 13 + [2] * 12 + [3] * 12
     assert number_blocks(plan_trials(make_file(), 1), is_mixed=True) == [1] * 36

@@ -64,7 +64,7 @@ def test_a_dry_run_shows_what_an_install_writes(
         assert f"##### then: {words}" in shown
 
 
-def test_every_user_may_read_what_is_installed(root: Path, install: Install) -> None:
+def test_every_user_may_read_installed_files(root: Path, install: Install) -> None:
     before = os.umask(0o077)
     try:
         assert install() == 0

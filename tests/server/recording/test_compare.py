@@ -69,7 +69,7 @@ def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_what_is_no_number_differs_from_every_number(tmp_path: Path) -> None:
+def test_nan_differs_from_every_number(tmp_path: Path) -> None:
     past = load_run(recorded(tmp_path / "a.mcap", run()), FIELDS)
     now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _select_recorded(past)
     row = find_touches()[0]

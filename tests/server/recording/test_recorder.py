@@ -354,7 +354,7 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     assert summary(tmp_path / "slow.mcap")["events_dropped"] == 30
 
 
-def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
+def test_a_stalled_disk_loses_ticks_but_delays_nothing(tmp_path: Path) -> None:
     reports: list[str] = []
     file = SlowFile(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
@@ -398,7 +398,7 @@ def test_a_disk_that_stalls_costs_ticks_and_no_time(tmp_path: Path) -> None:
     assert (info["missing"], info["gaps"], info["longest_gap"], info["dropped"]) == (dropped, 1, dropped, dropped)
 
 
-def test_a_full_disk_is_one_event_and_the_run_goes_on(tmp_path: Path) -> None:
+def test_a_full_disk_is_one_event_and_the_run_continues(tmp_path: Path) -> None:
     with (
         Daemon(quiet_rig(tmp_path), load_scene("paper-plane")) as daemon,
         subscribe(daemon.publisher.endpoint, ("event",)) as wire,

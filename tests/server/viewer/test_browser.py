@@ -77,7 +77,7 @@ def test_the_layout_fits_the_window(screen: Screen) -> None:
     page.set_viewport_size(dict(zip(("width", "height"), SIZE, strict=True)))
 
 
-def test_the_page_shows_what_the_daemon_prepares(screen: Screen, daemon: Daemon) -> None:
+def test_the_page_shows_the_scene_in_preparation(screen: Screen, daemon: Daemon) -> None:
     daemon.publisher.set_preparing("compiling kernel 12")
     assert eventually(lambda: screen.shows("the daemon prepares: compiling kernel 12"))
     daemon.publisher.set_preparing("")

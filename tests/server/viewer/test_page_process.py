@@ -76,7 +76,7 @@ def restart_page(process: subprocess.Popen[str], address: str, restart: int) -> 
     assert get_status(process, address) == 200
 
 
-def test_a_page_that_dies_is_started_again_at_the_same_address() -> None:
+def test_a_page_that_ends_is_restarted_at_the_same_address() -> None:
     with run_with_page() as (process, address):
         restart_page(process, address, 1)
         page = Path(f"/proc/{find_page(process)}")
