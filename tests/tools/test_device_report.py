@@ -139,7 +139,7 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
     measured = {name for name, row in by_id.items() if row["measured"]}
     assert measured == {"exchange-time", "fd-library", "fd-force-on", "fd-held-back"}
     assert by_id["fd-held-back"]["answer"].startswith("0 of ")
-    assert by_id["frame"]["answer"].startswith("not answered: run the report on a terminal")
+    assert by_id["frame"]["answer"].startswith("not answered: run the report in a terminal")
 
 
 @pytest.mark.sampled(1)
