@@ -167,7 +167,7 @@ def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, capl
     stub["block"] = 1
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     device.close()
-    assert "takes no packet" in caplog.text
+    assert "accepts no packet" in caplog.text
     assert device.zero_failure() == "it has accepted no packet for 1 s"
     steps = stub["steps"]
     stub["block"] = 0
@@ -220,7 +220,7 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
     while not stub.busy():
         time.sleep(0.001)
     device.close()
-    assert "the device remains open" in caplog.text
+    assert "the device stays open" in caplog.text
     assert stub["closes"] == stub["opens"] - 1
     loop.join()
     assert statuses[0] >= 0
@@ -319,7 +319,7 @@ def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
     diagnosis, reply = devices.identify_device(FALCON, claim)
     assert (diagnosis, reply) == (Diagnosis("usable"), {"firmware": True})
     assert devices.as_map(FALCON, claim, diagnosis, reply)["said"] == {"firmware": True}
-    assert "    it says: firmware True" in devices.lines([(FALCON, claim, diagnosis, reply)])
+    assert "    it reports: firmware True" in devices.lines([(FALCON, claim, diagnosis, reply)])
     stub.update(firmware=1000)
     diagnosis, reply = devices.identify_device(FALCON, claim)
     assert (diagnosis.state, reply) == ("firmware", {"firmware": False})

@@ -190,9 +190,9 @@ def test_a_force_is_under_the_key_of_an_older_service() -> None:
     [
         ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver supports 3.1 to 3.x"),
         ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver supports 3.1 to 3.x"),
-        ('{"project_version":"new"}', "the version 'new', which is not a number"),
-        ("[1, 2]", "says no version"), ("{}", "says no version"),
-        ('{"project_version":' + 9000 * "[", "says no version"),
+        ('{"project_version":"new"}', "the version 'new', which is not a version number"),
+        ("[1, 2]", "returns no version"), ("{}", "returns no version"),
+        ('{"project_version":' + 9000 * "[", "returns no version"),
     ],
     ids=["old", "next", "no number", "a list", "nothing", "deep"],
 )  # fmt: skip
@@ -230,7 +230,7 @@ def test_the_error_without_a_service_names_the_one_to_start() -> None:
         DeviceNotFound, match=rf"no Inverse Service on port {port}.*systemctl start haply-inverse-service"
     ):
         open_device(rig_options(port), 1000.0)
-    with pytest.raises(ConfigError, match=r"old format 3.0"):
+    with pytest.raises(ConfigError, match=r"port of format 3.0"):
         rig_options(10000)
 
 
@@ -316,7 +316,7 @@ def test_warnings_of_the_service_are_reported(service: Service) -> None:
     with exchanging(service) as (device, _):
         assert device.warning() == ""
         for status, warning in (
-            ({"power_supply": False, "calibrated": False}, "no power supply, and gives no force; it is not calibrated"),
+            ({"power_supply": False, "calibrated": False}, "no power supply and exerts no force; it is not calibrated"),
             ({"power_supply": True, "calibrated": True}, ""),
         ):
             service.do("status", id=ID, to=status)

@@ -296,7 +296,7 @@ def test_a_device_that_usb_does_not_list_is_identified(
     assert entry["said"] == {"model": "Touch", "serial": "70001", "calibrated": True}
     assert listed(rig=None) == listed(ask=False) == []
     assert devices.run(argparse.Namespace(json=False, ask=True, rig=rig)) == 0
-    assert "it says: model Touch, serial 70001, calibrated True" in capsys.readouterr().out
+    assert "it reports: model Touch, serial 70001, calibrated True" in capsys.readouterr().out
     hd["devices"] = 0
     (entry,) = listed()
     assert entry["state"] == "error" and "Ethernet" in entry["reason"] and "GTDD_HOME" in entry["reason"]
@@ -377,9 +377,9 @@ def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
 @pytest.mark.parametrize(
     ("code", "status", "words"),
     [
-        (0x0302, LOST, "does not answer"), (0x0300, LOST, "has a fault"), (0x0104, LOST, "does not know the device"),
+        (0x0302, LOST, "does not answer"), (0x0300, LOST, "has a fault"), (0x0104, LOST, "no longer knows the device"),
         (0x0200, FORCE_OFF, "too warm"), (0x0203, FORCE_OFF, "faster than the device allows"),
-        (0x0204, FORCE_OFF, "do not give the force"), (0x0304, PROTOCOL, "clock has failed"),
+        (0x0204, FORCE_OFF, "do not exert the force"), (0x0304, PROTOCOL, "clock has failed"),
         (0x0777, PROTOCOL, "not known.*0x0777"),
     ],
 )  # fmt: skip
@@ -454,7 +454,7 @@ def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBenc
     hd["devices"] = 2
     with bench.open() as first:
         apply_force(Servo(first), bench, (1.0, 0.0, 0.0))
-        with pytest.raises(DeviceBusy, match="name both in one rig"):
+        with pytest.raises(DeviceBusy, match="list both in one rig"):
             bench.open_unarmed(name="Left Device")
         assert Servo(first, arm=False).read()[0] in (OK, STALE)
 

@@ -109,7 +109,7 @@ def turned_round(far: Far) -> None:
 
 NO_POSE = "no usable pose for 0.5 s"
 SILENT = "no answer to a read in time"
-NO_FRAME = "not in its protocol .*its last bytes are "
+NO_FRAME = "violates its protocol .*its last bytes are "
 FAULTS: dict[str, dict[str, Fault]] = {
     "openhaptics": {
         "unplugged": Fault(lambda far: far.unplug(), "does not answer"),
@@ -121,7 +121,7 @@ FAULTS: dict[str, dict[str, Fault]] = {
         "killed": Fault(lambda far: far.device.kill(), "closed the connection|broke", zero=False, brief=True),
         "silent": Fault(lambda far: far.device.set(mute=True), SILENT, brief=True),
         "garbage": Fault(
-            lambda far: far.device.set(spoil="<html>"), "not in its protocol .*answered '<html>'", brief=True
+            lambda far: far.device.set(spoil="<html>"), "violates its protocol .*answered '<html>'", brief=True
         ),
         "no number": Fault(nothing_but_null, NO_POSE),
         "later than it may be": Fault(lambda far: far.device.set(late_s=1.5), SILENT),
@@ -130,13 +130,13 @@ FAULTS: dict[str, dict[str, Fault]] = {
         "unplugged": Fault(lambda far: far.unplug(), r"serial at /dev/pts/\d+ is gone", zero=False, brief=True),
         "silent": Fault(lambda far: far.device.mute.set(), SILENT, brief=True),
         "no number": Fault(answers(lambda answer: answer[:1] + b"\xff\xff\xff\x7f" + answer[5:]), NO_FRAME, brief=True),
-        "torn": Fault(answers(lambda answer: answer[:5]), f"{SILENT}|not in its protocol", brief=True),
+        "torn": Fault(answers(lambda answer: answer[:5]), f"{SILENT}|violates its protocol", brief=True),
         "later than it may be": Fault(answers(late), SILENT),
     },
     "hapkit": {
         "unplugged": Fault(lambda far: far.unplug(), "is gone", zero=False),
         "silent": Fault(lambda far: far.device.hush(), SILENT),
-        "out of range": Fault(turned_round, "not in its protocol"),
+        "out of range": Fault(turned_round, "violates its protocol"),
     },
     "serial": {
         "unplugged": Fault(
