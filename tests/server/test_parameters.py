@@ -100,8 +100,8 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
     [
         ({f"{NORMAL}.exponent": 0.5}, "from 1 to 3"),
         ({"fingertip.patch.exponent": 0.5}, "from 0 to 0.333333"),
-        ({STIFFNESS: 500.0, f"{NORMAL}.exponent": 1.0}, "another model, to be compiled: use set_scene"),
-        ({"fingertip.patch.rolling_loss": 0.3}, "another model, to be compiled: use set_scene"),
+        ({STIFFNESS: 500.0, f"{NORMAL}.exponent": 1.0}, "another model, which must be compiled: use set_scene"),
+        ({"fingertip.patch.rolling_loss": 0.3}, "another model, which must be compiled: use set_scene"),
     ],
 )
 def test_a_refused_change_changes_nothing(
