@@ -251,7 +251,7 @@ sys.exit(cli.main())
 def test_a_device_that_cannot_be_stopped_is_reported(words: list[str], code: int) -> None:
     result = run_program([sys.executable, "-c", REFUSING, *words], timeout=END_S, start_new_session=words != ["TSTP"])
     assert result.returncode == code, result.stderr
-    assert "could not be stopped (OSError: the port has gone): it may still push" in result.stderr
+    assert "could not be stopped (OSError: the port has gone): it may still apply a force" in result.stderr
     assert "Traceback" not in result.stderr
 
 
