@@ -336,7 +336,7 @@ def test_output_without_devices() -> None:
 @pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
 @pytest.mark.parametrize(
     ("bus", "node", "reason"),
-    [("hidraw", "/dev/hidraw0", ""), ("usb", "/dev/bus/usb/001/002", "threads carry its reports")],
+    [("hidraw", "/dev/hidraw0", ""), ("usb", "/dev/bus/usb/001/002", "threads transfer its reports")],
 )
 def test_an_emulated_device_is_listed(bus: str, node: str, reason: str) -> None:
     case = {"bus": bus, "arm": "woody-2019", "generation": 2}

@@ -133,7 +133,7 @@ def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
     rig = rig_with(tmp_path, firmware=str(path))
     process, saw = run({"firmware": FIRMWARE_BYTES, "spoil": 2}, rig, "--duration", "0.02", code=0)
     assert saw["runs"] and saw["loads"] == 3
-    assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 came back as", process.stderr)
+    assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 was returned as", process.stderr)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
     [
         (None, 0, "no firmware runs in the Falcon: set `firmware` in the rig"),
         (20, 0, "has 20 bytes, must have 7324 to 8492"),
-        (3100, 99, "did not accept the firmware .* in 10 tries: byte 30\\d\\d of 3100 came back as"),
+        (3100, 99, "did not accept the firmware .* in 10 tries: byte 30\\d\\d of 3100 was returned as"),
     ],
     ids=["no-file", "not-a-firmware", "never-right"],
 )

@@ -118,7 +118,12 @@ FAULTS: dict[str, dict[str, Fault]] = {
     },
     "haply": {
         "unplugged": Fault(lambda far: far.unplug(), "inverse3 049D is no longer in the service's list", brief=True),
-        "killed": Fault(lambda far: far.device.kill(), "closed the connection|broke", zero=False, brief=True),
+        "killed": Fault(
+            lambda far: far.device.kill(),
+            "closed the connection|connection to the Inverse Service was lost",
+            zero=False,
+            brief=True,
+        ),
         "silent": Fault(lambda far: far.device.set(mute=True), SILENT, brief=True),
         "garbage": Fault(
             lambda far: far.device.set(spoil="<html>"), "violates its protocol .*answered '<html>'", brief=True

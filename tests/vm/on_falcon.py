@@ -74,7 +74,7 @@ def test_firmware_is_sent_on_request(tmp_path: Path) -> None:
             assert running.end(180) == 0, running.err
         saw = falcon.seen()
     assert saw["runs"] and saw["loads"] == 2
-    assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 came back as", running.err)
+    assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 was returned as", running.err)
 
 
 def test_the_driver_contract() -> None:
