@@ -24,6 +24,7 @@ F = 1.0 / SQRT2
 """Normal force on each wall of the groove, N."""
 GRIP = {"static": 0.6, "kinetic": 0.5}
 LATE = {"static": 0.2, "kinetic": 0.1}
+FAST = GRIP | {"viscous_s_per_m": 4.0}
 LIMP = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
 STRONG = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 1.0}
 WALLS = (np.array([1.0, 0.0, 1.0]) / SQRT2, np.array([-1.0, 0.0, 1.0]) / SQRT2)
@@ -101,6 +102,7 @@ def in_groove(running, points, vectors=None):
         ((GRIP, None), 0.6 * F, 0.5 * F),
         ((None, GRIP), 0.6 * F, 0.5 * F),
         ((GRIP, LATE), 0.7 * F, 0.6 * F),
+        ((FAST, FAST), 1.4 * F, 1.4 * F),  # at 0.05 m/s kinetic friction is above static friction
     ],
 )
 def test_friction_along_a_groove_is_the_sum_of_both_laws(laws, peak, expected):
