@@ -82,12 +82,14 @@ def test_release_clears_everything(plane_scene: SceneFactory) -> None:
     assert trace.torque[out + 1 :] == pytest.approx(np.zeros((6, 3)), abs=EXACT)
 
 
-def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory) -> None:
-    scene = plane_scene(material={"damping_ns_per_m": 10.0})
-    trace = drive(Engine(scene), pressed(0.002).go(10).go(30, move=[0, 0, 0.006]))
+@pytest.mark.parametrize("drag", [0.0, 0.005])
+def test_zero_normal_force_inside_is_not_a_release(plane_scene: SceneFactory, drag: float) -> None:
+    """Damping closes the friction cone, too."""
+    scene = plane_scene(material={"damping_ns_per_m": 10.0}, coupling={"damping_ns_per_m": 1.0})
+    trace = drive(Engine(scene), pressed(0.002).go(100, move=[drag, 0, 0]).go(30, move=[0.2 * drag, 0, 0.006]))
     inside = (trace.poses[:, 2] < R) & (trace.normal_force == 0.0)
     assert inside.sum() >= 5
-    assert (trace.mode[inside] != FREE).all()
+    assert (trace.mode[inside] != FREE).all() and not trace.tangential[inside].any()
     assert trace.causes.count("release") == 1
 
 
