@@ -97,7 +97,7 @@ coverage: $(STAMP) ## Line and branch coverage of `make test` by folder, includi
 mutants: $(STAMP) ## Insert the mistakes of tests/mutants.toml one by one into a copy: each must fail a test (minutes; ARGS=--only TEXT, --json FILE, --sweep: mistakes by rule)
 	@exec $(BIN)/python tests/mutants.py $(ARGS)
 
-test-vm: $(STAMP) ## Test drivers on a real kernel's USB and HID, and the service under systemd, in virtual machines (minutes; ARGS= for pytest)
+test-vm: $(STAMP) ## Test drivers on a real kernel's USB and HID, the service under systemd, in virtual machines (minutes; ARGS= for pytest)
 	@exec $(BIN)/python tests/vm/run.py $(ARGS)
 
 emulators: ## Install Debian packages for emulated USB devices (as root); without them the tests skip
@@ -124,7 +124,7 @@ lint: $(STAMP) ## Run ruff, mypy --strict and the check of import directions
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(STAMP) ## Measure the cost of a step, wake-up lateness (compared with C, and with bodies), latency to a subscriber (BENCH_SECONDS= each)
+bench: $(STAMP) ## Measure step cost, wake-up lateness (also in C, and with bodies) and latency to a subscriber (BENCH_SECONDS= each)
 	$(BIN)/softfinger bench step
 	$(BIN)/softfinger bench loop --seconds $(BENCH_SECONDS)
 	$(BIN)/softfinger bench loop --scene lift-a-box --seconds $(BENCH_SECONDS)

@@ -1,10 +1,10 @@
-"""Change a parameter of a running daemon, and see the change arrive in its telemetry.
+"""Change a parameter of a running daemon, and read the effect in its telemetry.
 
     softfinger run                                  # in one terminal
     python examples/change_a_parameter.py           # in another
 
-`Client` sends commands and receives telemetry. A change takes effect between two ticks, on every finger at once, and
-the guard keeps the step of the force within its slew limit. Other endpoints: give them, telemetry and commands.
+`Client` sends commands and receives telemetry. A change takes effect between two ticks, for all fingers, and the
+guard limits the slew rate of the force. Optional arguments: endpoints of telemetry and commands.
 """
 
 import sys
@@ -12,11 +12,11 @@ import sys
 from softfinger import Client
 
 STIFFNESS = "object.table.material.stiffness_n_per_m"
-SETTLED = 100  # ticks: the first may have been published before the change
+SETTLED = 100  # ticks: earlier ones may have been published before the change
 
 
 def peak(daemon: Client, ticks: int = 1000) -> float:
-    """Largest normal force (N) in so many ticks of contact from now on."""
+    """Return the largest normal force (N) in the next `ticks` ticks of contact."""
     forces: list[float] = []
     for sample in daemon.subscribe(timeout_s=10.0):
         if sample.contact.mode != 0:

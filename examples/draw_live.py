@@ -1,11 +1,11 @@
-"""Subscribe to a running daemon and draw the newest second of force, ten times a second.
+"""Subscribe to a running daemon and draw the last second of force, ten times per second.
 
     softfinger run                                  # in one terminal
     python examples/draw_live.py                    # in another: a window
     python examples/draw_live.py live.png           # or a file, without a screen
 
-A `window` keeps the newest ticks as arrays, by the names of the telemetry; `update` takes what has arrived. Another
-telemetry endpoint: give it after the file.
+A `window` stores the latest ticks as arrays with the names of the telemetry; `update` reads new messages. Optional
+second argument: telemetry endpoint.
 """
 
 import sys
@@ -13,7 +13,7 @@ import sys
 import matplotlib
 
 if len(sys.argv) > 1:
-    matplotlib.use("agg")  # into a file: no screen is needed
+    matplotlib.use("agg")  # to a file, without a screen
 
 import matplotlib.pyplot as plt
 

@@ -1,10 +1,9 @@
-"""Two fingertips hold a box 8 mm beside its centre of mass: by soft fingers it hangs, by points it swings.
+"""Two fingertips hold a box 8 mm from its centre of mass: soft fingers keep it level, point contacts let it swing.
 
     python examples/lift_a_box.py
 
-A script steps hand and world together: the fingers' poses go in, MuJoCo's own model and data are there to be read and
-changed. The box begins in the air without weight; once the fingers hold it, gravity is switched on. Needs
-`softfinger[world]`.
+The script steps hand and world together: it passes poses of the fingers, and reads and changes MuJoCo's model and data.
+The box starts in the air without gravity, which is switched on when the fingers grip. Requires `softfinger[world]`.
 """
 
 import math
@@ -33,7 +32,7 @@ SOFT: dict[str, Any] = {"torsion": {"stiffness_nm_per_rad": TORSION, "friction_l
 
 
 def hold(material: dict[str, Any], folder: Path) -> float:
-    """Largest turn of the box about the line between the fingers, in 0.6 s under its weight, rad."""
+    """Return the largest rotation (rad) of the box about the line between the fingers, in 0.6 s under its weight."""
     model = folder / "box.xml"
     model.write_text(BOX)
     engine = Engine(
@@ -45,7 +44,7 @@ def hold(material: dict[str, Any], folder: Path) -> float:
     )
     turn = 0.0
     for tick in range(700):
-        depth = 3.0 / STIFFNESS * min(tick / 100, 1.0)  # 3 N each
+        depth = 3.0 / STIFFNESS * min(tick / 100, 1.0)  # 3 N per finger
         poses = {
             name: [[side * (0.02 + RADIUS_M - depth), ARM_M, 0.0, 1.0, 0.0, 0.0, 0.0]]
             for name, side in (("thumb", -1.0), ("index", 1.0))

@@ -1,10 +1,10 @@
-"""A driver whose two functions numba compiles: no interpreter and no lock in the loop, so every tick is in time.
+"""Driver with two functions compiled by numba: the loop needs neither interpreter nor lock, so no tick is late.
 
-    python examples/my_driver_numba.py              # runs the daemon on it for two seconds
+    python examples/my_driver_numba.py              # runs the daemon with it for two seconds
 
-The same device as in `my_driver_python.py`. The handle is the address of a block of words that the two functions and
-this class share; a device in C is reached in the same way, by its library's functions. To install a driver, so that any
-rig may name it: docs/devices/writing-a-driver.md.
+The same device as in `my_driver_python.py`. The handle is the address of a memory block that the two functions and the
+class share; a device in C works in the same way, with functions of its library. Installation of a driver for all rigs:
+docs/devices/writing-a-driver.md.
 """
 
 import math
@@ -21,14 +21,14 @@ from softfinger.proxy.kernels.jit.decorators import c_function
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.server.cli import main
 
-HOLD_N_PER_M = 3000.0  # how firmly the hand, which is computed here, holds the fingertip
-DEPTH, PERIOD = 0, 1  # places in `given`
+HOLD_N_PER_M = 3000.0  # stiffness of the simulated hand that holds the fingertip
+DEPTH, PERIOD = 0, 1  # indices in `given`
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """What a rig's [device] table may say."""
+    """Keys of [device]."""
 
-    depth_m: Annotated[float, within(Range(0.0, 0.005, "half a fingertip"), "how deep the hand presses", 0.001)] = 0.001
+    depth_m: Annotated[float, within(Range(0.0, 0.005, "half a fingertip"), "press depth of the hand", 0.001)] = 0.001
 
 
 class Fields(NamedTuple):
@@ -70,11 +70,11 @@ def write(handle: int, wrench: Any) -> int:
 
 
 class MyDevice(Device):
-    """A fingertip of 10 mm that is pressed up and down on z = 0, and gives way to the force."""
+    """A 10 mm fingertip that moves up and down at z = 0, and yields to the force."""
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         self.info = DeviceInfo("my-device", 3, 3, 12.0, 0.3, 2000.0, 10.0, (-0.1,) * 3, (0.1,) * 3)
-        self.block = Block(AT)  # its memory is there as long as this object
+        self.block = Block(AT)  # valid for the lifetime of this object
         self.block.numbers(AT.given, 2)[:] = options.depth_m, 1.0 / rate_hz
         self.block.word[AT.armed] = 1
 

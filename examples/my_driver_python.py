@@ -1,11 +1,11 @@
-"""A driver in plain Python: ctypes makes C functions of two methods, and the servo loop calls them in every tick.
+"""Driver in plain Python: ctypes converts two methods to C functions, which the servo loop calls in every tick.
 
-    python examples/my_driver_python.py [TICKS]     # runs the daemon on it, and says how even the ticks were
+    python examples/my_driver_python.py [TICKS]     # runs the daemon with it, and prints the jitter of the ticks
 
-For a device that has a library for Python, and for trying things out. In every tick the loop waits for Python's
-interpreter lock, which any other thread of the process may keep for 5 ms (`sys.getswitchinterval`). So the ticks are
-even until something else in the process computes: the program runs once alone and once beside a thread that does. Not
-for a hand to feel; `my_driver_numba.py` is the same device without the lock.
+For devices with a Python library, and for experiments with code. In every tick the loop waits for Python's interpreter
+lock, which other threads of the process may hold for 5 ms (`sys.getswitchinterval`). So ticks are regular only while no
+other thread computes: the program runs once without and once with a busy thread. Not suitable for a device with force;
+`my_driver_numba.py` is the same device without the lock.
 """
 
 import ctypes
@@ -28,28 +28,28 @@ from softfinger.server.app import Daemon
 from softfinger.server.services.records import Sink
 
 C_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double))
-HOLD_N_PER_M = 3000.0  # how firmly the hand, which is computed here, holds the fingertip
+HOLD_N_PER_M = 3000.0  # stiffness of the simulated hand that holds the fingertip
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """What a rig's [device] table may say."""
+    """Keys of [device]."""
 
-    depth_m: Annotated[float, within(Range(0.0, 0.005, "half a fingertip"), "how deep the hand presses", 0.001)] = 0.001
+    depth_m: Annotated[float, within(Range(0.0, 0.005, "half a fingertip"), "press depth of the hand", 0.001)] = 0.001
 
 
 class MyDevice(Device):
-    """A fingertip of 10 mm that is pressed up and down on z = 0, and gives way to the force."""
+    """A 10 mm fingertip that moves up and down at z = 0, and yields to the force."""
 
     def __init__(self, options: Options, rate_hz: float) -> None:
         self.info = DeviceInfo("my-device", 3, 3, 12.0, 0.3, 2000.0, 10.0, (-0.1,) * 3, (0.1,) * 3)
         self._depth, self._period, self._reads = options.depth_m, 1.0 / rate_hz, 0
         self._force, self._armed = (0.0, 0.0, 0.0), True
-        # Kept as long as the device: the loop has their addresses only.
+        # Must live as long as the device: the loop only has their addresses.
         self._functions = [C_FUNCTION(self._told(method)) for method in (self.read, self.write)]
 
     @staticmethod
     def _told(method: Callable[[Any], int]) -> Callable[[int, Any], int]:
-        """`method` with a status for an exception: ctypes prints one and returns 0, which says that all is well."""
+        """Convert exceptions of `method` to a status: ctypes would print them and return 0, which means success."""
 
         def called(handle: int, numbers: Any) -> int:
             try:
@@ -77,7 +77,7 @@ class MyDevice(Device):
 
     def io(self) -> DeviceIO:
         read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._functions)
-        return DeviceIO(read, write, 1)  # the methods know `self`, so the handle may be any number but 0
+        return DeviceIO(read, write, 1)  # the methods have `self`, so the handle may be any number except 0
 
     def stop(self) -> None:
         self._armed, self._force = False, (0.0, 0.0, 0.0)
@@ -91,7 +91,7 @@ def open_device(options: Options, rate_hz: float) -> MyDevice:
 
 
 def ticks_on(rig: Rig, count: int) -> Records:
-    """Records of a daemon that runs for so many ticks."""
+    """Return the records of a daemon that runs for `count` ticks."""
     taken: list[np.ndarray] = []
     keep = Sink("figures", lambda rows, lost: taken.append(rows.copy()))
     with Daemon(rig, load_scene("paper-plane"), count, sinks=[keep]) as daemon:

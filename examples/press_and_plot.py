@@ -2,7 +2,7 @@
 
     python examples/press_and_plot.py press.png
 
-Nothing has to run beside it: `Engine` renders all poses in this process. They are a millisecond apart, as at 1 kHz.
+It needs no daemon: `Engine` renders all poses in this process. They are one millisecond apart, as at 1 kHz.
 """
 
 import sys
@@ -12,12 +12,12 @@ import numpy as np
 
 from softfinger import Engine
 
-RADIUS_M = 0.010  # the fingertip of the scene; its centre is so far above the plane when it touches
+RADIUS_M = 0.010  # fingertip of the scene; at first contact, the height of its centre above the plane
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)  # w, x, y, z
 
 
 def motion(seconds: float = 2.0, rate_hz: float = 1000.0) -> np.ndarray:
-    """Poses (n, 7): half a second to press 1 mm deep, then a drag of 3 mm along x."""
+    """Return poses (n, 7): press 1 mm deep in half a second, then drag 3 mm along x."""
     t = np.arange(0.0, seconds, 1.0 / rate_hz)
     poses = np.zeros((len(t), 7))
     poses[:, 2] = RADIUS_M - 0.001 * np.clip(t / 0.5, 0.0, 1.0)

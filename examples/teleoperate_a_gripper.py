@@ -1,10 +1,10 @@
-"""A finger pulls a trigger, a robot's gripper closes on something soft, and the finger feels how hard it presses.
+"""A finger pulls a trigger, a robot gripper closes on a soft object, and the finger feels the force of the gripper.
 
     python examples/teleoperate_a_gripper.py
 
-The fingertip's pose moves the trigger, by this program's contact. How far the trigger is pulled is what the gripper's
-actuator is told, and the actuator's force acts on the trigger: a position goes there, a force comes back, each
-millisecond. Trigger, gripper and object are MuJoCo's. Needs `softfinger[world]`.
+The fingertip moves the trigger by contact. The position of the trigger is the target of the gripper's actuator, and the
+actuator's force acts on the trigger: position forward, force back, in each millisecond. MuJoCo simulates trigger,
+gripper and object. Requires `softfinger[world]`.
 """
 
 from pathlib import Path
@@ -38,7 +38,7 @@ RADIUS_M = 0.01
 
 
 def pull(folder: Path, way_m: float, ticks: int = 1500) -> tuple[float, float, float]:
-    """The finger goes `way_m` beyond touch, and waits: force felt, and of the gripper on the object, N; pull, m."""
+    """Move the finger `way_m` past first contact and wait. Return its force and the gripper's (N), and the pull (m)."""
     path = folder / "gripper.xml"
     path.write_text(MODEL)
     material = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 2.0}

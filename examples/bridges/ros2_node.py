@@ -1,7 +1,7 @@
-"""A node of ROS 2: the fingertip as PoseStamped and the wrench on the hand as WrenchStamped, 100 times a second.
+"""ROS 2 node: publish the fingertip as PoseStamped and the wrench on the hand as WrenchStamped, 100 times per second.
 
 softfinger run                                  # in one terminal
-python3 ros2_node.py [ENDPOINT]                 # in another: ROS 2 is sourced, its Python has softfinger
+python3 ros2_node.py [ENDPOINT]                 # in another: with ROS 2 sourced, and softfinger in its Python
 """
 
 import sys
@@ -11,11 +11,11 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3, Wrench, WrenchStamped
 from std_msgs.msg import Header
 
-EVERY = 10  # ticks a message; those between are left out
+EVERY = 10  # ticks per message
 
 
 def messages(sample) -> tuple[PoseStamped, WrenchStamped]:
-    """What a contact message says, along the axes of the frame `world`; the torque is about the fingertip's centre."""
+    """Return pose and wrench of a sample in the frame `world`; the torque is about the fingertip's centre."""
     seconds, rest = divmod(round(sample.timestamp * 1e9), 10**9)
     header = Header(stamp=Time(sec=seconds, nanosec=rest), frame_id="world")
     position = Point(**named("xyz", sample["probe.position"]))
@@ -35,7 +35,7 @@ def main() -> None:
 
     from softfinger import Client
 
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is Python's
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Python handles Ctrl-C
     node = rclpy.create_node("softfinger")
     poses = node.create_publisher(PoseStamped, "softfinger/pose", 10)
     wrenches = node.create_publisher(WrenchStamped, "softfinger/wrench", 10)

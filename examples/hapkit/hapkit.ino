@@ -1,23 +1,23 @@
 // A Hapkit as a device of softfinger: rig `hapkit`, docs/devices/serial.md. For the Hapkit board or an Arduino Uno with
-// the same pins. Once a millisecond it sends where the motor is, and gives the motor the torque that it was sent last.
+// the same pins. It sends the motor position every millisecond, and applies the last received torque to the motor.
 //
-//   to the host    A5  counts (int32, lowest byte first)         crc8     6 bytes, 1000 times a second
+//   to the host    A5  counts (int32, lowest byte first)         crc8     6 bytes, 1000 times per second
 //   from the host  5A  torque (int16, uN m at the motor)         crc8     4 bytes
 //
-// crc8: polynomial 0x07, from 0, over all bytes before it. Counts begin at 0 where the handle is when the board starts.
+// crc8: polynomial 0x07, start 0, over all previous bytes. Counts are 0 at the handle position when the board starts.
 // WITHOUT A VALID FRAME FOR 50 ms THE MOTOR IS OFF.
 //
-// Pins, the sensor's jump and the torque of a duty cycle are those of the course's sketch (Stanford, T. Morimoto and
+// Pins, the sensor's jump and the torque of a duty cycle are from the course's sketch (Stanford, T. Morimoto and
 // A. Okamura): torque = 0.03 N m duty^2.
 
 const int PWM_PIN = 5;
 const int DIRECTION_PIN = 8;
 const int SENSOR_PIN = A2;
 
-const long TURN_COUNTS = 980;    // the sensor repeats after half a turn of the magnet: so far its reading jumps back
-const long JUMP_COUNTS = 490;    // a larger difference between two readings is such a jump
+const long TURN_COUNTS = 980;    // jump of the sensor, which repeats after half a turn of the magnet
+const long JUMP_COUNTS = 490;    // larger differences between two readings are jumps
 const float FULL_TORQUE = 0.03;  // N m at duty 1
-// Timer 0 runs without its divisor of 64 for a silent PWM of 62.5 kHz, and micros() with it.
+// Timer 0 runs without its divisor of 64, for an inaudible PWM of 62.5 kHz; this also changes micros().
 const unsigned long MICROSECOND = 64;
 const unsigned long PERIOD = 1000 * MICROSECOND;
 const unsigned long SILENCE = 50000 * MICROSECOND;
@@ -42,7 +42,7 @@ void drive(int torque) {
   analogWrite(PWM_PIN, (int)(255 * (duty > 1 ? 1 : duty)));
 }
 
-// Take what has come; a frame that is damaged goes byte by byte until one fits.
+// Read received bytes; skip a damaged frame byte by byte until a valid one.
 void listen() {
   while (Serial.available() > 0) {
     frame[filled++] = Serial.read();
@@ -58,7 +58,7 @@ void listen() {
   }
   if ((uint32_t)(micros() - heard_at) > SILENCE) {
     drive(0);
-    heard_at = micros() - SILENCE - 1;  // and stay so when micros() begins anew
+    heard_at = micros() - SILENCE - 1;  // also after an overflow of micros()
   }
 }
 

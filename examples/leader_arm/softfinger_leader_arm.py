@@ -2,8 +2,8 @@
 
 For arms such as LeRobot's SO-101 (Feetech STS3215) and GELLO (Dynamixel XL330). A thread reads all joints in one
 transaction, computes the pose of the tip from the arm's URDF, and writes the torque of one joint. Servo loop and thread
-exchange poses and forces through the block of the driver `haply`, whose functions for the loop fit every device that a
-thread serves: no force that is old, and none while poses are missing.
+exchange poses and forces through the block of the driver `haply`. Its functions for the loop suit all devices with a
+thread: outdated forces are not sent, and no forces while poses are missing.
 
 The bus is slower than the loop: see docs/devices/leader-arms.md.
 """
@@ -226,7 +226,7 @@ class LeaderArm(Device):
         return self._block.counts()
 
     def is_settled(self) -> bool:
-        """Return True if the servo has confirmed the latest wrench, or cannot any more."""
+        """Return True if the servo has confirmed the latest wrench, or no longer can."""
         return bool(self._block.word[AT.answered] >= self._block.word[AT.written]) or not self._thread.is_alive()
 
     def _slot(self, sequence: int, values: int, size: int) -> Any:

@@ -1,8 +1,8 @@
-// Print each change of the contact's mode, with nothing of softfinger in it.
+// Print each change of the contact mode, without softfinger.
 //
 //     apt install g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev
 //     g++ -std=c++17 -O2 -DMSGPACK_NO_BOOST examples/subscribe/subscribe.cpp -lzmq -o subscribe
-//     ./subscribe                                 # tcp://127.0.0.1:5555, for ever
+//     ./subscribe                                 # tcp://127.0.0.1:5555, forever
 //     ./subscribe ipc:///run/softfinger 4         # another endpoint, four changes
 #include <array>
 #include <cmath>

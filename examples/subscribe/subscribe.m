@@ -1,12 +1,12 @@
 function subscribe(endpoint, changes)
-% Print each change of the contact's mode, with nothing of softfinger in it.
+% Print each change of the contact mode, without softfinger.
 %
-%   pip install pyzmq msgpack             % into a Python that this MATLAB supports
+%   pip install pyzmq msgpack             % in a Python version that MATLAB supports
 %   pyenv(Version="/that/python", ExecutionMode="OutOfProcess")
-%   subscribe                             % tcp://127.0.0.1:5555, for ever
+%   subscribe                             % tcp://127.0.0.1:5555, forever
 %   subscribe("tcp://127.0.0.1:5555", 4)  % four changes
 %
-% Out of process, because MATLAB may bring a ZeroMQ of its own that would be loaded in its place.
+% Out of process: MATLAB may load its ZeroMQ instead of the one of pyzmq.
 arguments
     endpoint (1, 1) string = "tcp://127.0.0.1:5555"
     changes (1, 1) double = Inf
@@ -16,7 +16,7 @@ modes = ["free", "rolling", "sliding"];
 context = py.zmq.Context();
 socket = context.socket(py.zmq.SUB);
 done = onCleanup(@() socket.close());
-socket.setsockopt(py.zmq.RCVTIMEO, int32(5000)); % an error after 5 s without a message, rather than for ever
+socket.setsockopt(py.zmq.RCVTIMEO, int32(5000)); % error after 5 s without a message
 socket.connect(endpoint);
 socket.subscribe("contact");
 

@@ -1,7 +1,7 @@
-// Print each change of the contact's mode, with nothing of softfinger in it.
+// Print each change of the contact mode, without softfinger.
 //
 //     npm install                                 // in this folder: zeromq and @msgpack/msgpack
-//     node subscribe.mjs                          // tcp://127.0.0.1:5555, for ever
+//     node subscribe.mjs                          // tcp://127.0.0.1:5555, forever
 //     node subscribe.mjs ipc:///run/softfinger 4  // another endpoint, four changes
 import { decode } from "@msgpack/msgpack";
 import { Subscriber } from "zeromq";

@@ -1,4 +1,4 @@
-"""Print each change of the contact's mode, with nothing of softfinger in it: pip install pyzmq msgpack.
+"""Print each change of the contact mode, without softfinger: pip install pyzmq msgpack.
 
     softfinger run                                  # in one terminal
     python examples/subscribe/subscribe.py          # in another; --changes 4 ends after four

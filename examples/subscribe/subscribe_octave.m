@@ -1,17 +1,17 @@
-% Print each change of the contact's mode in GNU Octave: octave-cli subscribe_octave.m [ENDPOINT [CHANGES]]
+% Print each change of the contact mode in GNU Octave: octave-cli subscribe_octave.m [ENDPOINT [CHANGES]]
 %
 %   sudo apt install octave octave-zeromq   % Debian; elsewhere: pkg install -forge zeromq
 %
-% It takes the topic `state`, 200 messages a second: Octave is too slow to unpack a thousand.
+% It uses the topic `state`, 200 messages per second: Octave is too slow to unpack 1000.
 1; % a script with functions
 
 function [value, at] = unpack(bytes, at)
-  % The msgpack value that begins at place `at` of a vector of uint8, and the place behind it.
+  % Return the msgpack value at index `at` of a vector of uint8, and the index after it.
   head = double(bytes(at++));
   number = @(size, kind) double(swapbytes(typecast(bytes(at:at + size - 1), kind)));
   if head < 128, value = head; return, end
   if head >= 224, value = head - 256; return, end
-  sizes = [0 0 0 0 1 2 4 0 0 0 4 8 1 2 4 8 1 2 4 8 0 0 0 0 0 1 2 4 2 4 2 4]; % behind the heads 0xc0 to 0xdf
+  sizes = [0 0 0 0 1 2 4 0 0 0 4 8 1 2 4 8 1 2 4 8 0 0 0 0 0 1 2 4 2 4 2 4]; % after the heads 0xc0 to 0xdf
   kinds = {"uint8", "uint16", "uint32", "uint64", "int8", "int16", "int32", "int64"};
   if head < 144
     [value, at] = map(bytes, at, head - 128);
