@@ -1,4 +1,4 @@
-"""Two fingertips hold a box 8 mm from its centre of mass: soft fingers keep it level, point contacts let it swing.
+"""Two fingertips hold a box 8 mm from its centre of mass: with torsion it hangs, with point contacts it swings.
 
     python examples/lift_a_box.py
 

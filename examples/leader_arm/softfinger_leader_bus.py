@@ -1,8 +1,8 @@
 """Packets of bus servos on a serial line: Feetech STS/SMS (protocol 0) and Dynamixel X (protocol 2.0).
 
-The makers' Python libraries are not used: their receive loop polls the port without a pause, so that one thread of it
-keeps the interpreter lock from the daemon's other threads, and the published one for Feetech waits far too long for an
-answer. The packets are short, and the waits here release the lock.
+The makers' Python libraries are not used: their receive loop polls the port without a pause, so its thread blocks the
+interpreter lock for the other threads of the daemon, and the published one for Feetech has far too long timeouts for
+answers. The packets are short, and the waits here release the lock.
 """
 
 from __future__ import annotations
