@@ -96,7 +96,7 @@ def test_late_replies_cost_ticks_and_not_the_loop(tmp_path: Path) -> None:
         ({"mute_after": 100}, "no answer to a read in time: check cable and power"),
         ({"block_after": 100}, "no answer to a (read|write) in time"),
         ({"garble_after": 100}, "no answer to a read in time"),
-        ({"unhomed_after": 100}, "lost the zeros of its encoders"),
+        ({"unhomed_after": 100}, "lost its encoder zeros"),
     ],
     ids=["unplugged", "broken", "mute", "blocked", "noise", "unhomed"],
 )

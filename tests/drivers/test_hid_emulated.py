@@ -134,7 +134,7 @@ OTHER_DESCRIPTOR = "06abff0a0002a1017508150026ff00952009018102954009029102c0"
         ("usb", {"mute_after": 300}, 4, "no answer to a read in time: check cable and power"),
         ("node", {"mute_after": 0}, 4, "sends no report: check its power, and its firmware"),
         # a node's write hangs the loop itself, which the supervisor detects
-        ("node", {"block_after": 300}, 6, "no tick for 0.25 s .*a device's exchange hangs"),
+        ("node", {"block_after": 300}, 6, "no tick for 0.25 s .*the exchange with a device does not return"),
         ("thread", {"block_after": 300}, 4, r"no answer to a read in time \(a write has not returned for 1"),
         # libusb aborts a write after a second, while `stop` waits for the zero
         ("usb", {"block_after": 300}, 4, r"in time \((a write has not returned|hid writer: a write .* -1 after) "),

@@ -81,7 +81,7 @@ def test_the_packages_libusb_is_the_fallback(tmp_path: Path) -> None:
     environ = environment(tmp_path, system="broken", package=True)
     assert loaded(environ) == (True, str(Path(str(libusb_package.get_library_path())).resolve()))
     code, output = run_softfinger(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
-    assert code != 0 and "libusb is not installed" not in output, output
+    assert code != 0 and "libusb, which is needed for USB devices, is not installed" not in output, output
     assert re.search(r"no Falcon|USB devices cannot be listed", output), output
 
 

@@ -68,7 +68,7 @@ def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
     assert not np.load(home / "forces.npz")["force"].any()
     low, high = report["range"]["position_min_m"][2] * 1e3, report["range"]["position_max_m"][2] * 1e3
     assert f"z  up: {low:.1f} to {high:.1f} mm" in output and "x  right: " in output
-    assert "new samples a second, the rig asks for 1000" in output
+    assert "new samples a second, the rig requires 1000" in output
     assert "attach it to an issue" in output
 
 
@@ -117,7 +117,7 @@ def test_a_rig_with_a_limit_below_the_push_is_refused(
 def test_without_a_rig_the_first_attached_device_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     ports: list[SystemDevice] = [SystemDevice("usb", 0x1234, 0x0001, "a lamp", "", "")]
     monkeypatch.setattr(discovery, "list_attached", lambda: ports)
-    with pytest.raises(DeviceNotFound, match="name yours with --rig"):
+    with pytest.raises(DeviceNotFound, match="select your rig with --rig"):
         probe.attached_rig()
     ports.append(SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0"))
     assert probe.attached_rig() == "touch"
