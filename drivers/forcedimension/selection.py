@@ -113,7 +113,7 @@ def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
         by = ", ".join(holders) or "another process"
         return DeviceBusy(f"device {number} is used by {by} ({text}): end that process, then start again")
     if code == library.ERROR_NO_DEVICE:
-        return DeviceNotFound(f"device {number}is no longer attached ({text}): check cable and power")
+        return DeviceNotFound(f"device {number} is no longer attached ({text}): check cable and power")
     if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):
         for device in list_attached():
             if message := refusal(device):

@@ -39,5 +39,5 @@ class Options(Table, frozen=True, kw_only=True):
         float, within(CALIBRATION_S, "time limit for placing the stylus in the inkwell during opening", 20.0)
     ] = 20.0
     force_age_max_s: Annotated[
-        float, within(FORCE_AGE_S, "the library's thread gives age above which a force is replaced by zero", 0.005)
+        float, within(FORCE_AGE_S, "age above which the library's thread replaces a force by zero", 0.005)
     ] = 0.005

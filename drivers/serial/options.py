@@ -135,7 +135,7 @@ class Resync(Table, frozen=True, kw_only=True):
     """Bytes in front of a zero after a missing answer; they complete a truncated frame, and the board ignores them."""
 
     byte: Annotated[Byte, doc("the byte", 3)]
-    count: Annotated[int, within(RESYNC, "number of repetitions, in bytes of a frame", 9)]
+    count: Annotated[int, within(RESYNC, "number of these bytes: the length of a frame", 9)]
 
 
 class Frames(Table, frozen=True, kw_only=True):
