@@ -88,8 +88,8 @@ class SocketProcess:
         self._setup, self._files, self._event = setup, list(files), event
         self._on_handled, self._silent_max_s = on_handled, silent_max_s
         self._handlers: RequestHandlers | None = None
-        self._early_requests: list[Message] = []
-        """Requests that arrived before `serve`; the process passes on only a few."""
+        self._requests: list[Message] = []
+        """Requests to be answered, in their order. Without handlers they wait; the process limits their number."""
         self._earlier_figures, self._present_figures = Figures(), Figures()
         self._logged, self._logged_s = Figures(), -LOG_PERIOD_S
         self._started_s = 0.0
@@ -172,17 +172,17 @@ class SocketProcess:
     def _run(self) -> None:
         try:
             while True:
-                start_s, request_wait_s = time.monotonic(), self._poll()
+                start_s, request_wait_s, handlers = time.monotonic(), self._poll(), self._handlers
+                if handlers is not None:
+                    requests, self._requests = self._requests, []
+                    for message in requests:
+                        self._answer(handlers, message)
+                    handlers.each_period()
                 if self._channel.ended and not self._restart():
                     return
                 is_late = self._until_s is not None and start_s >= self._until_s
                 if is_late or start_s - self._received_s > self._silent_max_s:
                     self._process.kill()
-                if self._handlers is not None:
-                    early, self._early_requests = self._early_requests, []
-                    for message in early:
-                        self._answer(self._handlers, message)
-                    self._handlers.each_period()
                 self._log_figures(start_s)
                 while self._delayed_events and start_s >= self._delayed_events[0][0]:
                     self._event(self._delayed_events.pop(0)[1])
@@ -223,11 +223,7 @@ class SocketProcess:
             case Kind.LOG:
                 log.warning("%s", message.body.decode(errors="replace"))
             case Kind.REQUEST | Kind.TOO_MUCH | Kind.MALFORMED:
-                handlers = self._handlers
-                if handlers is None:
-                    self._early_requests.append(message)
-                else:
-                    self._answer(handlers, message)
+                self._requests.append(message)
                 return True
         return False
 
@@ -253,7 +249,7 @@ class SocketProcess:
             self.failed = True
             return False
         self._channel.close()
-        self._early_requests.clear()
+        self._requests.clear()
         self._earlier_figures, self._present_figures = msgspec.structs.replace(self.figures, subscribers=0), Figures()
         if time.monotonic() - self._started_s > STABLE_S:
             self._pause_s = 0.0
@@ -283,8 +279,8 @@ class SocketProcess:
         """Wait for the pause, then start a process unless the link is closing; return False if that fails."""
         due_s = time.monotonic() + self._pause_s
         while time.monotonic() < due_s and not self._ending():
-            if self._handlers is not None:
-                self._handlers.each_period()
+            if (handlers := self._handlers) is not None:
+                handlers.each_period()
             time.sleep(PERIOD_S)
         if self._ending():
             return True

@@ -16,6 +16,7 @@ from helpers.waits import WAIT_S, eventually
 
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
+from softfinger.server.wire.link import RequestHandlers
 
 pytestmark = pytest.mark.real_time
 
@@ -23,22 +24,32 @@ REQUESTS: dict[str, dict[str, Any]] = {"mark": {"label": "early"}, "describe": {
 
 
 @contextmanager
-def starting(folder: Path, requests: dict[str, dict[str, Any]]) -> Iterator[tuple[Daemon, dict[str, bool]]]:
-    """Send requests to a daemon, then start it; yield it, and the success of each request."""
+def connected(folder: Path) -> Iterator[tuple[Daemon, zmq.Socket[bytes]]]:
+    """Yield a daemon before its start, and a client of its commands."""
     changes = {"device.driver": "faulty", "telemetry.endpoint": f"ipc://{folder}/telemetry"}
     rig = load_rig("replay", changes | {"servo.realtime": "off", "guard.ramp_s": 0.01})
-    with Daemon(rig, pressed_scene(), scene_name="pressed") as daemon, zmq.Context() as context:
-        with context.socket(zmq.DEALER) as client:
-            client.linger = 0
-            client.connect(daemon.commands_endpoint)
-            for method, params in requests.items():
-                client.send_multipart([b"", msgpack.packb({"command_id": method, "method": method, "params": params})])
-            assert not client.poll(500)  # they have arrived
-            daemon.start()
-            answers = dict[str, bool]()
-            while len(answers) < len(requests) and client.poll(1000.0 * WAIT_S):
-                answer = msgpack.unpackb(client.recv_multipart()[1])
-                answers[answer["command_id"]] = answer["success"]
+    with (
+        Daemon(rig, pressed_scene(), scene_name="pressed") as daemon,
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as client,
+    ):
+        client.linger = 0
+        client.connect(daemon.commands_endpoint)
+        yield daemon, client
+
+
+@contextmanager
+def starting(folder: Path, requests: dict[str, dict[str, Any]]) -> Iterator[tuple[Daemon, dict[str, bool]]]:
+    """Send requests to a daemon, then start it; yield it, and the success of each request."""
+    with connected(folder) as (daemon, client):
+        for method, params in requests.items():
+            client.send_multipart([b"", msgpack.packb({"command_id": method, "method": method, "params": params})])
+        assert not client.poll(500)  # they have arrived
+        daemon.start()
+        answers = dict[str, bool]()
+        while len(answers) < len(requests) and client.poll(1000.0 * WAIT_S):
+            answer = msgpack.unpackb(client.recv_multipart()[1])
+            answers[answer["command_id"]] = answer["success"]
         yield daemon, answers
         daemon.stop()
         assert daemon.wait(WAIT_S)
@@ -60,3 +71,20 @@ def test_a_stop_before_the_start_ends_the_run(monkeypatch: pytest.MonkeyPatch, t
     with starting(tmp_path, {"stop": {}}) as (daemon, answers):
         assert answers == {"stop": True}
         assert daemon.wait(WAIT_S)
+
+
+def test_requests_are_answered_in_their_order(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Otherwise an `arm` of the start could follow a later `disarm`."""
+    registered(monkeypatch)
+    with connected(tmp_path) as (daemon, client):
+        for _ in range(8):
+            received = list[bytes]()
+            client.send_multipart([b"", b"before"])
+            assert not client.poll(100)  # it has arrived
+            daemon.publisher.serve(
+                RequestHandlers(lambda _, body, __, received=received: received.append(body), lambda: None)
+            )
+            client.send_multipart([b"", b"after"])
+            assert eventually(lambda received=received: len(received) == 2)
+            daemon.publisher.serve(None)
+            assert received == [b"before", b"after"]
