@@ -119,7 +119,9 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
 
 def _forget_entry(at: Any, path: list[str], value: Any) -> None:
     """Remove the values of the previous library entry if another entry is named."""
-    if not isinstance(at, dict) or at.get("resolved") is not True or at.get(path[-1]) == value:
+    if not isinstance(value, str):
+        return
+    if not isinstance(at, dict) or at.get(path[-1]) == value or at.get("resolved") is not True:
         return
     if path[-2:] == ["material", MATERIALS.key]:
         at.clear()
