@@ -142,14 +142,6 @@ def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path
     assert refused.returncode == 2 and "no other process can remove the force of replay" in refused.stderr
 
 
-def test_without_a_watcher_a_killed_daemon_leaves_its_force(tmp_path: Path) -> None:
-    with pressing(tmp_path) as (board, process):
-        process.kill()
-        process.wait(END_S)
-        time.sleep(0.5)
-        assert board.force[2] > 0.0
-
-
 @pytest.mark.parametrize(
     ("verb", "number"),
     [
