@@ -27,7 +27,7 @@ class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
     kind: ClassVar[str] = table_tag()
     at_tick: Annotated[int, within(limits.FAULT_TICK, "first tick with the fault", 500)] | None = None
     at_s: Annotated[float, within(limits.FAULT_TIME_S, "first tick as a time", 0.5)] | None = None
-    ticks: Annotated[int, within(limits.FAULT_TICK, "duration in ticks; 1 if neither is set", 100)] | (None) = None
+    ticks: Annotated[int, within(limits.FAULT_TICK, "duration in ticks; 1 if neither is set", 100)] | None = None
     for_s: Annotated[float, within(limits.FAULT_TIME_S, "duration as a time", 0.1)] | None = None
     every_ticks: Annotated[int, within(limits.FAULT_EVERY, "acts in one of this many ticks", 1)] = 1
     finger: Annotated[str, doc("finger whose device has the fault; empty: all fingers", "thumb")] = ""

@@ -47,7 +47,7 @@ class Driven(Table, frozen=True, kw_only=True, tag_field="kind", tag="driven"):
 
 
 class Body(Table, frozen=True, kw_only=True, tag_field="kind", tag="body"):
-    """Fixed to a body of [world]; the rest pose is given in the body frame."""
+    """Object fixed to a body of [world]; its rest pose is given in the frame of the body."""
 
     kind: ClassVar[str] = "body"
     body: Annotated[str, sized(limits.NAME_LENGTH, "name of the body, or its number if it has no name", "box")]

@@ -25,7 +25,7 @@ Bound = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
 class Question(Table, frozen=True, kw_only=True):
-    """Question of a survey, shown alone on a screen. The kinds are those of jsPsych."""
+    """Question of a survey; each screen shows one. The kinds are those of jsPsych."""
 
     name: Annotated[Label, doc("name of the question in the table of answers", "age")]
     kind: Annotated[

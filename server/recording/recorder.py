@@ -148,7 +148,7 @@ class Recorder:
 
     @property
     def failed(self) -> bool:
-        """True if an error ended the recording."""
+        """Whether an error ended the recording."""
         return bool(self._error)
 
     def stop(self, timeout_s: float) -> RecorderState:

@@ -219,7 +219,7 @@ class Prompt(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PromptScreen(TypedDict, total=False):
-    """Keys of a prompt for the participant's page alone."""
+    """Keys of a prompt for the page of the participant only."""
 
     colour: str
     image: str

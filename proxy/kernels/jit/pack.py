@@ -76,7 +76,7 @@ def repack(like: Any, values: np.ndarray) -> Packed:
 
 
 def packed(tree: Any) -> Packed:
-    """Return the tree packed with its present leaves."""
+    """Return `tree` with a copy of its leaves as float64."""
     return Packed(tree, flatten(tree))
 
 
@@ -120,7 +120,7 @@ def unpack_at(typing_context, like, address):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def pack(typing_context, values, tree):  # type: ignore[no-untyped-def]
-    """Store the leaves of `tree` in `values` (n,) float64."""
+    """Store the leaves of `tree` in `values`, shape (n,), float64."""
     _check(tree)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]

@@ -122,9 +122,10 @@ def share_of_tick(bend: Vec3, rate: Vec3) -> float:
 def slide_over_facets(
     objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, bool]:
-    """Return the equilibrium of `rest_on_curved` on the facets of a mesh, and True if the proxy is at rest there.
+    """Slide over the facets of a mesh as `rest_on_curved` does.
 
-    A proxy without deflection may need further steps.
+    Return the center of the proxy, the facets that it touches, and whether it is at rest. Without a deflection, it may
+    need further steps.
     """
     rounds, square = SLIDING_ROUNDS, 0.0
     if deflection == (0.0, 0.0, 0.0):
