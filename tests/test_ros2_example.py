@@ -66,7 +66,9 @@ def test_ros_messages_equal_the_telemetry(release: Stores) -> None:
 @pytest.mark.real_time
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the libraries below rclpy
 def test_a_ros_subscriber_receives_the_telemetry(endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    rclpy = pytest.importorskip("rclpy", reason="rclpy is ROS 2's (docs/operate/bridges.md says how it was had)")
+    rclpy = pytest.importorskip(
+        "rclpy", reason="rclpy is part of ROS 2; docs/operate/bridges.md describes its installation"
+    )
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", "87")
     from geometry_msgs.msg import PoseStamped, WrenchStamped

@@ -39,7 +39,7 @@ def cpp(folder: Path) -> list[str]:
 def javascript(_: Path) -> list[str]:
     node = shutil.which("node")
     if node is None or not (PROGRAMS / "node_modules").is_dir():
-        pytest.skip("no Node.js, or not its packages: make subscribers")
+        pytest.skip("Node.js or its packages are not installed: run `make subscribers`")
     return [node, str(PROGRAMS / "subscribe.mjs")]
 
 

@@ -140,7 +140,7 @@ def test_run_names_the_missing_part_in_one_error(bare: tuple[list[str], dict[str
 def test_no_libusb_at_all(tmp_path: Path) -> None:
     environ = environment(tmp_path, system="as it is", package=False)
     if loaded(environ)[0]:
-        pytest.skip("this system has a libusb")
+        pytest.skip("libusb is installed; the test needs a system without it")
     code, output = run_softfinger(([], environ), "run", "--rig", "falcon", *endpoints(tmp_path))
     assert code != 0
     assert re.search(NEITHER, output) and len(output.strip().splitlines()) == 1, output

@@ -34,7 +34,7 @@ CAMERA = """() => {
 def why_none() -> str:
     """Return the reason why no browser is available, or an empty text."""
     if shutil.which("chromium") is None:
-        return "no Chromium: make browser (Debian's package chromium)"
+        return "Chromium is not installed: run `make browser` (package chromium of Debian)"
     try:
         import playwright.sync_api  # noqa: F401
     except ImportError:

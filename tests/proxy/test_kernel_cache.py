@@ -254,7 +254,7 @@ def test_a_user_without_a_name_still_starts() -> None:
     try:
         subprocess.run([sys.executable, "-c", "import numba"], check=True, preexec_fn=become, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
-        pytest.skip("other users may not read this Python")
+        pytest.skip("other users cannot read the files of this Python")
     nowhere = {"HOME": None, "XDG_CACHE_HOME": None, "SOFTFINGER_CACHE_DIR": None}
     printed, log = start(PACKAGE_KERNELS, "", become, **nowhere)
     assert printed == "runs True" and log.count("not cached") == 1 and "no home" in log

@@ -25,7 +25,7 @@ from softfinger.server.recording.reader import RecordedWorld, read_contents
 from softfinger.server.recording.schemas import FRAME, SCENE, TICK, message_class
 from softfinger.server.recording.writer import RecordingFile
 
-WHY = "not installed by `make setup`: it is bigger than this program"
+WHY = "`make setup` does not install this package, which is larger than softfinger: see docs/operate/bridges.md"
 
 
 @pytest.fixture

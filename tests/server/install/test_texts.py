@@ -33,7 +33,7 @@ LINE = re.compile(rf"({MATCHES}|{SETS})(, ({MATCHES}|{SETS}))*")
 def tool(name: str) -> str:
     path = shutil.which(name)
     if path is None:
-        pytest.skip(f"{name} is not here")
+        pytest.skip(f"{name} is not installed")
     return path
 
 
