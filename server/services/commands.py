@@ -57,7 +57,7 @@ class CommandService:
         self._started = False
         self._last_request_s = 0.0
         self._logged_s = -LOG_PERIOD_S
-        self._queue: Final = SimpleQueue[tuple[bytes, Request | bytes, bool] | None]()
+        self._queue: Final = SimpleQueue[tuple[bytes, Request | bytes] | None]()
         self._pending_counts: Final = Counter[bytes]()
         """Number of requests of each client in `_queue` or being answered; protected by `_counts_lock`."""
         self._counts_lock = threading.Lock()
@@ -82,27 +82,25 @@ class CommandService:
         if self._thread.ident is not None:
             self._thread.join(JOIN_S)
 
-    def _receive(self, client: bytes, body: bytes | None, too_much: bool) -> bytes | None:
+    def _receive(self, client: bytes, body: bytes | None) -> bytes | None:
         """Answer a request, or queue it; never waits."""
         command_id = ""
         try:
             if body is not None and len(body) > SHORT:
-                self._enqueue(client, body, too_much)
+                self._enqueue(client, body)
                 return None
-            request = self._parse(body, too_much)
+            request = self._parse(body)
             command_id = request.command_id
             if request.method in AT_ONCE:
                 return self._handle(request)
-            self._enqueue(client, request, too_much)
+            self._enqueue(client, request)
             return None
         except Exception as error:
             return encode_refusal(self._as_declined(error), command_id)
 
-    def _parse(self, body: bytes | None, too_much: bool) -> Request:
+    def _parse(self, body: bytes | None) -> Request:
         """Return the parsed request and count it as a sign of life; raises Declined."""
         request = parse(body)
-        if too_much:
-            raise Declined("busy", "too many requests from this client: send them more slowly", request.command_id)
         self._check_heartbeat()  # a heartbeat missed before this request counts as missed
         self._note_alive()
         return request
@@ -112,19 +110,19 @@ class CommandService:
         if self._heartbeat_s is not None:
             self._rendering.force.end_at(round(1e9 * (self._last_request_s + self._heartbeat_s)))
 
-    def _enqueue(self, client: bytes, message: Request | bytes, too_much: bool) -> None:
+    def _enqueue(self, client: bytes, message: Request | bytes) -> None:
         with self._counts_lock:
             if self._pending_counts[client] >= WAITING_MAX:
                 raise Declined("busy", "too many requests of this client are waiting: wait for answers first")
             self._pending_counts[client] += 1
-        self._queue.put((client, message, too_much))
+        self._queue.put((client, message))
 
     def _run_queue(self) -> None:
         """Answer queued requests one after the other; runs in its own thread."""
         while (item := self._queue.get()) is not None:
             started = time.monotonic()
-            client, message, too_much = item
-            answer = self._answer_queued(client, message, too_much)
+            client, message = item
+            answer = self._answer_queued(client, message)
             if answer is not None:
                 self._daemon.reply(client, answer)
             with self._counts_lock:
@@ -133,10 +131,10 @@ class CommandService:
                     del self._pending_counts[client]
             time.sleep(min(time.monotonic() - started, REST_MAX_S))
 
-    def _answer_queued(self, client: bytes, message: Request | bytes, too_much: bool) -> bytes | None:
+    def _answer_queued(self, client: bytes, message: Request | bytes) -> bytes | None:
         command_id = ""
         try:
-            request = self._parse(message, too_much) if isinstance(message, bytes) else message
+            request = self._parse(message) if isinstance(message, bytes) else message
             command_id = request.command_id
             if request.method in DEFERRED:
                 getattr(self._handlers, request.method)(request, partial(self._reply, client, command_id))

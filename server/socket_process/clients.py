@@ -6,29 +6,44 @@ import contextlib
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Final
+from typing import Annotated, Final
 
+import msgspec
 import zmq
 
 from softfinger.server.socket_process.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
-from softfinger.server.socket_process.setup import REQUEST_MAX, Kind
+from softfinger.server.socket_process.setup import REQUEST_MAX
 
 WAITING_MAX: Final = 64
 """Requests of a client, or answers to it, in the queue; further answers are dropped, because it does not read them."""
 BURST_S: Final = 0.1
 BURST: Final = 100
 """Most requests of a client in BURST_S: a thousand per second, one in each tick of the usual loop. More are busy."""
+AT_ONCE: Final = 64
+"""Requests read in one turn."""
+BUSY: Final = "busy: too many requests from this client: send them more slowly"
+
+
+class _CommandId(msgspec.Struct):
+    command_id: Annotated[str, msgspec.Meta(max_length=128)] = ""
+
+
+_decoder: Final = msgspec.msgpack.Decoder(_CommandId)
 
 
 class Clients:
-    """Command clients of one endpoint; `on_request` is called with kind, client and request."""
+    """Command clients of one endpoint.
+
+    on_request  is called with a client, its request (None: not two frames), and whether it sends too many; returns
+                whether the request was accepted; others are answered with BUSY
+    """
 
     def __init__(
         self,
         gate: SocketContext,
         bound: BoundEndpoint,
         lock: KeyLock | None,
-        on_request: Callable[[Kind, bytes, bytes], object],
+        on_request: Callable[[bytes, bytes | None, bool], bool],
     ) -> None:
         options = {
             "maxmsgsize": REQUEST_MAX,
@@ -42,22 +57,32 @@ class Clients:
         self._burst_counts: Counter[bytes] = Counter()
         self._burst_s = 0.0
 
-    def take(self, has_room: Callable[[], bool]) -> None:
-        """Pass on requests while there is room for another, from all clients in turn."""
+    def take(self) -> bool:
+        """Pass on or refuse at most AT_ONCE requests, from all clients in turn; return whether there may be more."""
         now = time.monotonic()
         if now - self._burst_s >= BURST_S:
             self._burst_s = now
             self._burst_counts.clear()
-        while has_room() and self.peers.has_message:
+        for _ in range(AT_ONCE):
+            if not self.peers.has_message:
+                return False
             client, *frames = self.peers.socket.recv_multipart(zmq.NOBLOCK)
             self._burst_counts[client] += 1
-            kind = Kind.TOO_MUCH if self._burst_counts[client] > BURST else Kind.REQUEST
-            if len(frames) == 2 and not frames[0]:
-                self._on_request(kind, client, frames[1])
-            else:
-                self._on_request(Kind.MALFORMED, client, b"")
+            body = frames[1] if len(frames) == 2 and not frames[0] else None
+            if not self._on_request(client, body, self._burst_counts[client] > BURST):
+                self.answer(client, encode_busy(body))
+        return True
 
     def answer(self, client: bytes, body: bytes) -> None:
         """Send an answer to a client; it is dropped if the client has disconnected or does not read."""
         with contextlib.suppress(zmq.ZMQError):
             self.peers.socket.send_multipart([client, b"", body], zmq.NOBLOCK)
+
+
+def encode_busy(body: bytes | None) -> bytes:
+    """Return the answer to a request that is one too many."""
+    try:
+        command_id = _decoder.decode(body or b"").command_id
+    except (msgspec.DecodeError, ValueError, RecursionError):
+        command_id = ""
+    return msgspec.msgpack.encode({"command_id": command_id, "success": False, "result": {}, "error": BUSY})

@@ -16,7 +16,6 @@ import resource
 import select
 import signal
 import time
-from collections import OrderedDict, deque
 from contextlib import ExitStack
 from typing import Any, Final
 
@@ -29,6 +28,7 @@ from softfinger.server.socket_process.clients import Clients
 from softfinger.server.socket_process.messages import Messages
 from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.socket_process.readers import Readers
+from softfinger.server.socket_process.request_queue import RequestQueue
 from softfinger.server.socket_process.setup import PERIOD_S, Figures, Kind, ListeningSocket, ProcessSetup, StateInfo
 from softfinger.server.socket_process.ticks import RowReader
 
@@ -37,9 +37,6 @@ log: Final = logging.getLogger(__name__)
 UNANSWERED_MAX: Final = 32
 """Unanswered requests passed to the daemon; further ones wait here, so that one that turns the force off has its effect
 while the daemon is busy."""
-WAITING_MAX: Final = 1024
-WAITING_BYTES_MAX: Final = 1 << 22
-"""Requests that wait here, and their bytes; further ones remain queued in libzmq, up to a limit for each client."""
 QUIET_S: Final = 0.1
 """If ticks arrive at shorter intervals than this, a new subscriber waits for the next: libzmq would send the latest to
 all."""
@@ -52,6 +49,8 @@ STUCK_S: Final = 0.5
 closes: after a flood of topics for up to a minute, in which no tick would be sent."""
 EVENTS_IN_TURN: Final = 32
 """Connection events handled before ticks, messages and requests have their turn."""
+REST_MAX_S: Final = 0.002
+"""Longest pause after requests in a flood."""
 RETRY_S: Final = 0.005
 """Interval of retries while the daemon does not read."""
 
@@ -64,9 +63,7 @@ class Publishing:
 
     def __init__(self, channel: Channel, setup: ProcessSetup, files: ExitStack) -> None:
         self._channel, self._unanswered = channel, 0
-        self._waiting = OrderedDict[bytes, deque[tuple[Kind, bytes]]]()
-        """Requests of each client that wait until fewer are unanswered; the client whose turn is next is the first."""
-        self._waiting_count = self._waiting_bytes = 0
+        self._waiting = RequestQueue()
         self._brake = Brake(setup.switch)
         self._rows = RowReader(setup.memory, setup.begin, setup.bell)
         self._messages = Messages(setup.ticks, setup.shown)
@@ -97,40 +94,33 @@ class Publishing:
             return
         number = bytes((len(self._clients),))
         self._clients.append(
-            Clients(gate, listener, lock, lambda kind, client, body: self._accept(kind, number + client, body))
+            Clients(gate, listener, lock, lambda client, body, too_much: self._accept(number + client, body, too_much))
         )
 
-    def _accept(self, kind: Kind, client: bytes, body: bytes) -> None:
-        """Queue a request; if it turns the force off, the loop does so now, however many requests its client sends."""
-        if takes_force_off(body):
-            kind = Kind.REQUEST
+    def _accept(self, client: bytes, body: bytes | None, too_much: bool) -> bool:
+        """Queue a request, or return False; if it turns the force off, the loop does so now."""
+        accepted = self._waiting.add(client, body, too_much)
+        if accepted and body is not None and takes_force_off(body):
             self._brake.count(1)
-        self._waiting.setdefault(client, deque()).append((kind, body))
-        self._waiting_count += 1
-        self._waiting_bytes += len(body)
+        return accepted
 
     def _pass_on(self) -> None:
-        """Pass queued requests to the daemon, one of each client in turn, until too many are unanswered."""
+        """Pass queued requests to the daemon, until too many are unanswered."""
         while self._waiting and self._unanswered < UNANSWERED_MAX:
-            client, requests = self._waiting.popitem(last=False)
-            kind, body = requests.popleft()
-            if requests:
-                self._waiting[client] = requests
-            self._waiting_count -= 1
-            self._waiting_bytes -= len(body)
-            if self._channel.send(kind, client, body):
+            client, body = self._waiting.pop()
+            if self._channel.send(Kind.MALFORMED if body is None else Kind.REQUEST, client, body or b""):
                 self._unanswered += 1
-            elif takes_force_off(body):  # the daemon will not receive it
+            elif body is not None and takes_force_off(body):  # the daemon will not receive it
                 self._brake.count(-1)
 
     def run(self) -> None:
         """Publish until the daemon requests the end or exits."""
         poll, bell = self._poll(), self._rows.bell
         renewals, report_s, keys_s = self._renewals(), 0.0, time.monotonic() + KEY_CHECK_S
-        has_events = False
+        has_events = has_more = False
         while not self._ended:
             limit_step()
-            timeout_s = 0.0 if has_events else RETRY_S if self._channel.has_queued else PERIOD_S
+            timeout_s = 0.0 if has_events or has_more else RETRY_S if self._channel.has_queued else PERIOD_S
             ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
             if bell in ready:
                 os.eventfd_read(bell)  # orders the loads of rows after the stores that precede the signal
@@ -138,7 +128,7 @@ class Publishing:
             if self._channel.fileno() in ready:
                 self._receive()
             self._channel.flush()
-            self._handle_peers()
+            has_more = self._handle_peers()
             if has_events or ready - {bell, self._channel.fileno()}:
                 # Soon: libzmq's thread blocks once a thousand events are unread. Few: they must not delay requests.
                 has_events = sum(peers.process_events(EVENTS_IN_TURN) for peers in self._peer_sockets) > 0
@@ -178,16 +168,19 @@ class Publishing:
                     reader.send(topic, body)
             self._last_tick_s = time.monotonic()
 
-    def _handle_peers(self) -> None:
-        """Handle messages from peers.
+    def _handle_peers(self) -> bool:
+        """Handle messages from peers; return whether there may be more.
 
         After a socket was used, its file descriptor does not signal messages that arrived earlier.
         """
+        start_s = time.monotonic()
         for readers in self._readers:
             readers.take()
-        for clients in self._clients:
-            clients.take(lambda: self._waiting_count < WAITING_MAX and self._waiting_bytes < WAITING_BYTES_MAX)
+        has_more = sum(clients.take() for clients in self._clients) > 0
         self._pass_on()
+        if has_more:  # A flood uses at most half of a processor.
+            time.sleep(min(time.monotonic() - start_s, REST_MAX_S))
+        return has_more
 
     def _send_latest(self, prefix: bytes) -> None:
         """Send the latest messages for a new subscription; libzmq sends them to all subscribers of the topic."""

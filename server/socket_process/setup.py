@@ -39,8 +39,6 @@ class Kind(IntEnum):
     FIGURES = 17
     REQUEST = 18
     """Request of the client `key`."""
-    TOO_MUCH = 19
-    """Request of a client that sends too many."""
     MALFORMED = 20
     """Message of a client without exactly two frames."""
     LOG = 21

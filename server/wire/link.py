@@ -55,12 +55,12 @@ Send = Callable[[Kind, bytes, bytes], object]
 class RequestHandlers(NamedTuple):
     """Handlers of requests; both are called in the thread of the link, and must not raise.
 
-    answer       is called with a client, its request (None: not two frames), and whether it sends too many; returns the
-                 answer, or None if `reply` sends it later; must not wait
+    answer       is called with a client and its request (None: not two frames); returns the answer, or None if `reply`
+                 sends it later; must not wait
     each_period  is called every PERIOD_S or sooner
     """
 
-    answer: Callable[[bytes, bytes | None, bool], bytes | None]
+    answer: Callable[[bytes, bytes | None], bytes | None]
     each_period: Callable[[], None]
 
 
@@ -222,14 +222,14 @@ class SocketProcess:
                 self._present_figures = msgspec.msgpack.decode(message.body, type=Figures)
             case Kind.LOG:
                 log.warning("%s", message.body.decode(errors="replace"))
-            case Kind.REQUEST | Kind.TOO_MUCH | Kind.MALFORMED:
+            case Kind.REQUEST | Kind.MALFORMED:
                 self._requests.append(message)
                 return True
         return False
 
     def _answer(self, handlers: RequestHandlers, message: Message) -> None:
         body = None if message.kind == Kind.MALFORMED else message.body
-        answer = handlers.answer(message.key, body, message.kind == Kind.TOO_MUCH)
+        answer = handlers.answer(message.key, body)
         if answer is None or not self._channel.send(Kind.ANSWER, message.key, answer):
             self._channel.send(Kind.DEFERRED, message.key)
         if message.kind == Kind.REQUEST:

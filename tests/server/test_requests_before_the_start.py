@@ -16,6 +16,11 @@ from helpers.waits import WAIT_S, eventually
 
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
+from softfinger.server.loop.switch_fields import STOPS_RECEIVED
+from softfinger.server.socket_process.clients import BUSY
+from softfinger.server.socket_process.process import UNANSWERED_MAX
+from softfinger.server.socket_process.request_queue import WAITING_MAX
+from softfinger.server.wire.control import Control
 from softfinger.server.wire.link import RequestHandlers
 
 pytestmark = pytest.mark.real_time
@@ -73,6 +78,19 @@ def test_a_stop_before_the_start_ends_the_run(monkeypatch: pytest.MonkeyPatch, t
         assert daemon.wait(WAIT_S)
 
 
+def test_a_flood_does_not_delay_a_disarm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Nothing is answered before the start, so the flood remains in the process that receives it."""
+    registered(monkeypatch)
+    with connected(tmp_path) as (daemon, flood), Control(daemon.commands_endpoint) as second:
+        for _ in range(WAITING_MAX + UNANSWERED_MAX):
+            flood.send_multipart([b"", msgpack.packb({"command_id": "x", "method": "get_state"})])
+        second.post("disarm")
+        assert eventually(lambda: daemon.servo.switch[STOPS_RECEIVED] == 1)
+        assert flood.poll(1000.0 * WAIT_S)
+        answer = {"command_id": "x", "success": False, "result": {}, "error": BUSY}
+        assert msgpack.unpackb(flood.recv_multipart()[1]) == answer
+
+
 def test_requests_are_answered_in_their_order(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Otherwise an `arm` of the start could follow a later `disarm`."""
     registered(monkeypatch)
@@ -82,7 +100,7 @@ def test_requests_are_answered_in_their_order(monkeypatch: pytest.MonkeyPatch, t
             client.send_multipart([b"", b"before"])
             assert not client.poll(100)  # it has arrived
             daemon.publisher.serve(
-                RequestHandlers(lambda _, body, __, received=received: received.append(body), lambda: None)
+                RequestHandlers(lambda _, body, received=received: received.append(body), lambda: None)
             )
             client.send_multipart([b"", b"after"])
             assert eventually(lambda received=received: len(received) == 2)
