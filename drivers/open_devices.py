@@ -9,6 +9,8 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
+from functools import partial
+from queue import SimpleQueue
 from typing import Final, Protocol, TypeVar
 
 STOP_TIMEOUT_S: Final = 2.0
@@ -26,19 +28,63 @@ Target = TypeVar("Target", bound=Stoppable)
 
 devices: Final[weakref.WeakSet[Stoppable]] = weakref.WeakSet()
 """While a device is referenced, it can be stopped and closed any number of times."""
+_hung: Final[weakref.WeakSet[Stoppable]] = weakref.WeakSet()
+"""Devices of which a call has not returned in time."""
+THREADS_PER_DEVICE: Final = 2
+"""Reserved threads: one for a call, and one for a library that may hang in it."""
+_reserved: Final[list[SimpleQueue[Callable[[], None]]]] = []
+"""Queue of each reserved thread that is idle."""
 
 
-def call_all(call: Callable[[Target], None], targets: Sequence[Target]) -> list[tuple[Target, BaseException]]:
+def reserve_threads() -> None:
+    """Start threads for the calls of another device, because the system may have no thread left later.
+
+    Raises RuntimeError if it has none left now.
+    """
+    for _ in range(THREADS_PER_DEVICE * (len(devices) + 1) - len(_reserved)):
+        threading.Thread(target=_run_calls, name="reserved", daemon=True).start()
+
+
+def _run_calls() -> None:
+    calls = SimpleQueue[Callable[[], None]]()
+    while True:
+        _reserved.append(calls)
+        calls.get()()
+
+
+def _start(call: Callable[[], None]) -> bool:
+    """Run `call`, which raises no error, in another thread; return False if there is none."""
+    try:
+        threading.Thread(target=call, daemon=True).start()
+    except RuntimeError:
+        try:
+            _reserved.pop().put(call)
+        except IndexError:
+            return False
+    return True
+
+
+def call_all(
+    call: Callable[[Target], object], targets: Sequence[Target], timeout_s: float | None = None
+) -> list[tuple[Target, BaseException]]:
     """Call `call` with all devices in parallel, so that a failing or hanging device delays no other.
 
-    If the system has no thread left, this thread calls the remaining ones, one after the other.
+    If the system has no thread left, reserved threads are used. If none of them is idle, this thread calls the
+    remaining devices, one after the other, without those that have hung before.
+
+    Parameters
+    ----------
+    timeout_s
+        Time for all calls, s; None: STOP_TIMEOUT_S.
 
     Returns
     -------
     list
-        Failed devices with their errors: TimeoutError for a call that did not return within STOP_TIMEOUT_S; it
-        continues in its thread.
+        Failed devices with their errors: TimeoutError for a call that did not return in time; it continues in its
+        thread.
     """
+    timeout_s = STOP_TIMEOUT_S if timeout_s is None else timeout_s
+    finished = [threading.Event() for _ in targets]
     failures: dict[int, BaseException] = {}
 
     def run(index: int) -> None:
@@ -46,22 +92,17 @@ def call_all(call: Callable[[Target], None], targets: Sequence[Target]) -> list[
             call(targets[index])
         except BaseException as error:
             failures[index] = error
+        finally:
+            finished[index].set()
 
-    threads, remaining = dict[int, threading.Thread](), list[int]()
-    for index in range(len(targets)):
-        thread = threading.Thread(target=run, args=(index,), daemon=True)
-        try:
-            thread.start()
-            threads[index] = thread
-        except RuntimeError:
-            remaining.append(index)
-    for index in remaining:
-        run(index)
-    until = time.monotonic() + STOP_TIMEOUT_S
-    for index, thread in threads.items():
-        thread.join(max(until - time.monotonic(), 0.0))
-        if thread.is_alive():
-            failures[index] = TimeoutError(f"the call has not returned for {STOP_TIMEOUT_S:g} s")
+    for index in [index for index in range(len(targets)) if not _start(partial(run, index))]:
+        if targets[index] not in _hung:
+            run(index)
+    until = time.monotonic() + timeout_s
+    for index, target in enumerate(targets):
+        if not finished[index].wait(max(until - time.monotonic(), 0.0)):
+            failures[index] = TimeoutError(f"the call has not returned for {timeout_s:g} s")
+            _hung.add(target)
     return [(targets[index], failures[index]) for index in sorted(failures)]
 
 

@@ -87,6 +87,7 @@ def open_device(config: DeviceConfig, rate_hz: float, where: str = "[device]") -
     A signal that stops the process zeroes the device; one that ends the process from another thread closes it.
     """
     driver, driver_options = load(config.driver), check(config, rate_hz, where)
+    open_devices.reserve_threads()
     device: Device = driver.open_device(driver_options, rate_hz)
     open_devices.devices.add(device)
     return device

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
@@ -170,10 +170,7 @@ class ForceDimension(BlockDevice):
             finally:
                 exchange.unlock.ctypes(block)
             return
-        stop_thread = threading.Thread(target=work, name="forcedimension stop", daemon=True)
-        stop_thread.start()
-        stop_thread.join(HANG_WAIT_S)
-        if stop_thread.is_alive():
+        if open_devices.call_all(lambda _: work(), [self], HANG_WAIT_S):
             log.error(
                 "%s: a call of the library hangs and blocks all others; only the device's watchdog can remove force: "
                 "switch the device off",

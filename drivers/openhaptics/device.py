@@ -17,6 +17,7 @@ from itertools import chain
 from typing import Final, NoReturn
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
+from softfinger.drivers import open_devices
 from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library, usb
@@ -284,12 +285,10 @@ class OpenHaptics(BlockDevice):
         """Run `work`, which may hang in the library, in a thread; return its failure, or that of a timeout."""
         failed = ["the library hangs"]
 
-        def run() -> None:
+        def run(_: object) -> None:
             failed[0] = work()
 
-        stop_thread = threading.Thread(target=run, name="openhaptics stop", daemon=True)
-        stop_thread.start()
-        stop_thread.join(seconds)
+        open_devices.call_all(run, [self], seconds)
         if failed[0]:
             log.error("%s may still exert force: %s: switch the device off", self.info.name, failed[0])
         return failed[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -149,10 +148,7 @@ def test_stop_while_a_transfer_hangs(
         servo.stop()
         assert servo.join(10.0) is not None
         servo.close()
-        for thread in threading.enumerate():
-            if thread.name == "forcedimension stop":
-                thread.join(10.0)
-        assert stub.norm() == 0.0 and stub["force_on"] == 0
+        until(lambda: stub.norm() == 0.0 and stub["force_on"] == 0)
 
 
 def test_stop_waits_for_a_running_exchange(stub: Stub, bench: OmegaBench) -> None:

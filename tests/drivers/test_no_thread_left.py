@@ -8,7 +8,10 @@ import threading
 import pytest
 from helpers.programs import run_program
 
+from softfinger.config.load import load_rig
+from softfinger.config.schema.pairing import single_device
 from softfinger.drivers import open_devices
+from softfinger.drivers.registry import open_device
 
 pytestmark = pytest.mark.plain
 
@@ -16,12 +19,15 @@ pytestmark = pytest.mark.plain
 class Device:
     """Device that records its calls; the one that `fails` raises an error."""
 
-    def __init__(self, fails: bool = False) -> None:
+    def __init__(self, fails: bool = False, hangs: bool = False) -> None:
         self.calls: list[str] = []
-        self._fails = fails
+        self._fails, self._hangs = fails, hangs
+        self.free = threading.Event()
 
     def stop(self) -> None:
         self.calls.append("stop")
+        if self._hangs:
+            self.free.wait()
         if self._fails:
             raise OSError("the port has gone")
 
@@ -29,8 +35,13 @@ class Device:
         self.calls.append("close")
 
 
-@pytest.mark.parametrize("left", range(4))
-def test_every_device_is_stopped_without_threads(left: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True)
+def _no_reserved_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(open_devices, "_reserved", [])
+
+
+def leave_threads(left: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this number of threads start."""
     started, start = list[threading.Thread](), threading.Thread.start
 
     def start_some(thread: threading.Thread) -> None:
@@ -40,10 +51,38 @@ def test_every_device_is_stopped_without_threads(left: int, monkeypatch: pytest.
         start(thread)
 
     monkeypatch.setattr(threading.Thread, "start", start_some)
+
+
+@pytest.mark.parametrize("left", range(4))
+def test_every_device_is_stopped_without_threads(left: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_threads(left, monkeypatch)
     devices = [Device(), Device(fails=True), Device()]
     failures = open_devices.call_all(lambda device: device.stop(), devices)
     assert [device.calls for device in devices] == [["stop"]] * 3
     assert [(device, str(error)) for device, error in failures] == [(devices[1], "the port has gone")]
+
+
+@pytest.mark.parametrize("hanging", range(3))
+def test_a_device_that_hangs_delays_no_other_without_threads(hanging: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
+    devices = [Device(hangs=number == hanging) for number in range(3)]
+    for device in devices:
+        open_devices.reserve_threads()
+        open_devices.devices.add(device)
+    leave_threads(0, monkeypatch)
+    calls = 2 * len(open_devices._reserved)  # each call of the device that hangs takes a thread, if there is one
+    for _ in range(calls):
+        failures = open_devices.call_all(lambda device: device.stop(), devices)
+        assert [(device, type(error)) for device, error in failures] == [(devices[hanging], TimeoutError)]
+    sound = [device for device in devices if device is not devices[hanging]]
+    assert [device.calls for device in sound] == [["stop"] * calls] * 2
+    devices[hanging].free.set()
+
+
+def test_a_device_is_opened_only_with_threads_for_its_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_threads(open_devices.THREADS_PER_DEVICE - 1, monkeypatch)
+    with pytest.raises(RuntimeError):
+        open_device(single_device(load_rig("simulated")), 1000.0)
 
 
 PROGRAM = """

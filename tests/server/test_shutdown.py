@@ -183,18 +183,22 @@ def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(
 
 @pytest.mark.usefixtures("short_timeout")
 def test_hanging_devices_share_one_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    waits, daemons = list[float](), list[bool]()
-    join = threading.Thread.join
+    waits, daemons = list[float](), set[bool]()
+    wait = threading.Event.wait
 
-    def noted(thread: threading.Thread, timeout: float) -> None:
-        waits.append(timeout)
-        daemons.append(thread.daemon)
-        join(thread, timeout)
+    def noted(event: threading.Event, timeout: float | None = None) -> bool:
+        if timeout is not None:
+            waits.append(timeout)
+        return wait(event, timeout)
 
-    monkeypatch.setattr(threading.Thread, "join", noted)
+    def stop(motor: Motor) -> None:
+        daemons.add(threading.current_thread().daemon)
+        motor.stop()
+
+    monkeypatch.setattr(threading.Event, "wait", noted)
     motors = [Motor(hangs=True) for _ in range(10)]
-    failures = open_devices.call_all(lambda motor: motor.stop(), [*motors, Motor()])
-    assert sum(waits) <= open_devices.STOP_TIMEOUT_S and all(daemons) and len(waits) == 11
+    failures = open_devices.call_all(stop, [*motors, Motor()])
+    assert sum(waits) <= open_devices.STOP_TIMEOUT_S and daemons == {True} and len(waits) == 11
     assert [motor for motor, _ in failures] == motors
     assert all(isinstance(error, TimeoutError) for _, error in failures)
     for motor in motors:
