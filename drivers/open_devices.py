@@ -30,26 +30,27 @@ devices: Final[weakref.WeakSet[Stoppable]] = weakref.WeakSet()
 """While a device is referenced, it can be stopped and closed any number of times."""
 _hung: Final[weakref.WeakSet[Stoppable]] = weakref.WeakSet()
 """Devices of which a call has not returned in time."""
-THREADS_PER_DEVICE: Final = 2
-"""Reserved threads: one for a call, and one for a library that may hang in it."""
+RESERVED_THREADS: Final = 16
+"""For each of up to eight devices a thread for a call, and another one for a library that may hang in it."""
 _reserved: Final[list[SimpleQueue[Callable[[], None]]]] = []
 """Queue of each reserved thread that is idle."""
 
 
 def reserve_threads() -> None:
-    """Start threads for the calls of another device, because the system may have no thread left later.
+    """Start threads for `call_all` before a device is opened, because the system may have none left later.
 
     Raises RuntimeError if it has none left now.
     """
-    for _ in range(THREADS_PER_DEVICE * (len(devices) + 1) - len(_reserved)):
-        threading.Thread(target=_run_calls, name="reserved", daemon=True).start()
-
-
-def _run_calls() -> None:
-    calls = SimpleQueue[Callable[[], None]]()
-    while True:
+    while len(_reserved) < RESERVED_THREADS:
+        calls = SimpleQueue[Callable[[], None]]()
+        threading.Thread(target=_run_calls, args=(calls,), name="reserved", daemon=True).start()
         _reserved.append(calls)
+
+
+def _run_calls(calls: SimpleQueue[Callable[[], None]]) -> None:
+    while True:
         calls.get()()
+        _reserved.append(calls)
 
 
 def _start(call: Callable[[], None]) -> bool:

@@ -66,9 +66,7 @@ def test_every_device_is_stopped_without_threads(left: int, monkeypatch: pytest.
 def test_a_device_that_hangs_delays_no_other_without_threads(hanging: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
     devices = [Device(hangs=number == hanging) for number in range(3)]
-    for device in devices:
-        open_devices.reserve_threads()
-        open_devices.devices.add(device)
+    open_devices.reserve_threads()
     leave_threads(0, monkeypatch)
     calls = 2 * len(open_devices._reserved)  # each call of the device that hangs takes a thread, if there is one
     for _ in range(calls):
@@ -80,7 +78,7 @@ def test_a_device_that_hangs_delays_no_other_without_threads(hanging: int, monke
 
 
 def test_a_device_is_opened_only_with_threads_for_its_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    leave_threads(open_devices.THREADS_PER_DEVICE - 1, monkeypatch)
+    leave_threads(open_devices.RESERVED_THREADS - 1, monkeypatch)
     with pytest.raises(RuntimeError):
         open_device(single_device(load_rig("simulated")), 1000.0)
 
