@@ -13,6 +13,7 @@ import msgspec
 
 from softfinger.server.loop.switch_fields import STOPS_RECEIVED
 
+FORCE_OFF_METHODS: Final = ("disarm", "stop")
 SHORT: Final = 4096
 """Longest such request in bytes; longer requests are not decoded."""
 
@@ -29,7 +30,7 @@ def takes_force_off(body: bytes) -> bool:
     if len(body) > SHORT or not (b"disarm" in body or b"stop" in body):
         return False
     try:
-        return _decoder.decode(body).method in ("disarm", "stop")
+        return _decoder.decode(body).method in FORCE_OFF_METHODS
     except (msgspec.DecodeError, ValueError, RecursionError):
         return False
 

@@ -13,6 +13,7 @@ import zmq
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
 from softfinger.config.schema import Telemetry, commands_address_for, runtime_folder
 from softfinger.server.keys import ClientKeys
+from softfinger.server.socket_process.brake import FORCE_OFF_METHODS
 from softfinger.server.socket_process.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import check_runtime_folder
 from softfinger.server.wire.envelope import expiry
@@ -24,7 +25,7 @@ SCENE_TIMEOUT_S: Final = 300.0
 """A scene is compiled first, which takes half a minute, and longer on a busy machine."""
 
 RESEND_S: Final = 0.25
-RESENT: Final = ("disarm", "stop")
+RESENT: Final = FORCE_OFF_METHODS
 """Methods sent again after RESEND_S without an answer: a request is lost if the publisher process ends before it has
 read it, and these may be executed twice."""
 

@@ -15,6 +15,7 @@ import msgpack
 import msgspec
 from msgspec import Meta, Struct
 
+from softfinger.server.socket_process.brake import FORCE_OFF_METHODS
 from softfinger.server.wire.commands import METHODS, ErrorName
 
 DEPTH_MAX: Final = 16
@@ -100,8 +101,9 @@ def parse(body: bytes | None) -> Request:
         params = msgspec.convert(envelope.params, method.params)
     except msgspec.ValidationError as error:
         raise Declined("bad_params", f"{envelope.method}: {error}", command_id) from error
-    # The clock of another machine is unknown.
-    if envelope.expires is not None and envelope.expires[0] == _BOOT and envelope.expires[1] < time.monotonic():
+    # The clock of another machine is unknown. A request that turns the force off does not expire.
+    until = envelope.expires if envelope.method not in FORCE_OFF_METHODS else None
+    if until is not None and until[0] == _BOOT and until[1] < time.monotonic():
         raise Declined("expired", "its client stopped waiting: nothing was done", command_id)
     return Request(command_id, envelope.method, params)
 

@@ -20,6 +20,7 @@ from softfinger.server.loop.switch_fields import STOPS_RECEIVED
 from softfinger.server.socket_process.clients import BUSY
 from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.socket_process.request_queue import WAITING_MAX
+from softfinger.server.wire.client_requests import encode_request
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.link import RequestHandlers
 
@@ -49,7 +50,7 @@ def starting(folder: Path, requests: dict[str, dict[str, Any]]) -> Iterator[tupl
     with connected(folder) as (daemon, client):
         for method, params in requests.items():
             client.send_multipart([b"", msgpack.packb({"command_id": method, "method": method, "params": params})])
-        assert not client.poll(500)  # they have arrived
+        assert eventually(lambda: daemon.servo.switch[STOPS_RECEIVED] == 1)  # the last one turns the force off
         daemon.start()
         answers = dict[str, bool]()
         while len(answers) < len(requests) and client.poll(1000.0 * WAIT_S):
@@ -76,6 +77,21 @@ def test_a_stop_before_the_start_ends_the_run(monkeypatch: pytest.MonkeyPatch, t
     with starting(tmp_path, {"stop": {}}) as (daemon, answers):
         assert answers == {"stop": True}
         assert daemon.wait(WAIT_S)
+
+
+def test_a_disarm_before_the_start_does_not_expire(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its client waits for a shorter time than a compilation takes; the force must nevertheless be off."""
+    registered(monkeypatch)
+    with connected(tmp_path) as (daemon, client):
+        client.send_multipart(encode_request("mark", {"label": "early"}, 0.0)[1])
+        client.send_multipart(encode_request("disarm", {}, 0.0)[1])
+        assert eventually(lambda: daemon.servo.switch[STOPS_RECEIVED] == 1)
+        daemon.start()
+        answers = [msgpack.unpackb(client.recv_multipart()[1]) for _ in range(2)]
+        assert sorted(answer["error"] or "" for answer in answers)[1].startswith("expired: ")
+        assert [answer["result"] for answer in answers if answer["success"]] == [{"armed": False}]
+        assert eventually(lambda: daemon.servo.ticks > 300)  # the ramp takes 10
+        assert not daemon.devices[0].wrenches.any()  # type: ignore[attr-defined]
 
 
 def test_a_flood_does_not_delay_a_disarm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
