@@ -48,6 +48,8 @@ SILENT_MAX_S: Final = 2.0
 ERRORS_MAX: Final = 4096
 """Largest part of the standard error of a process that is logged, bytes."""
 MODULE: Final = "softfinger.server.socket_process"
+NO_CLIENT: Final = b"\0"
+"""Name of no client, which gets no answer."""
 Send = Callable[[Kind, bytes, bytes], object]
 """Function that sends a message: kind, key and body."""
 
@@ -72,6 +74,7 @@ class SocketProcess:
     files         file descriptors that the process inherits
     event         is called with a description of each failure of the process
     on_handled    is called with each request that was answered or queued
+    lost          returns requests to handle after an exit of the process, because it did not pass them on
     silent_max_s  time without a message, s, after which a process that was ready is killed
     """
 
@@ -82,11 +85,12 @@ class SocketProcess:
         files: list[int],
         event: Callable[[str], None],
         on_handled: Callable[[bytes], None] = lambda body: None,
+        lost: Callable[[], list[bytes]] = list,
         silent_max_s: float = math.inf,
     ) -> None:
         self.name: Final = name
         self._setup, self._files, self._event = setup, list(files), event
-        self._on_handled, self._silent_max_s = on_handled, silent_max_s
+        self._on_handled, self._lost, self._silent_max_s = on_handled, lost, silent_max_s
         self._handlers: RequestHandlers | None = None
         self._requests: list[Message] = []
         """Requests to be answered, in their order. Without handlers they wait; the process limits their number."""
@@ -230,7 +234,10 @@ class SocketProcess:
     def _answer(self, handlers: RequestHandlers, message: Message) -> None:
         body = None if message.kind == Kind.MALFORMED else message.body
         answer = handlers.answer(message.key, body)
-        if answer is None or not self._channel.send(Kind.ANSWER, message.key, answer):
+        is_sent = message.key == NO_CLIENT or (
+            answer is not None and self._channel.send(Kind.ANSWER, message.key, answer)
+        )
+        if not is_sent:
             self._channel.send(Kind.DEFERRED, message.key)
         if message.kind == Kind.REQUEST:
             self._on_handled(message.body)
@@ -249,7 +256,7 @@ class SocketProcess:
             self.failed = True
             return False
         self._channel.close()
-        self._requests.clear()
+        self._requests = [Message(Kind.REQUEST, NO_CLIENT, body) for body in self._lost()]
         self._earlier_figures, self._present_figures = msgspec.structs.replace(self.figures, subscribers=0), Figures()
         if time.monotonic() - self._started_s > STABLE_S:
             self._pause_s = 0.0

@@ -126,8 +126,15 @@ class Publisher(Closeable):
         """Start the process of commands; None if they are off."""
         if not any(entrance.name == COMMANDS for entrance in self._endpoints.entrances):
             return None
-        on_handled = self._switch.count_handled
-        return SocketProcess(COMMANDS, self._setup_commands, files, self._report_restart, on_handled, SILENT_MAX_S)
+        return SocketProcess(
+            COMMANDS,
+            lambda send: self._send_setup(send, COMMANDS, 0),
+            files,
+            self._report_restart,
+            self._switch.count_handled,
+            self._switch.lost_requests,
+            SILENT_MAX_S,
+        )
 
     def _setup_telemetry(self, send: Send) -> None:
         # The first process misses no tick; peers of an earlier process have missed the ticks since its end.
@@ -137,10 +144,6 @@ class Publisher(Closeable):
         send(Kind.GREETING, SCHEMA_TOPIC.encode(), self._greeting)
         if self._health_body:
             send(Kind.GREETING, HEALTH.encode(), self._health_body)
-
-    def _setup_commands(self, send: Send) -> None:
-        self._switch.restart()
-        self._send_setup(send, COMMANDS, 0)
 
     def _send_setup(self, send: Send, name: str, begin: int) -> None:
         setup = ProcessSetup(

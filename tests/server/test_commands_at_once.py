@@ -28,6 +28,7 @@ from softfinger.server.socket_process.brake import SHORT, Brake, takes_force_off
 from softfinger.server.socket_process.clients import BURST
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
+from softfinger.server.wire.envelope import parse
 from softfinger.server.wire.native.switch import SharedSwitch
 
 REPLACED_S = 60.0
@@ -232,14 +233,17 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
 
 
 @pytest.mark.plain
-def test_a_new_process_of_commands_starts_with_equal_counts():
-    """If a process exits before it has passed on a `disarm`, unequal counts would keep the force off until the end of
-    the run."""
+def test_a_disarm_that_a_process_has_not_passed_on_is_handled():
+    """If a process exits before it has passed on requests, unequal counts would keep the force off until the end of the
+    run, and equal counts would restore it."""
     switch = SharedSwitch()
-    Brake(os.dup(switch.file)).count(1)
-    assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (1, 0)
-    switch.restart()
-    assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (1, 1)
+    Brake(os.dup(switch.file)).count(2)
+    assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (2, 0)
+    (request,) = switch.lost_requests()
+    assert parse(request).method == "disarm"
+    assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (2, 1)
+    switch.count_handled(request)
+    assert switch.words[STOPS_RECEIVED] == switch.words[STOPS_HANDLED] and switch.lost_requests() == []
     switch.close()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -92,6 +94,21 @@ def test_a_disarm_before_the_start_does_not_expire(monkeypatch: pytest.MonkeyPat
         assert [answer["result"] for answer in answers if answer["success"]] == [{"armed": False}]
         assert eventually(lambda: daemon.servo.ticks > 300)  # the ramp takes 10
         assert not daemon.devices[0].wrenches.any()  # type: ignore[attr-defined]
+
+
+def test_a_kill_of_the_commands_process_loses_no_disarm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    registered(monkeypatch)
+    with connected(tmp_path) as (daemon, client):
+        client.send_multipart([b"", msgpack.packb({"command_id": "a", "method": "disarm"})])
+        assert eventually(lambda: daemon.servo.switch[STOPS_RECEIVED] == 1)
+        os.kill(daemon.publisher.pids["commands"], signal.SIGKILL)
+        assert eventually(lambda: daemon.publisher.restarts == 1)
+        daemon.start()
+        assert eventually(lambda: daemon.servo.ticks > 300)  # the ramp takes 10
+        assert not daemon.devices[0].wrenches.any()  # type: ignore[attr-defined]
+        with Control(daemon.commands_endpoint, WAIT_S) as control:
+            control.arm()
+            assert eventually(lambda: daemon.devices[0].wrenches[-1].any())  # type: ignore[attr-defined]
 
 
 def test_a_flood_does_not_delay_a_disarm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

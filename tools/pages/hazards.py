@@ -293,7 +293,8 @@ HAZARDS: Final = (
     Hazard(
         "a process of telemetry or commands that ends, also while no memory or file descriptor is left", "the daemon",
         "none",
-        "as before; with `heartbeat_s`, zero until heartbeats resume", f"it is started again, {_RETRIES}",
+        "as before; with `heartbeat_s`, zero until heartbeats resume; after a `disarm` or `stop`, zero until `arm`",
+        f"it is started again, {_RETRIES}",
         ("fault publisher",),
         ("tests/server/test_publisher.py::test_a_killed_publisher_is_restarted",
          "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_restarted", _NO_FILES),

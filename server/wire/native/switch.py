@@ -5,10 +5,14 @@ from __future__ import annotations
 import os
 from typing import Final
 
+import msgspec
+
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
 from softfinger.server.socket_process.brake import takes_force_off
 from softfinger.server.wire.native.memory import PAGE_BYTES, map_file
+
+DISARM: Final = msgspec.msgpack.encode({"command_id": "", "method": "disarm"})
 
 
 class SharedSwitch:
@@ -32,9 +36,11 @@ class SharedSwitch:
         if takes_force_off(body):
             self.words[STOPS_HANDLED] += 1
 
-    def restart(self) -> None:
-        """Reset the count, because a publisher that has exited may not have passed on all requests."""
-        self.words[STOPS_HANDLED] = self.words[STOPS_RECEIVED]
+    def lost_requests(self) -> list[bytes]:
+        """Return a `disarm` for the requests that a process has received, but did not pass on before it exited."""
+        lost = self.words[STOPS_HANDLED] != self.words[STOPS_RECEIVED]
+        self.words[STOPS_HANDLED] = self.words[STOPS_RECEIVED] - lost
+        return [DISARM] if lost else []
 
     def close(self) -> None:
         """Close the file; the memory remains valid."""
