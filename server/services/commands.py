@@ -57,7 +57,8 @@ class CommandService:
         self._started = False
         self._last_request_s = 0.0
         self._logged_s = -LOG_PERIOD_S
-        self._queue: Final = SimpleQueue[tuple[bytes, Request | bytes] | None]()
+        self._queue: Final = SimpleQueue[tuple[bytes, Request | bytes, float] | None]()
+        """Client, request, and the time of its arrival, s on the monotonic clock."""
         self._pending_counts: Final = Counter[bytes]()
         """Number of requests of each client in `_queue` or being answered; protected by `_counts_lock`."""
         self._counts_lock = threading.Lock()
@@ -68,7 +69,7 @@ class CommandService:
         self._started = True
         self._handlers.scenes.start()
         self._thread.start()
-        self._note_alive()
+        self._note_alive(time.monotonic())
         self._daemon.serve(RequestHandlers(self._receive, self._check_periodically))
 
     def stop(self) -> None:
@@ -84,45 +85,45 @@ class CommandService:
 
     def _receive(self, client: bytes, body: bytes | None) -> bytes | None:
         """Answer a request, or queue it; never waits."""
-        command_id = ""
+        command_id, arrived_s = "", time.monotonic()
         try:
             if body is not None and len(body) > SHORT:
-                self._enqueue(client, body)
+                self._enqueue(client, body, arrived_s)
                 return None
-            request = self._parse(body)
+            request = self._parse(body, arrived_s)
             command_id = request.command_id
             if request.method in AT_ONCE:
                 return self._handle(request)
-            self._enqueue(client, request)
+            self._enqueue(client, request, arrived_s)
             return None
         except Exception as error:
             return encode_refusal(self._as_declined(error), command_id)
 
-    def _parse(self, body: bytes | None) -> Request:
-        """Return the parsed request and count it as a sign of life; raises Declined."""
+    def _parse(self, body: bytes | None, arrived_s: float) -> Request:
+        """Return the parsed request and count it as a sign of life at its arrival; raises Declined."""
         request = parse(body)
         self._check_heartbeat()  # a heartbeat missed before this request counts as missed
-        self._note_alive()
+        self._note_alive(arrived_s)
         return request
 
-    def _note_alive(self) -> None:
-        self._last_request_s = time.monotonic()
+    def _note_alive(self, arrived_s: float) -> None:
+        self._last_request_s = max(self._last_request_s, arrived_s)
         if self._heartbeat_s is not None:
             self._rendering.force.end_at(round(1e9 * (self._last_request_s + self._heartbeat_s)))
 
-    def _enqueue(self, client: bytes, message: Request | bytes) -> None:
+    def _enqueue(self, client: bytes, message: Request | bytes, arrived_s: float) -> None:
         with self._counts_lock:
             if self._pending_counts[client] >= WAITING_MAX:
                 raise Declined("busy", "too many requests of this client are waiting: wait for answers first")
             self._pending_counts[client] += 1
-        self._queue.put((client, message))
+        self._queue.put((client, message, arrived_s))
 
     def _run_queue(self) -> None:
         """Answer queued requests one after the other; runs in its own thread."""
         while (item := self._queue.get()) is not None:
             started = time.monotonic()
-            client, message = item
-            answer = self._answer_queued(client, message)
+            client = item[0]
+            answer = self._answer_queued(*item)
             if answer is not None:
                 self._daemon.reply(client, answer)
             with self._counts_lock:
@@ -131,10 +132,10 @@ class CommandService:
                     del self._pending_counts[client]
             time.sleep(min(time.monotonic() - started, REST_MAX_S))
 
-    def _answer_queued(self, client: bytes, message: Request | bytes) -> bytes | None:
+    def _answer_queued(self, client: bytes, message: Request | bytes, arrived_s: float) -> bytes | None:
         command_id = ""
         try:
-            request = self._parse(message) if isinstance(message, bytes) else message
+            request = self._parse(message, arrived_s) if isinstance(message, bytes) else message
             command_id = request.command_id
             if request.method in DEFERRED:
                 getattr(self._handlers, request.method)(request, partial(self._reply, client, command_id))

@@ -47,6 +47,7 @@ from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.commands import CommandService
+from softfinger.server.socket_process.brake import SHORT
 from softfinger.server.socket_process.clients import BURST
 from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.states import SILENT
@@ -482,6 +483,23 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
         commands._check_heartbeat()
         alive.append(not reasons)
     assert alive == [False, False, False, True]
+
+
+def test_a_queued_request_counts_as_a_sign_of_life_from_its_arrival():
+    deadlines_ns: list[int] = []
+    rendering = SimpleNamespace(
+        rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
+        force=SimpleNamespace(is_inhibited_by=lambda why: False, end_at=deadlines_ns.append),
+    )
+    commands = CommandService("ipc:///nowhere", rendering, SimpleNamespace(replace=None, report=None), "none")
+    commands._note_alive(time.monotonic())
+    body = msgpack.packb({"command_id": "a", "method": "mark", "params": {"label": "x", "data": {"a": "x" * SHORT}}})
+    assert commands._receive(b"client", body) is None
+    arrived_s = time.monotonic()
+    assert b"bad_params: data has more" in commands._answer_queued(*commands._queue.get())
+    assert deadlines_ns[0] < deadlines_ns[-1] <= 1e9 * (arrived_s + 10.0)
+    commands._parse(msgpack.packb({"command_id": "a", "method": "heartbeat"}), 0.0)  # a request that waited longer
+    assert deadlines_ns[-1] == deadlines_ns[-2]
 
 
 def test_each_client_gets_its_answers(rig):
