@@ -301,7 +301,7 @@ class CommandHandlers:
         return wire.RecordStopped(str(file), *recorded)
 
     def stop(self, request: Request) -> wire.Stopping:
-        self.publish_change("stop", request.command_id, {})
         self._rendering.force.inhibit(COMMANDED)  # no force in the tick that ends the loop
         self._daemon.stop()
+        self.publish_change("stop", request.command_id, {})
         return wire.Stopping(True)

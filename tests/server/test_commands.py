@@ -45,17 +45,18 @@ from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.recording.summary import summary
 from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
-from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
+from softfinger.server.services.command_handlers import EVENT_BYTES_MAX, CommandHandlers
 from softfinger.server.services.commands import CommandService
 from softfinger.server.socket_process.brake import SHORT
 from softfinger.server.socket_process.clients import BURST
 from softfinger.server.socket_process.process import UNANSWERED_MAX
-from softfinger.server.states import SILENT
+from softfinger.server.states import COMMANDED, SILENT
 from softfinger.server.wire import link
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
+from softfinger.server.wire.envelope import Request
 
 pytestmark = pytest.mark.real_time
 
@@ -483,6 +484,19 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
         commands._check_heartbeat()
         alive.append(not reasons)
     assert alive == [False, False, False, True]
+
+
+def test_a_stop_whose_event_cannot_be_published_ends_the_run():
+    acts: list[str] = []
+
+    def event(*words: object, **fields: object) -> None:
+        raise MemoryError
+
+    rendering = SimpleNamespace(force=SimpleNamespace(inhibit=acts.append))
+    daemon = SimpleNamespace(replace=None, report=None, event=event, stop=lambda: acts.append("stop"))
+    with pytest.raises(MemoryError):
+        CommandHandlers("ipc:///nowhere", rendering, daemon, "none").stop(Request("a", "stop", None))
+    assert acts == [COMMANDED, "stop"]
 
 
 def test_a_queued_request_counts_as_a_sign_of_life_from_its_arrival():
