@@ -175,7 +175,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
                 elif isinstance(record, Metadata) and notes < METADATA_MAX:
                     notes += 1
                     yield Note(record.name, _decode_value(record.metadata))
-                elif isinstance(record, Footer):
+                elif isinstance(record, Footer) and record.summary_start:
                     cut = ""
             for channel_id, messages in messages_by_channel.items():
                 channel = channels[channel_id]
