@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import random
+import re
 import resource
 import shutil
 import signal
@@ -174,8 +175,8 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
         ):
             journal.write("done", trial=1)
         assert read(path) == journal.entries == [{"kind": "begun", "trial": 1}]
-        journal.write("done", trial=1)
-    assert [entry["kind"] for entry in read(path)] == ["begun", "done"]
+        journal.write("begun", trial=2)
+    assert [entry["trial"] for entry in read(path)] == [1, 2]
 
 
 def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
@@ -213,9 +214,75 @@ def test_one_session_of_a_participant_at_a_time(tmp_path: Path) -> None:
 
 
 def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun"}\n{"ki\n{"kind":"done"}\n')
+    (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun","trial":1}\n{"ki\n{"kind":"finished"}\n')
     with pytest.raises(ConfigError, match="line 2 is not an entry"):
         read(tmp_path / "j.jsonl")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('{"kind":"begun"}', "missing required field `trial`"),
+        ('{"kind":"begun","trial":"3"}', r"Expected `int`, got `str` - at `\$.trial`"),
+        ('{"kind":"started"}', "missing required field `dry_run`"),
+        ('{"kind":"done","trial":1}', "missing required field `practice`"),
+        ('{"kind":"survey"}', "missing required field `survey`"),
+        ('{"trial":3}', "missing required field `kind`"),
+        ('{"kind":[]}', r"Expected `str`, got `array` - at `\$.kind`"),
+    ],
+)
+def test_an_edited_journal_entry_is_refused(line: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "j.jsonl").write_text('{"kind":"begun","trial":1}\n' + line + "\n")
+    with pytest.raises(ConfigError, match=f"j.jsonl: line 2: .*{message}.*: restore the file from a copy"):
+        read(tmp_path / "j.jsonl")
+
+
+def test_a_lost_line_of_a_journal_is_noticed(tmp_path: Path) -> None:
+    """Any lost line but the last, which a kill may also lose; and a line that occurs twice."""
+    experiment = Experiment(make_tables())
+    experiment.run(tmp_path, 1, OFFLINE)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    for lost in range(len(lines) - 1):
+        journal.write_bytes(b"".join(lines[:lost] + lines[lost + 1 :]))
+        with pytest.raises(ConfigError, match=f"line {lost + 1}: entry {lost + 1} is missing between .* restore"):
+            experiment.run(tmp_path, 1, OFFLINE)
+    answer = next(index for index, line in enumerate(lines) if b'"done","entry":5,' in line)
+    journal.write_bytes(b"".join(lines[:answer] + lines[answer + 3 :]))
+    with pytest.raises(
+        ConfigError, match="line 5: entries 5 to 7 are missing between 'begun' of trial 2 and 'begun' of"
+    ):
+        results(tmp_path)
+    journal.write_bytes(b"".join(lines[:5] + lines[4:]))
+    with pytest.raises(ConfigError, match="line 6: is entry 5, must be entry 6: restore"):
+        results(tmp_path)
+
+
+def test_a_session_continues_without_a_lost_answer(tmp_path: Path) -> None:
+    experiment = Experiment(make_tables())
+    rows = experiment.run(tmp_path, 1, OFFLINE)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:4] + lines[5:-1]))
+    with pytest.raises(ConfigError) as refused:
+        experiment.run(tmp_path, 1, OFFLINE)
+    line = re.search(r"insert a line (\{.*\})", str(refused.value))
+    assert line is not None
+    journal.write_bytes(b"".join([*lines[:4], f"{line[1]}\n".encode(), *lines[5:-1]]))
+    resumed = experiment.run(tmp_path, 1, OFFLINE)
+    assert [(row["trial"], row["attempt"]) for row in resumed if row["attempt"] > 1] == [(2, 2)]
+    assert sorted((row["trial"], row["level"]) for row in resumed) == [(row["trial"], row["level"]) for row in rows]
+
+
+def test_a_journal_of_an_earlier_version_is_continued(tmp_path: Path) -> None:
+    experiment = Experiment(make_tables())
+    rows = experiment.run(tmp_path, 1, OFFLINE)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    lines = re.sub(rb'"entry":\d+,', b"", journal.read_bytes()).splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:9]))
+    assert [row["answer"] for row in experiment.run(tmp_path, 1, OFFLINE)] == [row["answer"] for row in rows]
+    assert b'"entry":10,' in journal.read_bytes() and b'"entry":9,' not in journal.read_bytes()
+    assert "entry" not in (tmp_path / "trials.csv").read_text()
 
 
 def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path) -> None:
