@@ -8,7 +8,7 @@ from __future__ import annotations
 import fcntl
 import os
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Annotated, Any, Final
 
 import msgspec
 
@@ -21,6 +21,7 @@ NUMBER: Final = "entry"
 """Key of the number of an entry in the file, from 1. Files of earlier versions have none."""
 RESTORE_REMEDY: Final = "restore the file from a copy"
 _DECODER: Final = msgspec.json.Decoder(dict)
+_START: Final = b'{"kind"'
 
 
 class _Entry(msgspec.Struct):
@@ -39,7 +40,7 @@ class _Done(_Entry):
     trial: int
     practice: bool
     condition: str
-    level: float
+    level: Annotated[float, msgspec.Meta(gt=0.0)]
     answer: str | float
     right: bool | None
     catch: bool = False
@@ -132,10 +133,13 @@ def read(path: Path) -> list[Entry]:
         try:
             entry = _DECODER.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError):
+            start = line.rstrip(b"\0")[: len(_START)]  # after a power failure a file may end with zeros
+            if not _START.startswith(start):
+                raise ConfigError(f"{path}: line {number} is not an entry of a journal: {RESTORE_REMEDY}") from None
             damaged = number
             continue
         if damaged and entry.get("kind") != "started":
-            raise ConfigError(f"{path}: line {damaged} is not an entry of a journal: the file is damaged")
+            raise ConfigError(f"{path}: line {damaged} is not an entry of a journal: {RESTORE_REMEDY}")
         damaged = 0
         location = f"{path}: line {number}"
         _check_number(location, entry.pop(NUMBER, None), entry, entries)
