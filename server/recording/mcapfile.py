@@ -13,6 +13,7 @@ import time
 import weakref
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -181,21 +182,16 @@ class McapFile:
             raise
 
     def finish_without_summary(self) -> None:
-        """Remove an incomplete record of a failed write, and end the file, if the disk accepts 50 bytes.
+        """End the file after the data, if the disk accepts 50 bytes.
 
         Without this end the library's reader raises an error before the first message.
         """
         self._truncate()
-        data_size = self.size
         footer = records.Footer(summary_start=0, summary_offset_start=0, summary_crc=0)
-        try:
-            self._write(_record(records.DataEnd(data_section_crc=0)) + _record(footer) + MCAP0_MAGIC)
-        except OSError:
-            self.size = data_size
-            self._truncate()
-            raise
+        self._write(_record(records.DataEnd(data_section_crc=0)) + _record(footer) + MCAP0_MAGIC)
 
     def _truncate(self) -> None:
+        """Remove what a failed write left after the last complete one."""
         os.ftruncate(self._file.fileno(), self.size)
         os.lseek(self._file.fileno(), self.size, os.SEEK_SET)
 
@@ -255,8 +251,13 @@ class McapFile:
 
     def _write(self, data: bytes) -> None:
         remaining, start_s = memoryview(data), time.monotonic()
-        while remaining:
-            remaining = remaining[self._file.write(remaining) or 0 :]
+        try:
+            while remaining:
+                remaining = remaining[self._file.write(remaining) or 0 :]
+        except OSError:
+            with suppress(OSError):
+                self._truncate()
+            raise
         self.worst_write_s = max(self.worst_write_s, time.monotonic() - start_s)
         self.size += len(data)
 

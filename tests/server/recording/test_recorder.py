@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,8 +35,10 @@ from softfinger.proxy.record import AT, FIELDS
 from softfinger.server import cli
 from softfinger.server.app import Daemon
 from softfinger.server.recording import picture, schemas
+from softfinger.server.recording.poses_file import CsvPoses, poses_file
 from softfinger.server.recording.reader import End, Event, Note, TickBlock, read_contents
 from softfinger.server.recording.recorder import NEW_RECORDING_REMEDY, PERIOD_S, QUEUE_EVENTS, QUEUE_ROWS, Recorder
+from softfinger.server.recording.results import McapResults
 from softfinger.server.recording.summary import summary
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
@@ -520,6 +523,45 @@ def test_a_recording_without_a_tick_leaves_no_file(limit: int, tmp_path: Path) -
         assert eventually(lambda: reports)
         assert recorder.stop(WAIT_S).ticks == 0
     assert reports == [f"the recording ends after 0 ticks: File too large: {NEW_RECORDING_REMEDY}"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_poses_on_a_full_disk_end_with_a_whole_line(tmp_path: Path) -> None:
+    path, sample = tmp_path / "poses.csv", SimpleNamespace(probe=SimpleNamespace(position=(0, 0, 1 / 3)))
+    sample.probe.orientation = (1, 0, 0, 0)
+    file, lines = CsvPoses(path), list[int]()
+
+    def add_all() -> None:
+        for number in range(100):
+            file.add(number * 1e-3, sample)
+            lines.append(path.read_bytes().count(b"\n"))  # a kill loses no written line
+
+    with file_size_limit(1000), pytest.raises(RecordingError, match=r"poses\.csv: cannot be written: File too large"):
+        add_all()
+    file.close()
+    poses = load_poses(path)
+    assert (
+        lines == list(range(2, len(lines) + 2))
+        and len(poses.t) == len(lines) > 10
+        and (poses.position[:, 2] == 1 / 3).all()
+    )
+
+
+def test_results_on_a_full_disk_end_with_whole_chunks(tmp_path: Path) -> None:
+    path, rows = tmp_path / "poses.mcap", run()
+    with McapResults(path, open_recording(path)) as results:
+        with file_size_limit(40_000), pytest.raises(RecordingError, match="File too large"):
+            results.append(rows)
+        written = results.count()
+    ticks = ticks_by_library(path)  # with an index, because the end finds room
+    assert summary(path)["whole"] and 100 < len(ticks) == written < len(rows)
+
+
+@pytest.mark.parametrize("name", ["poses.csv", "poses.mcap"])
+@pytest.mark.parametrize("limit", [0, 10])
+def test_poses_without_a_row_leave_no_file(name: str, limit: int, tmp_path: Path) -> None:
+    with file_size_limit(limit), pytest.raises(RecordingError, match=f"{name}: cannot be written: File too large"):
+        poses_file(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
