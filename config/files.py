@@ -98,7 +98,7 @@ def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[byt
     """
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     if folder is None:
-        return open(os.open(path, flags, 0o666), "wb", buffering=0)
+        return open(path, "wb", 0, opener=lambda name, _: os.open(name, flags, 0o666))
     *parents, name = Path(path).parts or ("",)
     if Path(path).is_absolute() or ".." in (*parents, name) or not name:
         raise OSError(errno.EACCES, "must be inside the folder of recordings, without .. and not absolute")
@@ -108,7 +108,7 @@ def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[byt
             below = os.open(parent, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=at)
             os.close(at)
             at = below
-        return open(os.open(name, flags, 0o666, dir_fd=at), "wb", buffering=0)
+        return open(Path(folder, path), "wb", 0, opener=lambda *_: os.open(name, flags, 0o666, dir_fd=at))
     finally:
         os.close(at)
 

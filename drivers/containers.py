@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import IO, Any, Final
 
 RECORD_BYTES_MAX: Final = 16 << 20
@@ -29,17 +29,26 @@ def mcap_messages(file: IO[bytes], topic: str | None) -> Iterator[tuple[Any, Any
                 yield schemas[channel.schema_id] if channel.schema_id else None, channel, record
 
 
-def mcap_records(file: IO[bytes]) -> Iterator[Any]:
-    """Yield every record in file order, chunks unpacked; raises like `mcap_messages`."""
+def mcap_records(file: IO[bytes], on_damage: Callable[[Exception], None] | None = None) -> Iterator[Any]:
+    """Yield every record in file order, chunks unpacked; raises like `mcap_messages`.
+
+    on_damage  receives the error of each chunk that cannot be unpacked, which is then skipped
+    """
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
     reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=RECORD_BYTES_MAX)
     for record in reader.records:
         if isinstance(record, Chunk):
-            if record.uncompressed_size > RECORD_BYTES_MAX:
-                message = f"a chunk has {record.uncompressed_size:,} bytes unpacked, may have {RECORD_BYTES_MAX:,}"
-                raise ValueError(message)
-            stream, length = get_chunk_data_stream(record, validate_crc=True)
+            try:
+                if record.uncompressed_size > RECORD_BYTES_MAX:
+                    message = f"a chunk has {record.uncompressed_size:,} bytes unpacked, may have {RECORD_BYTES_MAX:,}"
+                    raise ValueError(message)
+                stream, length = get_chunk_data_stream(record, validate_crc=True)
+            except Exception as error:  # the decoders raise exceptions of many types on damaged bytes
+                if on_damage is None:
+                    raise
+                on_damage(error)
+                continue
             record.data, record.compression = stream.read(length), ""
         yield record

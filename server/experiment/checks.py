@@ -88,7 +88,9 @@ class _Checks:
         for name in dict.fromkeys(names):
             self._scenes[name] = scene = self._part(load_scene, name, part_faults)
             if scene is not None and self._rig is not None:
-                attempt(partial(pair, scene, self._rig), self._faults)
+                faults = list[str]()
+                attempt(partial(pair, scene, self._rig), faults)
+                self._faults += [f"scene {name}, rig {experiment.rig}: {fault}" for fault in faults]
         if self._are_sound("screen"):
             images = [experiment.screen.image, *(values.get("image") for values in experiment.screen.by.values())]
             for image in dict.fromkeys(image for image in images if image and isinstance(image, str)):

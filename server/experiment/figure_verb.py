@@ -11,7 +11,7 @@ from typing import Any
 from softfinger.config.files import new_file
 from softfinger.server.experiment.analysis import find_excluded_participants, fit_groups, format_fit, table
 from softfinger.server.experiment.figures import draw, draw_session
-from softfinger.server.experiment.folder import JOURNAL, load, read_surveys, write_csv
+from softfinger.server.experiment.folder import list_journals, load, read_surveys, write_csv
 from softfinger.server.experiment.report import write_report
 from softfinger.server.experiment.surveys import compare_scores, survey_table
 from softfinger.server.progress import progress
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     numbers = table(groups)
     out = Path(args.out) if args.out else root / "figures"
     out.mkdir(parents=True, exist_ok=True)
-    journals = sorted(root.glob(JOURNAL))
+    journals = list_journals(root)
     answers, excluded = read_surveys(journals), find_excluded_participants(experiment, rows)
     surveys = survey_table(experiment, answers, excluded)
     with progress("drawing", 2 + args.report) as update:

@@ -29,9 +29,10 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import new_file
 from softfinger.config.load import build, describe
 from softfinger.config.materials import flat
-from softfinger.server.experiment.journal import Entry, make_write_error, read
+from softfinger.config.words import format_value
+from softfinger.server.experiment.journal import RESTORE_REMEDY, Entry, make_write_error, read
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.experiment.trial_order import Condition, PlannedTrial
+from softfinger.server.experiment.trial_order import Condition, PlannedTrial, list_conditions
 
 JOURNAL: Final = "sub-*/sub-*_journal.jsonl"
 BIDS_VERSION: Final = "1.10.0"
@@ -90,8 +91,8 @@ class ParticipantFolder:
         return {self.participant_dir / f"{self.label}_design.json": _json(design | {"trials": rows})}
 
     def check_answer_kind(self, dry_run: bool) -> None:
-        """Raise ConfigError if the folder has answers of the other kind: participants or a dry run."""
-        for journal in sorted(self.root.glob(JOURNAL)):
+        """Raise ConfigError if the folder has answers of the other kind: participants or a dry run; or lost answers."""
+        for journal in list_journals(self.root):
             if any(entry["kind"] == "started" and entry["dry_run"] != dry_run for entry in read(journal)):
                 kind = "participants" if dry_run else "the simulated observer (--dry-run)"
                 raise ConfigError(f"{journal}: has answers of {kind}: use another folder, --out FOLDER")
@@ -115,13 +116,35 @@ class ParticipantFolder:
 
     def tables(self) -> None:
         write_csv(self.participant_dir / f"{self.label}_trials.csv", read_trials([self.journal]))
-        journals = sorted(self.root.glob(JOURNAL))
+        journals = list_journals(self.root)
         write_csv(self.root / "trials.csv", read_trials(journals))
         if read_surveys([self.journal]):
             write_csv(self.participant_dir / f"{self.label}_surveys.csv", read_surveys([self.journal]))
             write_csv(self.root / "surveys.csv", read_surveys(journals))
         names = b"".join(f"{journal.parent.name}\n".encode() for journal in journals)
         _write(self.root / "participants.tsv", b"participant_id\n" + names)
+
+
+def list_journals(root: Path) -> list[Path]:
+    """Return the journals of all participants.
+
+    Raises ConfigError if one has the name of another participant, or lacks trials of its table: their answers are lost.
+    """
+    journals = sorted(root.glob(JOURNAL))
+    for journal in journals:
+        if not journal.name.startswith(f"{journal.parent.name}_"):
+            raise ConfigError(f"{journal}: is in the folder {journal.parent.name} of another participant: move it back")
+    for table in sorted(root.glob("sub-*/sub-*_trials.csv")):
+        journal = table.with_name(table.name.replace("trials.csv", "journal.jsonl"))
+        with table.open(encoding="utf-8", errors="replace", newline="") as file:
+            numbers = [row.get("trial") for row in csv.DictReader(file)]
+        answered = {str(entry["trial"]) for entry in read(journal) if entry["kind"] == "done"}
+        if lost := [number for number in dict.fromkeys(numbers) if number is not None and number not in answered]:
+            raise ConfigError(
+                f"{journal}: lacks the answers of trial {', '.join(lost[:5])}{', ...' * (len(lost) > 5)}, which "
+                f"{table.name} has: {RESTORE_REMEDY}, or move the table to another folder to repeat the trials"
+            )
+    return journals
 
 
 def _rows(conditions: Sequence[Condition], trials: Sequence[PlannedTrial]) -> list[Entry]:
@@ -141,6 +164,10 @@ def _json(values: Any) -> bytes:
 def _check_same(path: Path, text: bytes) -> None:
     """Raise ConfigError if an existing file has another content than `text`."""
     if path.exists() and path.read_bytes() != text and not _is_same_experiment(path, text):
+        try:
+            msgspec.json.decode(path.read_bytes(), type=dict)
+        except msgspec.DecodeError as error:
+            raise ConfigError(f"{path}: is damaged: {error}: {RESTORE_REMEDY}") from error
         raise ConfigError(
             f"{path}: belongs to an experiment with other values{_different_keys(path, text)}: name another folder "
             "(--out), or run the experiment with its earlier values"
@@ -232,4 +259,26 @@ def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
         raise ConfigError(
             f"{path}: cannot be read: {reason}: check that `softfinger experiment` wrote this folder"
         ) from error
-    return build(ExperimentFile, values, str(path)), read_trials(sorted(root.glob(JOURNAL)))
+    experiment = build(ExperimentFile, values, str(path))
+    rows = read_trials(list_journals(root))
+    _check_answers(root, experiment, rows)
+    return experiment, rows
+
+
+def _check_answers(root: Path, experiment: ExperimentFile, rows: Sequence[Entry]) -> None:
+    """Raise ConfigError if an answer is not of the experiment: the analysis would fail, or leave it out."""
+    names, is_comparison = (
+        [condition.name for condition in list_conditions(experiment)],
+        experiment.task.kind == "compare",
+    )
+    for row in rows:
+        fault = ""
+        if row["condition"] not in names:
+            fault = f"condition = {format_value(row['condition'])}: must be one of {'; '.join(names)}"
+        elif is_comparison and row["right"] is None:
+            fault = "right = null: must be true or false"
+        elif not is_comparison and isinstance(row["answer"], str):
+            fault = f"answer = {format_value(row['answer'])}: must be a number"
+        if fault:
+            label = row["participant"]
+            raise ConfigError(f"{root / label}/{label}_journal.jsonl: trial {row['trial']}: {fault}: {RESTORE_REMEDY}")

@@ -1,6 +1,6 @@
 """Journal of a session, one event per line, synchronised to disk before the session continues.
 
-A power failure loses no answer.
+A power failure loses no answer. Each line has its number, so that a line lost later is noticed.
 """
 
 from __future__ import annotations
@@ -8,15 +8,54 @@ from __future__ import annotations
 import fcntl
 import os
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Annotated, Any, Final
 
 import msgspec
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.words import format_value
 from softfinger.drivers.closing import Closeable
 
 Entry = dict[str, Any]
+NUMBER: Final = "entry"
+"""Key of the number of an entry in the file, from 1. Files of earlier versions have none."""
+RESTORE_REMEDY: Final = "restore the file from a copy"
 _DECODER: Final = msgspec.json.Decoder(dict)
+_START: Final = b'{"kind"'
+
+
+class _Entry(msgspec.Struct):
+    kind: str
+
+
+class _Started(_Entry):
+    dry_run: bool
+
+
+class _Begun(_Entry):
+    trial: int
+
+
+class _Done(_Entry):
+    trial: int
+    practice: bool
+    condition: str
+    level: Annotated[float, msgspec.Meta(gt=0.0)]
+    answer: str | float
+    right: bool | None
+    catch: bool = False
+
+
+class _SurveyAnswer(_Entry):
+    survey: str
+    block: int
+    condition: str | None
+    question: str
+    answer: str | float
+
+
+_TYPES: Final[dict[str, type[_Entry]]] = {"started": _Started, "begun": _Begun, "done": _Done, "survey": _SurveyAnswer}
+"""Keys that other modules read, by the kind of the entry."""
 
 
 class MemoryJournal:
@@ -54,7 +93,8 @@ class Journal(MemoryJournal, Closeable):
 
     def write(self, kind: str, **values: Any) -> None:
         """Append an entry, which is on the disk when this returns. If it does not fit there, the file is unchanged."""
-        line, descriptor = msgspec.json.encode({"kind": kind, **values}) + b"\n", self._file.fileno()
+        numbered = {"kind": kind, NUMBER: len(self.entries) + 1, **values}
+        line, descriptor = msgspec.json.encode(numbered) + b"\n", self._file.fileno()
         before = os.fstat(descriptor).st_size
         try:
             while line:  # an almost full disk accepts a part, and refuses the next write
@@ -79,10 +119,10 @@ class Journal(MemoryJournal, Closeable):
 
 
 def read(path: Path) -> list[Entry]:
-    """Return the entries of a journal; empty if there is no file. Truncated lines are skipped.
+    """Return the entries of a journal without their numbers; empty if there is no file. Truncated lines are skipped.
 
     A crash truncates the last line, so it is at the end or followed by the entry `started` of the resumed session.
-    Raises ConfigError if any other line is invalid.
+    Raises ConfigError if any other line is invalid, lacks a key, or if an entry is missing.
     """
     if not path.exists():
         return []
@@ -93,13 +133,42 @@ def read(path: Path) -> list[Entry]:
         try:
             entry = _DECODER.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError):
+            start = line.rstrip(b"\0")[: len(_START)]  # after a power failure a file may end with zeros
+            if not _START.startswith(start):
+                raise ConfigError(f"{path}: line {number} is not an entry of a journal: {RESTORE_REMEDY}") from None
             damaged = number
             continue
         if damaged and entry.get("kind") != "started":
-            raise ConfigError(f"{path}: line {damaged} is not an entry of a journal: the file is damaged")
+            raise ConfigError(f"{path}: line {damaged} is not an entry of a journal: {RESTORE_REMEDY}")
         damaged = 0
+        location = f"{path}: line {number}"
+        _check_number(location, entry.pop(NUMBER, None), entry, entries)
+        try:
+            kind = msgspec.convert(entry, _Entry).kind
+            msgspec.convert(entry, _TYPES.get(kind, _Entry))
+        except msgspec.ValidationError as error:
+            raise ConfigError(f"{location}: {error}: {RESTORE_REMEDY}") from error
         entries.append(entry)
     return entries
+
+
+def _check_number(location: str, number: Any, entry: Entry, earlier: list[Entry]) -> None:
+    """Raise ConfigError if the number of an entry is not that of the next one."""
+    expected = len(earlier) + 1
+    if number in (None, expected):
+        return
+    fault, remedy = f"is entry {format_value(number)}, must be entry {expected}", RESTORE_REMEDY
+    if isinstance(number, int) and number > expected:
+        missing = f"entry {expected} is" if number == expected + 1 else f"entries {expected} to {number - 1} are"
+        fault = f"{missing} missing between {_describe(earlier[-1:])} and {_describe([entry])}"
+        line = msgspec.json.encode({"kind": "lost", NUMBER: expected}).decode()
+        remedy += f", or insert a line {line} here for each missing entry to continue without it"
+    raise ConfigError(f"{location}: {fault}: {remedy}")
+
+
+def _describe(entries: list[Entry]) -> str:
+    trial = next((f" of trial {entry['trial']}" for entry in entries if "trial" in entry), "")
+    return next((f"'{entry.get('kind')}'{trial}" for entry in entries), "the start of the file")
 
 
 def _sync_folder(folder: Path) -> None:

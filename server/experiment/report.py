@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import msgspec
 
+from softfinger.config.errors import ConfigError
 from softfinger.server.experiment.analysis import (
     Group,
     catch_shares,
@@ -20,7 +21,7 @@ from softfinger.server.experiment.analysis import (
 )
 from softfinger.server.experiment.comparison import Effect, compare_levels, compare_models, estimate_population
 from softfinger.server.experiment.figures import name_factors
-from softfinger.server.experiment.journal import Entry, read
+from softfinger.server.experiment.journal import RESTORE_REMEDY, Entry, read
 from softfinger.server.experiment.methods import count_trials, write_methods
 from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile
@@ -213,12 +214,18 @@ def _effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
 
 
 def _starts(root: Path) -> list[dict[str, Any]]:
-    """Return the stored data of each start of a session, with `simulated` for dry runs."""
+    """Return the stored data of each start of a session, with `simulated` for dry runs.
+
+    Raises ConfigError if a file is damaged.
+    """
     starts = []
     for path in sorted(root.glob("sub-*/sub-*_run-*_about.json")):
         journal = read(path.parent / f"{path.parent.name}_journal.jsonl")
         is_simulated = any(entry["kind"] == "started" and entry["dry_run"] for entry in journal)
-        starts.append(msgspec.json.decode(path.read_bytes(), type=dict) | {"simulated": is_simulated})
+        try:
+            starts.append(msgspec.json.decode(path.read_bytes(), type=dict) | {"simulated": is_simulated})
+        except msgspec.DecodeError as error:
+            raise ConfigError(f"{path}: is damaged: {error}: {RESTORE_REMEDY}") from error
     return starts
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator
+import logging
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Final
@@ -13,8 +15,10 @@ import numpy as np
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import new_file
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import TickBlock, translate_errors
+from softfinger.server.recording.reader import End, TickBlock, explain_no_tick, translate_errors
 from softfinger.server.recording.results import RESULTS_MAX, write_csv_rows
+
+log: Final = logging.getLogger(__name__)
 
 SUFFIXES: Final = (".csv", ".parquet", ".npz")
 GROUP_ROWS: Final = 65536
@@ -47,25 +51,36 @@ def export(recording: str | Path, out: Path, finger: str = "") -> int:
         raise ConfigError(f"--out {out}: pyarrow is not installed: pip install 'softfinger[parquet]'")
     ticks = _read_finger(recording, finger)
     first = next(ticks)
-    write = {".csv": _csv, ".parquet": _parquet, ".npz": _npz}[out.suffix.lower()]
+    writers: dict[str, Callable[[IO[bytes], Iterator[TickBlock]], int]] = {
+        ".csv": _csv,
+        ".parquet": _parquet,
+        ".npz": partial(_npz, out),
+    }
+    write = writers[out.suffix.lower()]
     with translate_errors(out), new_file(out) as file:
         return write(file, chain([first], ticks))
 
 
 def _read_finger(recording: str | Path, finger: str) -> Iterator[TickBlock]:
-    other_fingers, has_ticks = set[str](), False
+    other_fingers, has_ticks, end = set[str](), False, End([], "")
     for part in read_recording(recording):
         if isinstance(part, TickBlock) and part.finger == finger:
             has_ticks = True
             yield part
         elif isinstance(part, TickBlock):
             other_fingers.add(part.finger)
+        elif isinstance(part, End):
+            end = part
+    if not (has_ticks or other_fingers):
+        raise RecordingError(f"{recording}: {explain_no_tick(end)}")
     if not has_ticks:
         of = f"finger {finger!r}" if finger else "a single finger"
-        remedy = f"it has fingers {', '.join(sorted(other_fingers))}: --finger NAME" if other_fingers else "it has none"
+        remedy = f"it has fingers {', '.join(sorted(other_fingers))}: --finger NAME"
         if "" in other_fingers:
             remedy = "leave --finger out"
         raise RecordingError(f"{recording}: no ticks of {of}: {remedy}")
+    if end.cut:
+        log.warning("%s is incomplete: %s", recording, end.cut)
 
 
 def column_names(ticks: TickBlock) -> list[str]:
@@ -112,7 +127,7 @@ def _parquet(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     return count
 
 
-def _npz(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
+def _npz(out: Path, file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     """Write one array per field, like results; all ticks are in memory, so their number is limited."""
     parts: list[TickBlock] = []
     count = 0
@@ -120,7 +135,7 @@ def _npz(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
         parts.append(part)
         count += len(part.rows)
         if count > RESULTS_MAX:
-            raise RecordingError(f"more than {RESULTS_MAX:,} ticks, the limit of an npz: use .parquet")
+            raise RecordingError(f"--out {out}: more than {RESULTS_MAX:,} ticks, the limit of an npz: use .parquet")
     rows = TickBlock(parts[0].finger, parts[0].parts, np.concatenate([part.rows for part in parts]))
     arrays: dict[str, Any] = {part.name: rows.column(part.name) for part in rows.parts}
     if not rows.missing():

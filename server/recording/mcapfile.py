@@ -7,11 +7,13 @@ Format: https://mcap.dev/spec.
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 import weakref
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -164,14 +166,36 @@ class McapFile:
         added = {channel: sum(map(len, entries)) for channel, entries in self._index.items()}
         self._pending, self._pending_bytes, self._index = [], 0, {}
         self._write(chunk + b"".join(indices))
-        self._chunks.write(_record(index))
-        self._chunk_count += 1
         for channel, count in added.items():
             self.counts[channel] = self.counts.get(channel, 0) + count
+        self._chunks.write(_record(index))
+        self._chunk_count += 1
 
     def finish(self) -> None:
         """Write pending messages, and the summary with the indices for readers."""
         self.flush()
+        data_size = self.size
+        try:
+            self._write_summary()
+        except OSError:
+            self.size = data_size
+            raise
+
+    def finish_without_summary(self) -> None:
+        """End the file after the data, if the disk accepts 50 bytes.
+
+        Without this end the library's reader raises an error before the first message.
+        """
+        self._truncate()
+        footer = records.Footer(summary_start=0, summary_offset_start=0, summary_crc=0)
+        self._write(_record(records.DataEnd(data_section_crc=0)) + _record(footer) + MCAP0_MAGIC)
+
+    def _truncate(self) -> None:
+        """Remove what a failed write left after the last complete one."""
+        os.ftruncate(self._file.fileno(), self.size)
+        os.lseek(self._file.fileno(), self.size, os.SEEK_SET)
+
+    def _write_summary(self) -> None:
         self._write(_record(records.DataEnd(data_section_crc=0)))
         start = self.size
         statistics = records.Statistics(
@@ -227,8 +251,13 @@ class McapFile:
 
     def _write(self, data: bytes) -> None:
         remaining, start_s = memoryview(data), time.monotonic()
-        while remaining:
-            remaining = remaining[self._file.write(remaining) or 0 :]
+        try:
+            while remaining:
+                remaining = remaining[self._file.write(remaining) or 0 :]
+        except OSError:
+            with suppress(OSError):
+                self._truncate()
+            raise
         self.worst_write_s = max(self.worst_write_s, time.monotonic() - start_s)
         self.size += len(data)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
+import os
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import open_recording
 from softfinger.drivers.poses import POSE_COLUMNS
 from softfinger.server.recording.reader import translate_errors
@@ -29,21 +29,42 @@ class PosesFile(Protocol):
 
 
 class CsvPoses:
-    """CSV file with the columns `t,x,y,z,qw,qx,qy,qz`; reading gives bit-identical numbers."""
+    """CSV file with the columns `t,x,y,z,qw,qx,qy,qz`; reading gives bit-identical numbers.
+
+    Each line is written at once, so that a kill leaves no part of a line. A full disk leaves the lines before.
+    """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self._path, self._size, self._lines = path, 0, 0
         with translate_errors(path):
-            self._file = io.BufferedWriter(open_recording(path))
-            self._file.write((",".join(POSE_COLUMNS) + "\n").encode())
+            self._file = open_recording(path)
+        try:
+            self._write(",".join(POSE_COLUMNS) + "\n")
+        except RecordingError:
+            self.close()
+            raise
 
     def add(self, t: float, sample: Sample) -> None:
-        with translate_errors(self._path):
-            self._file.write((_LINE % (t, *sample.probe.position, *sample.probe.orientation)).encode())
+        self._write(_LINE % (t, *sample.probe.position, *sample.probe.orientation))
+        self._lines += 1
 
     def close(self) -> None:
         with translate_errors(self._path):
             self._file.close()
+        if not self._lines:
+            self._path.unlink(missing_ok=True)
+
+    def _write(self, line: str) -> None:
+        remaining = line.encode()
+        size = self._size + len(remaining)
+        with translate_errors(self._path):
+            try:
+                while remaining:
+                    remaining = remaining[self._file.write(remaining) :]
+            except OSError:
+                os.ftruncate(self._file.fileno(), self._size)
+                raise
+        self._size = size
 
 
 class McapPoses:
@@ -52,9 +73,14 @@ class McapPoses:
     BLOCK: Final = 256
 
     def __init__(self, path: Path) -> None:
+        self._path, self._rows = path, list[list[float]]()
         with translate_errors(path):
-            self._results = McapResults(path, open_recording(path))
-        self._rows: list[list[float]] = []
+            file = open_recording(path)
+        try:
+            self._results = McapResults(path, file)
+        except RecordingError:
+            path.unlink(missing_ok=True)
+            raise
 
     def add(self, t: float, sample: Sample) -> None:
         self._rows.append(record_of(sample))
@@ -62,8 +88,12 @@ class McapPoses:
             self._flush()
 
     def close(self) -> None:
-        self._flush()
-        self._results.close()
+        try:
+            self._flush()
+            self._results.close()
+        finally:
+            if not self._results.count():
+                self._path.unlink(missing_ok=True)
 
     def _flush(self) -> None:
         if self._rows:

@@ -20,7 +20,7 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
-from softfinger.drivers.containers import mcap_records
+from softfinger.drivers.containers import RECORD_BYTES_MAX, mcap_records
 from softfinger.proxy.record import FIELDS
 from softfinger.server.progress import progress
 from softfinger.server.recording.layout import Layout, TickField
@@ -97,6 +97,16 @@ class End(NamedTuple):
     cut: str
 
 
+def explain_no_tick(end: End) -> str:
+    """Return why a file has no tick, for a message: its damage, or its topics."""
+    if end.cut:
+        return f"has no tick: {end.cut}"
+    if not end.topics or any(finger_of(topic.name) is not None for topic in end.topics):
+        return "has no tick"
+    names = ", ".join(repr(topic.name[:40]) for topic in end.topics[:5]) + ", ..." * (len(end.topics) > 5)
+    return f"has no tick on topic 'contact' or 'finger/NAME': its topics are {names}"
+
+
 class _Channel:
     def __init__(self, topic: str, schema: Any) -> None:
         self.topic, self.schema, self.messages = topic, schema, 0
@@ -158,9 +168,22 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
     schemas: dict[int, Any] = {}
     channels: dict[int, _Channel] = {}
     notes = 0
+    if not os.fstat(file.fileno()).st_size:
+        raise RecordingError(f"{path}: is empty")
     cut = "it has no index at its end: its writer was killed, or the disk was full"
+    damage: list[str] = []
+
+    def skip_damage(error: Exception) -> None:
+        damage.append(f"a part is damaged, and its ticks are missing: {type(error).__name__}: {str(error)[:120]}")
+        if not channels:  # they are in the first chunk
+            for record in _read_summary(file):
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    channels[record.id] = _Channel(record.topic, schemas.get(record.schema_id))
+
     try:
-        for outer in mcap_records(file):
+        for outer in mcap_records(file, skip_damage):
             messages_by_channel: dict[int, list[bytes]] = {}
             for record in _unpack_chunk(outer.data) if isinstance(outer, Chunk) else (outer,):
                 if isinstance(record, tuple):
@@ -174,10 +197,15 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
                     channels.setdefault(record.id, _Channel(record.topic, schema))
                 elif isinstance(record, Metadata) and notes < METADATA_MAX:
                     notes += 1
-                    yield Note(record.name, _decode_value(record.metadata))
-                elif isinstance(record, Footer):
+                    try:
+                        yield Note(record.name, _decode_value(record.metadata))
+                    except ValueError as error:
+                        damage.append(f"metadata '{record.name[:40]}' is damaged: {error}")
+                elif isinstance(record, Footer) and record.summary_start:
                     cut = ""
             for channel_id, messages in messages_by_channel.items():
+                if damage and channel_id not in channels:
+                    continue
                 channel = channels[channel_id]
                 channel.messages += len(messages)
                 if channel.finger is not None:
@@ -195,8 +223,27 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
             cut = f"{type(error).__name__}: {str(error)[:120]}"
         if not channels:
             raise RecordingError(f"{path}: not a readable MCAP recording: {cut}") from error
+    if damage:
+        cut = damage[0] + (f", and {len(damage) - 1} more" if len(damage) > 1 else "")
+        if not channels:
+            raise RecordingError(f"{path}: not a readable MCAP recording: {cut}")
     topics = [Topic(item.topic, item.schema.name if item.schema else "", item.messages) for item in channels.values()]
     yield End(topics, cut)
+
+
+def _read_summary(file: IO[bytes]) -> list[Any]:
+    """Return the schemas and channels at the end of a file, whose position does not change; empty if it has none."""
+    from mcap.reader import SeekingReader
+
+    position = file.tell()
+    file.seek(0)
+    try:
+        summary = SeekingReader(file, record_size_limit=RECORD_BYTES_MAX).get_summary()
+        return [] if summary is None else [*summary.schemas.values(), *summary.channels.values()]
+    except Exception:  # no summary, or a damaged one
+        return []
+    finally:
+        file.seek(position)
 
 
 def _decode_value(table: Mapping[str, str]) -> Any:

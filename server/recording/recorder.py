@@ -32,6 +32,7 @@ BLOCK_ROWS: Final = 1024
 """Ticks encoded per block, in less than the interpreter's switch interval of 5 ms."""
 END: Final = "end"
 """Table of metadata of a recording with a regular end: number of written and of dropped ticks."""
+NEW_RECORDING_REMEDY: Final = "make room on the disk or choose another disk, then start another recording"
 
 
 class RecorderState(NamedTuple):
@@ -64,6 +65,8 @@ class TopicMessage(NamedTuple):
 
 class Recorder:
     """Writes to an open unbuffered file in a separate thread until `stop`.
+
+    If the disk is full, the file ends with the last complete write; without any message it is removed.
 
     Parameters
     ----------
@@ -100,6 +103,7 @@ class Recorder:
         self._reported_dropped = 0
         self._is_dropping, self._dropped_from = False, -1
         self._error = ""
+        self._is_empty = True  # no message is written
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -171,19 +175,21 @@ class Recorder:
                 recording.note(END, end)
                 recording.close()
                 self._count(recording)
-            except OSError:
-                # Truncate to the last complete chunk, so that the file ends with one.
-                with contextlib.suppress(OSError, ValueError):
-                    os.ftruncate(self._file.fileno(), recording.mcap.size)
+            except Exception:
+                recording.close_early()
                 self._count(recording)
                 raise
         except Exception as error:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else f"{error}"
             self._error = reason or type(error).__name__
+            remedy = f": {NEW_RECORDING_REMEDY}"
             if not isinstance(error, OSError):
                 log.exception("recording failed")
+                remedy = ""
             self._queue.clear()
-            self._on_trouble(f"the recording ends after {self._ticks} ticks: {self._error}", True)
+            if self._is_empty:
+                self._remove_file()
+            self._on_trouble(f"the recording ends after {self._ticks} ticks: {self._error}{remedy}", True)
         finally:
             with contextlib.suppress(OSError):
                 self._file.close()
@@ -191,6 +197,12 @@ class Recorder:
     def _count(self, recording: RecordingFile) -> None:
         self._ticks, self._bytes = recording.count(self._fingers[0]), recording.mcap.size
         self._worst_write_s = recording.mcap.worst_write_s
+        self._is_empty = not recording.mcap.counts
+
+    def _remove_file(self) -> None:
+        if isinstance(self._file.name, str):
+            with contextlib.suppress(OSError):
+                os.unlink(self._file.name)
 
     def _write(self, recording: RecordingFile) -> None:
         """Write all queued data, one batch per finger."""

@@ -296,6 +296,10 @@ class McapResults(Closeable):
         with self._translate_errors():
             self._recording.message(topic, message)
 
+    def count(self, finger: str = "") -> int:
+        """Return the number of records of a finger in the file."""
+        return self._recording.count(finger)
+
     def close(self) -> None:
         """Write the remaining records and the index. May be called repeatedly."""
         with self._translate_errors():

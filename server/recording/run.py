@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import POSES_MAX, rate_from_period
-from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, read_contents
+from softfinger.server.recording.reader import (
+    End,
+    Event,
+    Note,
+    RecordedWorld,
+    TickBlock,
+    explain_no_tick,
+    read_contents,
+)
 
 _REQUIRED: Final = ("tick", "dt", "probe.position", "probe.orientation")
 
@@ -70,7 +78,7 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
     notes: dict[str, Any] = {}
     events: list[dict[str, Any]] = []
     worlds: list[dict[str, Any]] = []
-    cut, count = "", 0
+    end, count = End([], ""), 0
     for part in read_contents(path):
         match part:
             case TickBlock():
@@ -85,15 +93,15 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
             case Note():
                 notes[part.name] = part.value
             case End():
-                cut = part.cut
+                end = part
     if not blocks:
-        raise RecordingError(f"{path}: has no tick")
+        raise RecordingError(f"{path}: {explain_no_tick(end)}")
     fingers = {}
     for finger, parts in blocks.items():
         if missing := [name for name in (*_REQUIRED, *fields) if name not in parts[0]]:
             raise RecordingError(f"{path}: its ticks lack {', '.join(missing)}: not a recording of this program")
         fingers[finger] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return Run(_keep_common_ticks(_sort_fingers(fingers, notes)), notes, events, cut, _read_body_poses(worlds))
+    return Run(_keep_common_ticks(_sort_fingers(fingers, notes)), notes, events, end.cut, _read_body_poses(worlds))
 
 
 def _read_body_poses(worlds: list[dict[str, Any]]) -> BodyPoses:

@@ -13,7 +13,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import find_recording
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import End, Event, Note, TickBlock
+from softfinger.server.recording.reader import End, Event, Note, TickBlock, explain_no_tick
 from softfinger.server.recording.recorder import END
 
 _COPIED_TABLES = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
@@ -54,7 +54,8 @@ class _Finger:
             values = ticks.column(name)
             if values is not None:
                 key = f"{name.rpartition('.')[2]}_max_{unit}"
-                size = np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
+                with np.errstate(over="ignore"):
+                    size = np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
                 self.peaks[key] = max(self.peaks.get(key, 0.0), float(np.nanmax(size, initial=0.0)))
 
     def to_dict(self) -> dict[str, Any]:
@@ -85,7 +86,10 @@ def summary(recording: str | Path) -> dict[str, Any]:
     for part in read_recording(path):
         match part:
             case TickBlock():
-                fingers.setdefault(part.finger, _Finger()).add(part)
+                try:
+                    fingers.setdefault(part.finger, _Finger()).add(part)
+                except RecordingError as error:
+                    raise RecordingError(f"{path}: {error}") from error
             case Note():
                 notes[part.name] = part.value
             case Event():
@@ -95,7 +99,7 @@ def summary(recording: str | Path) -> dict[str, Any]:
             case End():
                 end = part
     if not fingers:
-        raise RecordingError(f"{path}: has no tick")
+        raise RecordingError(f"{path}: {explain_no_tick(end)}")
     first_finger = next(iter(fingers.values()))
     every = notes.get("every") if isinstance(notes.get("every"), int) else 1
     end_table = (notes.get(END) if isinstance(notes.get(END), dict) else None) or {}

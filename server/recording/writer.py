@@ -6,6 +6,7 @@ Topics: `contact`, or `finger/NAME` for each of several fingers, with every tick
 
 from __future__ import annotations
 
+import contextlib
 import json
 import platform
 from collections.abc import Mapping, Sequence
@@ -195,8 +196,19 @@ class RecordingFile(Topics):
     def close(self) -> None:
         """Write pending messages and the index, and close the file even if that fails; may be called repeatedly."""
         if not self._file.closed:
-            with self._file:
+            try:
                 self.mcap.finish()
+            except OSError:
+                self.close_early()
+                raise
+            finally:
+                self._file.close()
+
+    def close_early(self) -> None:
+        """Close the file after a failed write: it has all complete chunks, and no index; may be called repeatedly."""
+        if not self._file.closed:
+            with self._file, contextlib.suppress(OSError):
+                self.mcap.finish_without_summary()
 
 
 def round_integer_fields(records: Array) -> Array:

@@ -116,9 +116,9 @@ class Recordings:
             recorder = self._recorder
             if recorder is None:
                 raise RecordingError("nothing is being recorded")
-            if error := recorder.recorded.error:
-                failure, self._failure = self._failure, None
-                raise failure or RecordingError(f"{self._path}: the recording has ended: {error}")
+            if error := (recorded := recorder.recorded).error:
+                self._failure = None
+                raise RecordingError(f"{self._path}: the recording ends after {recorded.ticks} ticks: {error}")
             return recorder.last_written_tick
 
     def collect_totals(self) -> RecordingTotals:

@@ -204,7 +204,7 @@ class PoseWriter(Closeable):
         self._file = file
         self._duration_s = duration_s
         self._period = 0.0
-        self._periods = 0
+        self._periods, self._written_tick = 0, -1
         self._buffer: list[tuple[int, Sample]] = []  # (ticks since the previous sample, sample)
 
     def take(self, sample: Sample) -> None:
@@ -256,10 +256,11 @@ class PoseWriter(Closeable):
         t = self._periods / rate_from_period(self._period)
         if self._duration_s is not None and t > self._duration_s - self._period / 2:
             stats.end_reason = f"{self._duration_s:g} s are over"
+            stats.last_tick = self._written_tick
             return
         if not all(map(math.isfinite, (*sample.probe.position, *sample.probe.orientation))):
             stats.unusable += 1
             return
-        stats.seconds = t
+        stats.seconds, self._written_tick = t, sample.tick
         stats.poses += 1
         self._file.add(t, sample)

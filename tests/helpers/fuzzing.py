@@ -158,7 +158,7 @@ def targets() -> dict[str, Target]:
                 read()
             except RecordingError as error:
                 refusal = error
-        if "said" in locals():
+        if "refusal" in locals():
             raise refusal
 
     return {

@@ -17,7 +17,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _lines(info: dict[str, Any]) -> Iterator[str]:
-    state = "whole" if info["whole"] else f"cut short: {info['cut']}"
+    state = "whole" if info["whole"] else f"incomplete: {info['cut']}"
     yield f"{info['file']}: {info['bytes'] / 1e6:.1f} MB, {state}"
     rate = f" at {info['rate_hz']:g} Hz" if isinstance(info["rate_hz"], int | float) else ""
     counted = "ticks" if any(finger["modes"] for finger in info["fingers"].values()) else "poses"
@@ -30,9 +30,9 @@ def _lines(info: dict[str, Any]) -> Iterator[str]:
         yield f"  {info['events_dropped']} events were not recorded either"
     if info["lost"]:
         yield f"  {info['lost']} did not arrive"
-    device = info["device"]["name"] if isinstance(info["device"], dict) else "unknown"
+    device = info["device"].get("name") if isinstance(info["device"], dict) else None
     if info["topics"]:
-        yield f"  scene {info['scene_name'] or 'unknown'}; device {device}"
+        yield f"  scene {info['scene_name'] or 'unknown'}; device {device or 'unknown'}"
     for name, finger in info["fingers"].items():
         yield f"  {name or 'finger'}: {'; '.join(_finger_parts(finger))}"
     for kind, count in info["events"].items():

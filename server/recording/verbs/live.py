@@ -75,7 +75,8 @@ def record_live(job: RecordingJob, path: Path) -> str:
             recorder.note("lost", batcher.lost)
             recorded = recorder.stop(DISK_TIMEOUT_S)
     if recorded.error:
-        raise RecordingError(f"{path}: cannot be written: {recorded.error}; it has {recorded.ticks} ticks")
+        contents = f"it has {recorded.ticks} ticks" if path.exists() else "it was empty and is removed"
+        raise RecordingError(f"{path}: cannot be written: {recorded.error}; {contents}")
     loss_text = f"{batcher.lost} did not arrive" if batcher.lost else "no tick lost"
     slow = f", {recorded.dropped} not recorded because the disk was too slow" if recorded.dropped else ""
     unfinished = "" if recorded.whole else f"; the last ticks were not written to the disk within {DISK_TIMEOUT_S:g} s"

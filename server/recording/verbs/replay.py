@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         find_recording(args.recording)
         if args.scene is None or args.against is None:
-            raise ConfigError(f"{path}: poses contain neither scene nor forces: add --scene and --against")
+            raise ConfigError(f"{path}: a table has no scene, and only its poses are read: add --scene and --against")
         past, scene = _run_from_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
     replayed = replay(past, scene, rig)
     against = _select_recorded(past) if args.against is None else _from_file(args.against, past)
@@ -162,7 +162,7 @@ def _to_json(outcome: ReplayComparison) -> dict[str, Any]:
 def _lines(outcome: ReplayComparison, past: Run) -> list[str]:
     lines = [f"{outcome.compared} of {outcome.ticks} ticks compared, {outcome.different} differ"]
     if past.cut:
-        lines.append(f"  the recording is truncated: {past.cut}")
+        lines.append(f"  the recording is incomplete: {past.cut}")
     lines += [f"  {key}: largest difference {value:.3g}" for key, value in outcome.largest.items()]
     lines += [f"  ticks {s.first} to {s.last} are not compared: {s.why}" for s in outcome.left_out[:SPANS_SHOWN]]
     if len(outcome.left_out) > SPANS_SHOWN:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import random
+import re
 import resource
 import shutil
 import signal
@@ -32,6 +33,7 @@ from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.folder import ParticipantFolder, load
 from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Journal, MemoryJournal, read
+from softfinger.server.experiment.report import _starts
 from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
@@ -115,12 +117,19 @@ def test_a_killed_session_resumes_without_loss_or_repetition(tmp_path: Path, cas
     assert len(read(tmp_path / "killed" / "sub-01" / "sub-01_journal.jsonl")) > 2 * len(rows)
 
 
+def cut_journal(own: Path, entries: int, rest: bytes = b"") -> None:
+    """Remove all but the first entries and the table, which a session writes at its end."""
+    (journal,) = own.glob("*_journal.jsonl")
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:entries]) + rest)
+    (own / f"{own.name}_trials.csv").unlink(missing_ok=True)
+
+
 def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
     experiment = Experiment("stiffness-discrimination", {"procedure.trials": 30})
     rows = experiment.run(tmp_path, 1, OFFLINE)
     journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join(lines[:31]) + lines[31][:17])  # last line truncated, as by a power cut
+    cut_journal(journal.parent, 31, lines[31][:17])  # last line truncated, as by a power cut
     resumed = experiment.run(tmp_path, 1, OFFLINE)
     assert [row["level"] for row in resumed] == [row["level"] for row in rows]
     assert [row["answer"] for row in resumed] == [row["answer"] for row in rows]
@@ -174,8 +183,8 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
         ):
             journal.write("done", trial=1)
         assert read(path) == journal.entries == [{"kind": "begun", "trial": 1}]
-        journal.write("done", trial=1)
-    assert [entry["kind"] for entry in read(path)] == ["begun", "done"]
+        journal.write("begun", trial=2)
+    assert [entry["trial"] for entry in read(path)] == [1, 2]
 
 
 def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
@@ -213,9 +222,141 @@ def test_one_session_of_a_participant_at_a_time(tmp_path: Path) -> None:
 
 
 def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun"}\n{"ki\n{"kind":"done"}\n')
+    (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun","trial":1}\n{"ki\n{"kind":"finished"}\n')
     with pytest.raises(ConfigError, match="line 2 is not an entry"):
         read(tmp_path / "j.jsonl")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('{"kind":"begun"}', "missing required field `trial`"),
+        ('{"kind":"begun","trial":"3"}', r"Expected `int`, got `str` - at `\$.trial`"),
+        ('{"kind":"started"}', "missing required field `dry_run`"),
+        ('{"kind":"done","trial":1}', "missing required field `practice`"),
+        ('{"kind":"survey"}', "missing required field `survey`"),
+        ('{"trial":3}', "missing required field `kind`"),
+        ('{"kind":[]}', r"Expected `str`, got `array` - at `\$.kind`"),
+    ],
+)
+def test_an_edited_journal_entry_is_refused(line: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "j.jsonl").write_text('{"kind":"begun","trial":1}\n' + line + "\n")
+    with pytest.raises(ConfigError, match=f"j.jsonl: line 2: .*{message}.*: restore the file from a copy"):
+        read(tmp_path / "j.jsonl")
+
+
+def test_a_lost_line_of_a_journal_is_noticed(tmp_path: Path) -> None:
+    """Any lost line but the last, which a kill may also lose; and a line that occurs twice."""
+    experiment = Experiment(make_tables())
+    experiment.run(tmp_path, 1, OFFLINE)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    for lost in range(len(lines) - 1):
+        journal.write_bytes(b"".join(lines[:lost] + lines[lost + 1 :]))
+        with pytest.raises(ConfigError, match=f"line {lost + 1}: entry {lost + 1} is missing between .* restore"):
+            experiment.run(tmp_path, 1, OFFLINE)
+    answer = next(index for index, line in enumerate(lines) if b'"done","entry":5,' in line)
+    journal.write_bytes(b"".join(lines[:answer] + lines[answer + 3 :]))
+    with pytest.raises(
+        ConfigError, match="line 5: entries 5 to 7 are missing between 'begun' of trial 2 and 'begun' of"
+    ):
+        results(tmp_path)
+    journal.write_bytes(b"".join(lines[:5] + lines[4:]))
+    with pytest.raises(ConfigError, match="line 6: is entry 5, must be entry 6: restore"):
+        results(tmp_path)
+
+
+@pytest.mark.parametrize("remaining", [None, b"", b"[]\n", b"\xff\xfe\0\n\xff\n", 8])
+def test_the_end_of_a_lost_journal_is_noticed(remaining: bytes | int | None, tmp_path: Path) -> None:
+    """The tables of a finished session have the answers: they must not be replaced."""
+    experiment = Experiment(make_tables())
+    experiment.run(tmp_path, 1, OFFLINE)
+    own, before = tmp_path / "sub-01", (tmp_path / "trials.csv").read_bytes()
+    journal = own / "sub-01_journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    if remaining is None:
+        journal.unlink()
+    else:
+        journal.write_bytes(remaining if isinstance(remaining, bytes) else b"".join(lines[:remaining]))
+    lost = "lacks the answers of trial (1|4, 5), .* restore|line 1 is not an entry of a journal: restore"
+    for participant in (1, 2):
+        with pytest.raises(ConfigError, match=rf"sub-01_journal\.jsonl: ({lost}|line 1: .*missing)"):
+            experiment.run(tmp_path, participant, OFFLINE)
+    with pytest.raises(ConfigError, match=lost):
+        results(tmp_path)
+    assert (tmp_path / "trials.csv").read_bytes() == before and not (tmp_path / "sub-02").exists()
+
+
+def test_a_journal_may_end_with_zeros_after_a_power_failure(tmp_path: Path) -> None:
+    experiment = Experiment(make_tables())
+    rows = experiment.run(tmp_path, 1, OFFLINE)
+    for rest in (bytes(300), b'{"kin' + bytes(40), b"{"):
+        cut_journal(tmp_path / "sub-01", 7, rest)
+        assert [row["answer"] for row in experiment.run(tmp_path, 1, OFFLINE)] == [row["answer"] for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"right":true', '"right":null', "trial 1: right = null: must be true or false"),
+        ('"condition":"', '"condition":"x', "trial 1: condition = 'x.*': must be one of"),
+        ('"level":', '"level":-', r"line 3: Expected `float` > 0.0 - at `\$.level`"),
+    ],
+)
+def test_an_edited_answer_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    journal.write_text(journal.read_text().replace('"right":false', '"right":true').replace(old, new))
+    with pytest.raises(ConfigError, match=rf"sub-01_journal\.jsonl: {message}.*: restore the file from a copy"):
+        load(tmp_path)
+
+
+def test_damaged_files_of_a_folder_are_named(tmp_path: Path) -> None:
+    experiment = Experiment(make_tables())
+    experiment.run(tmp_path, 1, OFFLINE)
+    about, described = tmp_path / "sub-01" / "sub-01_run-01_about.json", tmp_path / "experiment.json"
+    whole = about.read_bytes()
+    about.write_bytes(whole[:10])
+    with pytest.raises(ConfigError, match=r"sub-01_run-01_about\.json: is damaged: .*: restore the file from a copy"):
+        _starts(tmp_path)
+    about.write_bytes(whole)
+    described.write_bytes(described.read_bytes()[:100])
+    with pytest.raises(ConfigError, match=r"experiment\.json: is damaged: .*: restore the file from a copy"):
+        experiment.run(tmp_path, 1, OFFLINE)
+    shutil.copytree(tmp_path / "sub-01", tmp_path / "sub-07")
+    described.unlink()
+    with pytest.raises(ConfigError, match=r"sub-01_journal\.jsonl: is in the folder sub-07 of another participant"):
+        experiment.run(tmp_path, 1, OFFLINE)
+
+
+def test_a_session_continues_without_a_lost_answer(tmp_path: Path) -> None:
+    experiment = Experiment(make_tables())
+    rows = experiment.run(tmp_path, 1, OFFLINE)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:4] + lines[5:-1]))
+    with pytest.raises(ConfigError) as refused:
+        experiment.run(tmp_path, 1, OFFLINE)
+    line = re.search(r"insert a line (\{.*\})", str(refused.value))
+    assert line is not None
+    journal.write_bytes(b"".join([*lines[:4], f"{line[1]}\n".encode(), *lines[5:-1]]))
+    with pytest.raises(ConfigError, match=r"lacks the answers of trial 2, which sub-01_trials\.csv has: restore"):
+        experiment.run(tmp_path, 1, OFFLINE)
+    (tmp_path / "sub-01" / "sub-01_trials.csv").unlink()
+    resumed = experiment.run(tmp_path, 1, OFFLINE)
+    assert [(row["trial"], row["attempt"]) for row in resumed if row["attempt"] > 1] == [(2, 2)]
+    assert sorted((row["trial"], row["level"]) for row in resumed) == [(row["trial"], row["level"]) for row in rows]
+
+
+def test_a_journal_of_an_earlier_version_is_continued(tmp_path: Path) -> None:
+    experiment = Experiment(make_tables())
+    rows = experiment.run(tmp_path, 1, OFFLINE)
+    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
+    journal.write_bytes(re.sub(rb'"entry":\d+,', b"", journal.read_bytes()))
+    cut_journal(journal.parent, 9)
+    assert [row["answer"] for row in experiment.run(tmp_path, 1, OFFLINE)] == [row["answer"] for row in rows]
+    assert b'"entry":10,' in journal.read_bytes() and b'"entry":9,' not in journal.read_bytes()
+    assert "entry" not in (tmp_path / "trials.csv").read_text()
 
 
 def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path) -> None:
@@ -240,8 +381,7 @@ def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
     shutil.copy(FOLDERS[Scene] / "paper-plane.toml", scene)
     file.write_text((EXPERIMENTS / "friction-magnitude.toml").read_text().replace('"paper-plane"', '"mine.toml"'))
     rows = Experiment(file).run(out, 1, OFFLINE)
-    journal = out / "sub-01" / "sub-01_journal.jsonl"
-    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:21]))
+    cut_journal(out / "sub-01", 21)
     scene.rename(tmp_path / "moved.toml")
     with pytest.raises(ConfigError, match=r"mine\.toml: no such file"):
         Experiment(file).run(out, 1, OFFLINE)

@@ -9,8 +9,11 @@ import signal
 import subprocess
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,6 +27,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from softfinger.config.errors import CommandRefused, RecordingError
+from softfinger.config.files import open_recording
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
@@ -31,8 +35,10 @@ from softfinger.proxy.record import AT, FIELDS
 from softfinger.server import cli
 from softfinger.server.app import Daemon
 from softfinger.server.recording import picture, schemas
+from softfinger.server.recording.poses_file import CsvPoses, poses_file
 from softfinger.server.recording.reader import End, Event, Note, TickBlock, read_contents
-from softfinger.server.recording.recorder import PERIOD_S, QUEUE_EVENTS, QUEUE_ROWS, Recorder
+from softfinger.server.recording.recorder import NEW_RECORDING_REMEDY, PERIOD_S, QUEUE_EVENTS, QUEUE_ROWS, Recorder
+from softfinger.server.recording.results import McapResults
 from softfinger.server.recording.summary import summary
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
@@ -452,27 +458,111 @@ def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> Non
     assert "File too large" in error and "Traceback" not in rest
 
 
+@contextmanager
+def file_size_limit(limit: int) -> Iterator[None]:
+    """Refuse writes beyond this size of a file in this process, as a full disk does."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+
+
+def ticks_by_library(path: Path) -> list[int]:
+    with path.open("rb") as file:
+        messages = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages("contact")
+        return [decoded.tick for _, _, _, decoded in messages]
+
+
 def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
     path = tmp_path / "limited.mcap"
     rows = run()  # compiled before, because the kernel cache cannot be written under the limit
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     reports: list[str] = []
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, limits[1]))
-        recorder = Recorder(path.open("wb", buffering=0), [""], about(), lambda text, _: reports.append(text))
+    with file_size_limit(40_000):
+        recorder = Recorder(open_recording(path), [""], about(), lambda text, _: reports.append(text))
         for first in range(0, 2000, 40):
             recorder.take(rows[first : first + 40])
             time.sleep(PERIOD_S / 20)
         assert eventually(lambda: reports)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        signal.signal(signal.SIGXFSZ, before)
-    assert "File too large" in recorder.recorded.error and len(reports) == 1
+    assert "File too large" in recorder.recorded.error
+    (report,) = reports
+    assert report.endswith(f"File too large: {NEW_RECORDING_REMEDY}")
     records, _, _, end = read(path)
-    assert recorder.recorded.ticks == len(records) < 2000 and end.cut.startswith("it has no index at its end")
+    assert 100 < recorder.recorded.ticks == len(records) < 2000 and end.cut.startswith("it has no index at its end")
     assert path.stat().st_size == recorder.recorded.bytes <= 40_000
     assert records.tobytes() == rows[: len(records)].tobytes()
+    assert ticks_by_library(path) == records[:, AT.tick].tolist()
+
+
+def test_a_disk_without_room_for_the_index_loses_no_tick(tmp_path: Path) -> None:
+    path = tmp_path / "limited.mcap"
+    rows = run()
+    recorder = Recorder(open_recording(path), [""], about(), lambda text, _: None)
+    recorder.take(rows)
+    assert eventually(lambda: recorder.recorded.ticks == len(rows))
+    with file_size_limit(path.stat().st_size + 1000):  # room for the end of the data, not for the schemas of the index
+        assert "File too large" in recorder.stop(WAIT_S).error
+    records, _, notes, end = read(path)
+    assert records.tobytes() == rows.tobytes() and end.cut and notes["end"]["ticks"] == recorder.recorded.ticks
+    assert path.stat().st_size == recorder.recorded.bytes
+    assert ticks_by_library(path) == records[:, AT.tick].tolist()
+
+
+@pytest.mark.parametrize("limit", [0, 4, 1000, 2000])
+def test_a_recording_without_a_tick_leaves_no_file(limit: int, tmp_path: Path) -> None:
+    """The limits are in the first bytes, in the description, and in the first chunk."""
+    path = tmp_path / "limited.mcap"
+    rows = run()
+    reports: list[str] = []
+    with file_size_limit(limit):
+        recorder = Recorder(open_recording(path), [""], about(), lambda text, _: reports.append(text))
+        recorder.take(rows)
+        assert eventually(lambda: reports)
+        assert recorder.stop(WAIT_S).ticks == 0
+    assert reports == [f"the recording ends after 0 ticks: File too large: {NEW_RECORDING_REMEDY}"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_poses_on_a_full_disk_end_with_a_whole_line(tmp_path: Path) -> None:
+    path, sample = tmp_path / "poses.csv", SimpleNamespace(probe=SimpleNamespace(position=(0, 0, 1 / 3)))
+    sample.probe.orientation = (1, 0, 0, 0)
+    file, lines = CsvPoses(path), list[int]()
+
+    def add_all() -> None:
+        for number in range(100):
+            file.add(number * 1e-3, sample)
+            lines.append(path.read_bytes().count(b"\n"))  # a kill loses no written line
+
+    with file_size_limit(1000), pytest.raises(RecordingError, match=r"poses\.csv: cannot be written: File too large"):
+        add_all()
+    file.close()
+    poses = load_poses(path)
+    assert (
+        lines == list(range(2, len(lines) + 2))
+        and len(poses.t) == len(lines) > 10
+        and (poses.position[:, 2] == 1 / 3).all()
+    )
+
+
+def test_results_on_a_full_disk_end_with_whole_chunks(tmp_path: Path) -> None:
+    path, rows = tmp_path / "poses.mcap", run()
+    with McapResults(path, open_recording(path)) as results:
+        with file_size_limit(40_000), pytest.raises(RecordingError, match="File too large"):
+            results.append(rows)
+        written = results.count()
+    ticks = ticks_by_library(path)  # with an index, because the end finds room
+    assert summary(path)["whole"] and 100 < len(ticks) == written < len(rows)
+
+
+@pytest.mark.parametrize("name", ["poses.csv", "poses.mcap"])
+@pytest.mark.parametrize("limit", [0, 10])
+def test_poses_without_a_row_leave_no_file(name: str, limit: int, tmp_path: Path) -> None:
+    with file_size_limit(limit), pytest.raises(RecordingError, match=f"{name}: cannot be written: File too large"):
+        poses_file(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
 
 
 # --- from the wire ---------------------------------------------------------------------------------
