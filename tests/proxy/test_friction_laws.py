@@ -100,6 +100,48 @@ def test_friction_follows_the_slip_speed(
     assert trace.tangential[-1] == pytest.approx(coefficient(speed), rel=1e-8)
 
 
+DIRECTED = {"direction_x": [1.0, 0.0, 0.0], "static_scale": [1.0, 1.0], "kinetic_scale": [0.25, 0.5]}
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("viscosity", [0.5, 9.0, 14.0, 100.0])
+@pytest.mark.parametrize(("friction", "axis", "scale"), [({}, 0, 1.0), (DIRECTED, 0, 0.25), (DIRECTED, 1, 0.5)])
+def test_viscous_friction_has_one_time_constant(
+    plane_scene: SceneFactory, viscosity: float, friction: dict[str, Any], axis: int, scale: float
+) -> None:
+    """The coupling K and the low-pass (T0 = 10 ms) are in series with the damper c f_N, so the force of a steady drag
+    approaches (mu_d + c v) f_N exponentially with T0 + c f_N / K; in a tick of dt by the factor T / (T + dt)."""
+    speed, constant = 0.07, 0.01 + scale * viscosity * 1.0 / 1000.0
+    final = scale * (0.5 + viscosity * speed)
+    # A drag of the steady deflection, and until 1e-3 of the force is missing.
+    ticks = int((final * 1e-3 / speed + 8.0 * constant) * 1000)
+    hand = pressed().go(ticks, move=speed * ticks / 1000 * np.eye(3)[axis])
+    scene = plane_scene(material={"friction": friction | {"viscous_s_per_m": viscosity}})
+    records = Engine(scene).run(np.array(hand.poses))
+    missing = final - records["contact.tangential_force"]
+    assert abs(missing[-1]) < 0.01 * final
+    late = missing[-round(1000 * constant) :]  # the last time constant: it slips in every tick
+    np.testing.assert_allclose(late[1:] / late[:-1], constant / (constant + 1e-3), rtol=1e-7)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("viscosity", [0.5, 100.0])
+@pytest.mark.parametrize("law", list(LAWS))
+def test_no_viscosity_makes_the_force_alternate(plane_scene: SceneFactory, law: str, viscosity: float) -> None:
+    """At 2 cm/s, 0.5 rad/s, 10 N and K = 100 N/m the damper is up to 1000 times slower than a tick."""
+    friction = (LAWS[law].get("friction", {}) or {}) | {"viscous_s_per_m": viscosity}
+    friction.pop("stribeck_speed_m_per_s", None)  # friction that decreases with the speed sticks and slips
+    material = {**LAWS[law], "friction": friction, "stiffness_n_per_m": 1e4}
+    coupling = {"stiffness_n_per_m": 100.0, "damping_ns_per_m": 0.0}
+    hand = pressed().go(4000, move=[0.08, 0.04, 0], turn=[0, 0, 2.0])
+    records = Engine(plane_scene(material=material, coupling=coupling, rolling=None)).run(np.array(hand.poses))
+    assert (records["contact.mode"][-500:] == 2.0).all()
+    steps = np.diff(records["force"][-500:, :2], axis=0)
+    # Each step is at most the spring times the motion of the tick, and no step turns back.
+    assert np.linalg.norm(steps, axis=1).max() < 100.0 * 1e-3 * np.hypot(0.02, 0.01) * (1.0 + EXACT)
+    assert (np.sum(steps[1:] * steps[:-1], axis=1) > -EXACT).all()
+
+
 def test_friction_follows_the_slip_and_not_the_hand(plane_scene: SceneFactory) -> None:
     """A finger that rotates without translating slips at r omega, and its friction coefficient follows that speed."""
     hand = pressed().go(800, turn=[0.8 * 4.0, 0, 0])

@@ -4,7 +4,8 @@ from math import sqrt
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.normal import normal_force_of
-from softfinger.proxy.kernels.friction.stick_slip import ROUNDING, SLIP_TIME_CONSTANT_S
+from softfinger.proxy.kernels.friction.stick_slip import ROUNDING
+from softfinger.proxy.kernels.friction.viscous_slip import SLIP_TIME_CONSTANT_S
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Vec3

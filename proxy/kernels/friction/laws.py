@@ -1,6 +1,7 @@
 """Friction laws: limits of the tangential force, and their dependence on the direction.
 
     cone(law, normal_force, slip_speed) -> static, kinetic     largest forces, N, in a direction of scale 1
+    viscosity(law) -> s/m or None                              slope of the kinetic coefficient with the speed
     scales(law, normal, v, breaking) -> d1, d2, s1, s2         principal directions and their scales
     load_size(law, normal, load) -> N                          magnitude to compare with the static cone
     cut(law, normal, longest, breaking, deflection) -> deflection, slip, length
@@ -27,6 +28,11 @@ ALONG_NORMAL = 1e-6
 
 @by_type
 def cone(law: Any, normal_force: float, slip_speed: float) -> Any: ...
+
+
+@by_type
+def viscosity(law: Any) -> Any:
+    """Return the increase of the kinetic coefficient with the slip speed, s/m, None if it does not depend on it."""
 
 
 @by_type
@@ -57,6 +63,11 @@ def scale_law(law: Any, factor: float) -> Any:
 @cone.of(Friction)
 def coulomb_cone(law: Friction, normal_force: float, slip_speed: float) -> tuple[float, float]:
     return law.static * normal_force, law.kinetic * normal_force
+
+
+@viscosity.of(Friction)
+def coulomb_viscosity(law: Friction) -> None:
+    return None
 
 
 @scales.of(Friction, SpeedFriction)
@@ -120,6 +131,11 @@ def speed_cone(law: SpeedFriction, normal_force: float, slip_speed: float) -> tu
     return law.static * normal_force, (law.kinetic + drop + law.viscous * slip_speed) * normal_force
 
 
+@viscosity.of(SpeedFriction)
+def speed_viscosity(law: SpeedFriction) -> float:
+    return law.viscous
+
+
 @scale_law.of(SpeedFriction)
 def scale_speed_law(law: SpeedFriction, factor: float) -> SpeedFriction:
     return replace(scale_coulomb(law, factor), "viscous", factor * law.viscous)
@@ -131,6 +147,11 @@ def scale_speed_law(law: SpeedFriction, factor: float) -> SpeedFriction:
 @cone.of(Anisotropic)
 def anisotropic_cone(law: Anisotropic, normal_force: float, slip_speed: float) -> tuple[float, float]:
     return cone(law.law, normal_force, slip_speed)
+
+
+@viscosity.of(Anisotropic)
+def anisotropic_viscosity(law: Anisotropic) -> Any:
+    return viscosity(law.law)
 
 
 @jit

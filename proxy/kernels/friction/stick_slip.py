@@ -9,10 +9,11 @@ last tick.
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.laws import cone, load_size
-from softfinger.proxy.kernels.friction.limit_surface import room, slide
+from softfinger.proxy.kernels.friction.laws import cone, load_size, viscosity
+from softfinger.proxy.kernels.friction.limit_surface import room
 from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_by_equations
 from softfinger.proxy.kernels.friction.torsion import damp_moment, wind_up
+from softfinger.proxy.kernels.friction.viscous_slip import SLIP_TIME_CONSTANT_S, slide_by_viscosity
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import (
@@ -28,9 +29,6 @@ from softfinger.proxy.kernels.model import (
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_REVERSE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
 
-SLIP_TIME_CONSTANT_S = 0.010
-"""Time constant of the low-pass of the plastic slip speed: shorter than the period of a tremor, longer than that of the
-encoder steps."""
 STOP_SPEED_M_PER_S = 0.5e-3
 """Slip speed below which a finger that does not slip in this tick has stopped."""
 REVERSE_SHARE = 0.1
@@ -188,7 +186,7 @@ def stick_slip_by_law(
         limit = kinetic_limit
 
     if limit >= 0.0:
-        result = slide(torsion, law, stiffness, limit, breaking, inputs)
+        result = slide_by_viscosity(viscosity(law), torsion, law, stiffness, limit, breaking, inputs)
         deflection, spin, twist, length = result.deflection, result.spin, result.twist, result.length
         rolled_part = (0.0, 0.0, 0.0)
         slips = result.slip > ROUNDING * length

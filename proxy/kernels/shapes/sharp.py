@@ -8,7 +8,6 @@ corner.
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import (
-    NORMAL_EPSILON,
     X_AXIS,
     Y_AXIS,
     Z_AXIS,
@@ -18,6 +17,10 @@ from softfinger.proxy.kernels.shapes.protocol import (
     curvature,
     direction,
 )
+
+LEAST_TILT = 1e-7
+"""Tilt of the normal, rad, up to which a contact round an edge counts as on the face. It lowers the fingertip by less
+than the rounding of coordinates of a metre, so the contact may be past a seam, on the face of a flush box."""
 
 
 @closest.of(Box)
@@ -44,9 +47,9 @@ def closest_on_box(shape: Box, x: Vec3) -> tuple[float, Vec3, Vec3]:
 def curvature_of_box(shape: Box, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Distinguish face, edge and corner by the normal, which has one, two or three components."""
     flat_x, flat_y, flat_z = (
-        abs(normal[0]) <= NORMAL_EPSILON,
-        abs(normal[1]) <= NORMAL_EPSILON,
-        abs(normal[2]) <= NORMAL_EPSILON,
+        abs(normal[0]) <= LEAST_TILT,
+        abs(normal[1]) <= LEAST_TILT,
+        abs(normal[2]) <= LEAST_TILT,
     )
     count = (1 if flat_x else 0) + (1 if flat_y else 0) + (1 if flat_z else 0)
     if count >= 2:
@@ -79,8 +82,8 @@ def curvature_of_capped_cylinder(
     """End: flat. Side: curved round the axis. Rim: across it as the fingertip, round the axis as a torus."""
     around = around_z(normal)
     level = vec3.norm((normal[0], normal[1], 0.0))
-    if level <= NORMAL_EPSILON:
+    if level <= LEAST_TILT:
         return 0.0, 0.0, around
-    if abs(normal[2]) <= NORMAL_EPSILON:
+    if abs(normal[2]) <= LEAST_TILT:
         return 1.0 / (shape.radius + radius), 0.0, around
     return 1.0 / radius, level / (shape.radius + radius * level), vec3.cross(around, normal)

@@ -1,0 +1,56 @@
+"""Slip with viscous friction: the force limit depends on the slip of the same tick (backward Euler).
+
+With the limit from the slip of the last tick, the force would alternate from tick to tick if a change of the slip
+changed the limit by more than the force of the coupling.
+"""
+
+from typing import Any
+
+from softfinger.proxy.kernels.friction.laws import scales
+from softfinger.proxy.kernels.friction.limit_surface import Slide, slide
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.model import FrictionInput
+
+SLIP_TIME_CONSTANT_S = 0.010
+"""Time constant of the low-pass of the plastic slip speed: shorter than the period of a tremor, longer than that of the
+encoder steps."""
+ROUNDS = 12
+"""Largest number of secant steps for the force limit."""
+ROUNDING = 1e-12
+"""Relative error of the force limit at which they end."""
+
+
+@jit
+def slide_by_viscosity(
+    viscosity: Any, torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput
+) -> Slide:
+    """Return `slide` under a force limit that grows with the slip of this tick.
+
+    viscosity  s/m  increase of the coefficient with the filtered slip speed, None if constant
+    limit      N    at the filtered slip speed before this tick
+
+    The first secant step is exact for one coefficient in all directions with independent torsion. Otherwise the slip is
+    a convex function of the limit, with a slope of at most the largest scale, so all steps approach from below.
+    """
+    if viscosity is None:
+        return slide(torsion, law, stiffness, limit, breaking, inputs)
+    if breaking != 0.0 or inputs.dt <= 0.0:
+        return slide(torsion, law, stiffness, limit, breaking, inputs)
+    slope = viscosity * inputs.normal_force / (SLIP_TIME_CONSTANT_S + inputs.dt)
+    without_slip = limit - slope * inputs.slip_speed * inputs.dt
+    limit = without_slip
+    result = slide(torsion, law, stiffness, limit, breaking, inputs)
+    excess = slope * result.slip
+    _, _, s1, s2 = scales(law, inputs.normal, inputs.deflection, breaking)
+    step = excess / (1.0 + max(s1, s2) * slope / stiffness)
+    for _ in range(ROUNDS):
+        if abs(excess) <= ROUNDING * limit:
+            break
+        limit += step
+        result = slide(torsion, law, stiffness, limit, breaking, inputs)
+        remaining = without_slip + slope * result.slip - limit
+        if remaining == excess:
+            break
+        step *= remaining / (excess - remaining)
+        excess = remaining
+    return result
