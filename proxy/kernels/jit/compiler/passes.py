@@ -5,14 +5,16 @@
 
 from __future__ import annotations
 
+import operator
 from types import CodeType
 from typing import Any, ClassVar, Final
 
 from numba import types
 from numba.core import ir
 from numba.core.compiler import DefaultPassBuilder
-from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.errors import NumbaWarning, TypingError, WarningsFixer  # type: ignore[attr-defined]
+from numba.core.ir_utils import find_const, get_definition, guard, require
 from numba.core.typed_passes import (
     AnnotateTypes,
     InlineOverloads,
@@ -29,6 +31,7 @@ from numba.core.untyped_passes import (
     InlineInlinables,
     IRProcessing,
     ReconstructSSA,
+    RewriteSemanticConstants,
 )
 
 from softfinger.proxy.kernels.jit.compiler.convention import InlinedLowering
@@ -62,6 +65,63 @@ class UncheckedPasses(PassManager):  # type: ignore[misc]
         each.run_initialization(state)
         each.run_pass(state)
         each.run_finalizer(state)
+
+
+def class_of(kind: Any) -> type | None:
+    """Return the class of the values of a numba type, None for None."""
+    # A named tuple with fields of one type is a NamedUniTuple, not a NamedTuple: compare its class.
+    return None if isinstance(kind, types.NoneType) else getattr(kind, "instance_class", None) or type(kind)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class StaticConditions(FunctionPass):  # type: ignore[misc]
+    """Pass that evaluates `is None` and `isinstance` of arguments and of their fields.
+
+    numba then removes the branches that are not taken, so a scene compiles only the code of the parts it has. By itself
+    it evaluates only arguments that are None, and cannot compile `isinstance` of a named tuple.
+    """
+
+    _name = "softfinger_static_conditions"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        code = state.func_ir
+        for block in code.blocks.values():
+            for each in block.find_insts(ir.Assign):
+                if isinstance(each.value, ir.Expr) and each.value.op in ("binop", "call"):
+                    value = guard(_condition, code, state.args, each.value)
+                    if value is not None:
+                        each.value = ir.Const(value, each.loc)
+                        code._definitions[each.target.name] = [each.value]
+        return True
+
+
+def _condition(code: Any, arguments: Any, expression: Any) -> bool:
+    """Return the value of an expression. Raises GuardException if it is not a condition on the types of arguments."""
+    if expression.op == "binop":
+        require(expression.fn in (operator.is_, operator.is_not) and find_const(code, expression.rhs) is None)
+        is_none = class_of(_static_type(code, arguments, expression.lhs)) is None
+        return is_none == (expression.fn is operator.is_)
+    require(getattr(get_definition(code, expression.func), "value", None) is isinstance)
+    value, classes = expression.args
+    kind, listed = class_of(_static_type(code, arguments, value)), get_definition(code, classes)
+    is_tuple = isinstance(listed, ir.Expr) and listed.op == "build_tuple"
+    names = listed.items if is_tuple else [classes]
+    return kind is not None and issubclass(kind, tuple(find_const(code, each) for each in names))
+
+
+def _static_type(code: Any, arguments: Any, variable: Any) -> Any:
+    """Return the numba type of an argument that is not reassigned, or of a field of it."""
+    made = get_definition(code, variable)
+    if isinstance(made, ir.Arg):
+        require(not isinstance(arguments[made.index], types.Omitted | types.Optional))
+        return arguments[made.index]
+    require(isinstance(made, ir.Expr) and made.op == "getattr")
+    kind = _static_type(code, arguments, made.value)
+    require(isinstance(kind, types.BaseNamedTuple) and made.attr in kind.fields)  # not in code that is never reached
+    return kind[kind.fields.index(made.attr)]
 
 
 class ScalarSignatures:
@@ -148,6 +208,11 @@ REPLACED: Final = {
 }
 
 
+def add_static_conditions(passes: PassManager) -> None:
+    passes.add_pass_after(StaticConditions, RewriteSemanticConstants)
+    passes.finalize()
+
+
 def make_passes(state: Any) -> UncheckedPasses:
     """Return the passes for a kernel, from numba's state of its compilation."""
     state.typingctx = ScalarSignatures(state.typingctx)
@@ -159,5 +224,5 @@ def make_passes(state: Any) -> UncheckedPasses:
         for each, text in DefaultPassBuilder.define_nopython_pipeline(state).passes
         if each not in idle
     ]
-    passes.finalize()
+    add_static_conditions(passes)
     return passes
