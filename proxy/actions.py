@@ -65,23 +65,25 @@ def _region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegio
     return model.SphereRegion(region.position_m, region.radius_m, region.edge_m)
 
 
-def kernel_motion(motion: schema.Motion | None, bodies: RigidBodies | None = None) -> Any:
+def kernel_motion(motion: schema.Motion | None, bodies: RigidBodies | None = None) -> model.Motion | None:
     """Return the kernel motion of an object; None if it does not move.
 
     An object attached to a body needs the `bodies`.
     """
     match motion:
         case schema.Sinusoid():
-            axis = _unit(motion.axis)
-            return model.Sinusoid(
-                motion.translation_m, axis, motion.rotation_rad, motion.frequency_hz, motion.phase_rad
-            )
+            return model.AT_REST._replace(
+                kind=model.SINUSOID, translation=motion.translation_m, axis=_unit(motion.axis),
+                angle=motion.rotation_rad, frequency=motion.frequency_hz, phase=motion.phase_rad,
+            )  # fmt: skip
         case schema.Turntable():
-            return model.Turntable(_unit(motion.axis), motion.rate_rad_per_s, motion.pivot_m)
+            axis, rate, pivot = _unit(motion.axis), motion.rate_rad_per_s, motion.pivot_m
+            return model.AT_REST._replace(kind=model.TURNTABLE, axis=axis, rate=rate, pivot=pivot)
         case schema.Driven():
-            return model.Driven()
+            return model.AT_REST._replace(kind=model.DRIVEN)
         case schema.Body() if bodies is not None:
-            return model.Simulated(bodies.block, float(body_number(bodies.model, bodies.world, motion.body)))
+            body = float(body_number(bodies.model, bodies.world, motion.body))
+            return model.AT_REST._replace(kind=model.SIMULATED, block=bodies.block, body=body)
     return None
 
 

@@ -16,10 +16,7 @@ from softfinger.proxy.kernels.query.container import ENTRIES
 from softfinger.proxy.kernels.shapes import kernel_table as kinds
 from softfinger.proxy.kernels.shapes.any_shape import any_shape
 
-NO_BLOCK: Final = ReadOnly(np.zeros(1, np.int64))
-"""Placeholder for the addresses of a simulation."""
 NO_VALUES: Final = ReadOnly(np.zeros(1))
-AT_REST: Final = model.Motion(model.STILL, NO_BLOCK, 0.0, model.ZERO, model.ZERO, model.ZERO, 0.0, 0.0, 0.0, 0.0)
 
 
 def many_objects(
@@ -33,20 +30,25 @@ def many_objects(
         raise ConfigError(f"{len(objects)} walls and objects: at most {ENTRIES} are possible; remove some")
     needs = _needs(objects, fingers, rolling)
     entries = [_entry(obj, needs) for obj in objects]
-    surfaces = [obj.shape.surface for obj in entries]
     movers = [row for row, obj in enumerate(entries) if obj.motion.kind != model.STILL]
-    meshes = float(surfaces.count(model.FACETED))
-    mark = model.Creased if model.CREASED in surfaces else model.Faceted if meshes else model.Smooth
     return model.Many(
         entries=Rows(entries),
         size=float(len(entries)),
         movers=ReadOnly(np.array(movers or [0], np.int64)),
         moving=float(len(movers)),
-        search=mark(meshes),
+        search=search_for(objects),
         materials=Rows([obj.material._replace(normal=None) for obj in objects]),
         textures=_textures([obj.texture for obj in objects]),
         effects=effects,
     )
+
+
+def search_for(objects: list[model.Object]) -> model.Smooth | model.Faceted | model.Creased:
+    """Return the type of the search, and the number of meshes."""
+    meshes = float(sum(isinstance(obj.shape, model.Mesh) for obj in objects))
+    if any(isinstance(obj.shape, model.Heightmap) for obj in objects):
+        return model.Creased(meshes)
+    return model.Faceted(meshes) if meshes else model.Smooth(meshes)
 
 
 def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolling: Any) -> frozenset[int]:
@@ -65,7 +67,7 @@ def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolli
 
 def _entry(obj: model.Object, needs: frozenset[int]) -> model.Entry:
     shape = any_shape(obj.shape, obj.pose, needs)
-    return model.Entry(shape, _pose(obj.pose), _motion(obj.motion), obj.material.normal, obj.number)
+    return model.Entry(shape, _pose(obj.pose), obj.motion or model.AT_REST, obj.material.normal, obj.number)
 
 
 def _pose(pose: Any) -> model.Pose:
@@ -75,21 +77,6 @@ def _pose(pose: Any) -> model.Pose:
         case model.Place(position):
             return model.Pose(position, (1.0, 0.0, 0.0, 0.0))
     return model.Pose(*pose)
-
-
-def _motion(motion: Any) -> model.Motion:
-    match motion:
-        case model.Driven():
-            return AT_REST._replace(kind=model.DRIVEN)
-        case model.Sinusoid(translation, axis, angle, frequency, phase):
-            return AT_REST._replace(
-                kind=model.SINUSOID, translation=translation, axis=axis, angle=angle, frequency=frequency, phase=phase
-            )
-        case model.Turntable(axis, rate, pivot):
-            return AT_REST._replace(kind=model.TURNTABLE, axis=axis, rate=rate, pivot=pivot)
-        case model.Simulated(block, body):
-            return AT_REST._replace(kind=model.SIMULATED, block=block, body=body)
-    return AT_REST
 
 
 def _textures(textures: list[model.Texture | None]) -> Rows | None:

@@ -21,7 +21,7 @@ from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.numerics import mat3
 from softfinger.proxy.kernels.query.container import MEMORY
 from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
-from softfinger.proxy.many import many_objects
+from softfinger.proxy.many import many_objects, search_for
 from softfinger.proxy.record import FREE
 from softfinger.proxy.rotation import matrix_of
 from softfinger.proxy.textures import kernel_texture
@@ -56,7 +56,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
     riders = list[float]()
     for number, (obj, material) in enumerate(zip(scene.object, materials, strict=True)):
         motion, effects = kernel_motion(obj.motion, rigid), kernel_effects(obj.effect)
-        riders.append(motion.body if isinstance(motion, model.Simulated) else 0.0)
+        riders.append(0.0 if motion is None else motion.body)
         texture = kernel_texture(obj)
         for part, (shape, position, orientation) in enumerate(shape_bodies(obj)):
             fixed = motion is None and texture is None
@@ -70,7 +70,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         fingers=fingers,
         objects=many_objects(bodies, tuple(carriers), fingers, rolling)
         if len(bodies) > 1 or rigid is not None
-        else model.Single(bodies[0], tuple(carriers)),
+        else model.Single(bodies[0], tuple(carriers), search_for(bodies)),
         rolling=rolling,
         effects=kernel_effects(scene.effect),
         bodies=None if rigid is None else rigid.kernel(tuple(riders)),

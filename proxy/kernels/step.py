@@ -29,15 +29,16 @@ from softfinger.proxy.kernels.contact.several_contacts import (
 from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
 from softfinger.proxy.kernels.contact.several_rest import settle_after_friction
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type_of
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.jit.tuples import map_each, unzip
 from softfinger.proxy.kernels.model import (
     NONE,
-    Bodies,
     Contact,
+    Faceted,
     Finger,
     FingerState,
+    Many,
     Pose,
     Probe,
     Scene,
@@ -46,12 +47,25 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, has_fault, push_bodies, step_bodies
-from softfinger.proxy.kernels.query.kinds import ONE_PATCH, SEVERAL_PATCHES, by_patches, moves_by_itself
+from softfinger.proxy.kernels.query.kinds import moves_by_itself
 from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
 
-@by_type_of("bodies")
+@by_type
+def step_once(elastic: Any, scene: Scene, state: State, poses: Any, dt: float) -> Any:
+    """Compute one contact step of all fingers, with all objects at their new poses; `elastic` is that of the scene."""
+
+
+@step_once.of(None)
+def step_on_rigid(elastic: None, scene: Scene, state: State, poses: Any, dt: float) -> Any:
+    world = advance(scene.objects, state.world, dt)
+    objects = place_all(scene.objects, world)
+    fingers, contacts = unzip(map_each(step_finger, (scene.fingers, state.fingers, poses), scene, objects, dt))
+    return State(world=world, fingers=fingers), contacts
+
+
+@jit
 def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """Advance the world and all fingers by one tick, and apply the reaction of each contact to the touched body.
 
@@ -60,40 +74,19 @@ def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     poses             a Pose for each finger: probe position, m, and orientation, unit quaternion, fingertip to world
     dt        s       time since the last tick; 0 freezes velocity and damping
     returns           State, and a tuple of a Contact for each finger
-    """
 
-
-@step.of(None)
-def step_without_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    return step_once(scene, state, poses, dt)
-
-
-@by_type_of("elastic")
-def step_once(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """Compute one contact step of all fingers, with all objects at their new poses."""
-
-
-@step_once.of(None)
-def step_on_rigid(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    world = advance(scene.objects, state.world, dt)
-    objects = place_all(scene.objects, world)
-    fingers, contacts = unzip(map_each(step_finger, (scene.fingers, state.fingers, poses), scene, objects, dt))
-    return State(world=world, fingers=fingers), contacts
-
-
-@step.of(Bodies)
-def step_with_bodies(scene: Scene, state: State, poses: Any, dt: float) -> Any:
-    """Compute a tick in substeps of equal length; the fingers move on a straight path from their last poses to these.
-
+    A tick with bodies has substeps of equal length; the fingers move on a straight path from their last poses to these.
     While the bodies have a fault, nothing is touched: their poses are unknown.
     """
+    if scene.bodies is None:
+        return step_once(scene.elastic, scene, state, poses, dt)
     bodies, start = scene.bodies, state.fingers
     if not has_fault(bodies):
         count = bodies.block[SUBSTEPS]
         for i in range(count):
             if i == 0 or step_bodies(bodies) == NO_FAULT:
                 substep_poses = map_each(interpolate_pose, (start, poses), (i + 1.0) / count)
-                state, contacts = step_once(scene, state, substep_poses, dt / count)
+                state, contacts = step_once(scene.elastic, scene, state, substep_poses, dt / count)
                 push_bodies(bodies, contacts, state.fingers)
     if has_fault(bodies):
         fingers, contacts = unzip(map_each(release_finger, (scene.fingers, start, poses), dt))
@@ -132,7 +125,9 @@ def step_finger(
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     obstacles = minkowski_objects(finger.form, finger.radius, objects, pose.orientation)
-    return update_contact(obstacles, scene, finger, state, probe, dt)
+    if isinstance(objects, Many) or isinstance(objects.search, Faceted):
+        return contact_with_several_objects(obstacles, scene, finger, state, probe, dt)
+    return contact_with_one_object(obstacles, scene, finger, state, probe, dt)
 
 
 @jit
@@ -145,18 +140,11 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
     return vec3.add_scaled(vec3.scale_and_flush(time_constant * gain, state.probe.velocity), gain, moved)
 
 
-@by_patches
-def update_contact(objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float) -> Any:
-    """Return the finger's FingerState and Contact.
-
-    A scene of one object has one contact, and its proxy follows the slip on that object.
-    """
-
-
-@update_contact.of(ONE_PATCH)
+@jit
 def contact_with_one_object(
     objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
+    """Compute the contact in a scene of one object that is not a mesh: its proxy follows the slip on that object."""
     shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
     if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
         return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
@@ -172,7 +160,7 @@ def contact_with_one_object(
     return end_contact_tick(finger, probe, outcome)
 
 
-@update_contact.of(SEVERAL_PATCHES)
+@jit
 def contact_with_several_objects(
     objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:

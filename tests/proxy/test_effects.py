@@ -404,7 +404,7 @@ def test_the_example_of_the_page_is_a_scene() -> None:
     kernels = build_scene(scene)
     assert [type(effect) for effect in kernels.effects] == [model.Viscosity, model.SphereBoundary]
     assert [type(effect) for effect in kernels.objects.effects[0].effects] == [model.Magnet]
-    assert kernels.objects.body.motion == model.Turntable(UP, 0.5, ZERO)
+    assert kernels.objects.body.motion == model.AT_REST._replace(kind=model.TURNTABLE, axis=UP, rate=0.5)
     assert scene.object[0].material.name == "rubber"
 
 

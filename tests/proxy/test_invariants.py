@@ -375,10 +375,12 @@ def test_poses_of_moving_objects_stay_rotations(draws, rate, time):
     if not (q.any() and axis.any()):
         return
     unit = tuple((axis / np.linalg.norm(axis)).tolist())
-    rest, zero = model.Pose((0.1, 0.2, 0.3), tuple((q / np.linalg.norm(q)).tolist())), (0.0, 0.0, 0.0)
+    rest = model.Pose((0.1, 0.2, 0.3), tuple((q / np.linalg.norm(q)).tolist()))
     out = np.empty((2, 4))
-    moved_pose(model.Turntable(unit, rate, (0.0, 0.0, 0.1)), rest, time, out[0])
-    moved_pose(model.Sinusoid(zero, unit, 3.0, abs(rate), 0.5), rest, time, out[1])
+    table = model.AT_REST._replace(kind=model.TURNTABLE, axis=unit, rate=rate, pivot=(0.0, 0.0, 0.1))
+    swing = table._replace(kind=model.SINUSOID, angle=3.0, frequency=abs(rate), phase=0.5)
+    moved_pose(table, rest, time, out[0])
+    moved_pose(swing, rest, time, out[1])
     assert np.abs(np.linalg.norm(out, axis=1) - 1.0).max() <= 8 * ULP
     assert_rotations(matrices_of(out))
 

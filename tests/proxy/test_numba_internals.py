@@ -10,7 +10,7 @@ import operator
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 import numba
@@ -34,7 +34,21 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     KernelCache,
     load,
 )
-from softfinger.proxy.kernels.jit.dispatch import chosen_by
+from softfinger.proxy.kernels.jit.dispatch import by_type
+
+
+class One(NamedTuple):
+    x: float
+
+
+class Other(NamedTuple):
+    y: float
+
+
+class More(NamedTuple):
+    x: float
+    rest: Any
+
 
 BY_ITSELF = """
 from numba import njit
@@ -425,20 +439,49 @@ def test_a_c_function_has_an_address() -> None:
 def test_overloads_are_chosen_at_compile_time() -> None:
     """`types.Callable`: the argument's type chooses the implementation, with default and keyword arguments."""
 
-    def declared(numbers: Any, factor: float = 2.0) -> Any: ...
+    @by_type
+    def total(numbers: Any, factor: float = 2.0) -> Any: ...
 
-    total = chosen_by(declared, len, lambda count: min(count, 2), lambda numbers: min(len(numbers), 2))
+    @total.of(One)
+    def of_one(numbers: One, factor: float = 2.0) -> float:
+        return numbers.x * factor
 
-    @total.of(1)
-    def of_one(numbers: Any, factor: float = 2.0) -> float:
-        return numbers[0] * factor
+    @total.of(More)
+    def of_more(numbers: More, factor: float = 2.0) -> float:
+        return numbers.x * factor + total(numbers.rest, factor)
 
-    @total.of(2)
-    def of_more(numbers: Any, factor: float = 2.0) -> float:
-        return numbers[0] * factor + total(numbers[1:], factor)
+    outermost: Any = numba.njit(**decorators.OPTIONS)(
+        lambda x: (total(One(x)), total(More(x, More(x, One(1.0))), factor=3.0))
+    )
+    assert isinstance(total, Choice) and outermost(5.0) == (10.0, 33.0)
+    assert (total(One(5.0)), total(More(5.0, More(5.0, One(1.0))), 3.0)) == (10.0, 33.0)
 
-    outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: (total((x,)), total((x, x, 1.0), factor=3.0)))
-    assert isinstance(total, Choice) and outermost(5.0) == (10.0, 33.0) == (total((5.0,)), total((5.0, 5.0, 1.0), 3.0))
+
+def test_conditions_on_types_are_evaluated_before_type_inference() -> None:
+    """`find_const`, `get_definition`: of arguments and their fields; code that is not reached need not compile."""
+
+    @decorators.jit
+    def total(numbers: Any) -> Any:
+        if isinstance(numbers, (One, Other)):
+            return numbers[0]
+        if numbers.rest is None or isinstance(numbers.rest, More):
+            return numbers.x
+        return numbers.x + (10.0 * numbers.rest.x if isinstance(numbers.rest, One) else numbers.rest.y)
+
+    @decorators.entry
+    def call(numbers: Any) -> float:
+        if isinstance(numbers, More) and numbers.x > 3.0:
+            return -total(numbers)
+        return total(numbers)
+
+    for numbers, expected in (
+        (One(1.0), 1.0), (Other(2.0), 2.0), (More(3.0, None), 3.0), (More(3.0, More(1.0, None)), 3.0),
+        (More(3.0, One(2.0)), 23.0), (More(4.0, Other(2.0)), -6.0),
+    ):  # fmt: skip
+        assert call(numbers) == expected
+    wrong: Any = decorators.entry(lambda numbers: isinstance(One(numbers.x), One))  # not a type of an argument
+    with pytest.raises(numba.TypingError):
+        wrong(One(1.0))
 
 
 def test_a_kernel_that_is_an_argument_leaves_no_address_in_its_caller() -> None:

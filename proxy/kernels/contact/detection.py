@@ -11,20 +11,23 @@ from softfinger.proxy.kernels.contact.rolling import OffsetPoint
 from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
-from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Finger, FingerState, Probe, Vec3
+from softfinger.proxy.kernels.model import (
+    NONE,
+    ActiveSet,
+    Constraint,
+    Creased,
+    Faceted,
+    Finger,
+    FingerState,
+    Probe,
+    Smooth,
+    Vec3,
+)
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
 from softfinger.proxy.kernels.query.carry import any_moves, carry_of, move_point
 from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.kinds import (
-    SINGLE_POINT,
-    WITH_HEIGHTMAP,
-    WITH_MESH,
-    any_creases,
-    any_mesh,
-    by_multipoint,
-    is_mesh_at,
-)
+from softfinger.proxy.kernels.query.kinds import any_mesh, is_mesh_at
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest, is_inside
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes import travel
@@ -77,35 +80,19 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
     return gap >= radius * (1.0 - INSIDE)
 
 
-@by_multipoint
-def refine_touch(objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int) -> Any:
+@jit
+def refine_touch(
+    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
+) -> tuple[Vec3, bool]:
     """Return the position (3,) m on the path where object `index`, without the others, would be touched, and a flag.
 
     met  (3,) m  touch found by the search of all objects
 
-    The flag is False if another object obstructs the path, or if this is unknown.
+    The flag is False if another object obstructs the path, or if this is unknown. In a scene of meshes, one facet is
+    swept: the search of a mesh moves in steps of its clearance, and may end a little before the touch.
     """
-
-
-@refine_touch.of(SINGLE_POINT)
-def refine_touch_of_shape(
-    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
-) -> tuple[Vec3, bool]:
-    return met, True
-
-
-@refine_touch.of(WITH_HEIGHTMAP)
-def refine_touch_near_heightmap(
-    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
-) -> tuple[Vec3, bool]:
-    return met, not is_mesh_at(objects, index)
-
-
-@refine_touch.of(WITH_MESH)
-def refine_touch_of_facet(
-    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
-) -> tuple[Vec3, bool]:
-    """Sweep one facet: the search of a mesh moves in steps of its clearance, and may end a little before the touch."""
+    if not isinstance(objects.search, Faceted):
+        return met, not is_mesh_at(objects, index)
     body = object_at(objects, index)
     path_start = move_point(carry_of(body), start)
     share = travel(body.shape, into(body.pose, path_start), into(body.pose, end), radius, False)
@@ -113,30 +100,18 @@ def refine_touch_of_facet(
     return touch, is_outside(objects, radius, touch, touch, budget)
 
 
-@by_multipoint
-def is_clear(objects: Any, radius: float, position: Vec3) -> Any:
+@jit
+def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     """Return True if the fingertip is known to touch nothing, and to be outside of all closed objects.
 
-    Only needed with meshes and height maps, whose searches may not finish.
+    Only needed with meshes and height maps, whose searches may not finish. With a height map an exhausted budget is
+    accepted: far below its limit a search returns a bound of the distance.
     """
-
-
-@is_clear.of(SINGLE_POINT)
-def is_clear_of_shapes(objects: Any, radius: float, position: Vec3) -> bool:
-    return False
-
-
-@is_clear.of(WITH_MESH)
-def is_clear_of_meshes(objects: Any, radius: float, position: Vec3) -> bool:
+    if isinstance(objects.search, Smooth):
+        return False
     touch = first_touch(objects, radius, position, ROOM)
-    return touch.budget >= 0 and touch.place < 0.0
-
-
-@is_clear.of(WITH_HEIGHTMAP)
-def is_clear_of_heightmaps(objects: Any, radius: float, position: Vec3) -> bool:
-    """Accept an exhausted budget: far below its limit a search of a height map returns a bound of the distance."""
-    touch = first_touch(objects, radius, position, ROOM)
-    return touch.known and touch.place < 0.0
+    is_known = touch.known if isinstance(objects.search, Creased) else touch.budget >= 0
+    return is_known and touch.place < 0.0
 
 
 @jit
@@ -148,7 +123,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     """
     radius = finger.radius
     start, budget = position, BUDGET // 2
-    if any_creases(objects):  # a path over a height map takes more queries
+    if isinstance(objects.search, Creased):  # a path over a height map takes more queries
         budget = 3 * BUDGET // 4
     remaining, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     if state.started == 0.0:
@@ -188,12 +163,17 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     place, over = center, active[0].body >= 0.0 and exact
     if over:
         place = first_rest(objects, radius, position, center, active[0])
-    if len(state.contacts) > 1 and any_creases(objects) and state.started != 0.0 and active[0].body >= 0.0:
+    if (
+        len(state.contacts) > 1
+        and isinstance(objects.search, Creased)
+        and state.started != 0.0
+        and active[0].body >= 0.0
+    ):
         center = met  # the gap is only a bound if the search of a height map did not finish
     if not any_moves(objects):
         start = center
     # Without a height map, the search of the path does not reduce the budget of the rest position: see `BUDGET`.
-    remaining = BUDGET - budget + max(remaining, 0) if any_creases(objects) else BUDGET
+    remaining = BUDGET - budget + max(remaining, 0) if isinstance(objects.search, Creased) else BUDGET
     return Meeting(start, center, place, active, over, remaining)
 
 

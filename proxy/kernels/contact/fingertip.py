@@ -8,45 +8,25 @@ then treat the fingertip as this ball.
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import EllipsoidTip, Many, MinkowskiSum, Probe, Quaternion, Single, Tip, Vec3
+from softfinger.proxy.kernels.model import Many, MinkowskiSum, Probe, Quaternion, Tip, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
 from softfinger.proxy.kernels.query.carry import relative_rotation
 from softfinger.proxy.kernels.shapes.minkowski import support_vector
 
 
-@by_type
+@jit
 def minkowski_objects(form: Any, radius: float, objects: Any, orientation: Quaternion) -> Any:
     """Return the objects as obstacles of a ball of the finger's radius; `orientation` fingertip to world."""
-
-
-@minkowski_objects.of(None)
-def objects_for_ball(form: None, radius: float, objects: Any, orientation: Quaternion) -> Any:
-    return objects
-
-
-@minkowski_objects.of(EllipsoidTip)
-def objects_for_ellipsoid(form: EllipsoidTip, radius: float, objects: Any, orientation: Quaternion) -> Any:
-    return add_tip(objects, Tip(form.semi_axes, rotations.multiply(orientation, form.orientation), radius))
-
-
-@by_type
-def add_tip(objects: Any, tip: Tip) -> Any:
-    """Return the objects with their Minkowski sums with an ellipsoidal fingertip."""
-
-
-@add_tip.of(Single)
-def add_tip_to_single(objects: Single, tip: Tip) -> Single:
+    if form is None:
+        return objects
+    turn = rotations.multiply(orientation, form.orientation)
+    if isinstance(objects, Many):
+        return replace(objects, "tip", Tip(form.semi_axes, turn, radius))
     body = objects.body
-    axes = rotations.multiply(rotations.conjugate(pose_values(body.pose).orientation), tip.orientation)
-    return replace(objects, "body", replace(body, "shape", MinkowskiSum(body.shape, tip.semi_axes, axes, tip.radius)))
-
-
-@add_tip.of(Many)
-def add_tip_to_many(objects: Many, tip: Tip) -> Many:
-    return replace(objects, "tip", tip)
+    axes = rotations.multiply(rotations.conjugate(pose_values(body.pose).orientation), turn)
+    return replace(objects, "body", replace(body, "shape", MinkowskiSum(body.shape, form.semi_axes, axes, radius)))
 
 
 @jit

@@ -6,18 +6,12 @@ result is still unknown, `detection` reports it, and the next tick's pose is tre
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.model import NONE, Vec3
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.model import NONE, Creased, Faceted, Smooth, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
 from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.kinds import (
-    SINGLE_POINT,
-    WITH_MESH,
-    any_creases,
-    any_mesh,
-    by_multipoint,
-    has_creases_at,
-)
+from softfinger.proxy.kernels.query.kinds import any_mesh, has_creases_at
 from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM
 from softfinger.proxy.kernels.shapes.composite import EVERYWHERE, raised_clear
@@ -44,23 +38,16 @@ class FirstTouch(NamedTuple):
     budget: int
 
 
-@by_multipoint
-def first_touch(objects: Any, radius: float, position: Vec3, budget: int) -> Any:
+@jit
+def first_touch(objects: Any, radius: float, position: Vec3, budget: int) -> FirstTouch:
     """Return the object that a fingertip starting at `position` (3,) m touches.
 
     budget  for height maps, and for meshes in a scene with a height map
     """
-
-
-@first_touch.of(SINGLE_POINT)
-def first_touch_of_smooth(objects: Any, radius: float, position: Vec3, budget: int) -> FirstTouch:
-    gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
-    return FirstTouch(index if gap < radius else NONE, True, budget)
-
-
-@first_touch.otherwise
-def first_touch_of_any(objects: Any, radius: float, position: Vec3, budget: int) -> FirstTouch:
-    if any_creases(objects):  # a search nearby is enough for the side of a height map
+    if isinstance(objects.search, Smooth):
+        gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
+        return FirstTouch(index if gap < radius else NONE, True, budget)
+    if isinstance(objects.search, Creased):  # a search nearby is enough for the side of a height map
         gap, index, budget = deepest(objects, position, radius, NOBODY, budget)
         if any_mesh(objects) and gap >= radius:
             gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
@@ -71,7 +58,7 @@ def first_touch_of_any(objects: Any, radius: float, position: Vec3, budget: int)
     if budget < 0 and index >= 0.0 and not has_creases_at(objects, index):
         # The search of a mesh did not finish, so the gap was a bound. Use the nearest triangle found so far.
         gap, _, _, budget = closest_to_within(objects, index, position, budget)
-        if gap >= radius and not any_creases(objects):
+        if gap >= radius and not isinstance(objects.search, Creased):
             gap, nearer, budget = deepest(objects, position, radius * (1.0 - GRAZE), NOBODY, ROOM)
             if budget < 0:
                 return FirstTouch(NONE, False, budget)
@@ -79,24 +66,18 @@ def first_touch_of_any(objects: Any, radius: float, position: Vec3, budget: int)
     return FirstTouch(index if gap < radius else NONE, True, budget)
 
 
-@by_multipoint
-def raise_outside(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> Any:
+@jit
+def raise_outside(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
     """Return a position (3,) m outside for a fingertip that is inside at `center`, and True if one was found.
 
     index   of an object that the fingertip touches there
     normal  (3,)  of that object there
+
+    In a scene of meshes, it is the first position along the normal that is outside of all objects.
     """
-
-
-@raise_outside.otherwise
-def raise_off_object(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
-    body = object_at(objects, index)
-    return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius)), True
-
-
-@raise_outside.of(WITH_MESH)
-def raise_off_facets(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[Vec3, bool]:
-    """Return the first position along the normal that is outside of all objects."""
+    if not isinstance(objects.search, Faceted):
+        body = object_at(objects, index)
+        return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius)), True
     height, step, room = 0.0, RISE * radius, ROOM
     for _ in range(RISES):
         position = vec3.add_scaled(center, height, normal)

@@ -26,18 +26,23 @@ from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
 from softfinger.proxy.kernels.contact.rest.projection import is_safe_step
 from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import NONE, ActiveSet, Finger, FingerState, FrictionResult, Probe, Scene, Vec3
+from softfinger.proxy.kernels.model import (
+    CREASED,
+    FACETED,
+    NONE,
+    ActiveSet,
+    Faceted,
+    Finger,
+    FingerState,
+    FrictionResult,
+    Probe,
+    Scene,
+    Vec3,
+)
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.carry import any_moves
-from softfinger.proxy.kernels.query.kinds import (
-    SINGLE_POINT,
-    WITH_HEIGHTMAP,
-    WITH_MESH,
-    by_multipoint,
-    is_mesh_at,
-    kind_at,
-)
+from softfinger.proxy.kernels.query.kinds import is_mesh_at, surface_at
 from softfinger.proxy.kernels.query.objects import deepest
 from softfinger.proxy.kernels.query.sweep import first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE
@@ -89,7 +94,8 @@ def is_clear_of_others(
             return False
     gap, at, budget = deepest(objects, center, radius * (1.0 + INSIDE), skip, budget)
     # The proxy may cut into the triangle it is on, and into a height map if its search did not finish.
-    is_support = at == index and kind_at(objects, index) == 0.0
+    surface = surface_at(objects, index)
+    is_support = at == index and surface != FACETED and surface != CREASED
     return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE) or is_support)
 
 
@@ -133,31 +139,16 @@ def friction_of_contact(
     return apply_friction(finger, objects, ground, predicted, contact.share, motion)
 
 
-@by_multipoint
+@jit
 def follow_slip(
     objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> Any:
-    """Return `settle_on_one`, also across the edges of facets, and True if the proxy is at rest."""
-
-
-@follow_slip.of(SINGLE_POINT, WITH_HEIGHTMAP)
-def follow_slip_on_shape(
-    objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, float, bool]:
+    """Return `settle_on_one`, on a mesh also across the edges of facets, and True if the proxy is at rest."""
+    if isinstance(objects.search, Faceted) and is_mesh_at(objects, index):
+        center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
+        return center, active, 0.0, at_rest
     center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
     return center, active, bounded, True
-
-
-@follow_slip.of(WITH_MESH)
-def follow_slip_on_mesh(
-    objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
-) -> tuple[Vec3, ActiveSet, float, bool]:
-    bounded, at_rest = 0.0, True
-    if is_mesh_at(objects, index):
-        center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
-    else:
-        center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
-    return center, active, bounded, at_rest
 
 
 @jit

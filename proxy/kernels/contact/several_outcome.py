@@ -33,11 +33,11 @@ from softfinger.proxy.kernels.model import (
     ContactState,
     Finger,
     Probe,
+    Smooth,
     Vec3,
 )
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.kinds import any_creases, any_mesh
 from softfinger.proxy.kernels.query.objects import number_of
 from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, ON_ITS_WAY, UNSEARCHED
 
@@ -194,8 +194,7 @@ def outcome_of_several(
     one, two, three = shares
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     extra, budget = effects.force, 0.0
-    on_its_way = settled.late and (any_mesh(shapes) or any_creases(shapes))
-    if on_its_way:
+    if settled.late and not isinstance(shapes.search, Smooth):
         to_proxy = vec3.sub(settled.center, vec3.add(probe.position, lag_of(settled.contacts)))
         extra, budget = vec3.add(extra, trailing_force(shapes, active, to_proxy)), float(ON_ITS_WAY)
     if effects.unknown != 0.0 or (settled.late and settled.budget < 0):

@@ -4,9 +4,8 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.effects.forces import NO_FORCE, Situation, apply_effects
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
-from softfinger.proxy.kernels.model import ActiveSet, Carrier, Many, Single, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Carrier, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_out_of
 from softfinger.proxy.kernels.query.carry import carry_of, move_point
@@ -50,7 +49,7 @@ def effects_of(
 ) -> tuple[tuple[Vec3, float], Any]:
     """Force (3,) N of one object's effects and, as above, whether a search did not end; and their states."""
     body = object_at(objects, carrier.row)
-    whole = whole_object(objects, body)
+    whole = objects.body if isinstance(objects, Single) else body  # instead of one of its triangles
     gap, _, normal, unsearched = closest_or_bound(whole.shape, into(whole.pose, contact.position))
     is_touched, normal = contact_normal_on(objects, touched.active, body.number, turn_out_of(whole.pose, normal))
     frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
@@ -79,18 +78,3 @@ def contact_normal_on(objects: Any, active: ActiveSet, number: float, normal: Ve
     if number == number_of(objects, three.body):
         return 1.0, three.normal
     return 0.0, normal
-
-
-@by_type
-def whole_object(objects: Any, body: Any) -> Any:
-    """Return the object itself instead of one of its triangles."""
-
-
-@whole_object.of(Single)
-def only_whole_object(objects: Single, body: Any) -> Any:
-    return objects.body
-
-
-@whole_object.of(Many)
-def one_whole_object(objects: Many, body: Any) -> Any:
-    return body

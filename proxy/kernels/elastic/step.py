@@ -12,7 +12,6 @@ last round repeats the one with the least error, since any other may have the fo
 Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.
 """
 
-from collections.abc import Callable
 from math import inf
 from typing import Any
 
@@ -38,7 +37,7 @@ from softfinger.proxy.kernels.elastic.surfaces import (
     shift_pose,
     surface_after,
 )
-from softfinger.proxy.kernels.jit.dispatch import chosen_by
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.model.elastic import Elastic
@@ -54,7 +53,7 @@ SOLVED = 1e-11
 
 
 @step_once.of(Elastic)
-def step_on_elastic(scene: Scene, state: State, poses: Any, dt: float) -> Any:
+def step_on_elastic(elastic: Elastic, scene: Scene, state: State, poses: Any, dt: float) -> Any:
     """Compute one contact step of one or two fingers on the elastic object."""
     world = replace(state.world, "started", 1.0, "time", state.world.time + dt)
     objects = place_all(scene.objects, world)
@@ -62,17 +61,15 @@ def step_on_elastic(scene: Scene, state: State, poses: Any, dt: float) -> Any:
     return State(world=replace(world, "surfaces", surfaces), fingers=fingers), contacts
 
 
-def by_number(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel chosen by the number of fingers: `.of(1)`, `.of(2)`."""
-    return chosen_by(declaration, len, lambda count: count, len)
-
-
-@by_number
+@jit
 def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     """Return FingerState, Contact and Surface of each finger."""
+    if len(fingers) == 1:
+        return press_one(fingers, scene, objects, state, poses, dt)
+    return press_two(fingers, scene, objects, state, poses, dt)
 
 
-@press.of(1)
+@jit
 def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
     gain = share_in_tick(elastic, dt)
@@ -115,7 +112,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
 
 
-@press.of(2)
+@jit
 def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
     gain = share_in_tick(elastic, dt)

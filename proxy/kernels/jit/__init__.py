@@ -9,7 +9,7 @@ Nothing of geometry or contact. A kernel has one of these decorators:
     @c_function(signature) called by a C library, or by address
     @by_type               declares a kernel chosen by the type of its first argument: `.of(Kind)` implements it
     @by_type_with_default  the same; the declaration is the implementation for all other types
-    @by_type_of(field)     as @by_type, by the type of a field of the first argument
 
-Other choices, as those of `query/kinds.py`, are functions that call `chosen_by`.
+In all of them, a condition `x is None` or `isinstance(x, Kind)` on an argument or a field of one is evaluated at
+compile time, and the code that is not reached is not compiled.
 """

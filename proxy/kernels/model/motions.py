@@ -1,12 +1,14 @@
 """Poses of objects, and their prescribed or simulated motions."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+import numpy as np
 
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
-from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
+from softfinger.proxy.kernels.model.vectors import ZERO, Quaternion, Vec3
 
 STILL, DRIVEN, SINUSOID, TURNTABLE, SIMULATED = 0.0, 1.0, 2.0, 3.0, 4.0
-"""Kinds of `Motion`."""
+"""Kinds of `Motion`: none, external, two functions of time, and by forces."""
 
 
 class Place(NamedTuple):
@@ -22,37 +24,15 @@ class Pose(NamedTuple):
     orientation: Quaternion
 
 
-class Sinusoid(NamedTuple):
-    """Sinusoidal motion in the object's frame at rest: amplitudes (3,) m, and rad about a unit axis; Hz, rad."""
-
-    translation: Vec3
-    axis: Vec3
-    angle: float
-    frequency: float
-    phase: float
-
-
-class Turntable(NamedTuple):
-    """Constant rotation in the object's frame at rest: rad/s about a unit axis through the pivot, m."""
-
-    axis: Vec3
-    rate: float
-    pivot: Vec3
-
-
-class Driven(NamedTuple):
-    """External motion: a command or a script changes the pose at run time."""
-
-
 class Motion(NamedTuple):
-    """Motion of one of many objects, as numbers; fields of other kinds are 0.
+    """Motion of an object; fields of other kinds are 0.
 
-    kind         STILL, DRIVEN, SINUSOID, TURNTABLE or SIMULATED
-    block, body  of Simulated
-    translation  of Sinusoid
-    axis         of Sinusoid or Turntable
-    pivot        of Turntable
-    angle, frequency, phase, rate
+    DRIVEN     a command or a script changes the pose at run time
+    SINUSOID   oscillation in the object's frame at rest: amplitudes `translation`, m, and `angle`, rad, about the unit
+               `axis`; `frequency`, Hz, and `phase`, rad
+    TURNTABLE  rotation in the object's frame at rest: `rate`, rad/s, about the unit `axis` through the `pivot`, m
+    SIMULATED  the object is attached to the `body` with that number of a simulation, with the addresses `block`
+               (query.bodies)
     """
 
     kind: float
@@ -67,12 +47,7 @@ class Motion(NamedTuple):
     rate: float
 
 
-class Simulated(NamedTuple):
-    """Motion by forces: the object is attached to a body of a simulation.
-
-    block  ReadOnly  addresses of the simulation (query.bodies)
-    body             number of the body in the simulation
-    """
-
-    block: Any
-    body: float
+NO_BLOCK = ReadOnly(np.zeros(1, np.int64))
+"""Placeholder for the addresses of a simulation."""
+AT_REST = Motion(STILL, NO_BLOCK, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 0.0, 0.0)
+"""Motion of one of many objects that cannot move; that of a single one is None."""

@@ -48,16 +48,6 @@ class Carrier(NamedTuple):
     effects: Any
 
 
-class Single(NamedTuple):
-    """The only object of a scene, of a shape that is known when the scene is compiled.
-
-    effects  tuple of Carrier, one or none
-    """
-
-    body: Object
-    effects: Any = ()
-
-
 class Entry(NamedTuple):
     """Shape, place and normal law of one of many objects.
 
@@ -91,6 +81,18 @@ class Creased(NamedTuple):
     """Type of the search in a scene with height maps; `meshes`, the number of meshes, may be 0."""
 
     meshes: float
+
+
+class Single(NamedTuple):
+    """The only object of a scene, of a shape that is known when the scene is compiled.
+
+    effects  tuple of Carrier, one or none
+    search   Smooth, Faceted or Creased
+    """
+
+    body: Object
+    effects: Any = ()
+    search: Any = Smooth(0.0)
 
 
 class Tip(NamedTuple):

@@ -6,8 +6,7 @@ Relative to a moving object, the fingertip's path in a tick starts at its last p
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_of
-from softfinger.proxy.kernels.model import Many, Pose, Quaternion, Single, Vec3
+from softfinger.proxy.kernels.model import Pose, Quaternion, Single, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, pose_values, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.container import object_at
@@ -25,18 +24,11 @@ class Carry(NamedTuple):
     now: Pose
 
 
-@by_type_of("motion")
+@jit
 def carry_of(body: Any) -> Any:
     """Return the motion of an object in this tick: a Carry, or None if it cannot move."""
-
-
-@carry_of.of(None)
-def make_no_carry(body: Any) -> None:
-    return None
-
-
-@carry_of.otherwise
-def make_carry(body: Any) -> Carry:
+    if body.motion is None:
+        return None
     return Carry(can_move(body.motion), pose_values(body.was), pose_values(body.pose))
 
 
@@ -46,18 +38,11 @@ def carry(objects: Any, index: float) -> Any:
     return carry_of(object_at(objects, index))
 
 
-@by_type
-def any_moves(objects: Any) -> Any:
+@jit
+def any_moves(objects: Any) -> bool:
     """Return whether any object can move."""
-
-
-@any_moves.of(Single)
-def single_moves(objects: Single) -> bool:
-    return can_move(objects.body.motion) > 0.0
-
-
-@any_moves.of(Many)
-def any_of_many_moves(objects: Many) -> bool:
+    if isinstance(objects, Single):
+        return can_move(objects.body.motion) > 0.0
     return objects.moving > 0.0
 
 

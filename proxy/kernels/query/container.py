@@ -10,8 +10,6 @@ from typing import Any, Final
 
 from softfinger.proxy.kernels.jit.arrays import Mutable
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
     STILL,
@@ -25,7 +23,6 @@ from softfinger.proxy.kernels.model import (
     Plane,
     Pose,
     Single,
-    Tip,
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
@@ -44,20 +41,14 @@ ROUNDING: Final = 1.0 + 1e-9
 """Factor on a squared distance that covers its rounding."""
 
 
-@by_type
+@jit
 def object_at(objects: Any, index: float) -> Any:
-    """Return the object `index`, the first object for an index below 0."""
+    """Return the object `index`, the first object for an index below 0.
 
-
-@object_at.of(Single)
-def only_object(objects: Single, index: float) -> Any:
-    body = objects.body
-    return replace(body, "shape", element_of_shape(body.shape, index))
-
-
-@object_at.of(Many)
-def one_of_many(objects: Many, index: float) -> Object:
-    """Copy the row to an Object; the compiler loads only the fields that the caller uses."""
+    Of many, the compiler loads only the fields that the caller uses.
+    """
+    if isinstance(objects, Single):
+        return replace(objects.body, "shape", element_of_shape(objects.body.shape, index))
     row, facet = row_of(index), facet_of(index)
     entry = objects.entries[row]
     pose, was = poses_of(objects.poses, entry, row)
@@ -68,29 +59,21 @@ def one_of_many(objects: Many, index: float) -> Object:
         material=material_of_row(objects.materials, entry.normal, row),
         number=entry.number,
         was=was,
-        texture=texture_of_row(objects.textures, row),
+        texture=None if objects.textures is None else objects.textures[row],
     )
 
 
-@by_type
-def world_plane(objects: Any, index: float) -> Any:
+@jit
+def world_plane(objects: Any, index: float) -> tuple[bool, Plane]:
     """Return True and its Plane if object `index` of many is a plane at rest, otherwise False.
 
     Such a plane is in the world frame, and its queries need no pose. The compiler knows that of a single object. An
     ellipsoidal fingertip touches Minkowski sums, not planes.
     """
-
-
-@world_plane.of(Single)
-def not_of_many(objects: Single, index: float) -> tuple[bool, Plane]:
-    return False, NO_PLANE
-
-
-@world_plane.of(Many)
-def plane_of_many(objects: Many, index: float) -> tuple[bool, Plane]:
-    shape = objects.entries[row_of(index)].shape
-    if objects.tip is None and shape.surface == WORLD_PLANE:
-        return True, plane_of(shape)
+    if isinstance(objects, Many) and objects.tip is None:
+        shape = objects.entries[row_of(index)].shape
+        if shape.surface == WORLD_PLANE:
+            return True, plane_of(shape)
     return False, NO_PLANE
 
 
@@ -106,19 +89,10 @@ def facet_of(index: float) -> float:
     return float(max(int(index), 0) >> ENTRY_BITS)
 
 
-@by_type
-def facet_step(objects: Any) -> Any:
+@jit
+def facet_step(objects: Any) -> float:
     """Return the difference between the indices of two neighbouring triangles of a mesh."""
-
-
-@facet_step.of(Single)
-def step_on_single(objects: Single) -> float:
-    return 1.0
-
-
-@facet_step.of(Many)
-def step_on_many(objects: Many) -> float:
-    return float(ENTRIES)
+    return 1.0 if isinstance(objects, Single) else float(ENTRIES)
 
 
 @jit
@@ -142,50 +116,19 @@ def write_pose(poses: Mutable, at: int, pose: Pose) -> None:
         poses[at + 3 + i] = pose.orientation[i]
 
 
-@by_type
+@jit
 def shape_for(tip: Any, shape: AnyShape, pose: Pose) -> Any:
     """Return the shape, for an ellipsoidal fingertip its Minkowski sum with the fingertip."""
-
-
-@shape_for.of(None)
-def shape_for_ball(tip: None, shape: AnyShape, pose: Pose) -> AnyShape:
-    return shape
-
-
-@shape_for.of(Tip)
-def shape_for_ellipsoid(tip: Tip, shape: AnyShape, pose: Pose) -> MinkowskiSum:
+    if tip is None:
+        return shape
     axes = rotations.multiply(rotations.conjugate(pose.orientation), tip.orientation)
     return MinkowskiSum(shape, tip.semi_axes, axes, tip.radius)
 
 
-@by_type
+@jit
 def material_of_row(materials: Any, normal: Any, row: int) -> Any:
     """Return the material of one of many objects; bare objects have only a normal law."""
-
-
-@material_of_row.of(None)
-def material_without_friction(materials: None, normal: Any, row: int) -> Material:
-    return Material(normal, None, None)
-
-
-@material_of_row.of(Rows)
-def material_with_friction(materials: Rows, normal: Any, row: int) -> Material:
-    return replace(materials[row], "normal", normal)
-
-
-@by_type
-def texture_of_row(textures: Any, row: int) -> Any:
-    """Return the texture of one of many objects."""
-
-
-@texture_of_row.of(None)
-def texture_of_none(textures: None, row: int) -> None:
-    return None
-
-
-@texture_of_row.of(Rows)
-def texture_of_many(textures: Rows, row: int) -> Any:
-    return textures[row]
+    return Material(normal, None, None) if materials is None else replace(materials[row], "normal", normal)
 
 
 @jit

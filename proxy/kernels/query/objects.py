@@ -3,8 +3,7 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import Many, Single, Smooth, Vec3
+from softfinger.proxy.kernels.model import Single, Smooth, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.container import (
@@ -121,25 +120,18 @@ def neighbour_on(objects: Any, index: float, x: Vec3) -> float:
     return index + facet_step(objects) * neighbour_of(body.shape, into(body.pose, x))
 
 
-@by_type
-def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Any:
+@jit
+def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
     """Return the object nearest to `x` (3,) m, with its gap.
 
     within        m  search distance: objects beyond it may be omitted; the gap is 1e300 if none is found
     known   (3,)     indices of up to three objects, -1 for none, preferred to equally near triangles of their mesh
     budget           nodes and triangles of meshes, and tiles of height maps, that may be visited
     """
-
-
-@deepest.of(Single)
-def deepest_of_one(objects: Single, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
-    body = objects.body
-    gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, known, budget)
-    return Deepest(gap, facet if gap < NOWHERE else -1.0, budget)
-
-
-@deepest.of(Many)
-def deepest_of_many(objects: Many, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
+    if isinstance(objects, Single):
+        body = objects.body
+        gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, known, budget)
+        return Deepest(gap, facet if gap < NOWHERE else -1.0, budget)
     smallest, index = NOWHERE, -1.0
     for row in range(int(objects.size)):
         gap, facet = NOWHERE, 0.0
@@ -155,18 +147,11 @@ def deepest_of_many(objects: Many, x: Vec3, within: float, known: Vec3, budget: 
     return Deepest(smallest, index, budget)
 
 
-@by_type
-def facets_of(search: Any, row: int, known: Vec3) -> Any:
+@jit
+def facets_of(search: Any, row: int, known: Vec3) -> Vec3:
     """Return the triangles of object `row` in up to three object indices, -1 for each index of another object."""
-
-
-@facets_of.of(Smooth)
-def facets_of_smooth(search: Smooth, row: int, known: Vec3) -> Vec3:
-    return known
-
-
-@facets_of.otherwise
-def facets_of_mesh(search: Any, row: int, known: Vec3) -> Vec3:
+    if isinstance(search, Smooth):
+        return known
     return facet_in(row, known[0]), facet_in(row, known[1]), facet_in(row, known[2])
 
 

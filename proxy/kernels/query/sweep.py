@@ -7,31 +7,13 @@ object that moves is detected, too.
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import STILL, Many, Single, Vec3
+from softfinger.proxy.kernels.model import STILL, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
 from softfinger.proxy.kernels.query.carry import carry_of, move_point
 from softfinger.proxy.kernels.query.container import ENTRIES, is_beyond, object_at
 from softfinger.proxy.kernels.shapes import NO_HIT
 from softfinger.proxy.kernels.shapes.protocol import meets
-
-
-@by_type
-def first_hit(objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int) -> Any:
-    """Find the first object that the fingertip hits.
-
-    returns  index of the object, -1 for none, the fingertip's centre (3,) m there, and the remaining budget
-
-    If the budget runs out on a mesh or a height map, that counts as a hit.
-
-
-    start   (3,) m  start of the path, at the last tick; it moves along with an object that has moved since
-    end     (3,) m  end of the path
-    leaves          see `travel`
-    skip            indices of up to three objects to be ignored
-    budget          maximum number of nodes and triangles of meshes, and tiles of height maps, to be queried
-    """
 
 
 @jit
@@ -44,20 +26,27 @@ def sweep_to_row(
     return share, facet, vec3.add_scaled(path_start, share, vec3.sub(end, path_start)), budget
 
 
-@first_hit.of(Single)
-def first_hit_of_one(
-    objects: Single, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
+@jit
+def first_hit(
+    objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
 ) -> tuple[float, Vec3, int]:
-    if skip[0] == 0.0 or skip[1] == 0.0 or skip[2] == 0.0:
-        return -1.0, end, budget
-    share, facet, center, budget = sweep_to_row(objects.body, start, end, radius, leaves, budget)
-    return (facet, center, budget) if share < NO_HIT else (-1.0, end, budget)
+    """Find the first object that the fingertip hits.
 
+    returns  index of the object, -1 for none, the fingertip's centre (3,) m there, and the remaining budget
 
-@first_hit.of(Many)
-def first_hit_of_many(
-    objects: Many, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
-) -> tuple[float, Vec3, int]:
+    If the budget runs out on a mesh or a height map, that counts as a hit.
+
+    start   (3,) m  start of the path, at the last tick; it moves along with an object that has moved since
+    end     (3,) m  end of the path
+    leaves          see `travel`
+    skip            indices of up to three objects to be ignored
+    budget          maximum number of nodes and triangles of meshes, and tiles of height maps, to be queried
+    """
+    if isinstance(objects, Single):
+        if skip[0] == 0.0 or skip[1] == 0.0 or skip[2] == 0.0:
+            return -1.0, end, budget
+        share, facet, center, budget = sweep_to_row(objects.body, start, end, radius, leaves, budget)
+        return (facet, center, budget) if share < NO_HIT else (-1.0, end, budget)
     share, index, center = NO_HIT, -1.0, end
     reach = radius + vec3.norm(vec3.sub(end, start))
     for row in range(int(objects.size)):

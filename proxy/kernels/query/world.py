@@ -7,7 +7,6 @@ read the resulting poses from the World; the kind of motion makes no difference 
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import SIMULATED, Many, Material, Single, World
 from softfinger.proxy.kernels.query.bodies import LAST_POSITION, pose_of_body
@@ -15,23 +14,18 @@ from softfinger.proxy.kernels.query.container import AT_TIME, MEMORY, read_pose,
 from softfinger.proxy.kernels.query.motion import moving_pose, pose_at, pose_in_world
 
 
-@by_type
-def advance(objects: Any, world: World, dt: float) -> Any:
-    """Return the world after a tick of `dt` s, with the new pose of every object that can move."""
+@jit
+def advance(objects: Any, world: World, dt: float) -> World:
+    """Return the world after a tick of `dt` s, with the new pose of every object that can move.
 
-
-@advance.of(Single)
-def advance_one(objects: Single, world: World, dt: float) -> World:
-    time, body = world.time + dt, objects.body
-    pose = moving_pose(body.motion, pose_at(body.motion, body.pose, time))
-    was = world.poses if world.started != 0.0 else pose  # in the first tick, the object counts as not having moved
-    return World(started=1.0, time=time, poses=pose, was=was, surfaces=world.surfaces)
-
-
-@advance.of(Many)
-def advance_many(objects: Many, world: World, dt: float) -> World:
-    """Write the pose of each object that can move, and that of the last tick, to its memory."""
+    Of many objects, the poses of this tick and of the last are written to the memory of the world.
+    """
     time, memory = world.time + dt, world.poses
+    if isinstance(objects, Single):
+        body = objects.body
+        pose = moving_pose(body.motion, pose_at(body.motion, body.pose, time))
+        was = memory if world.started != 0.0 else pose  # in the first tick, the object counts as not having moved
+        return World(started=1.0, time=time, poses=pose, was=was, surfaces=world.surfaces)
     for i in range(int(objects.moving)):
         row = objects.movers[i]
         entry, at = objects.entries[row], MEMORY * row
@@ -39,8 +33,8 @@ def advance_many(objects: Many, world: World, dt: float) -> World:
         pose = pose_at(motion, rest, time)
         before = pose
         if motion.kind == SIMULATED:
-            body = pose_of_body(motion.block, motion.body, LAST_POSITION)
-            before = pose_in_world(body, rest.position, rest.orientation)
+            frame = pose_of_body(motion.block, motion.body, LAST_POSITION)
+            before = pose_in_world(frame, rest.position, rest.orientation)
         elif world.started != 0.0 and memory[at + AT_TIME] == world.time:
             before = read_pose(memory, at)
         write_pose(memory, at + 7, before)
@@ -50,44 +44,21 @@ def advance_many(objects: Many, world: World, dt: float) -> World:
 
 
 @jit
-def pose_or_rest(pose: Any, rest: Any) -> Any:
-    """Return the pose in the world: `pose`, or the base pose `rest` if the object cannot move (None)."""
-    if pose is None:
-        return rest
-    return pose
-
-
-@by_type
 def place_all(objects: Any, world: World) -> Any:
     """Return all objects with their poses of this tick and the last: `poses` and `was` of the World."""
+    if isinstance(objects, Many):
+        return replace(objects, "poses", world.poses)
+    pose = objects.body.pose if world.poses is None else world.poses
+    return replace(objects, "body", replace(objects.body, "pose", pose, "was", world.was))
 
 
-@place_all.of(Single)
-def place_one(objects: Single, world: World) -> Single:
-    body = objects.body
-    return replace(objects, "body", replace(body, "pose", pose_or_rest(world.poses, body.pose), "was", world.was))
-
-
-@place_all.of(Many)
-def place_many(objects: Many, world: World) -> Many:
-    return replace(objects, "poses", world.poses)
-
-
-@by_type
+@jit
 def all_bare(objects: Any) -> Any:
     """Return the objects without friction, torsion, effects and texture: geometry and normal force do not need them.
 
     Kernels for bare objects are compiled once for all scenes with objects of this type, and cached.
     """
-
-
-@all_bare.of(Single)
-def one_bare(objects: Single) -> Single:
-    body = objects.body
-    material = Material(body.material.normal, None, None)
-    return Single(replace(body, "material", material, "texture", None))
-
-
-@all_bare.of(Many)
-def many_bare(objects: Many) -> Many:
-    return replace(objects, "materials", None, "textures", None, "effects", ())
+    if isinstance(objects, Many):
+        return replace(objects, "materials", None, "textures", None, "effects", ())
+    material = Material(objects.body.material.normal, None, None)
+    return Single(replace(objects.body, "material", material, "texture", None), (), objects.search)

@@ -38,8 +38,6 @@ from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
 from softfinger.proxy.kernels.shapes.composite import (
     Deepest,
-    has_creases,
-    is_mesh_shape,
     nearest_of_shape,
     neighbour_of,
     raised_clear,
@@ -269,16 +267,6 @@ def shade_any(shape: AnyShape, pose: Pose, normal: Vec3, position: Vec3) -> Vec3
 @chart.of(AnyShape)
 def chart_of_any(shape: AnyShape, fade: float, x: Vec3, normal: Vec3) -> Chart:
     return called(shape, CHART, NO_CHART, (fade, x, normal))
-
-
-@is_mesh_shape.of(AnyShape)
-def any_is_mesh(shape: AnyShape) -> float:
-    return 1.0 if shape.surface == FACETED else 0.0
-
-
-@has_creases.of(AnyShape)
-def any_has_creases(shape: AnyShape) -> float:
-    return 1.0 if shape.surface == CREASED else 0.0
 
 
 @nearest_on_minkowski_sum.of(AnyShape)

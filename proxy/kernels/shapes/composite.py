@@ -2,8 +2,6 @@
 
 Each triangle of a mesh counts as an object. Every other shape uses the defaults.
 
-    is_mesh_shape(shape)                     -> 0 or 1           1 if each triangle is an object
-    has_creases(shape)                       -> 0 or 1           1 if it can touch a fingertip at several points
     nearest_of_shape(shape, x, within, ...)  -> Deepest          nearest of its objects
     neighbour_of(shape, x)                   -> number           of the object across an edge, relative to this one
     element_of_shape(shape, facet)           -> shape            one of its triangles
@@ -22,18 +20,6 @@ EVERYWHERE = 1e300
 ENOUGH = 1.0 - 1e-6
 """Share of the search distance below which any triangle of a mesh is accepted, nearest or not: it obstructs the
 fingertip by more than rounding."""
-
-
-@by_type_with_default
-def is_mesh_shape(shape: Any) -> float:
-    """Return 1 if each triangle of the shape is an object, otherwise 0."""
-    return 0.0
-
-
-@by_type_with_default
-def has_creases(shape: Any) -> float:
-    """Return 1 if the shape is one object that can touch a fingertip at several points, otherwise 0."""
-    return 0.0
 
 
 class Deepest(NamedTuple):

@@ -8,9 +8,9 @@ from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, 
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import ActiveSet, Constraint, Quaternion, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, Faceted, Quaternion, Smooth, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.kinds import SINGLE_POINT, WITH_HEIGHTMAP, WITH_MESH, by_multipoint, is_mesh_at
+from softfinger.proxy.kernels.query.kinds import is_mesh_at
 from softfinger.proxy.kernels.query.objects import closest_to_within, neighbour_on
 from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP, SETTLED
 from softfinger.proxy.kernels.shapes.protocol import direction, turn_along
@@ -39,23 +39,16 @@ def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, oth
     return Constraint(neighbour, constraint.normal, constraint.depth)
 
 
-@by_multipoint
-def constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> Any:
+@jit
+def constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
     """Return the constraints of a proxy at rest: on meshes those of the facets under it, see `constraint_over_edge`.
 
     After a search, the planes may be those before the last motion of the proxy. On meshes they are replaced, unless the
     probe is deeper than `DEEP`: there, the force would change by more than the proxy moves. With a height map they are
     not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
     """
-
-
-@constraints_at_rest.of(SINGLE_POINT, WITH_HEIGHTMAP)
-def constraints_of_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
-    return rest.active
-
-
-@constraints_at_rest.of(WITH_MESH)
-def constraints_over_edges(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
+    if not isinstance(objects.search, Faceted):
+        return rest.active
     active, center = rest.active, rest.center
     one = constraint_over_edge(objects, active[0], center, active)
     two = constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
@@ -66,33 +59,21 @@ def constraints_over_edges(objects: Any, radius: float, probe: Vec3, rest: Rest)
     return active
 
 
-@by_multipoint
+@jit
 def roll_over_edge(
     objects: Any, method: Any, index: float, radius: float, start: OffsetPoint, rolled: Roll, turn: Quaternion
-) -> Any:
+) -> tuple[Roll, float]:
     """Return a roll from `start` on object `index`, continued on the facet beyond its edge, and that facet's index.
 
     turn  (4,)  rotation of the fingertip relative to the object since the last tick
+
+    A proxy that has rolled round an edge beyond the plane of the next facet is moved to its place on that facet. It
+    rolls in the plane of the mean normal of the path, which has the normals of the first facet, of the edge and of the
+    second facet, each for its share of the tick. The error is of third order in the angle of a tick, and zero between
+    facets of one plane.
     """
-
-
-@roll_over_edge.of(SINGLE_POINT)
-def roll_on_shape(
-    objects: Any, method: Any, index: float, radius: float, start: OffsetPoint, rolled: Roll, turn: Quaternion
-) -> tuple[Roll, float]:
-    return rolled, index
-
-
-@roll_over_edge.of(WITH_MESH, WITH_HEIGHTMAP)
-def roll_on_next_facet(
-    objects: Any, method: Any, index: float, radius: float, start: OffsetPoint, rolled: Roll, turn: Quaternion
-) -> tuple[Roll, float]:
-    """Move the proxy, if it has rolled round an edge beyond the plane of the next facet, to its place on that facet.
-
-    It rolls in the plane of the mean normal of the path, which has the normals of the first facet, of the edge and of
-    the second facet, each for its share of the tick. The error is of third order in the angle of a tick, and zero
-    between facets of one plane.
-    """
+    if isinstance(objects.search, Smooth):
+        return rolled, index
     facet = facet_under(objects, index, rolled.center) if is_mesh_at(objects, index) else index
     if facet == index:
         return rolled, index

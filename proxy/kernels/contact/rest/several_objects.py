@@ -30,15 +30,10 @@ from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, proje
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.jit.tuples import map_each
-from softfinger.proxy.kernels.model import ActiveSet, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Creased, Faceted, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import object_at
 from softfinger.proxy.kernels.query.kinds import (
-    SINGLE_POINT,
-    WITH_HEIGHTMAP,
-    WITH_MESH,
-    any_creases,
-    by_multipoint,
     has_creases_at,
     takes_long,
 )
@@ -66,17 +61,14 @@ def settle_among_several(
     (`is_safe_step`). If a probe deep inside requires a longer one, the proxy follows in several ticks: the goal is
     moved closer, so that every step ends at rest. The same applies if no rest position is found.
     """
-    return settle_by_search(objects, radius, probe, start, center, active, budget)
+    if isinstance(objects.search, Creased):
+        return settle_in_steps(objects, radius, probe, start, center, active, budget)
+    if isinstance(objects.search, Faceted):
+        return settle_on_facets(objects, radius, probe, center, active, budget)
+    return settle_for(objects, radius, probe, start, center, active, budget)
 
 
-@by_multipoint
-def settle_by_search(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
-) -> Any:
-    """Settle the proxy: with height maps in short steps, with meshes by supporting planes, otherwise in one step."""
-
-
-@settle_by_search.of(WITH_HEIGHTMAP)
+@jit
 def settle_in_steps(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, remaining: int
 ) -> Rest:
@@ -98,10 +90,8 @@ def settle_in_steps(
     return Rest(rest.center, constraints, True, rest.budget)
 
 
-@settle_by_search.of(WITH_MESH)
-def settle_on_facets(
-    objects: Any, radius: float, probe: Vec3, start: Vec3, anchor: Vec3, active: ActiveSet, budget: int
-) -> Rest:
+@jit
+def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Rest:
     """Settle the proxy in a scene with a mesh.
 
     The first attempt assumes that the last constraints, or the neighbours of their facets, still support the proxy. If
@@ -136,12 +126,12 @@ def settle_on_facets(
     return Rest(center, sort_by_load(objects, support), late, budget)
 
 
-@settle_by_search.of(SINGLE_POINT)
+@jit
 def settle_for(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, remaining: int
 ) -> Rest:
     """Settle the proxy in one step, with the remaining budget `remaining`; see `settle_among_several`."""
-    is_creased = any_creases(objects)
+    is_creased = isinstance(objects.search, Creased)
     rounds = SLIDING_ROUNDS if is_creased else ROUNDS
     last_center, last_active = center, active
     goal = vec3.add(probe, displacement_of(active))

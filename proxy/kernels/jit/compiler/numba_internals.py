@@ -29,6 +29,8 @@ _find_singly_assigned_variable, _singly_assigned_vars, _blk_local_varmap, _cur_i
 RETCODE_OK (in `convention.py`), Compiler.define_pipelines, enable_object_caching
                          Variables are values, never deleted; kernels that cannot fail are not checked; machine code is
                          optimised once. Without all of these: a scene compiles for 1.2 times as long.
+FunctionPass, find_const, get_definition, guard, require, _definitions (in `passes.py`)
+                         `isinstance` of arguments is evaluated before type inference. Without: it does not compile.
 PassManager, _runPass, _analysis, DefaultPassBuilder and its passes, _strip_phi_nodes
 (in `passes.py`)
                          Such a kernel is compiled without timers and checks of each pass, and without those that have
@@ -82,7 +84,7 @@ from numba.extending import models, register_model, typeof_impl
 
 from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
 from softfinger.proxy.kernels.jit.compiler.convention import insert_inlined
-from softfinger.proxy.kernels.jit.compiler.passes import make_passes
+from softfinger.proxy.kernels.jit.compiler.passes import add_static_conditions, make_passes
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
 SEEN: Final = ("0.67", "0.68")
@@ -229,6 +231,7 @@ class UnitCompiler(Compiler):  # type: ignore[misc]
         self.state.library = UnitCode(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
         self.state.library.enable_object_caching()
         pipelines: list[Any] = super().define_pipelines()
+        add_static_conditions(pipelines[0])
         return pipelines
 
 
@@ -435,8 +438,7 @@ class _ChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
         chosen = context.resolve_value_type(kernel)
         signature = chosen.get_call_type(context, known, named)
         self._chosen[signature.args] = chosen
-        takes_any = any(each.kind == each.VAR_POSITIONAL for each in signature.pysig.parameters.values())
-        return signature.replace(pysig=None) if takes_any else signature  # numba would search for them in a tuple
+        return signature
 
     def get_call_signatures(self) -> tuple[list[Any], bool]:
         return [], True

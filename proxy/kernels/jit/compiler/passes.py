@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Iterator
 from types import CodeType
 from typing import Any, ClassVar, Final
 
 from numba import types
 from numba.core import ir
 from numba.core.compiler import DefaultPassBuilder
-from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.errors import NumbaWarning, TypingError, WarningsFixer  # type: ignore[attr-defined]
+from numba.core.ir_utils import build_definitions, compute_cfg_from_blocks, simplify_CFG
 from numba.core.typed_passes import (
     AnnotateTypes,
     InlineOverloads,
@@ -25,17 +28,34 @@ from numba.core.typed_passes import (
 from numba.core.typeinfer import TypeInferer
 from numba.core.untyped_passes import (
     DeadBranchPrune,
+    FindLiterallyCalls,
+    FixupArgs,
     InlineClosureLikes,
     InlineInlinables,
     IRProcessing,
+    LiteralPropagationSubPipelinePass,
+    LiteralUnroll,
     ReconstructSSA,
+    RewriteSemanticConstants,
+    WithLifting,
 )
 
 from softfinger.proxy.kernels.jit.compiler.convention import InlinedLowering
 
-IDLE: Final = (InlineInlinables, InlineOverloads, NopythonRewrites, AnnotateTypes, IRLegalization)
-"""Passes without effect in a kernel: functions that numba inlines in its own form of code, array expressions, an
-annotated listing, which would be cached, too, and the deletion of variables, which have no reference counts."""
+IDLE: Final = (
+    WithLifting,
+    FindLiterallyCalls,
+    LiteralUnroll,
+    LiteralPropagationSubPipelinePass,
+    InlineInlinables,
+    InlineOverloads,
+    NopythonRewrites,
+    AnnotateTypes,
+    IRLegalization,
+)
+"""Passes without effect in a kernel: `with`, literals, functions that numba inlines in its own form of code, array
+expressions, an annotated listing, which would be cached, too, and the deletion of variables, which have no reference
+counts."""
 
 IDLE_WITHOUT_BRANCHES: Final = (IRProcessing, DeadBranchPrune, ReconstructSSA, PreLowerStripPhis)
 """Passes without effect in a kernel that `is_straight`."""
@@ -62,6 +82,111 @@ class UncheckedPasses(PassManager):  # type: ignore[misc]
         each.run_initialization(state)
         each.run_pass(state)
         each.run_finalizer(state)
+
+
+def class_of(kind: Any) -> type | None:
+    """Return the class of the values of a numba type, None for None."""
+    # A named tuple with fields of one type is a NamedUniTuple, not a NamedTuple: compare its class.
+    return None if isinstance(kind, types.NoneType) else getattr(kind, "instance_class", None) or type(kind)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class StaticConditions(FunctionPass):  # type: ignore[misc]
+    """Pass that evaluates `is None` and `isinstance` of arguments and of their fields, and removes what is not reached.
+
+    So a scene compiles only the code of the parts it has. numba itself removes only branches for arguments that are
+    None, and cannot compile `isinstance` of a named tuple.
+    """
+
+    _name = "softfinger_static_conditions"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        code, unused = state.func_ir, set[str]()
+        for block in code.blocks.values():
+            for each in block.find_insts(ir.Assign):
+                if isinstance(each.value, ir.Expr) and each.value.op in ("binop", "call"):
+                    value = _condition(code, state.args, each.value)
+                    if value is not None:
+                        unused.update(name for operand in each.value.list_vars() for name in _stack(code, operand))
+                        each.value = ir.Const(value, each.loc)
+                        code._definitions[each.target.name] = [each.value]
+        if unused or any(isinstance(_condition_of(code, each), ir.Global) for each in code.blocks.values()):
+            _remove_branches(code, unused)
+        return True
+
+
+def _condition(code: Any, arguments: Any, expression: Any) -> bool | None:
+    """Return the value of an expression if it is a condition on the types of arguments, otherwise None."""
+    if expression.op == "binop":
+        if expression.fn not in (operator.is_, operator.is_not) or not _is_none(_only(code, expression.rhs)):
+            return None
+        kind = _static_type(code, arguments, expression.lhs)
+        return None if kind is None else isinstance(kind, types.NoneType) == (expression.fn is operator.is_)
+    if getattr(_only(code, expression.func), "value", None) is not isinstance:
+        return None
+    kind, classes = _static_type(code, arguments, expression.args[0]), _only(code, expression.args[1])
+    names = [_only(code, each) for each in classes.items] if isinstance(classes, ir.Expr) else [classes]
+    own = class_of(kind)
+    return None if kind is None else own is not None and issubclass(own, tuple(each.value for each in names))
+
+
+def _only(code: Any, variable: Any) -> Any:
+    """Return what is assigned to a variable; None if there are several assignments."""
+    made = code._definitions[variable.name]
+    return made[0] if len(made) == 1 else None
+
+
+def _is_none(made: Any) -> bool:
+    return isinstance(made, ir.Const | ir.Global) and made.value is None
+
+
+def _static_type(code: Any, arguments: Any, variable: Any) -> Any:
+    """Return the numba type of an argument that is not reassigned, or of a field of it; None if it is unknown."""
+    made = _only(code, variable)
+    if isinstance(made, ir.Arg):
+        kind = arguments[made.index]
+        return None if isinstance(kind, types.Omitted | types.Optional) else kind
+    if not isinstance(made, ir.Expr) or made.op != "getattr":
+        return None
+    kind = _static_type(code, arguments, made.value)
+    has_field = isinstance(kind, types.BaseNamedTuple) and made.attr in kind.fields  # not in code that is never reached
+    return kind[kind.fields.index(made.attr)] if has_field else None
+
+
+def _condition_of(code: Any, block: Any) -> Any:
+    """Return what is assigned to the condition of the branch at the end of a block; None without one."""
+    if not isinstance(block.terminator, ir.Branch):
+        return None
+    called = _only(code, block.terminator.cond)  # bool(condition)
+    return _only(code, called.args[0]) if isinstance(called, ir.Expr) and called.op == "call" else None
+
+
+def _stack(code: Any, variable: Any) -> Iterator[str]:
+    """Yield the names of the values on Python's stack, each used once, of which a variable is computed."""
+    if variable.name.startswith("$"):
+        yield variable.name
+        made = _only(code, variable)
+        for operand in made.list_vars() if isinstance(made, ir.Expr) else ():
+            yield from _stack(code, operand)
+
+
+def _remove_branches(code: Any, unused: set[str]) -> None:
+    """Remove branches on constants, the blocks that are not reached, and unused values."""
+    for block in code.blocks.values():
+        condition = _condition_of(code, block)
+        if isinstance(condition, ir.Const | ir.Global):
+            branch = block.terminator
+            block.body[-1] = ir.Jump(branch.truebr if condition.value else branch.falsebr, branch.loc)
+            unused |= {branch.cond.name, _only(code, branch.cond).func.name}
+    for label in compute_cfg_from_blocks(code.blocks).dead_nodes():
+        del code.blocks[label]
+    for block in code.blocks.values():
+        block.body = [each for each in block.body if not (isinstance(each, ir.Assign) and each.target.name in unused)]
+    code.blocks = simplify_CFG(code.blocks)
+    code._definitions = build_definitions(code.blocks)
 
 
 class ScalarSignatures:
@@ -148,16 +273,24 @@ REPLACED: Final = {
 }
 
 
+def add_static_conditions(passes: PassManager) -> None:
+    passes.add_pass_after(StaticConditions, FixupArgs)
+    passes.finalize()
+
+
 def make_passes(state: Any) -> UncheckedPasses:
     """Return the passes for a kernel, from numba's state of its compilation."""
     state.typingctx = ScalarSignatures(state.typingctx)
-    has_functions = any(isinstance(each, CodeType) for each in state.func_id.code.co_consts)
-    idle = IDLE if has_functions else (*IDLE, InlineClosureLikes)
+    code, idle = state.func_id.code, IDLE
+    if not any(isinstance(each, CodeType) for each in code.co_consts):  # functions in it
+        idle = *idle, InlineClosureLikes
+    if "len" not in code.co_names:  # numba evaluates that of a tuple
+        idle = *idle, RewriteSemanticConstants, DeadBranchPrune
     passes = UncheckedPasses("softfinger_inlined")
     passes.passes = [
         (REPLACED.get(each, each), text)
         for each, text in DefaultPassBuilder.define_nopython_pipeline(state).passes
         if each not in idle
     ]
-    passes.finalize()
+    add_static_conditions(passes)
     return passes

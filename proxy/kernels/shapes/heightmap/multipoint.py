@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.half_spaces import solve_half_spaces
 from softfinger.proxy.kernels.shapes.budget import INSIDE, SETTLED, STRIDE
-from softfinger.proxy.kernels.shapes.composite import has_creases, raised_clear
+from softfinger.proxy.kernels.shapes.composite import raised_clear
 from softfinger.proxy.kernels.shapes.heightmap.nearest import (
     foot_from,
     gap_within,
@@ -236,11 +236,6 @@ def meets_heightmap(
     # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
     near = gap_within(shape, end, radius, min(rest, END_BUDGET))
     return (share if near.gap - radius < begun else NO_HIT), 0.0, remaining_budget(rest, True, near.spent)
-
-
-@has_creases.of(Heightmap)
-def creases_of_heightmap(shape: Heightmap) -> float:
-    return 1.0
 
 
 @rest_on.of(Heightmap)

@@ -17,7 +17,6 @@ from softfinger.proxy.kernels.shapes.composite import (
     EVERYWHERE,
     Deepest,
     element_of_shape,
-    is_mesh_shape,
     nearest_of_shape,
     neighbour_of,
     shade_normal,
@@ -149,11 +148,6 @@ def closest_or_bound_of_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, f
 @curvature.of(Mesh)
 def curvature_of_mesh(shape: Mesh, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     return 0.0, 0.0, X_AXIS
-
-
-@is_mesh_shape.of(Facet)
-def is_a_facet(shape: Facet) -> float:
-    return 1.0
 
 
 @nearest_of_shape.of(Mesh)
