@@ -61,6 +61,10 @@ PARTS: Final = {
             "drivers/test_withheld",
         ),
     ),
+    "samples": Part(
+        ("drivers/samples.py",),
+        ("drivers/test_board_exchange", "drivers/test_forcedimension_exchange", "drivers/test_openhaptics_exchange"),
+    ),
     "serial": Part(
         ("drivers/serial/exchange.py",),
         (

@@ -17,6 +17,7 @@ from softfinger.config.devices import presets
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
+from softfinger.drivers.samples import store_pose
 from softfinger.drivers.simulated import hand as led_hand
 from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.drivers.simulated.plant import (
@@ -82,11 +83,7 @@ def _acting_force(handle: int) -> Vec3:
 
 @jit
 def _fill_sample(sample: Any, plant: Plant, state: PlantState, n: int, buttons: float) -> None:
-    position = sense(plant, state)
-    for k in range(3):
-        sample[k] = position[k]
-    for k in range(4):
-        sample[3 + k] = state.orientation[k]
+    store_pose(sample, sense(plant, state), state.orientation)
     sample[SAMPLE_TIME] = n / plant.rate
     sample[SAMPLE_BUTTONS] = buttons
     sample[SAMPLE_GRIPPER] = 0.0

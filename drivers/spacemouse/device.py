@@ -27,6 +27,7 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M
+from softfinger.drivers.samples import store_pose
 from softfinger.drivers.spacemouse.puck import (
     BUTTONS,
     REPORT_MAX,
@@ -156,10 +157,7 @@ def update_pose(handle: int, setup: PuckParameters, now: int, dt: float) -> int:
             deflection[k] = 0.0
     before, rotation = fingertip_pose(handle)
     position, orientation = move(setup, before, rotation, deflection, dt)
-    for k in range(3):
-        state[POSITION + k] = position[k]
-    for k in range(4):
-        state[ORIENTATION + k] = orientation[k]
+    store_pose(state, position, orientation)
     state[TIME] += dt
     return status
 
@@ -174,9 +172,8 @@ def read(handle: int, sample: Any) -> int:
     if status < 0:
         return status
     at[LOG.reads] += 1
+    store_pose(sample, *fingertip_pose(handle))
     state = float64_at(handle + 8 * AT.state)
-    for k in range(7):
-        sample[k] = state[k]
     sample[SAMPLE_TIME] = state[TIME]
     sample[SAMPLE_BUTTONS] = state[MASK]
     sample[SAMPLE_GRIPPER] = 0.0
