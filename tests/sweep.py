@@ -76,7 +76,7 @@ PARTS: Final = {
         ),
     ),
     "hid": Part(
-        ("drivers/hid/exchange.py",),
+        ("drivers/described_board.py", "drivers/hid/exchange.py"),
         (
             "drivers/test_hid_exchange",
             "drivers/test_described_mechanisms",
