@@ -15,6 +15,7 @@ constants. They are part of the source, which the kernel cache is keyed by, so t
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar, cast, get_type_hints
@@ -23,17 +24,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.drivers.base import Device, DeviceIO
+from softfinger.drivers.system.makers_library import address as address_of
 
 Layout = TypeVar("Layout", bound=tuple[int, ...])
 
 
 @dataclass(frozen=True)
 class BlockField:
-    """Field of a layout: its meaning, its size in words, and whether `Block.counts` includes it."""
+    """Field of a layout: meaning, size in words, whether `Block.counts` includes it, name of a library's function."""
 
     doc: str
     word_count: int = 1
     counted: bool = False
+    function: str = ""
 
 
 def counter(doc: str) -> BlockField:
@@ -49,6 +52,11 @@ def word(doc: str) -> BlockField:
 def address(doc: str) -> BlockField:
     """Declare the address of an array of a length that depends on the rig, see `Block.set_address`."""
     return BlockField(doc)
+
+
+def function(name: str) -> BlockField:
+    """Declare the address of a function of a C library, see `Block.set_functions`."""
+    return BlockField(name, function=name)
 
 
 def numbers(doc: str, count: int) -> BlockField:
@@ -106,6 +114,13 @@ class Block:
         """Store the address of an array in word `at`, and keep the array alive."""
         self._arrays[at] = array
         self.word[at] = array.ctypes.data
+
+    def set_functions(self, library: ctypes.CDLL) -> None:
+        """Store the addresses of all declared functions, which are in `library`."""
+        for layout in self._layouts:
+            for at, field in zip(layout, read_fields(type(layout)).values(), strict=True):
+                if field.function:
+                    self.word[at] = address_of(library, field.function)
 
     def counts(self, *layouts: tuple[int, ...]) -> dict[str, int]:
         """Return the present values of the counters of these layouts, or of all, by name."""

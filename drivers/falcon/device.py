@@ -97,9 +97,7 @@ class Falcon(BlockDevice):
         self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(address(call, "libusb_free_transfer"))
         allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(address(call, "libusb_alloc_transfer"))
         word[AT.context] = libusb.context
-        word[AT.submit] = address(call, "libusb_submit_transfer")
-        word[AT.handle_events] = address(call, "libusb_handle_events_timeout_completed")
-        word[AT.cancel] = address(call, "libusb_cancel_transfer")
+        self._block.set_functions(call)
         word[AT.kick] = round(options.kick_s * 1e9)
         word[AT.timeout_after] = round(options.timeout_s * 1e9)
         word[AT.opened_at] = time.monotonic_ns()

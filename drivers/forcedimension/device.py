@@ -25,7 +25,6 @@ from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
@@ -41,16 +40,6 @@ NO_WATCHDOG: Final = (
     "firmware before 3.0 has no watchdog, so the force persists if this program is killed: keep a hand "
     "at the force button and set watchdog_s = 0 in the rig's [device] table, or have the maker renew the firmware"
 )
-
-LIBRARY_FUNCTIONS: Final = {
-    AT.get_frame: "dhdGetPositionAndOrientationFrame",
-    AT.get_position: "dhdGetPosition",
-    AT.get_buttons: "dhdGetButtonMask",
-    AT.get_gripper: "dhdGetGripperAngleRad",
-    AT.get_status: "dhdGetStatus",
-    AT.get_error: "dhdErrorGetLast",
-    AT.set_wrench: "dhdSetForceAndTorqueAndGripperForce",
-}
 
 
 class ForceDimension(BlockDevice):
@@ -188,8 +177,7 @@ class ForceDimension(BlockDevice):
         word[AT.status_every] = max(1, round(options.status_period_s * rate_hz))
         word[AT.has_gripper] = call.dhdHasGripper(self._id)
         word[AT.has_torque] = call.dhdHasActiveWrist(self._id) and self._model.limits.torque_max_nm > 0.0
-        for pointers, name in LIBRARY_FUNCTIONS.items():
-            word[pointers] = address(call, name)
+        self._block.set_functions(call)
         if not self._model.name:
             log.warning(
                 "%s: its limits are unknown, so the lowest of all models apply: %g N, no torque; "

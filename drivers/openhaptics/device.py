@@ -26,7 +26,6 @@ from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
@@ -42,19 +41,6 @@ WARM: Final = 800
 """Of 1000: a warning about the motors starts here, and ends at COOL."""
 COOL: Final = 700
 FULL_DOF: Final = 6
-
-LIBRARY_FUNCTIONS: Final = {
-    AT.begin_frame: "hdBeginFrame",
-    AT.end_frame: "hdEndFrame",
-    AT.get_doubles: "hdGetDoublev",
-    AT.get_integers: "hdGetIntegerv",
-    AT.get_booleans: "hdGetBooleanv",
-    AT.set_doubles: "hdSetDoublev",
-    AT.get_error: "hdGetError",
-    AT.enable: "hdEnable",
-    AT.disable: "hdDisable",
-    AT.is_enabled: "hdIsEnabled",
-}
 
 ZERO: Final = (ctypes.c_double * 3)()
 
@@ -222,8 +208,7 @@ class OpenHaptics(BlockDevice):
 
     def _set_up(self) -> None:
         call, options, word = self._library, self._options, self._word
-        for place, name in LIBRARY_FUNCTIONS.items():
-            word[place] = address(call, name)
+        self._block.set_functions(call)
         word[AT.device] = self._device
         word[AT.age_max] = round(options.force_age_max_s * 1e9)
         word[AT.started_at] = word[AT.read_at] = time.monotonic_ns()
