@@ -26,9 +26,8 @@ from softfinger.drivers.base import (
     SAMPLE_TIME,
     STALE,
     TIMEOUT,
-    TORQUE_MAX_NM,
     WITHHELD,
-    DeviceInfo,
+    Capabilities,
 )
 from softfinger.drivers.block import Block, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
@@ -95,36 +94,11 @@ def init_exchange(block: Block, fd: int, times: Times, misread_max: int = 1) -> 
         at[field] = round(seconds * 1e9)
 
 
-class BoardOptions(Protocol):
+class BoardOptions(Capabilities, Protocol):
     """Keys of a rig for any board."""
 
     @property
     def mounting(self) -> Mounting: ...
-    @property
-    def workspace_radius_m(self) -> float: ...
-    @property
-    def force_max_n(self) -> float: ...
-    @property
-    def stiffness_max_n_per_m(self) -> float: ...
-    @property
-    def damping_max_ns_per_m(self) -> float: ...
-
-
-def make_info(board: BoardOptions, name: str, sensed_dof: int, actuated_dof: int = 3) -> DeviceInfo:
-    """Return the capabilities of a board: no motors for the handle's rotation, workspace a box around its origin."""
-    x, y, z = (float(v) for v in board.mounting.position_m)
-    r = board.workspace_radius_m
-    return DeviceInfo(
-        name=name,
-        sensed_dof=sensed_dof,
-        actuated_dof=actuated_dof,
-        force_max_n=board.force_max_n,
-        torque_max_nm=TORQUE_MAX_NM,
-        stiffness_max_n_per_m=board.stiffness_max_n_per_m,
-        damping_max_ns_per_m=board.damping_max_ns_per_m,
-        workspace_min_m=(x - r, y - r, z - r),
-        workspace_max_m=(x + r, y + r, z + r),
-    )
 
 
 # --- kernels of a driver ---------------------------------------------------------------------------

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, NamedTuple
 
-from softfinger.drivers.base import SAMPLE_BUTTONS, SAMPLE_GRIPPER, DeviceInfo
+from softfinger.drivers.base import SAMPLE_BUTTONS, SAMPLE_GRIPPER, DeviceInfo, make_info
 from softfinger.drivers.block import Block, address, counter, lay_out, numbers, word
-from softfinger.drivers.board_exchange import BOARD, BoardOptions, make_info
+from softfinger.drivers.board_exchange import BOARD, BoardOptions
 from softfinger.drivers.fields.options import InputField, OutputField
 from softfinger.drivers.fields.table import (
     BUTTONS,
@@ -112,7 +112,7 @@ def set_model(block: Block, mechanism: Mechanism, mounting: Mounting) -> None:
 
 def make_described_info(block: Block, board: BoardOptions, kinematics: Kinematics, name: str) -> DeviceInfo:
     sensed_dof = 6 if block.word[DESCRIBED.has_orientation] else kinematics.dof
-    return make_info(board, name, sensed_dof=sensed_dof, actuated_dof=kinematics.dof)
+    return make_info(board, name, sensed_dof, kinematics.dof, board.mounting.position_m)
 
 
 @jit

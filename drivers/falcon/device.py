@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
@@ -21,11 +21,8 @@ from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
-FORCE_MAX_N: Final = 8.0
-STIFFNESS_MAX_N_PER_M: Final = 3000.0
-DAMPING_MAX_NS_PER_M: Final = 20.0
-RADIUS_M: Final = 0.04
-"""Recommended maxima of the device; radius around the workspace centre."""
+LIMITS: Final = ModelLimits(8.0, 0.0, 3000.0, 20.0, 0.04)
+"""Recommended maxima of the device."""
 STOP_WAIT_S: Final = 1.0
 """Maximum duration of a stop. A packet that hangs is cancelled after `STOP_HANG_NS`, then a zero is sent."""
 PAUSE_S: Final = 0.001
@@ -64,17 +61,7 @@ class Falcon(BlockDevice):
         self._options, self._chip = options, chip
         self._block = Block(AT)
         self._word = self._block.word
-        self.info = DeviceInfo(
-            name=f"Novint Falcon {usb.IDS}",
-            sensed_dof=3,
-            actuated_dof=3,
-            force_max_n=FORCE_MAX_N,
-            torque_max_nm=TORQUE_MAX_NM,
-            stiffness_max_n_per_m=STIFFNESS_MAX_N_PER_M,
-            damping_max_ns_per_m=DAMPING_MAX_NS_PER_M,
-            workspace_min_m=(-RADIUS_M,) * 3,
-            workspace_max_m=(RADIUS_M,) * 3,
-        )
+        self.info = make_info(LIMITS, f"Novint Falcon {usb.IDS}", sensed_dof=3)
         try:
             self._set_up()
             self._home()

@@ -14,12 +14,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
-from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import DeviceInfo, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
@@ -253,19 +254,10 @@ class ForceDimension(BlockDevice):
 
     def _info(self) -> DeviceInfo:
         call, limits = self._library, self._model.limits
-        wrist, has_torque = call.dhdHasWrist(self._id), bool(self._word[AT.has_torque])
-        reach = limits.workspace_radius_m
-        return DeviceInfo(
-            name=f"{self._model.full_name}, serial {selection.read_serial(call, self._id)}",
-            sensed_dof=6 if wrist else 3,
-            actuated_dof=6 if has_torque else 3,
-            force_max_n=limits.force_max_n,
-            torque_max_nm=limits.torque_max_nm if has_torque else TORQUE_MAX_NM,
-            stiffness_max_n_per_m=limits.stiffness_max_n_per_m,
-            damping_max_ns_per_m=limits.damping_max_ns_per_m,
-            workspace_min_m=(-reach, -reach, -reach),
-            workspace_max_m=(reach, reach, reach),
-        )
+        name = f"{self._model.full_name}, serial {selection.read_serial(call, self._id)}"
+        info = make_info(limits, name, sensed_dof=6 if call.dhdHasWrist(self._id) else 3)
+        has_torque = self._word[AT.has_torque]
+        return replace(info, actuated_dof=6, torque_max_nm=limits.torque_max_nm) if has_torque else info
 
 
 def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:

@@ -11,7 +11,7 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout
-from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.haply import exchange, opening
 from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, FrameConversion
@@ -48,7 +48,7 @@ class HaplyDevice(BlockDevice):
             word[place] = round(seconds * 1e9)
         word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         grip = "" if connection.grip is None else f" with {connection.grip}"
-        self.info = _info(options, f"haply {connection.device}{grip}", sensed_dof=3 if connection.grip is None else 6)
+        self.info = make_info(options, f"haply {connection.device}{grip}", 3 if connection.grip is None else 6)
         self._thread = ExchangeThread(connection, self._block)
         self._thread.start()
 
@@ -111,22 +111,6 @@ class HaplyDevice(BlockDevice):
         if self._thread.is_running:
             return f"the Inverse Service has not answered it for {STOP_WAIT_S:g} s"
         return f"the Inverse Service has not read it ({self._thread.failure})"
-
-
-def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:
-    """Return the capabilities: three motors that do not turn the handle, workspace a box around the world's origin."""
-    r = options.workspace_radius_m
-    return DeviceInfo(
-        name=name,
-        sensed_dof=sensed_dof,
-        actuated_dof=3,
-        force_max_n=options.force_max_n,
-        torque_max_nm=TORQUE_MAX_NM,
-        stiffness_max_n_per_m=options.stiffness_max_n_per_m,
-        damping_max_ns_per_m=options.damping_max_ns_per_m,
-        workspace_min_m=(-r, -r, -r),
-        workspace_max_m=(r, r, r),
-    )
 
 
 def open_device(options: Options, rate_hz: float) -> HaplyDevice:

@@ -21,7 +21,7 @@ from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library, usb
 from softfinger.drivers.openhaptics.block import AT
-from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM, ModelLimits
+from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM
 from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
 from softfinger.drivers.system import discovery
@@ -155,7 +155,7 @@ class OpenHaptics(BlockDevice):
         return model, serial, style
 
     def _info(self) -> DeviceInfo:
-        limits: ModelLimits = MODELS.get(self.model, UNKNOWN)
+        limits = MODELS.get(self.model, UNKNOWN)
         has_torque = self._integer(library.OUTPUT_DOF) == FULL_DOF and limits.torque_max_nm > 0.0
         self._word[AT.has_torque] = has_torque
         nominal_force = self._doubles(library.NOMINAL_MAX_FORCE, 1)[0]

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord
+from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord, make_info
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
+from softfinger.drivers.board_exchange import BOARD, Times, init_exchange
 from softfinger.drivers.described_board import DESCRIBED, init_described, make_described_info, set_model
 from softfinger.drivers.fields import table
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE
@@ -59,7 +59,8 @@ class SerialDevice(BlockDevice):
         ids = "" if options.vendor_id is None else f" {options.vendor_id:04x}:{options.product_id:04x}"
         name = f"serial{ids} at {path}"
         if kinematics is None:
-            self.info = make_info(options, name, sensed_dof=5)  # the rotation about the handle's axis is not sensed
+            # the rotation about the handle's axis is not sensed
+            self.info = make_info(options, name, sensed_dof=5, centre_m=options.mounting.position_m)
         else:
             self.info = make_described_info(self._block, options, kinematics, name)
         with contextlib.suppress(OSError):

@@ -7,6 +7,7 @@ reproducible to the bit regardless of the clock, unless a puck or a program lead
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -15,7 +16,7 @@ from numba import carray
 
 from softfinger.config.devices import presets
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, make_info
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.samples import store_pose
 from softfinger.drivers.simulated import hand as led_hand
@@ -166,19 +167,8 @@ class SimulatedDevice(LoggedDevice):
             self._puck = Puck(turning, fd, self._puck_block)
             block.word[AT.puck] = self._puck_block.handle
         self._functions = _read if self._puck is None else _read_led_by_puck, wrench_log.write
-        reach = preset.workspace_radius_m
-        self.info = DeviceInfo(
-            name=f"simulated {preset.name}",
-            sensed_dof=preset.sensed_dof,
-            actuated_dof=3,
-            force_max_n=plant.force_max,
-            torque_max_nm=TORQUE_MAX_NM,
-            stiffness_max_n_per_m=preset.stiffness_max_n_per_m,
-            damping_max_ns_per_m=preset.damping_max_ns_per_m,
-            workspace_min_m=(-reach, -reach, -reach),
-            workspace_max_m=(reach, reach, reach),
-            own_clock=True,
-        )
+        info = make_info(preset, f"simulated {preset.name}", preset.sensed_dof)
+        self.info = dataclasses.replace(info, force_max_n=plant.force_max, own_clock=True)
 
     def close(self) -> None:
         try:
