@@ -328,11 +328,8 @@ def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
         if len(scene.object) > 1:
             yield path, msgspec.UNSET, "needs a scene with a single object: remove the other objects, or this table"
         if len(scene.finger) > 2:
-            yield (
-                path,
-                msgspec.UNSET,
-                f"supports one or two fingers, but the scene has {len(scene.finger)}: remove some",
-            )
+            fault = f"supports one or two fingers, but the scene has {len(scene.finger)}: remove some"
+            yield path, msgspec.UNSET, fault
         for key, table in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
             if is_usable(table) and table is not None:
                 yield path, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"

@@ -137,17 +137,11 @@ class Options(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
-            yield (
-                "timeout_s",
-                self.timeout_s,
-                f"must be at least kick_s = {self.kick_s:g}, so that a kick is sent first",
-            )
+            fault = f"must be at least kick_s = {self.kick_s:g}, so that a kick is sent first"
+            yield "timeout_s", self.timeout_s, fault
         if is_usable(self.path, self.through) and self.through == "node" and not (self.path or "/").startswith("/"):
-            yield (
-                "path",
-                self.path,
-                'is a path of hidapi on USB, but through = "node" needs a node such as /dev/hidraw0',
-            )
+            fault = 'is a path of hidapi on USB, but through = "node" needs a node such as /dev/hidraw0'
+            yield "path", self.path, fault
         if not is_usable(self.reports, self.kinematics):
             return
         reports, kinematics = self.reports, self.kinematics
