@@ -16,16 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from numba import types
 
-from softfinger.drivers.base import (
-    HELD,
-    IGNORED_WRENCH_MAX_S,
-    LOST,
-    OK,
-    SAMPLE_BUTTONS,
-    STALE,
-    TIMEOUT,
-    WITHHELD,
-)
+from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, SAMPLE_BUTTONS, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
 from softfinger.drivers.described_board import (
     DESCRIBED,

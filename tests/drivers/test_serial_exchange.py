@@ -9,18 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from emulators.guideboard import crc8
-from helpers.plain_by_call import (
-    ABOUT_Z,
-    BY_CALL,
-    MS,
-    START_NS,
-    FarEnd,
-    File,
-    by_call,
-    check_pose,
-    matrix,
-    turned,
-)
+from helpers.plain_by_call import ABOUT_Z, BY_CALL, MS, START_NS, FarEnd, File, by_call, check_pose, matrix, turned
 from helpers.serial_devices import rig_options
 
 from softfinger.config.load import build
