@@ -37,8 +37,6 @@ def open_port(options: Options) -> tuple[int, str]:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is not a port or another device.
     """
-    if not sys.platform.startswith("linux"):
-        raise DeviceError(f"driver 'serial' opens serial ports of Linux, and this is {sys.platform}")
     path = options.path or find_port(options)
     _check_ids(path, options)
     fd = open_locked(path, _how_to_permit(path, options))

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import time
 from typing import Annotated, Any, Final, NamedTuple
 
-from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.config.errors import DeviceNotFound
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import (
     LOST,
@@ -241,8 +240,6 @@ def open_puck(options: Options) -> tuple[int, str]:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if the node is not a puck's.
     """
-    if not sys.platform.startswith("linux"):
-        raise DeviceError(f"a SpaceMouse is read through Linux's hidraw, and this is {sys.platform}")
     puck = find(options)
     return open_path(puck.node, puck.vendor, puck.product), puck.name
 
