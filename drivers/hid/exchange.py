@@ -7,6 +7,7 @@ A zero report wakes it.
 
 from __future__ import annotations
 
+from errno import EAGAIN, ETIMEDOUT
 from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT
@@ -15,7 +16,7 @@ from softfinger.drivers.board_exchange import BOARD, busy, command, compile_func
 from softfinger.drivers.described_board import DESCRIBED, convert_values, count_limited, encode_force, force_in_device
 from softfinger.drivers.fields.table import decode
 from softfinger.drivers.kinematics.mechanism import FULL
-from softfinger.drivers.system.libc import EAGAIN, ETIMEDOUT, read_now, write_now
+from softfinger.drivers.system.libc import read_now, write_now
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.model import Vec3

@@ -12,6 +12,7 @@ given up: a board that reads nothing keeps its force.
 
 from __future__ import annotations
 
+from errno import EAGAIN
 from typing import Any, Final, NamedTuple
 
 from numba import types
@@ -34,7 +35,7 @@ from softfinger.drivers.serial import packets
 from softfinger.drivers.serial.block import AT, CHUNK, TEXT
 from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, decode_stream, encode
 from softfinger.drivers.serial.queue import drop_frames, has_unsent, is_blocked, record_write
-from softfinger.drivers.system.libc import EAGAIN, monotonic_ns, read_waiting, write_now
+from softfinger.drivers.system.libc import monotonic_ns, read_waiting, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 from softfinger.proxy.kernels.jit.outlined import outlined

@@ -19,15 +19,10 @@ from softfinger.drivers.system.hidraw import ids
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
 
-TIOCGSERIAL: Final = 0x541E
-TIOCSSERIAL: Final = 0x541F
 SERIAL_STRUCT_BYTES: Final = 72
 FLAGS_AT: Final = 16
 ASYNC_LOW_LATENCY: Final = 1 << 13
 """From linux/serial.h and tty_flags.h: struct serial_struct and the offset of its flags, on 64-bit machines."""
-TIOCSERGETLSR: Final = 0x5459
-TIOCSER_TEMT: Final = 1
-"""From asm/ioctls.h and linux/serial.h: state of a UART, and its bit for an empty transmitter."""
 DRAIN_WAIT_S: Final = 0.2
 """Maximum time to send written bytes before the port is closed; the system's close would wait for 30 s."""
 
@@ -74,10 +69,10 @@ def count_unsent(fd: int) -> int:
     if queued:
         return queued
     try:
-        state = int.from_bytes(fcntl.ioctl(fd, TIOCSERGETLSR, bytes(4)), sys.byteorder)
+        state = int.from_bytes(fcntl.ioctl(fd, termios.TIOCSERGETLSR, bytes(4)), sys.byteorder)
     except OSError:  # no UART, or a driver that does not support the request
         return 0
-    return 0 if state & TIOCSER_TEMT else 1
+    return 0 if state & termios.TIOCSER_TEMT else 1
 
 
 def find_port(options: Options) -> str:
@@ -157,7 +152,7 @@ def _set_raw(fd: int, baud: int) -> None:
     termios.tcflush(fd, termios.TCIOFLUSH)
     # A chip such as FTDI's then delivers bytes after 1 ms instead of 16; ports without such a timer reject it.
     with contextlib.suppress(OSError):
-        timer = bytearray(fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
+        timer = bytearray(fcntl.ioctl(fd, termios.TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
         (flags,) = struct.unpack_from("i", timer, FLAGS_AT)
         struct.pack_into("i", timer, FLAGS_AT, flags | ASYNC_LOW_LATENCY)
-        fcntl.ioctl(fd, TIOCSSERIAL, bytes(timer))
+        fcntl.ioctl(fd, termios.TIOCSSERIAL, bytes(timer))
