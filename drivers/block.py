@@ -16,15 +16,18 @@ constants. They are part of the source, which the kernel cache is keyed by, so t
 from __future__ import annotations
 
 import ctypes
+import time
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, TypeVar, cast, get_type_hints
+from typing import Any, Final, TypeVar, cast, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.drivers.base import Device, DeviceIO
 from softfinger.drivers.system.makers_library import address as address_of
+
+CALL_PERIOD_S: Final = 1e-4
 
 Layout = TypeVar("Layout", bound=tuple[int, ...])
 
@@ -146,6 +149,15 @@ class BlockDevice(Device):
 
     def zero_failure(self) -> str:
         return self._zero_failure
+
+    def _call_until_done(self, function: Any, wait_s: float) -> bool:
+        """Call a C function with the handle until it returns a true value; return False after `wait_s`."""
+        until = time.monotonic() + wait_s
+        while not function.ctypes(self._block.handle):
+            if time.monotonic() > until:
+                return False
+            time.sleep(CALL_PERIOD_S)
+        return True
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()

@@ -8,8 +8,6 @@ import time
 from functools import partial
 from typing import Any, ClassVar, Final
 
-import numpy as np
-
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
@@ -26,7 +24,7 @@ LIMITS: Final = ModelLimits(8.0, 0.0, 3000.0, 20.0, 0.04)
 STOP_WAIT_S: Final = 1.0
 """Maximum duration of a stop. A packet that hangs is cancelled after `STOP_HANG_NS`, then a zero is sent."""
 PAUSE_S: Final = 0.001
-"""Pause between exchanges while homing; a stop is tried ten times as often."""
+"""Pause between exchanges while homing."""
 
 _TRANSFER_BULK: Final = 2
 _COMPLETED: Final = 0
@@ -117,11 +115,10 @@ class Falcon(BlockDevice):
         """Wait until the device knows the zeros of its encoders: the user pulls the knob out and pushes it in."""
         word, read, write = self._word, exchange.read.ctypes, exchange.write.ctypes
         word[AT.lights] = packets.RED | packets.HOMING
-        pointer = read.argtypes[1]
-        sample, zero = np.zeros(SAMPLE_SIZE), np.zeros(6)
+        sample, zero = (ctypes.c_double * SAMPLE_SIZE)(), (ctypes.c_double * 6)()
         until, was_logged = time.monotonic() + self._options.homing_s, False
         while True:
-            status = read(self._block.handle, sample.ctypes.data_as(pointer))
+            status = read(self._block.handle, sample)
             if status == TIMEOUT:
                 raise DeviceTimeout(f"{self.info.name} does not answer: switch it off and on, then start again")
             if status < 0:
@@ -138,7 +135,7 @@ class Falcon(BlockDevice):
                     f"{self.info.name} was not homed in {self._options.homing_s:g} s: pull the knob out all the way, "
                     "then push it in, until the red light turns green; `homing_s` in the rig gives more time"
                 )
-            write(self._block.handle, zero.ctypes.data_as(pointer))
+            write(self._block.handle, zero)
             time.sleep(PAUSE_S)
 
     def arm(self) -> None:
@@ -151,7 +148,7 @@ class Falcon(BlockDevice):
         if not self._word[AT.open]:
             return
         self._zero_failure = ""
-        if not self._wait_until_true(exchange.silence):
+        if not self._call_until_done(exchange.silence, STOP_WAIT_S):
             self._zero_failure = f"it has accepted no packet for {STOP_WAIT_S:g} s"
             log.error(
                 "%s: accepts no packet for %g s; zero force was not sent: switch it off", self.info.name, STOP_WAIT_S
@@ -166,7 +163,7 @@ class Falcon(BlockDevice):
         self._word[AT.lights] = packets.RED
         self._word[AT.has_force] = 1  # so that the last zero and the light are sent in any case
         self.stop()
-        if self._wait_until_true(exchange.cancel_transfers):
+        if self._call_until_done(exchange.cancel_transfers, STOP_WAIT_S):
             for field in (AT.transfer_in, AT.transfer_out):
                 if self._word[field]:
                     self._free(int(self._word[field]))
@@ -189,14 +186,6 @@ class Falcon(BlockDevice):
     def counts_per_nm(self) -> float:
         """Motor counts per N m at a leg, used to send forces."""
         return self._options.counts_per_nm or COUNTS_PER_NM
-
-    def _wait_until_true(self, function: Any) -> bool:
-        until = time.monotonic() + STOP_WAIT_S
-        while not function.ctypes(self._block.handle):
-            if time.monotonic() > until:
-                return False
-            time.sleep(PAUSE_S / 10)
-        return True
 
 
 _active_blocks: Final[dict[int, Any]] = {}

@@ -148,17 +148,11 @@ class ForceDimension(BlockDevice):
 
     def _run_locked(self, work: Callable[[], object]) -> None:
         """Run `work` while the loop is not inside the library; if a call of the loop hangs, run it in parallel."""
-        block = self._block.handle
-        deadline = time.monotonic() + LOCK_WAIT_S
-        while not exchange.lock.ctypes(block):
-            if time.monotonic() > deadline:
-                break
-            time.sleep(0.0001)
-        else:
+        if self._call_until_done(exchange.lock, LOCK_WAIT_S):
             try:
                 work()
             finally:
-                exchange.unlock.ctypes(block)
+                exchange.unlock.ctypes(self._block.handle)
             return
         stop_thread = threading.Thread(target=work, name="forcedimension stop", daemon=True)
         stop_thread.start()

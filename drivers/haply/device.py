@@ -70,9 +70,8 @@ class HaplyDevice(BlockDevice):
         word[AT.armed] = 0  # from now on the thread sends only zeros
         if word[AT.wake] < 0:
             return
-        if (
-            word[AT.stops_answered] == word[AT.stops_requested]
-        ):  # otherwise a zero of an earlier stop is still unanswered
+        # otherwise a zero of an earlier stop is still unanswered
+        if word[AT.stops_answered] == word[AT.stops_requested]:
             word[AT.stops_requested] += 1
             os.eventfd_write(int(word[AT.wake]), 1)
         was_logged = bool(self._zero_failure)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import time
@@ -76,17 +77,15 @@ class HidDevice(BlockDevice):
 
     def stop(self) -> None:
         # Repeated calls wait only once for the full time for a write in progress.
-        hang_s = 0.0 if self.threads is None else self.threads.hang_duration_s()
-        until = time.monotonic() + STOP_WAIT_S - hang_s
+        wait_s = STOP_WAIT_S - (0.0 if self.threads is None else self.threads.hang_duration_s())
+        until = time.monotonic() + wait_s
         was_logged, self._zero_failure = bool(self._zero_failure), ""
         if self.threads is not None:
             self.threads.disarm(self._zero)
-        while not exchange.silence.ctypes(self._block.handle):
-            if time.monotonic() > until:
-                self._log_missing_zero(was_logged)
-                return
-            time.sleep(0.0001)
-        if self.threads is not None and not self.threads.flush(self.counts()["written"], until):
+        is_silent = self._call_until_done(exchange.silence, wait_s)
+        if is_silent and self.threads is not None:
+            is_silent = self.threads.flush(self.counts()["written"], until)
+        if not is_silent:
             self._log_missing_zero(was_logged)
         elif self._block.word[BOARD.has_force]:
             self._zero_failure = "its node accepts no report"
@@ -164,10 +163,7 @@ class HidDevice(BlockDevice):
     def _read_fresh_report(self) -> None:
         """Read a current report; raises DeviceTimeout or DeviceLost if there is none."""
         self._block.word[BOARD.has_sample] = 0  # the next read waits for a report instead of repeating one
-        sample = np.zeros(SAMPLE_SIZE)
-        status = exchange.read.ctypes(
-            self._block.handle, sample.ctypes.data_as(exchange.read.ctypes.argtypes[1])
-        )  # fmt: skip
+        status = exchange.read.ctypes(self._block.handle, (ctypes.c_double * SAMPLE_SIZE)())
         if status == TIMEOUT:
             raise DeviceTimeout(f"{self.info.name} sends no report: check its power, and its firmware")
         if status < 0:

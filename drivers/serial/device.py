@@ -166,10 +166,8 @@ class SerialDevice(BlockDevice):
         """Return why no zero was sent in this time; empty if it was."""
         until = time.monotonic() + wait_s
         for step in (exchange.discard, exchange.silence):
-            while not step.ctypes(self._block.handle):
-                if time.monotonic() > until:
-                    return f"the port has accepted no data for {wait_s:g} s"
-                time.sleep(0.0001)
+            if not self._call_until_done(step, until - time.monotonic()):
+                return f"the port has accepted no data for {wait_s:g} s"
         try:
             while unsent := count_unsent(int(self._block.word[BOARD.fd])):
                 if time.monotonic() > until:

@@ -186,10 +186,7 @@ def _is_port(name: str) -> bool:
 
 
 def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace").strip()
-    except OSError:
-        return ""
+    return _read_bytes(path).decode(errors="replace").strip()
 
 
 def _read_bytes(path: Path) -> bytes:
