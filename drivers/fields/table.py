@@ -5,7 +5,7 @@ A table has one row of `ROW` float64 per field; the kernels are independent of t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from math import floor, isfinite
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.arrays import Array
 from softfinger.drivers.fields.options import COMMANDED, SENSED, TYPES, InputField, OutputField
-from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float32_at, float64_at, int64_at, uint8_at
 
 ROW: Final = 9
@@ -169,13 +169,14 @@ def _read_number(raw_bytes: Any, word: Any, scratch: int, at: int, kind: int, bi
     return float(bits)
 
 
-@entry
-def encode_once(values: Array, table: Array, scratch: NDArray[np.int64], report: NDArray[np.uint8]) -> bool:
-    """Call `encode` from Python: values (COMMANDED_SIZE,), table (n, ROW), scratch (1,), report with its id first."""
-    return encode(values, table.ctypes.data, table.shape[0], scratch.ctypes.data, report.ctypes.data + 1)
-
-
-@entry
-def decode_once(report: NDArray[np.uint8], table: Array, scratch: NDArray[np.int64], values: Array) -> bool:
-    """Call `decode` from Python: report without an id, table (n, ROW), scratch (1,), values (SENSED_SIZE,)."""
-    return decode(report.ctypes.data, table.ctypes.data, table.shape[0], scratch.ctypes.data, values)
+def encode_constants(
+    fields: Iterable[OutputField], size: int, commanded: Mapping[int, float] | None = None, big_endian: bool = False
+) -> NDArray[np.uint8]:
+    """Return the bytes (size,) of a packet with its constants, the values `commanded` by index, and 0 elsewhere."""
+    values, scratch, packet = np.zeros(COMMANDED_SIZE), np.zeros(1, np.int64), np.zeros(size, np.uint8)
+    values[CONSTANT] = 1.0
+    for index, value in (commanded or {}).items():
+        values[index] = value
+    rows = output_table(fields, big_endian)
+    encode(values, rows.ctypes.data, len(rows), scratch.ctypes.data, packet.ctypes.data)
+    return packet

@@ -177,12 +177,7 @@ class HidDevice(BlockDevice):
 
 def _encode_report(report: OutputReport, commanded: dict[int, float]) -> bytes:
     """Return a report with its id first; values that are not in `commanded` (by index) are 0."""
-    values, out = np.zeros(table.COMMANDED_SIZE), np.zeros(1 + report.bytes, np.uint8)
-    out[0], values[table.CONSTANT] = report.id, 1.0
-    for place, value in commanded.items():
-        values[place] = value
-    table.encode_once(values, table.output_table(report.field), np.zeros(1, np.int64), out)
-    return out.tobytes()
+    return bytes([report.id]) + table.encode_constants(report.field, report.bytes, commanded).tobytes()
 
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:

@@ -16,7 +16,7 @@ from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord, make_i
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, Times, init_exchange
 from softfinger.drivers.described_board import DESCRIBED, init_described, make_described_info, set_model
-from softfinger.drivers.fields import table
+from softfinger.drivers.fields.table import encode_constants
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE
 from softfinger.drivers.kinematics.subspace import rows as rows
 from softfinger.drivers.serial import exchange, frames, packets
@@ -211,12 +211,10 @@ class SerialDevice(BlockDevice):
 
 def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:
     """Return a frame of the constants, with zero for everything commanded."""
-    big_endian, kinematics = spec.order == "big", np.zeros(table.COMMANDED_SIZE)
-    kinematics[table.CONSTANT] = 1.0
-    out = np.zeros(1 + frame.bytes, np.uint8)  # encoded like a report, with the id first
-    table.encode_once(kinematics, table.output_table(frame.field, big_endian), np.zeros(1, np.int64), out)
-    packets.complete_frame_once(out[1:], packets.make_shape(frame, big_endian))
-    return out[1:].tobytes()
+    is_big = spec.order == "big"
+    data, shape = encode_constants(frame.field, frame.bytes, big_endian=is_big), packets.make_shape(frame, is_big)
+    packets.complete_frame(data.ctypes.data, shape.ctypes.data)
+    return data.tobytes()
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from softfinger.drivers.fields.table import SENSED_SIZE, decode
 from softfinger.drivers.serial.options import CHECKS, Frame
-from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import int64_at, uint8_at
 
 # Entries of a shape: bytes of the frame, kind of checksum, its offset and the first byte that it covers, 1 if its high
@@ -163,9 +163,3 @@ def decode_stream(
         text[k] = text[at + k]
     filled[0] = count - at
     return frames
-
-
-@entry
-def complete_frame_once(frame: NDArray[np.uint8], shape: NDArray[np.int64]) -> None:
-    """Call `complete_frame` from Python."""
-    complete_frame(frame.ctypes.data, shape.ctypes.data)
