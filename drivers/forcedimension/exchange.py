@@ -41,12 +41,6 @@ NS_PER_S: Final = 1_000_000_000
 
 
 @jit
-def _device_time(handle: int) -> float:
-    word = int64_at(handle)
-    return float(monotonic_ns(handle + 8 * AT.timespec) - word[AT.started_at]) / NS_PER_S
-
-
-@jit
 def _read_status(handle: int) -> int:
     """Read the device's status; return FORCE_OFF and store the cause if its force is off or it reports an error."""
     word = int64_at(handle)
@@ -105,7 +99,7 @@ def _read_locked(handle: int, sample: Any) -> int:
         if status != OK:
             return status if status == FORCE_OFF else _error_status(handle)
     _convert_pose(handle, sample)
-    sample[SAMPLE_TIME] = _device_time(handle)
+    sample[SAMPLE_TIME] = float(monotonic_ns(handle + 8 * AT.timespec) - word[AT.started_at]) / NS_PER_S
     sample[SAMPLE_BUTTONS] = float(np.int64(buttons) & 0xFFFFFFFF)
     sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # initially 0, and unchanged without a gripper
     copy_sample(sample, float64_at(handle + 8 * AT.sample))

@@ -129,8 +129,8 @@ def _busy(driver: Hid, handle: int, has_no_sample: bool) -> bool:
     return _is_queue_full(handle)
 
 
-@jit
-def _write_zero(handle: int) -> int:
+@send_zero.of(Hid)
+def _send_zero(driver: Hid, handle: int) -> int:
     at = int64_at(handle)
     if at[BOARD.has_force] == 0 and _is_queue_full(handle):
         return OK  # the latest queued report is a zero
@@ -140,15 +140,10 @@ def _write_zero(handle: int) -> int:
     return status
 
 
-@send_zero.of(Hid)
-def _send_zero(driver: Hid, handle: int) -> int:
-    return _write_zero(handle)
-
-
 @wake.of(Hid)
 def _wake(driver: Hid, handle: int) -> int:
     int64_at(handle)[AT.kicks] += 1
-    return _write_zero(handle)
+    return _send_zero(driver, handle)
 
 
 @command.of(Hid)
