@@ -14,11 +14,10 @@ from softfinger.config.errors import DeviceLost, DeviceTimeout
 from softfinger.drivers.base import make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.haply import exchange, opening
-from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, FrameConversion
+from softfinger.drivers.haply.exchange import AT
 from softfinger.drivers.haply.exchange_thread import ExchangeThread
 from softfinger.drivers.haply.options import Options, rows
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.proxy.kernels.jit.pack import flatten
 
 __all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
 
@@ -37,16 +36,8 @@ class HaplyDevice(BlockDevice):
     def __init__(self, options: Options, connection: opening.Connection) -> None:
         self._options = options
         self._block = Block(AT)
-        word = self._block.word
-        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(
-            FrameConversion(*options.mounting.frame(), options.force_max_n)
-        )
-        word[AT.opened_at] = time.monotonic_ns()
-        word[AT.increment] = 1
-        spans = (options.quiet_s, options.timeout_s, options.stale_s)
-        for place, seconds in zip((AT.quiet, AT.timeout_after, AT.stale), spans, strict=True):
-            word[place] = round(seconds * 1e9)
-        word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        times = exchange.Times(options.quiet_s, options.timeout_s, options.stale_s)
+        exchange.init_exchange(self._block, options.mounting, options.force_max_n, times)
         grip = "" if connection.grip is None else f" with {connection.grip}"
         self.info = make_info(options, f"haply {connection.device}{grip}", 3 if connection.grip is None else 6)
         self._thread = ExchangeThread(connection, self._block)

@@ -8,6 +8,8 @@ accepted because the previous one is not sent yet.
 
 from __future__ import annotations
 
+import os
+import time
 from typing import Annotated, Any, Final, NamedTuple
 
 from numba import carray
@@ -23,7 +25,8 @@ from softfinger.drivers.base import (
     TIMEOUT,
     WITHHELD,
 )
-from softfinger.drivers.block import counter, lay_out, numbers, word
+from softfinger.drivers.block import Block, counter, lay_out, numbers, word
+from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.pause import RESUME_NS, shift_sample_time
 from softfinger.drivers.samples import copy_sample, is_finite, is_zero, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, write_now
@@ -104,6 +107,24 @@ class Fields(NamedTuple):
 
 
 AT: Final = lay_out(Fields)
+
+
+class Times(NamedTuple):
+    """Time spans of an exchange, s; see `Fields`."""
+
+    quiet: float
+    timeout: float
+    stale: float
+
+
+def init_exchange(block: Block, mounting: Mounting, force_max_n: float, times: Times) -> None:
+    """Initialize the fields of an exchange, and open the eventfd that wakes the thread."""
+    word = block.word
+    block.numbers(AT.model, MODEL_SIZE)[:] = flatten(FrameConversion(*mounting.frame(), force_max_n))
+    word[AT.opened_at], word[AT.increment] = time.monotonic_ns(), 1
+    for field, seconds in zip((AT.quiet, AT.timeout_after, AT.stale), times, strict=True):
+        word[field] = round(seconds * 1e9)
+    word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
 
 
 @jit
