@@ -14,7 +14,7 @@ from typing import Final
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.serial.options import Options
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import describe_foreign_product, explain_ambiguity
+from softfinger.drivers.system.claims import explain_ambiguity, is_inverse3
 from softfinger.drivers.system.hidraw import ids
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
@@ -86,7 +86,7 @@ def find_port(options: Options) -> str:
         attached = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
         raise DeviceNotFound(f"the rig does not set a port: set path under [device]; attached: {attached}")
     usb_ids = ids(options.vendor_id, options.product_id)
-    with_ids = [port for port in ports if port.ids == usb_ids and describe_foreign_product(port) is None]
+    with_ids = [port for port in ports if port.ids == usb_ids and not is_inverse3(port)]
     matching = [port for port in with_ids if options.serial in (None, port.serial)]
     if len(matching) == 1:
         ambiguity = explain_ambiguity(matching[0]) if options.serial is None else None
@@ -105,7 +105,7 @@ def find_port(options: Options) -> str:
             f"no serial port {usb_ids} has the serial number '{options.serial}': attached are {serials}"
         )
     ignored_ports = ", ".join(
-        f"{describe_foreign_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports
+        f"{'a Haply Inverse3' if is_inverse3(port) else port.name} ({port.ids}) at {port.node}" for port in ports
     )
     attached_text = f"attached are {ignored_ports}" if ports else "no USB serial port is attached"
     raise DeviceNotFound(
@@ -125,9 +125,9 @@ def _check_ids(path: str, options: Options) -> None:
             f"{path} is the device {port.ids} ({port.name}), but the rig is for {usb_ids}: set path to the right "
             "port, or remove it"
         )
-    if port is not None and (product := describe_foreign_product(port)) is not None:
+    if port is not None and is_inverse3(port):
         raise DeviceError(
-            f"{path} is {product} ('{port.name}'), which uses another protocol: set path to the right port"
+            f"{path} is a Haply Inverse3 ('{port.name}'), which uses another protocol: set path to the right port"
         )
 
 
