@@ -65,7 +65,7 @@ def find_claim(device: SystemDevice) -> Claim | None:
     matching = [
         claim
         for claim in claims_by_ids(device)
-        if (claim.driver == "haply") == is_haply and _has_reports(device, claim)
+        if (claim.driver == "haply") == is_haply and _has_reports(device, claim.reports)
     ]
     if len(matching) < 2:
         return matching[0] if matching else None
@@ -92,8 +92,7 @@ def matches(device: SystemDevice, options: Mapping[str, Any]) -> bool:
     if (device.vendor, device.product) != (options["vendor_id"], options.get("product_id")) or is_inverse3(device):
         return False
     format_ = options.get("reports")
-    claim = Claim("", device.bus, device.vendor, None, (), _lengths(format_ if isinstance(format_, str) else None))
-    return _has_reports(device, claim)
+    return _has_reports(device, library_lengths().get(format_ if isinstance(format_, str) else None))
 
 
 def explain_ambiguity(device: SystemDevice) -> str | None:
@@ -107,11 +106,11 @@ def explain_ambiguity(device: SystemDevice) -> str | None:
     return f"{product_text}, and {device.ids} matches any Teensy with a serial port, with any firmware"
 
 
-def _has_reports(device: SystemDevice, claim: Claim) -> bool:
-    if claim.reports is None or not device.descriptor:
+def _has_reports(device: SystemDevice, required: ReportLengths | None) -> bool:
+    if required is None or not device.descriptor:
         return True
     try:
-        return parse_descriptor(device.descriptor).includes(claim.reports)
+        return parse_descriptor(device.descriptor).includes(required)
     except ValueError:
         return False
 
@@ -147,14 +146,14 @@ def _claims() -> Iterator[Claim]:
         if vendor_id is not None and product_id is not None:
             for format_, names in by_format.items():
                 described: Bus = "serial" if driver == "serial" else "hid"
-                yield Claim(driver, described, vendor_id, product_id, tuple(names), _lengths(format_))
+                yield Claim(driver, described, vendor_id, product_id, tuple(names), library_lengths().get(format_))
 
 
-def _lengths(format_: str | None) -> ReportLengths | None:
-    """Return the report lengths of a shipped format, read here without importing its driver."""
-    if format_ is None:
-        return None
-    entry = tomllib.loads((Path(__file__).parents[1] / "hid" / "reports.toml").read_text(encoding="utf-8"))[format_]
-    return ReportLengths(
-        *({entry[direction].get("id", 0): entry[direction]["bytes"]} for direction in ("input", "output"))
-    )
+@cache
+def library_lengths() -> dict[str | None, ReportLengths]:
+    """Return the report lengths of every shipped format, read here without importing its driver."""
+    file = Path(__file__).parents[1] / "hid" / "reports.toml"
+    return {
+        name: ReportLengths(*({reports[way].get("id", 0): reports[way]["bytes"]} for way in ("input", "output")))
+        for name, reports in tomllib.loads(file.read_text(encoding="utf-8")).items()
+    }
