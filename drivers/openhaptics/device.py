@@ -19,12 +19,13 @@ from typing import Final, NoReturn
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.openhaptics import exchange, library, usb
+from softfinger.drivers.openhaptics import exchange, library
 from softfinger.drivers.openhaptics.block import AT
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM
 from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
-from softfinger.drivers.system import discovery
+from softfinger.drivers.system import discovery, rules
+from softfinger.drivers.system.claims import claims_by_ids
 from softfinger.drivers.system.discovery import SystemDevice
 
 log: Final = logging.getLogger(__name__)
@@ -323,7 +324,12 @@ def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
 def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn:
     messages = "; ".join(map(str, errors)) or "the library gives no reason"
     subject = "the default device" if name is None else f"the device '{name}'"
-    attached = usb.list_attached()
+    # devices with Ethernet or FireWire are not listed
+    attached = [
+        device
+        for device in discovery.list_attached()
+        if any(claim.driver == "openhaptics" for claim in claims_by_ids(device))
+    ]
     if any(error.code == library.ALREADY_INITIATED for error in errors):
         raise DeviceBusy(
             f"{subject} is in use by another program, or twice in this rig: {messages}: end the other program, then "
@@ -333,7 +339,8 @@ def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn
         raise DeviceError(f"{subject} cannot be opened: {messages}: install the developer edition's licence")
     for device in attached:
         if device.node and not discovery.is_permitted(device.node):
-            raise DevicePermission(usb.how_to_permit(device))
+            permit = rules.how_to_permit(device.vendor, device.product)
+            raise DevicePermission(f"{device} may not be opened by this user: {permit}")
         if device.node and (holder := discovery.holder(device.node)) is not None:
             raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
     if not attached:

@@ -26,8 +26,9 @@ from softfinger.config.schema import Rig
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, OK, PROTOCOL, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import device as openhaptics
-from softfinger.drivers.openhaptics import exchange, library, usb
+from softfinger.drivers.openhaptics import exchange, library
 from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
+from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import diagnose, diagnose_requirements
 from softfinger.drivers.system.discovery import SystemDevice
@@ -275,7 +276,7 @@ def test_each_generation_of_the_touch_is_claimed(
         bench.open()
     assert type(caught.value) is DeviceError
     bench.ports((device,), permitted=False)
-    monkeypatch.setattr(usb.discovery, "is_permitted", lambda node: False)
+    monkeypatch.setattr(discovery, "is_permitted", lambda node: False)
     with pytest.raises(DevicePermission, match=rf"\({device.ids}\) at .*install --system"):
         bench.open()
 
