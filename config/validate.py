@@ -17,7 +17,6 @@ from msgspec import UNSET, Struct, inspect
 from softfinger.config.materials import Library
 from softfinger.config.scalars import Fault, FaultCollector, check_literal, check_number, check_text
 from softfinger.config.typeinfo import describe_struct, options, unwrap
-from softfinger.config.untagged import TableKinds, read_untagged
 from softfinger.config.words import describe_allowed, either, format_value, join_key, missing, near
 
 UNKNOWN_SHOWN: Final = 8
@@ -138,16 +137,80 @@ def _read_tagged(structs: list[inspect.StructType], value: object, key: str, rep
 
 
 def _read_untagged(
-    structs: list[inspect.StructType],
-    matching: list[inspect.StructType],
-    value: Mapping[Any, Any],
+    kinds: list[inspect.StructType],
+    likely: list[inspect.StructType],
+    table: Mapping[Any, Any],
     key: str,
     report: FaultCollector,
 ) -> Any:
     """Read the fields that all possible kinds of a table share, for the checks across tables."""
     start = len(report.faults)
-    cls, values = read_untagged(TableKinds(structs, matching), value, key, report, _value)
+    cls, values = _check_untagged(kinds, likely, table, key, report)
     return UNSET if cls is None else _create(cls, values, key, report, start)
+
+
+def _check_untagged(
+    kinds: list[inspect.StructType],
+    likely: list[inspect.StructType],
+    table: Mapping[Any, Any],
+    key: str,
+    report: FaultCollector,
+) -> tuple[type[Struct] | None, dict[str, Any]]:
+    """Check a table of unknown kind against the kinds in `likely`, and report its faults.
+
+    Returns the class for the checks across tables, and its values; a missing key is UNSET. The class is the kind if
+    only one is likely, else the base class of all kinds, None if they share no key.
+    """
+    keys = {field.encode_name for kind in kinds for field in kind.fields}
+    has_further_keys = any(getattr(kind.cls, "gathers", None) for kind in kinds)
+    for name in table:
+        if name != kinds[0].tag_field and name not in keys and not has_further_keys:
+            dotted = join_key(key, name)
+            report.add(dotted, f"{dotted} is not a key here{near(name, sorted(keys))}")
+    values: dict[str, Any] = {}
+    for field in (field for kind in likely for field in kind.fields):
+        name, dotted = field.encode_name, join_key(key, field.encode_name)
+        if field.name in values:
+            continue
+        if name in table:
+            types = [same.type for kind in likely for same in kind.fields if same.encode_name == name]
+            values[field.name] = _read_as_one(types, table[name], dotted, report)
+        elif field.required:
+            values[field.name] = UNSET
+            if len(kinds) > 1 and all(_requires(kind, name) for kind in kinds):
+                report.add(dotted, missing(field.type, dotted, name))
+    cls = likely[0].cls if len(likely) == 1 else _shared_base(kinds)
+    shared = () if cls is None else cls.__struct_fields__
+    return cls, {name: value for name, value in values.items() if name in shared}
+
+
+def _read_as_one(types: list[inspect.Type], value: object, key: str, report: FaultCollector) -> Any:
+    """Read a value as the first type that it fits; record its faults as the first type if it fits none."""
+    attempts = []
+    for candidate in types:
+        attempt = FaultCollector("", {})
+        result = _value(candidate, value, key, attempt)
+        if not attempt.faults:
+            return result
+        attempts.append((attempt, result))
+    faults, result = attempts[0]
+    for fault in faults.faults:
+        report.add(fault.key, fault.message)
+    return result
+
+
+def _requires(kind: inspect.StructType, name: str) -> bool:
+    return any(field.encode_name == name and field.required for field in kind.fields)
+
+
+def _shared_base(kinds: list[inspect.StructType]) -> type[Struct] | None:
+    """Return the base class of all kinds that has fields, None if there is none."""
+    shared = (
+        base
+        for base in kinds[0].cls.__mro__
+        if issubclass(base, Struct) and base is not Struct and all(issubclass(kind.cls, base) for kind in kinds)
+    )
+    return next((base for base in shared if base.__struct_fields__), None)
 
 
 def _struct(info: inspect.StructType, value: object, key: str, report: FaultCollector) -> Any:
@@ -184,7 +247,7 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
         dotted,
         f"{dotted} = {format_value(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers",
     )
-    read_untagged(TableKinds([info], [info]), mapping, key, report, _value)
+    _check_untagged([info], [info], mapping, key, report)
     return UNSET  # its keys would have the values of the library
 
 

@@ -113,6 +113,48 @@ class DeviceInfo:
         return self.actuated_dof > 0 and not self.own_clock
 
 
+class ModelLimits(NamedTuple):
+    """Limits in N, N m (0: no motors turn the handle), N/m, N s/m, and the radius of the workspace, m."""
+
+    force_max_n: float
+    torque_max_nm: float
+    stiffness_max_n_per_m: float
+    damping_max_ns_per_m: float
+    workspace_radius_m: float = 0.0
+
+
+class Capabilities(Protocol):
+    """Limits of a device whose motors turn no handle, in a rig's options or a table of models."""
+
+    @property
+    def force_max_n(self) -> float: ...
+    @property
+    def stiffness_max_n_per_m(self) -> float: ...
+    @property
+    def damping_max_ns_per_m(self) -> float: ...
+    @property
+    def workspace_radius_m(self) -> float: ...
+
+
+def make_info(
+    limits: Capabilities, name: str, sensed_dof: int, actuated_dof: int = 3, centre_m: Vec3 = (0.0, 0.0, 0.0)
+) -> DeviceInfo:
+    """Return the capabilities of a device without torque, with a box of twice its radius as workspace."""
+    x, y, z = (float(v) for v in centre_m)
+    r = limits.workspace_radius_m
+    return DeviceInfo(
+        name=name,
+        sensed_dof=sensed_dof,
+        actuated_dof=actuated_dof,
+        force_max_n=limits.force_max_n,
+        torque_max_nm=TORQUE_MAX_NM,
+        stiffness_max_n_per_m=limits.stiffness_max_n_per_m,
+        damping_max_ns_per_m=limits.damping_max_ns_per_m,
+        workspace_min_m=(x - r, y - r, z - r),
+        workspace_max_m=(x + r, y + r, z + r),
+    )
+
+
 def names(devices: Iterable[Device]) -> str:
     return ", ".join(device.info.name for device in devices)
 

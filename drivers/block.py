@@ -15,25 +15,31 @@ constants. They are part of the source, which the kernel cache is keyed by, so t
 
 from __future__ import annotations
 
+import ctypes
+import time
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, TypeVar, cast, get_type_hints
+from typing import Any, Final, TypeVar, cast, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.drivers.base import Device, DeviceIO
+from softfinger.drivers.system.makers_library import address as address_of
+
+CALL_PERIOD_S: Final = 1e-4
 
 Layout = TypeVar("Layout", bound=tuple[int, ...])
 
 
 @dataclass(frozen=True)
 class BlockField:
-    """Field of a layout: its meaning, its size in words, and whether `Block.counts` includes it."""
+    """Field of a layout: meaning, size in words, whether `Block.counts` includes it, name of a library's function."""
 
     doc: str
     word_count: int = 1
     counted: bool = False
+    function: str = ""
 
 
 def counter(doc: str) -> BlockField:
@@ -49,6 +55,11 @@ def word(doc: str) -> BlockField:
 def address(doc: str) -> BlockField:
     """Declare the address of an array of a length that depends on the rig, see `Block.set_address`."""
     return BlockField(doc)
+
+
+def function(name: str) -> BlockField:
+    """Declare the address of a function of a C library, see `Block.set_functions`."""
+    return BlockField(name, function=name)
 
 
 def numbers(doc: str, count: int) -> BlockField:
@@ -107,6 +118,13 @@ class Block:
         self._arrays[at] = array
         self.word[at] = array.ctypes.data
 
+    def set_functions(self, library: ctypes.CDLL) -> None:
+        """Store the addresses of all declared functions, which are in `library`."""
+        for layout in self._layouts:
+            for at, field in zip(layout, read_fields(type(layout)).values(), strict=True):
+                if field.function:
+                    self.word[at] = address_of(library, field.function)
+
     def counts(self, *layouts: tuple[int, ...]) -> dict[str, int]:
         """Return the present values of the counters of these layouts, or of all, by name."""
         return {
@@ -131,6 +149,15 @@ class BlockDevice(Device):
 
     def zero_failure(self) -> str:
         return self._zero_failure
+
+    def _call_until_done(self, function: Any, wait_s: float) -> bool:
+        """Call a C function with the handle until it returns a true value; return False after `wait_s`."""
+        until = time.monotonic() + wait_s
+        while not function.ctypes(self._block.handle):
+            if time.monotonic() > until:
+                return False
+            time.sleep(CALL_PERIOD_S)
+        return True
 
     def counts(self) -> dict[str, int]:
         return self._block.counts()

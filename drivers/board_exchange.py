@@ -13,7 +13,6 @@ A driver implements six kernels, dispatched by the type of a named tuple that it
 from __future__ import annotations
 
 import time
-from math import isfinite
 from typing import Annotated, Any, Final, NamedTuple, Protocol
 
 from numba import types
@@ -27,13 +26,13 @@ from softfinger.drivers.base import (
     SAMPLE_TIME,
     STALE,
     TIMEOUT,
-    TORQUE_MAX_NM,
     WITHHELD,
-    DeviceInfo,
+    Capabilities,
 )
 from softfinger.drivers.block import Block, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, shift_sample_time
+from softfinger.drivers.samples import copy_sample, is_finite, is_zero
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, poll_fd
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
@@ -95,36 +94,11 @@ def init_exchange(block: Block, fd: int, times: Times, misread_max: int = 1) -> 
         at[field] = round(seconds * 1e9)
 
 
-class BoardOptions(Protocol):
+class BoardOptions(Capabilities, Protocol):
     """Keys of a rig for any board."""
 
     @property
     def mounting(self) -> Mounting: ...
-    @property
-    def workspace_radius_m(self) -> float: ...
-    @property
-    def force_max_n(self) -> float: ...
-    @property
-    def stiffness_max_n_per_m(self) -> float: ...
-    @property
-    def damping_max_ns_per_m(self) -> float: ...
-
-
-def make_info(board: BoardOptions, name: str, sensed_dof: int, actuated_dof: int = 3) -> DeviceInfo:
-    """Return the capabilities of a board: no motors for the handle's rotation, workspace a box around its origin."""
-    x, y, z = (float(v) for v in board.mounting.position_m)
-    r = board.workspace_radius_m
-    return DeviceInfo(
-        name=name,
-        sensed_dof=sensed_dof,
-        actuated_dof=actuated_dof,
-        force_max_n=board.force_max_n,
-        torque_max_nm=TORQUE_MAX_NM,
-        stiffness_max_n_per_m=board.stiffness_max_n_per_m,
-        damping_max_ns_per_m=board.damping_max_ns_per_m,
-        workspace_min_m=(x - r, y - r, z - r),
-        workspace_max_m=(x + r, y + r, z + r),
-    )
 
 
 # --- kernels of a driver ---------------------------------------------------------------------------
@@ -260,8 +234,7 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
         at[BOARD.read_at] = _now(handle)  # waiting for the device is not a pause of the loop
     if had_force and at[BOARD.has_force] == 0:
         status = WITHHELD  # waking has removed the force, and the answer to it must not restore the force at once
-    for k in range(SAMPLE_SIZE):
-        sample[k] = last_sample[k]
+    copy_sample(last_sample, sample)
     return status
 
 
@@ -271,16 +244,13 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
     # Never wait here: the lock's owner may be stopping the device, and then refusing is right as well.
     if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
         return WITHHELD
-    finite, zero = True, True
-    for k in range(3):  # no motor turns the handle: torque is accepted, but not displayed
-        finite = finite and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
+    zero = is_zero(wrench, 3)  # no motor turns the handle: torque is accepted, but not displayed
     status = OK
     if at[BOARD.fd] < 0:
         status = OK if zero else WITHHELD
     else:
         has_no_sample = _now(handle) - at[BOARD.sampled_at] > at[BOARD.quiet] or at[BOARD.has_sample] == 0
-        if zero or not finite or not at[BOARD.armed] or has_no_sample:
+        if zero or not is_finite(wrench, 3) or not at[BOARD.armed] or has_no_sample:
             if at[BOARD.has_force] != 0 or not busy(driver, handle, has_no_sample):
                 status = send_zero(driver, handle)
             if status >= 0 and not zero:

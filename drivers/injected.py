@@ -33,6 +33,7 @@ from softfinger.drivers.base import (
     LeadableHand,
 )
 from softfinger.drivers.block import Block, address, counter, lay_out, numbers, word
+from softfinger.drivers.samples import copy_sample
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
@@ -180,8 +181,7 @@ def _read(handle: int, sample: Any) -> int:
         status = max(status, answer)
         word[AT.has_sample] = 1
         _corrupt_sample(handle, tick)
-    for i in range(SAMPLE_SIZE):
-        sample[i] = last_sample[i]
+    copy_sample(last_sample, sample)
     return int(status)
 
 

@@ -23,8 +23,7 @@ class Mounting(Table, frozen=True, kw_only=True):
 
     position_m: Annotated[Point, doc("origin", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        Orientation,
-        doc("device to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
+        Orientation, doc("device to world: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0])
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:

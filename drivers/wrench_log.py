@@ -21,6 +21,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.config.files import new_file
 from softfinger.drivers.base import OK, WITHHELD
 from softfinger.drivers.block import Block, BlockDevice, address, counter, lay_out, word
+from softfinger.drivers.samples import is_zero
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.decorators import PLAIN, c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
@@ -90,10 +91,7 @@ def write(handle: int, wrench: Any) -> int:
     exchange_int64(handle + LOG.lock * 8, 0)
     if armed:
         return OK
-    for k in range(6):
-        if wrench[k] != 0.0:
-            return WITHHELD
-    return OK
+    return OK if is_zero(wrench, 6) else WITHHELD
 
 
 @c_function(types.int64(types.int64))

@@ -49,7 +49,7 @@ from softfinger.drivers.hid.device import HidDevice
 from softfinger.drivers.openhaptics.device import open_device as open_touch
 from softfinger.drivers.openhaptics.options import Options as TouchOptions
 from softfinger.drivers.serial.device import SerialDevice
-from softfinger.drivers.serial.packets import complete_frame_once, make_shape
+from softfinger.drivers.serial.packets import complete_frame, make_shape
 from softfinger.drivers.spacemouse.device import SpaceMouse
 from softfinger.drivers.spacemouse.puck import Options as PuckOptions
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_fd, write_fd
@@ -262,8 +262,8 @@ def described(_: Path) -> AbstractContextManager[Case]:
     """A Hapkit, with frames and paddle described by its rig."""
     options = described_options("hapkit")
     assert options.frames is not None
-    frame = np.zeros(options.frames.input.bytes, np.uint8)
-    complete_frame_once(frame, make_shape(options.frames.input, False))
+    frame, shape = np.zeros(options.frames.input.bytes, np.uint8), make_shape(options.frames.input, False)
+    complete_frame(frame.ctypes.data, shape.ctypes.data)
     return on_stream(options, frame.tobytes(), options.frames.output.bytes)
 
 

@@ -61,6 +61,10 @@ PARTS: Final = {
             "drivers/test_withheld",
         ),
     ),
+    "samples": Part(
+        ("drivers/samples.py",),
+        ("drivers/test_board_exchange", "drivers/test_forcedimension_exchange", "drivers/test_openhaptics_exchange"),
+    ),
     "serial": Part(
         ("drivers/serial/exchange.py",),
         (
@@ -72,7 +76,7 @@ PARTS: Final = {
         ),
     ),
     "hid": Part(
-        ("drivers/hid/exchange.py",),
+        ("drivers/described_board.py", "drivers/hid/exchange.py"),
         (
             "drivers/test_hid_exchange",
             "drivers/test_described_mechanisms",

@@ -79,11 +79,8 @@ class Elastic(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.fixed) and not self.fixed:
-            yield (
-                "fixed",
-                msgspec.UNSET,
-                'has no region, so the body could move freely: add { region = "below", z_m = 0.0001 }',
-            )
+            fault = 'has no region, so the body could move freely: add { region = "below", z_m = 0.0001 }'
+            yield "fixed", msgspec.UNSET, fault
 
     @property
     def radius_m(self) -> float:

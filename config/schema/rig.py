@@ -33,8 +33,7 @@ class Tool(Table, frozen=True, kw_only=True):
         tuple[Arm, Arm, Arm], doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
-        Orientation,
-        doc("tip to handle: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0]),
+        Orientation, doc("tip to handle: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0])
     ] = (1.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
 
@@ -16,6 +16,8 @@ from softfinger.config.schema.motions import Body
 from softfinger.config.schema.patch import Patch
 from softfinger.config.schema.shapes import Mesh, Object
 from softfinger.config.schema.world import World
+
+Item = TypeVar("Item")
 
 
 class FingerParts(NamedTuple):
@@ -94,6 +96,13 @@ class Scene(Table, frozen=True, kw_only=True):
         yield from _elastic_faults(self)
 
 
+def _usable(key: str, items: tuple[Item, ...], *names: str) -> Iterator[tuple[str, Item]]:
+    """Yield path and item of each usable entry of a list whose fields `names` are usable, too."""
+    for index, item in enumerate(items if is_usable(items) else ()):
+        if is_usable(item) and is_usable(*(getattr(item, name) for name in names)):
+            yield f"{key}[{index}]", item
+
+
 def _finger_faults(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger):
         return
@@ -107,21 +116,19 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
         )
         yield "fingertip", msgspec.UNSET, fault
     for key in ("name", "device"):
-        first: dict[str, int] = {}
-        for index, item in enumerate(scene.finger):
-            if not is_usable(item) or not is_usable(item.name, item.device):
-                continue
+        first: dict[str, str] = {}
+        for path, item in _usable("finger", scene.finger, "name", "device"):
             name = item.name if key == "name" else item.device or item.name
             for earlier_name, earlier in first.items():
                 if key == "device" and name == earlier_name and name != item.name:
-                    yield (f"finger[{index}].device", name, f"already moves finger[{earlier}]: use another device")
+                    yield f"{path}.device", name, f"already moves {earlier}: use another device"
                 elif key == "name" and (name.startswith(earlier_name) or earlier_name.startswith(name)):
                     fault = (
-                        f"overlaps with the name of finger[{earlier}], {earlier_name!r}: a subscriber to the shorter "
-                        "name would receive the telemetry of both; choose another name"
+                        f"overlaps with the name of {earlier}, {earlier_name!r}: a subscriber to the shorter name "
+                        "would receive the telemetry of both; choose another name"
                     )
-                    yield f"finger[{index}].name", name, fault
-            first.setdefault(name, index)
+                    yield f"{path}.name", name, fault
+            first.setdefault(name, path)
 
 
 def _world_faults(scene: Scene) -> Iterator[Complaint]:
@@ -129,35 +136,31 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
         return
     if scene.world is None and not scene.object:
         yield "object", msgspec.UNSET, "is missing: add at least one table [[object]]"
-    for scene_index, item in enumerate(scene.object):
-        if not is_usable(item) or not is_usable(item.motion) or not isinstance(item.motion, Body):
+    for path, item in _usable("object", scene.object):
+        if not isinstance(item.motion, Body):
             continue
         if scene.world is None:
-            yield f"object[{scene_index}].motion", "body", "needs a table [world] with the model that contains the body"
+            yield f"{path}.motion", "body", "needs a table [world] with the model that contains the body"
         elif is_usable(item.effect) and item.effect:
             fault = "would push the hand but not the body: remove the effect, or the motion of the object"
-            yield f"object[{scene_index}].effect", item.effect[0].kind, fault
+            yield f"{path}.effect", item.effect[0].kind, fault
 
 
 def _patch_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that all fingers have a patch, or none: one law of torsion is compiled for all of them."""
-    fingers = (
-        [item for item in scene.finger if is_usable(item) and is_usable(item.patch)] if is_usable(scene.finger) else []
-    )
-    if len({item.patch is None for item in fingers}) < 2:
+    fingers = list(_usable("finger", scene.finger, "patch"))
+    if not any(item.patch is not None for _, item in fingers):
         return
-    for index, item in enumerate(scene.finger):
-        if is_usable(item) and is_usable(item.patch) and item.patch is None:
+    for path, item in fingers:
+        if item.patch is None:
             fault = "is missing, but another finger has a patch: add one to every finger, or remove all"
-            yield f"finger[{index}].patch", msgspec.UNSET, fault
+            yield f"{path}.patch", msgspec.UNSET, fault
 
 
 def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.rolling, scene.coupling, scene.finger) or scene.rolling is None:
         return
-    couplings = [
-        (f"finger[{index}].coupling", item.coupling) for index, item in enumerate(scene.finger) if is_usable(item)
-    ]
+    couplings = [(f"{path}.coupling", item.coupling) for path, item in _usable("finger", scene.finger)]
     k_tau = scene.rolling.torque_stiffness_n_per_m
     for path, coupling in [("coupling", scene.coupling), *couplings]:
         if not is_usable(k_tau, coupling) or k_tau is None or coupling is None:
@@ -174,46 +177,38 @@ def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
 def _method_faults(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.rolling, scene.object) or scene.rolling is None or scene.rolling.method != "rotation_vector":
         return
-    for scene_index, item in enumerate(scene.object):
-        if is_usable(item) and is_usable(item.shape) and not item.unrolls:
-            fault = (
-                f"has no closed form for the {item.shape} object[{scene_index}]: use montana_rk4, or midpoint at half "
-                "the cost"
-            )
+    for path, item in _usable("object", scene.object, "shape"):
+        if not item.unrolls:
+            fault = f"has no closed form for the {item.shape} {path}: use montana_rk4, or midpoint at half the cost"
             yield "rolling.method", "rotation_vector", fault
 
 
 def _form_faults(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger):
         return
-    fingertips: list[tuple[str, Form]] = [
-        (f"finger[{index}].radii_m", item) for index, item in enumerate(scene.finger) if is_usable(item)
-    ]
-    if scene.fingertip is not None:
-        fingertips.append(("fingertip.radii_m", scene.fingertip))
-    key = next((key for key, tip in fingertips if is_usable(tip.radii_m) and tip.radii_m is not None), None)
-    if key is None:
+    fingertips: list[tuple[str, Form]] = [*_usable("finger", scene.finger, "radii_m")]
+    if scene.fingertip is not None and is_usable(scene.fingertip.radii_m):
+        fingertips.append(("fingertip", scene.fingertip))
+    tip_path = next((path for path, tip in fingertips if tip.radii_m is not None), None)
+    if tip_path is None:
         return
+    key = f"{tip_path}.radii_m"
     if is_usable(scene.rolling) and scene.rolling is not None and is_usable(scene.rolling.method):
         method = scene.rolling.method
         if method not in ("midpoint", "montana_rk4", "montana_rk45"):
             fault = f"needs a spherical fingertip, but {key} is set: use midpoint, or montana_rk4 for long ticks"
             yield "rolling.method", method, fault
-    if not is_usable(scene.object):
-        return
-    for scene_index, item in enumerate(scene.object):
-        if not is_usable(item) or not is_usable(item.shape):
-            continue
+    for path, item in _usable("object", scene.object, "shape"):
         if all(is_usable(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
             fault = (
                 f"cannot be touched by an ellipsoidal fingertip ({key}): use a plane, a sphere or infinite cylinder "
                 "touched from outside, or a box touched from inside; or use radius_m"
             )
-            yield f"object[{scene_index}].shape", item.shape, fault
+            yield f"{path}.shape", item.shape, fault
         texture = getattr(item, "texture", None)
         if is_usable(texture) and texture is not None:
             fault = f"needs a spherical fingertip, but {key} is set: remove the texture, or use radius_m"
-            yield f"object[{scene_index}].texture", msgspec.UNSET, fault
+            yield f"{path}.texture", msgspec.UNSET, fault
 
 
 def _tips(scene: Scene) -> list[Fingertip | Finger]:
@@ -225,17 +220,17 @@ def _tight_faults(scene: Scene) -> Iterator[Complaint]:
         return
     tips = _tips(scene)
     radii = [tip.reaches_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
-    for scene_index, item in enumerate(scene.object):
-        if is_usable(item) and any(radii):  # if the largest fits, all fit
+    for path, item in _usable("object", scene.object):
+        if any(radii):  # if the largest fits, all fit
             for key, value, text in item.tight(max(radii)):
-                yield f"object[{scene_index}].{key}", value, text
+                yield f"{path}.{key}", value, text
 
 
-def _materials(scene: Scene) -> Iterator[tuple[int, Material]]:
-    """Yield the index of each object and its material, if friction and torsion are usable."""
-    for scene_index, item in enumerate(scene.object):
-        if is_usable(item) and is_usable(item.material) and is_usable(item.material.friction, item.material.torsion):
-            yield scene_index, item.material
+def _materials(scene: Scene) -> Iterator[tuple[str, Material]]:
+    """Yield the path of each object and its material, if friction and torsion are usable."""
+    for path, item in _usable("object", scene.object, "material"):
+        if is_usable(item.material.friction, item.material.torsion):
+            yield path, item.material
 
 
 def _law_faults(scene: Scene) -> Iterator[Complaint]:
@@ -244,9 +239,8 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
         return
     literal = scene.rolling is not None and scene.rolling.state_machine == "paper"
     coupled: dict[bool, str] = {}
-    for scene_index, material in _materials(scene):
-        friction, torsion = material.friction, material.torsion
-        path = f"object[{scene_index}].material"
+    for object_path, material in _materials(scene):
+        friction, torsion, path = material.friction, material.torsion, f"{object_path}.material"
         if literal and friction is not None:
             for key in ("stribeck_speed_m_per_s", "viscous_s_per_m", "direction_x"):
                 if getattr(friction, key) is not None:
@@ -255,7 +249,7 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
             continue
         if literal and torsion.model == "limit_surface":
             yield f"{path}.torsion.model", torsion.model, _not_in_the_paper("independent limits")
-        coupled.setdefault(torsion.model == "limit_surface", f"object[{scene_index}]")
+        coupled.setdefault(torsion.model == "limit_surface", object_path)
         if len(coupled) > 1:
             fault = (
                 f"differs from {coupled[torsion.model != 'limit_surface']}: use limit_surface for all objects with "
@@ -272,8 +266,8 @@ def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
     if not tips or not is_usable(*(tip.patch for tip in tips)):
         return
     soft = any(tip.patch is not None for tip in tips)
-    for scene_index, material in _materials(scene):
-        torsion, path = material.torsion, f"object[{scene_index}].material.torsion"
+    for object_path, material in _materials(scene):
+        torsion, path = material.torsion, f"{object_path}.material.torsion"
         if torsion is None:
             continue
         lacking = [key for key in ("stiffness_nm_per_rad", "friction_length_m") if getattr(torsion, key) is None]
@@ -293,21 +287,17 @@ def _not_in_the_paper(known_law: str) -> str:
 
 
 def _object_faults(scene: Scene) -> Iterator[Complaint]:
-    if not is_usable(scene.object):
-        return
-    first: dict[str, int] = {}
-    for scene_index, item in enumerate(scene.object):
-        if not is_usable(item) or not is_usable(item.name):
-            continue
+    first: dict[str, str] = {}
+    for path, item in _usable("object", scene.object, "name"):
         if item.name.partition(".")[0].isdecimal():
             why = "starts with a digit, but object.1 selects the second object: start the name with a letter"
-            yield f"object[{scene_index}].name", item.name, why
+            yield f"{path}.name", item.name, why
         if item.name in first:
-            earlier = f"object[{first[item.name]}]"
-            yield f"object[{scene_index}].name", item.name, f"is already the name of {earlier}: choose another name"
-        first.setdefault(item.name, scene_index)
-    materials = [item.material if is_usable(item) else msgspec.UNSET for item in scene.object]
-    if scene.rolling is None or not is_usable(scene.rolling, *materials):
+            yield f"{path}.name", item.name, f"is already the name of {first[item.name]}: choose another name"
+        first.setdefault(item.name, path)
+    if not is_usable(scene.object, scene.rolling) or scene.rolling is None:
+        return
+    if not is_usable(*(item.material if is_usable(item) else item for item in scene.object)):
         return
     if scene.object and all(item.material.friction is None for item in scene.object):
         fault = (
@@ -321,18 +311,15 @@ def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
     """Check that an elastic object is the only one, and touched by one or two fingers."""
     if not is_usable(scene.object, scene.finger, scene.world):
         return
-    for scene_index, item in enumerate(scene.object):
+    for object_path, item in _usable("object", scene.object):
         if not isinstance(item, Mesh) or not is_usable(item.elastic) or item.elastic is None:
             continue
-        path = f"object[{scene_index}].elastic"
+        path = f"{object_path}.elastic"
         if len(scene.object) > 1:
             yield path, msgspec.UNSET, "needs a scene with a single object: remove the other objects, or this table"
         if len(scene.finger) > 2:
-            yield (
-                path,
-                msgspec.UNSET,
-                f"supports one or two fingers, but the scene has {len(scene.finger)}: remove some",
-            )
+            fault = f"supports one or two fingers, but the scene has {len(scene.finger)}: remove some"
+            yield path, msgspec.UNSET, fault
         for key, table in (("[world]", scene.world), ("[[effect]]", scene.effect or None)):
             if is_usable(table) and table is not None:
                 yield path, msgspec.UNSET, f"cannot be combined with {key}: remove one of them"

@@ -94,11 +94,8 @@ class Textured(ObjectBase, frozen=True, kw_only=True):
         if not is_usable(self.texture, self.material) or self.texture is None or not is_usable(self.material.friction):
             return
         if self.texture.friction_scale is not None and self.material.friction is None:
-            yield (
-                "texture.friction_scale",
-                self.texture.friction_scale,
-                "scales the friction of the material, which has none: add material.friction",
-            )
+            fault = "scales the friction of the material, which has none: add material.friction"
+            yield "texture.friction_scale", self.texture.friction_scale, fault
 
 
 class Plane(Textured, frozen=True, kw_only=True, tag_field="shape", tag="plane"):

@@ -37,8 +37,5 @@ class Texture(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.height_m, self.friction_scale) and self.height_m is None and self.friction_scale is None:
-            yield (
-                "height_m",
-                msgspec.UNSET,
-                "is missing, as is friction_scale, so the texture has no effect: set one or both",
-            )
+            fault = "is missing, as is friction_scale, so the texture has no effect: set one or both"
+            yield "height_m", msgspec.UNSET, fault

@@ -24,11 +24,8 @@ class GeomMaterial(Table, frozen=True, kw_only=True):
         if is_usable(self.name, self.group, self.default) and not any(
             condition is not None for condition in (self.name, self.group, self.default)
         ):
-            yield (
-                "name",
-                msgspec.UNSET,
-                "is missing, as are group and default: set one of the three, or use world.material",
-            )
+            fault = "is missing, as are group and default: set one of the three, or use world.material"
+            yield "name", msgspec.UNSET, fault
 
 
 BodyMass = Annotated[float, msgspec.Meta(ge=limits.BODY_MASS_KG.low, le=limits.BODY_MASS_KG.high)]

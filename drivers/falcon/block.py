@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Final, NamedTuple
 
 from softfinger.drivers.base import SAMPLE_SIZE
-from softfinger.drivers.block import address, counter, lay_out, numbers, raw_bytes, word
+from softfinger.drivers.block import address, counter, function, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.falcon import packets
 from softfinger.drivers.system.libc import TIMESPEC_WORDS
 
@@ -26,9 +26,9 @@ class Fields(NamedTuple):
     fillers: Annotated[int, counter("replies whose second to last byte is not 'A'; it has no meaning")]
     # settings
     context: Annotated[int, address("libusb's context")]
-    submit: Annotated[int, address("libusb_submit_transfer")]
-    handle_events: Annotated[int, address("libusb_handle_events_timeout_completed")]
-    cancel: Annotated[int, address("libusb_cancel_transfer")]
+    submit: Annotated[int, function("libusb_submit_transfer")]
+    handle_events: Annotated[int, function("libusb_handle_events_timeout_completed")]
+    cancel: Annotated[int, function("libusb_cancel_transfer")]
     transfer_in: Annotated[int, address("transfer from the device")]
     transfer_out: Annotated[int, address("transfer to the device")]
     kick: Annotated[int, word("time without a reply after which zeros are sent, ns")]

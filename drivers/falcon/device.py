@@ -8,10 +8,8 @@ import time
 from functools import partial
 from typing import Any, ClassVar, Final
 
-import numpy as np
-
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
@@ -21,15 +19,12 @@ from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
-FORCE_MAX_N: Final = 8.0
-STIFFNESS_MAX_N_PER_M: Final = 3000.0
-DAMPING_MAX_NS_PER_M: Final = 20.0
-RADIUS_M: Final = 0.04
-"""Recommended maxima of the device; radius around the workspace centre."""
+LIMITS: Final = ModelLimits(8.0, 0.0, 3000.0, 20.0, 0.04)
+"""Recommended maxima of the device."""
 STOP_WAIT_S: Final = 1.0
 """Maximum duration of a stop. A packet that hangs is cancelled after `STOP_HANG_NS`, then a zero is sent."""
 PAUSE_S: Final = 0.001
-"""Pause between exchanges while homing; a stop is tried ten times as often."""
+"""Pause between exchanges while homing."""
 
 _TRANSFER_BULK: Final = 2
 _COMPLETED: Final = 0
@@ -64,17 +59,7 @@ class Falcon(BlockDevice):
         self._options, self._chip = options, chip
         self._block = Block(AT)
         self._word = self._block.word
-        self.info = DeviceInfo(
-            name=f"Novint Falcon {usb.IDS}",
-            sensed_dof=3,
-            actuated_dof=3,
-            force_max_n=FORCE_MAX_N,
-            torque_max_nm=TORQUE_MAX_NM,
-            stiffness_max_n_per_m=STIFFNESS_MAX_N_PER_M,
-            damping_max_ns_per_m=DAMPING_MAX_NS_PER_M,
-            workspace_min_m=(-RADIUS_M,) * 3,
-            workspace_max_m=(RADIUS_M,) * 3,
-        )
+        self.info = make_info(LIMITS, f"Novint Falcon {usb.IDS}", sensed_dof=3)
         try:
             self._set_up()
             self._home()
@@ -97,9 +82,7 @@ class Falcon(BlockDevice):
         self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(address(call, "libusb_free_transfer"))
         allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(address(call, "libusb_alloc_transfer"))
         word[AT.context] = libusb.context
-        word[AT.submit] = address(call, "libusb_submit_transfer")
-        word[AT.handle_events] = address(call, "libusb_handle_events_timeout_completed")
-        word[AT.cancel] = address(call, "libusb_cancel_transfer")
+        self._block.set_functions(call)
         word[AT.kick] = round(options.kick_s * 1e9)
         word[AT.timeout_after] = round(options.timeout_s * 1e9)
         word[AT.opened_at] = time.monotonic_ns()
@@ -132,11 +115,10 @@ class Falcon(BlockDevice):
         """Wait until the device knows the zeros of its encoders: the user pulls the knob out and pushes it in."""
         word, read, write = self._word, exchange.read.ctypes, exchange.write.ctypes
         word[AT.lights] = packets.RED | packets.HOMING
-        pointer = read.argtypes[1]
-        sample, zero = np.zeros(SAMPLE_SIZE), np.zeros(6)
+        sample, zero = (ctypes.c_double * SAMPLE_SIZE)(), (ctypes.c_double * 6)()
         until, was_logged = time.monotonic() + self._options.homing_s, False
         while True:
-            status = read(self._block.handle, sample.ctypes.data_as(pointer))
+            status = read(self._block.handle, sample)
             if status == TIMEOUT:
                 raise DeviceTimeout(f"{self.info.name} does not answer: switch it off and on, then start again")
             if status < 0:
@@ -153,7 +135,7 @@ class Falcon(BlockDevice):
                     f"{self.info.name} was not homed in {self._options.homing_s:g} s: pull the knob out all the way, "
                     "then push it in, until the red light turns green; `homing_s` in the rig gives more time"
                 )
-            write(self._block.handle, zero.ctypes.data_as(pointer))
+            write(self._block.handle, zero)
             time.sleep(PAUSE_S)
 
     def arm(self) -> None:
@@ -166,7 +148,7 @@ class Falcon(BlockDevice):
         if not self._word[AT.open]:
             return
         self._zero_failure = ""
-        if not self._wait_until_true(exchange.silence):
+        if not self._call_until_done(exchange.silence, STOP_WAIT_S):
             self._zero_failure = f"it has accepted no packet for {STOP_WAIT_S:g} s"
             log.error(
                 "%s: accepts no packet for %g s; zero force was not sent: switch it off", self.info.name, STOP_WAIT_S
@@ -181,7 +163,7 @@ class Falcon(BlockDevice):
         self._word[AT.lights] = packets.RED
         self._word[AT.has_force] = 1  # so that the last zero and the light are sent in any case
         self.stop()
-        if self._wait_until_true(exchange.cancel_transfers):
+        if self._call_until_done(exchange.cancel_transfers, STOP_WAIT_S):
             for field in (AT.transfer_in, AT.transfer_out):
                 if self._word[field]:
                     self._free(int(self._word[field]))
@@ -204,14 +186,6 @@ class Falcon(BlockDevice):
     def counts_per_nm(self) -> float:
         """Motor counts per N m at a leg, used to send forces."""
         return self._options.counts_per_nm or COUNTS_PER_NM
-
-    def _wait_until_true(self, function: Any) -> bool:
-        until = time.monotonic() + STOP_WAIT_S
-        while not function.ctypes(self._block.handle):
-            if time.monotonic() > until:
-                return False
-            time.sleep(PAUSE_S / 10)
-        return True
 
 
 _active_blocks: Final[dict[int, Any]] = {}

@@ -24,11 +24,12 @@ from typing import Any, Final
 
 from numba import types
 
-from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import packets
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.reply import command, pose, process_byte
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, shift_sample_time
+from softfinger.drivers.samples import copy_sample, is_finite, is_zero
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32
@@ -251,25 +252,18 @@ def _read_locked(handle: int, sample: Any) -> int:
             kick_status = _kick(handle)
             if kick_status < 0:
                 return kick_status
-    _repeat(handle, sample)
+    copy_sample(float64_at(handle + 8 * AT.sample), sample)
     if word[AT.sent_own_zero] != 0:
         word[AT.sent_own_zero] = 0
         return WITHHELD
     return status
 
 
-@jit
-def _repeat(handle: int, sample: Any) -> None:
-    last_sample = float64_at(handle + 8 * AT.sample)
-    for k in range(SAMPLE_SIZE):
-        sample[k] = last_sample[k]
-
-
 @c_function(IO_SIGNATURE)
 def read(handle: int, sample: Any) -> int:
     # Never wait here: the lock's owner is stopping the device.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
-        _repeat(handle, sample)
+        copy_sample(float64_at(handle + 8 * AT.sample), sample)
         return STALE
     status = _read_locked(handle, sample)
     exchange_int64(handle + 8 * AT.lock, 0)
@@ -279,17 +273,14 @@ def read(handle: int, sample: Any) -> int:
 @jit
 def _write_locked(handle: int, wrench: Any) -> int:
     word = int64_at(handle)
-    finite, zero = True, True
-    for k in range(3):  # no motor turns the knob: torque is accepted, but not displayed
-        finite = finite and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
+    zero = is_zero(wrench, 3)  # no motor turns the knob: torque is accepted, but not displayed
     armed = word[AT.armed] != 0 and word[AT.stopped] == 0
     if word[AT.open] == 0:
         return OK if zero else WITHHELD
     motors, is_limited = (0, 0, 0), False
     has_no_sample = word[AT.has_sample] == 0 or _now(handle) - word[AT.sampled_at] > word[AT.kick]
     has_position = isfinite(float64_at(handle + 8 * AT.sample)[0])
-    may_send = finite and armed and not has_no_sample and has_position
+    may_send = is_finite(wrench, 3) and armed and not has_no_sample and has_position
     sends_force = may_send and not zero
     if sends_force:
         motors, is_limited = command(handle, (wrench[0], wrench[1], wrench[2]))

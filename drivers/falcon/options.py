@@ -41,8 +41,5 @@ class Options(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
-            yield (
-                "timeout_s",
-                self.timeout_s,
-                f"must be at least kick_s = {self.kick_s:g}, so that a zero is sent first",
-            )
+            fault = f"must be at least kick_s = {self.kick_s:g}, so that a zero is sent first"
+            yield "timeout_s", self.timeout_s, fault

@@ -77,11 +77,8 @@ def layout_faults(
         end = field.offset + TYPE_BYTES[field.type]
         if end > bytes_:
             span = f"bytes {field.offset} to {end - 1}"
-            yield (
-                f"field[{index}].offset",
-                field.offset,
-                f"{span} exceed {owner} of {bytes_} bytes: offsets start at 0{note}",
-            )
+            fault = f"{span} exceed {owner} of {bytes_} bytes: offsets start at 0{note}"
+            yield f"field[{index}].offset", field.offset, fault
         for byte in range(field.offset, min(end, bytes_)):
             first_index = field_of_byte.setdefault(byte, index)
             if first_index != index:

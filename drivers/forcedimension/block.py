@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Final, NamedTuple
 
 from softfinger.drivers.base import SAMPLE_SIZE
-from softfinger.drivers.block import address, counter, lay_out, numbers, raw_bytes, word
+from softfinger.drivers.block import counter, function, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.system.libc import TIMESPEC_WORDS
 
 STATUS_WORDS: Final = 17
@@ -14,14 +14,14 @@ STATUS_WORDS: Final = 17
 class Fields(NamedTuple):
     """Fields of the block."""
 
-    # addresses of the library's functions
-    get_frame: Annotated[int, address("dhdGetPositionAndOrientationFrame")]
-    get_buttons: Annotated[int, address("dhdGetButtonMask")]
-    get_gripper: Annotated[int, address("dhdGetGripperAngleRad")]
-    get_status: Annotated[int, address("dhdGetStatus")]
-    get_error: Annotated[int, address("dhdErrorGetLast")]
-    set_wrench: Annotated[int, address("dhdSetForceAndTorqueAndGripperForce")]
-    get_position: Annotated[int, address("dhdGetPosition")]
+    # functions of the library
+    get_frame: Annotated[int, function("dhdGetPositionAndOrientationFrame")]
+    get_buttons: Annotated[int, function("dhdGetButtonMask")]
+    get_gripper: Annotated[int, function("dhdGetGripperAngleRad")]
+    get_status: Annotated[int, function("dhdGetStatus")]
+    get_error: Annotated[int, function("dhdErrorGetLast")]
+    set_wrench: Annotated[int, function("dhdSetForceAndTorqueAndGripperForce")]
+    get_position: Annotated[int, function("dhdGetPosition")]
     # settings
     id: Annotated[int, word("the library's number of the device")]
     has_frame: Annotated[

@@ -13,19 +13,19 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.drivers import open_devices
-from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import DeviceInfo, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
@@ -41,16 +41,6 @@ NO_WATCHDOG: Final = (
     "firmware before 3.0 has no watchdog, so the force persists if this program is killed: keep a hand "
     "at the force button and set watchdog_s = 0 in the rig's [device] table, or have the maker renew the firmware"
 )
-
-LIBRARY_FUNCTIONS: Final = {
-    AT.get_frame: "dhdGetPositionAndOrientationFrame",
-    AT.get_position: "dhdGetPosition",
-    AT.get_buttons: "dhdGetButtonMask",
-    AT.get_gripper: "dhdGetGripperAngleRad",
-    AT.get_status: "dhdGetStatus",
-    AT.get_error: "dhdErrorGetLast",
-    AT.set_wrench: "dhdSetForceAndTorqueAndGripperForce",
-}
 
 
 class ForceDimension(BlockDevice):
@@ -158,17 +148,11 @@ class ForceDimension(BlockDevice):
 
     def _run_locked(self, work: Callable[[], object]) -> None:
         """Run `work` while the loop is not inside the library; if a call of the loop hangs, run it in parallel."""
-        block = self._block.handle
-        deadline = time.monotonic() + LOCK_WAIT_S
-        while not exchange.lock.ctypes(block):
-            if time.monotonic() > deadline:
-                break
-            time.sleep(0.0001)
-        else:
+        if self._call_until_done(exchange.lock, LOCK_WAIT_S):
             try:
                 work()
             finally:
-                exchange.unlock.ctypes(block)
+                exchange.unlock.ctypes(self._block.handle)
             return
         if open_devices.call_all(lambda _: work(), [self], HANG_WAIT_S):
             log.error(
@@ -185,8 +169,7 @@ class ForceDimension(BlockDevice):
         word[AT.status_every] = max(1, round(options.status_period_s * rate_hz))
         word[AT.has_gripper] = call.dhdHasGripper(self._id)
         word[AT.has_torque] = call.dhdHasActiveWrist(self._id) and self._model.limits.torque_max_nm > 0.0
-        for pointers, name in LIBRARY_FUNCTIONS.items():
-            word[pointers] = address(call, name)
+        self._block.set_functions(call)
         if not self._model.name:
             log.warning(
                 "%s: its limits are unknown, so the lowest of all models apply: %g N, no torque; "
@@ -262,19 +245,10 @@ class ForceDimension(BlockDevice):
 
     def _info(self) -> DeviceInfo:
         call, limits = self._library, self._model.limits
-        wrist, has_torque = call.dhdHasWrist(self._id), bool(self._word[AT.has_torque])
-        reach = limits.workspace_radius_m
-        return DeviceInfo(
-            name=f"{self._model.full_name}, serial {selection.read_serial(call, self._id)}",
-            sensed_dof=6 if wrist else 3,
-            actuated_dof=6 if has_torque else 3,
-            force_max_n=limits.force_max_n,
-            torque_max_nm=limits.torque_max_nm if has_torque else TORQUE_MAX_NM,
-            stiffness_max_n_per_m=limits.stiffness_max_n_per_m,
-            damping_max_ns_per_m=limits.damping_max_ns_per_m,
-            workspace_min_m=(-reach, -reach, -reach),
-            workspace_max_m=(reach, reach, reach),
-        )
+        name = f"{self._model.full_name}, serial {selection.read_serial(call, self._id)}"
+        info = make_info(limits, name, sensed_dof=6 if call.dhdHasWrist(self._id) else 3)
+        has_torque = self._word[AT.has_torque]
+        return replace(info, actuated_dof=6, torque_max_nm=limits.torque_max_nm) if has_torque else info
 
 
 def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bool]:

@@ -7,7 +7,6 @@ unrotated handle is unrotated in both frames.
 
 from __future__ import annotations
 
-from math import isfinite, nan
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +19,6 @@ from softfinger.drivers.base import (
     OK,
     SAMPLE_BUTTONS,
     SAMPLE_GRIPPER,
-    SAMPLE_SIZE,
     SAMPLE_TIME,
     STALE,
     TIMEOUT,
@@ -28,12 +26,11 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
+from softfinger.drivers.samples import copy_sample, is_finite, is_zero, orientation_of_rows, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int32_at, int64_at
-from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
 # Indices of the library's status.
 STATUS_FORCE: Final = 5
@@ -41,17 +38,6 @@ STATUS_ERROR: Final = 9
 STATUS_CAUSE: Final = 14
 
 NS_PER_S: Final = 1_000_000_000
-NOT_A_ROTATION: Final = 0.01
-"""Tolerance of the rows' lengths and of the determinant; a larger deviation from 1 is a fault, not a rotation.
-
-Rows of length 1 that span a volume of 1 are orthogonal.
-"""
-
-
-@jit
-def _device_time(handle: int) -> float:
-    word = int64_at(handle)
-    return float(monotonic_ns(handle + 8 * AT.timespec) - word[AT.started_at]) / NS_PER_S
 
 
 @jit
@@ -82,22 +68,9 @@ def _error_status(handle: int) -> int:
 @jit
 def _convert_pose(handle: int, sample: Any) -> None:
     """Convert the library's pose to the world frame; the orientation is NaN if its matrix is not a rotation."""
-    p = float64_at(handle + 8 * AT.frame)
-    sample[0] = p[1]
-    sample[1] = -p[0]
-    sample[2] = p[2]
-    m = float64_at(handle + 8 * (AT.frame + 3))
-    world = ((m[4], -m[3], m[5]), (-m[1], m[0], -m[2]), (m[7], -m[6], m[8]))
-    is_rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
-    for i in range(3):
-        is_rotation = is_rotation and abs(vec3.norm(world[i]) - 1.0) < NOT_A_ROTATION
-    if is_rotation:
-        q = from_matrix(world)
-        for k in range(4):
-            sample[3 + k] = q[k]
-    else:
-        for k in range(4):
-            sample[3 + k] = nan
+    p, m = float64_at(handle + 8 * AT.frame), float64_at(handle + 8 * (AT.frame + 3))
+    rows = ((m[4], -m[3], m[5]), (-m[1], m[0], -m[2]), (m[7], -m[6], m[8]))
+    store_pose(sample, (p[1], -p[0], p[2]), orientation_of_rows(rows))
 
 
 @jit
@@ -126,12 +99,10 @@ def _read_locked(handle: int, sample: Any) -> int:
         if status != OK:
             return status if status == FORCE_OFF else _error_status(handle)
     _convert_pose(handle, sample)
-    sample[SAMPLE_TIME] = _device_time(handle)
+    sample[SAMPLE_TIME] = float(monotonic_ns(handle + 8 * AT.timespec) - word[AT.started_at]) / NS_PER_S
     sample[SAMPLE_BUTTONS] = float(np.int64(buttons) & 0xFFFFFFFF)
     sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # initially 0, and unchanged without a gripper
-    last_sample = float64_at(handle + 8 * AT.sample)
-    for k in range(SAMPLE_SIZE):
-        last_sample[k] = sample[k]
+    copy_sample(sample, float64_at(handle + 8 * AT.sample))
     if code != 0:
         word[AT.reads_guarded] += 1
         return STALE
@@ -142,9 +113,7 @@ def _read_locked(handle: int, sample: Any) -> int:
 def read(handle: int, sample: Any) -> int:
     # Never wait here: the lock's owner is stopping the device.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
-        last_sample = float64_at(handle + 8 * AT.sample)
-        for k in range(SAMPLE_SIZE):
-            sample[k] = last_sample[k]
+        copy_sample(float64_at(handle + 8 * AT.sample), sample)
         return STALE
     status = _read_locked(handle, sample)
     exchange_int64(handle + 8 * AT.lock, 0)
@@ -155,16 +124,10 @@ def read(handle: int, sample: Any) -> int:
 def _write_locked(handle: int, wrench: Any) -> int:
     word = int64_at(handle)
     if word[AT.armed] == 0 or word[AT.stopped] != 0:
-        for k in range(6):
-            if wrench[k] != 0.0:
-                return WITHHELD
-        return OK
-    is_finite = True
-    for k in range(6):
-        if not isfinite(wrench[k]):
-            is_finite = False
+        return OK if is_zero(wrench, 6) else WITHHELD
+    is_usable = is_finite(wrench, 6)
     fx, fy, fz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if is_finite:
+    if is_usable:
         fx, fy, fz = -wrench[1], wrench[0], wrench[2]
         if word[AT.has_torque] != 0:
             tx, ty, tz = -wrench[4], wrench[3], wrench[5]
@@ -176,7 +139,7 @@ def _write_locked(handle: int, wrench: Any) -> int:
         word[AT.writes_guarded] += 1
     elif code == 2:
         word[AT.saturated] += 1
-    if not is_finite:
+    if not is_usable:
         return WITHHELD
     if code == 1:  # probably not sent; if it was, this assumption errs towards less force
         return HELD

@@ -9,15 +9,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-
-class ModelLimits(NamedTuple):
-    """Limits in N, N m (0: no motors turn the handle), N/m, N s/m, and the radius of the workspace, m."""
-
-    force_max_n: float
-    torque_max_nm: float
-    stiffness_max_n_per_m: float
-    damping_max_ns_per_m: float
-    workspace_radius_m: float
+from softfinger.drivers.base import ModelLimits
 
 
 class Model(NamedTuple):

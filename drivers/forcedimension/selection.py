@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
-from pathlib import Path
 from typing import Final, NoReturn
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
@@ -19,19 +18,16 @@ VENDOR: Final = 0x1451
 PRODUCTS: Final = {0x0402: "omega.x haptic device", 0x0301: "omega.x", 0x040C: "lambda"}
 """Names of known product numbers; every device of the vendor is listed."""
 
-NODES: Final = Path("/dev/bus/usb")
-
 log: Final = logging.getLogger(__name__)
 
 
 def list_attached() -> list[SystemDevice]:
-    """Return every device of the vendor; none without USB, or without libusb."""
-    devices: list[SystemDevice] = []
-    for device in discovery.find_usb(idVendor=VENDOR):
-        name = PRODUCTS.get(device.idProduct, "device of Force Dimension")
-        node = NODES / f"{device.bus:03d}" / f"{device.address:03d}"
-        devices.append(SystemDevice("usb", VENDOR, device.idProduct, name, "", str(node)))
-    return devices
+    """Return every device of the vendor."""
+    return [
+        device._replace(name=PRODUCTS.get(device.product, "device of Force Dimension"))
+        for device in discovery.usb_devices()
+        if device.vendor == VENDOR
+    ]
 
 
 def refusal(device: SystemDevice) -> str:

@@ -11,14 +11,13 @@ import time
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceLost, DeviceTimeout
-from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.haply import exchange, opening
-from softfinger.drivers.haply.exchange import AT, MODEL_SIZE, FrameConversion
+from softfinger.drivers.haply.exchange import AT
 from softfinger.drivers.haply.exchange_thread import ExchangeThread
 from softfinger.drivers.haply.options import Options, rows
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.proxy.kernels.jit.pack import flatten
 
 __all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
 
@@ -37,18 +36,10 @@ class HaplyDevice(BlockDevice):
     def __init__(self, options: Options, connection: opening.Connection) -> None:
         self._options = options
         self._block = Block(AT)
-        word = self._block.word
-        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(
-            FrameConversion(*options.mounting.frame(), options.force_max_n)
-        )
-        word[AT.opened_at] = time.monotonic_ns()
-        word[AT.increment] = 1
-        spans = (options.quiet_s, options.timeout_s, options.stale_s)
-        for place, seconds in zip((AT.quiet, AT.timeout_after, AT.stale), spans, strict=True):
-            word[place] = round(seconds * 1e9)
-        word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        times = exchange.Times(options.quiet_s, options.timeout_s, options.stale_s)
+        exchange.init_exchange(self._block, options.mounting, options.force_max_n, times)
         grip = "" if connection.grip is None else f" with {connection.grip}"
-        self.info = _info(options, f"haply {connection.device}{grip}", sensed_dof=3 if connection.grip is None else 6)
+        self.info = make_info(options, f"haply {connection.device}{grip}", 3 if connection.grip is None else 6)
         self._thread = ExchangeThread(connection, self._block)
         self._thread.start()
 
@@ -70,9 +61,8 @@ class HaplyDevice(BlockDevice):
         word[AT.armed] = 0  # from now on the thread sends only zeros
         if word[AT.wake] < 0:
             return
-        if (
-            word[AT.stops_answered] == word[AT.stops_requested]
-        ):  # otherwise a zero of an earlier stop is still unanswered
+        # otherwise a zero of an earlier stop is still unanswered
+        if word[AT.stops_answered] == word[AT.stops_requested]:
             word[AT.stops_requested] += 1
             os.eventfd_write(int(word[AT.wake]), 1)
         was_logged = bool(self._zero_failure)
@@ -111,22 +101,6 @@ class HaplyDevice(BlockDevice):
         if self._thread.is_running:
             return f"the Inverse Service has not answered it for {STOP_WAIT_S:g} s"
         return f"the Inverse Service has not read it ({self._thread.failure})"
-
-
-def _info(options: Options, name: str, sensed_dof: int) -> DeviceInfo:
-    """Return the capabilities: three motors that do not turn the handle, workspace a box around the world's origin."""
-    r = options.workspace_radius_m
-    return DeviceInfo(
-        name=name,
-        sensed_dof=sensed_dof,
-        actuated_dof=3,
-        force_max_n=options.force_max_n,
-        torque_max_nm=TORQUE_MAX_NM,
-        stiffness_max_n_per_m=options.stiffness_max_n_per_m,
-        damping_max_ns_per_m=options.damping_max_ns_per_m,
-        workspace_min_m=(-r, -r, -r),
-        workspace_max_m=(r, r, r),
-    )
 
 
 def open_device(options: Options, rate_hz: float) -> HaplyDevice:

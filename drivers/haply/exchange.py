@@ -8,7 +8,8 @@ accepted because the previous one is not sent yet.
 
 from __future__ import annotations
 
-from math import isfinite
+import os
+import time
 from typing import Annotated, Any, Final, NamedTuple
 
 from numba import carray
@@ -24,8 +25,10 @@ from softfinger.drivers.base import (
     TIMEOUT,
     WITHHELD,
 )
-from softfinger.drivers.block import counter, lay_out, numbers, word
+from softfinger.drivers.block import Block, counter, lay_out, numbers, word
+from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.pause import RESUME_NS, shift_sample_time
+from softfinger.drivers.samples import copy_sample, is_finite, is_zero, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
@@ -106,6 +109,24 @@ class Fields(NamedTuple):
 AT: Final = lay_out(Fields)
 
 
+class Times(NamedTuple):
+    """Time spans of an exchange, s; see `Fields`."""
+
+    quiet: float
+    timeout: float
+    stale: float
+
+
+def init_exchange(block: Block, mounting: Mounting, force_max_n: float, times: Times) -> None:
+    """Initialize the fields of an exchange, and open the eventfd that wakes the thread."""
+    word = block.word
+    block.numbers(AT.model, MODEL_SIZE)[:] = flatten(FrameConversion(*mounting.frame(), force_max_n))
+    word[AT.opened_at], word[AT.increment] = time.monotonic_ns(), 1
+    for field, seconds in zip((AT.quiet, AT.timeout_after, AT.stale), times, strict=True):
+        word[field] = round(seconds * 1e9)
+    word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+
+
 @jit
 def _read_pose(handle: int, poses: Slot, copied: Any) -> bool:
     """Convert the latest pose to the sample and return True, if the loop has not read it yet.
@@ -120,10 +141,7 @@ def _read_pose(handle: int, poses: Slot, copied: Any) -> bool:
     model = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     position = vec3.add(rotate(model.orientation, (copied[0], copied[1], copied[2])), model.position)
     orientation = normalize(multiply(model.orientation, (copied[3], copied[4], copied[5], copied[6])))
-    for k in range(3):
-        sample[k] = position[k]
-    for k in range(4):
-        sample[3 + k] = orientation[k]
+    store_pose(sample, position, orientation)
     at[AT.sampled_at] = int(copied[ARRIVAL_TIME])
     sample[SAMPLE_TIME] = (at[AT.sampled_at] - at[AT.opened_at]) * 1e-9
     sample[SAMPLE_BUTTONS] = copied[7]
@@ -152,9 +170,7 @@ def read(handle: int, sample: Any) -> int:
     if dropped != at[AT.dropped_reported]:
         at[AT.dropped_reported] = dropped
         status = WITHHELD
-    last_sample = float64_at(handle + 8 * AT.sample)
-    for k in range(SAMPLE_SIZE):
-        sample[k] = last_sample[k]
+    copy_sample(float64_at(handle + 8 * AT.sample), sample)
     return status
 
 
@@ -162,13 +178,9 @@ def read(handle: int, sample: Any) -> int:
 def _limit(handle: int, wrench: Any, now: int) -> tuple[Vec3, int]:
     """Return the force to send in the service's frame, at most `force_max`, and the status of the write."""
     at = int64_at(handle)
-    zero, finite = True, True
-    for k in range(3):  # torque is ignored: no motor turns the handle
-        finite = finite and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
-    if zero:
+    if is_zero(wrench, 3):  # torque is ignored: no motor turns the handle
         return (0.0, 0.0, 0.0), OK
-    if at[AT.armed] == 0 or not finite or at[AT.wake] < 0 or now - at[AT.sampled_at] > at[AT.quiet]:
+    if at[AT.armed] == 0 or not is_finite(wrench, 3) or at[AT.wake] < 0 or now - at[AT.sampled_at] > at[AT.quiet]:
         return (0.0, 0.0, 0.0), WITHHELD
     if at[AT.handled] != at[AT.written]:  # replacing that one would skip the force of a tick
         at[AT.held] += 1
@@ -186,8 +198,7 @@ def _limit(handle: int, wrench: Any, now: int) -> tuple[Vec3, int]:
 def write(handle: int, wrench: Any) -> int:
     at = int64_at(handle)
     if at[AT.failed] < 0:
-        zero = wrench[0] == 0.0 and wrench[1] == 0.0 and wrench[2] == 0.0
-        return OK if zero else int(at[AT.failed])
+        return OK if is_zero(wrench, 3) else int(at[AT.failed])
     # Never wait here: the lock's owner writes a zero or closes the device, so refusing is right as well.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
         return WITHHELD

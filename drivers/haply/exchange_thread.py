@@ -48,8 +48,9 @@ class ExchangeThread:
 
     def __init__(self, connection: Connection, block: Block) -> None:
         self._connection, self._word = connection, block.word
-        self._poses = Slot(_counters(block, AT.pose_sequence), block.numbers(AT.pose, POSE_SIZE))
-        self._wrenches: Any = Slot(_counters(block, AT.wrench_sequence), block.numbers(AT.wrench, WRENCH_SIZE))
+        poses, wrenches = (self._word[at : at + COUNTERS] for at in (AT.pose_sequence, AT.wrench_sequence))
+        self._poses = Slot(poses, block.numbers(AT.pose, POSE_SIZE))
+        self._wrenches: Any = Slot(wrenches, block.numbers(AT.wrench, WRENCH_SIZE))
         self._pose, self._latest_wrench = np.zeros(POSE_SIZE), np.zeros(WRENCH_SIZE)
         self._copy = np.zeros(WRENCH_SIZE)
         self._sequence = self._stops = 0
@@ -179,7 +180,3 @@ class ExchangeThread:
         publish(self._poses, self._pose)
         self._warning = reading.warning
         self._word[AT.states] += 1
-
-
-def _counters(block: Block, at: int) -> Any:
-    return block.word[at : at + COUNTERS]

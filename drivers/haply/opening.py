@@ -211,9 +211,7 @@ def _apply_filters(
         raise DeviceError(
             f"{device}: the service moves, turns or scales its positions (mount): reset its workspace in the Haply Hub"
         )
-    for path, body in (_config_requests if version >= VECTOR_SINCE else _config_requests_before_3_5)(
-        device, config, options.filters, session
-    ):
+    for path, body in _config_requests(version, device, config, options.filters, session):
         status, answer = request(options.port, "POST", path, body, until)
         if status != 200 or not is_applied(answer, body):
             raise DeviceError(f"{device}: the service refused {path} {body}: {status} {excerpt(answer)}")
@@ -242,49 +240,41 @@ def _is_close(value: Any, expected: Any) -> bool:
     return bool(value == expected)
 
 
-def _config_requests(device: DeviceRef, config: Config, filters: Filters, session: int) -> list[tuple[str, Any]]:
-    """Return the pages of 3.5 to post where the rig differs from the present configuration.
+def _config_requests(
+    version: tuple[int, int], device: DeviceRef, config: Config, filters: Filters, session: int
+) -> list[tuple[str, Any]]:
+    """Return the pages to post where the rig differs from the present configuration.
 
     Pages of a session are always posted, because a program that configures sessions (the Haply Hub) may have changed
-    them.
+    them. No public page describes force gate and damping before 3.5.
     """
-    at = f"/{device.group}/{quote(device.name, safe='')}/config"
-    pages: list[tuple[str, Any]] = [
-        (f"{at}/force_gate?session={session}", {"gain": filters.force_gate}),
-        (f"{at}/damping?session={session}", {"scalar": filters.damping}),
-    ]
     gravity, torque, home = config.gravity_compensation, config.torque_scaling, config.home_return
-    if gravity is None or (gravity.enabled, gravity.scaling_factor) != _gravity(filters):
-        enabled, factor = _gravity(filters)
-        pages.append((f"{at}/gravity_compensation", {"enabled": enabled, "scaling_factor": factor}))
-    if torque is None or torque.enabled != filters.torque_scaling:
-        pages.append((f"{at}/torque_scaling", {"enabled": filters.torque_scaling}))
-    if home is not None and home.enabled:
-        pages.append((f"{at}/home_return", {"enabled": False}))
-    return pages
-
-
-def _config_requests_before_3_5(
-    device: DeviceRef, config: Config, filters: Filters, session: int
-) -> list[tuple[str, Any]]:
-    """Return the pages of 3.1 to 3.4 to post; no public page describes force gate and damping there."""
+    enabled, factor = filters.gravity_compensation, filters.gravity_scale
+    sets_gravity = gravity is None or (gravity.enabled, gravity.scaling_factor) != (enabled, factor)
+    sets_torque = torque is None or torque.enabled != filters.torque_scaling
+    pages: list[tuple[str, Any]] = []
+    if version >= VECTOR_SINCE:
+        at = f"/{device.group}/{quote(device.name, safe='')}/config"
+        pages.append((f"{at}/force_gate?session={session}", {"gain": filters.force_gate}))
+        pages.append((f"{at}/damping?session={session}", {"scalar": filters.damping}))
+        if sets_gravity:
+            pages.append((f"{at}/gravity_compensation", {"enabled": enabled, "scaling_factor": factor}))
+        if sets_torque:
+            pages.append((f"{at}/torque_scaling", {"enabled": filters.torque_scaling}))
+        if home is not None and home.enabled:
+            pages.append((f"{at}/home_return", {"enabled": False}))
+        return pages
     if (filters.force_gate, filters.damping) != (Filters().force_gate, Filters().damping):
         raise DeviceError(
             f"{device}: force_gate and damping can only be set at a service of 3.5 or later: "
             "update it, or leave them out of [device.filters]"
         )
-    gravity, torque, pages = config.gravity_compensation, config.torque_scaling, []
-    if gravity is None or (gravity.enabled, gravity.scaling_factor) != _gravity(filters):
-        enabled, factor = _gravity(filters)
+    if sets_gravity:
         body = {"device_id": device.name, "enable": enabled, "gravity_scaling_factor": factor}
         pages.append(("/gravity_compensation", body))
-    if torque is None or torque.enabled != filters.torque_scaling:
+    if sets_torque:
         pages.append(("/torque_scaling", {"device_id": device.name, "enable": filters.torque_scaling}))
     return pages
-
-
-def _gravity(filters: Filters) -> tuple[bool, float]:
-    return filters.gravity_compensation, filters.gravity_scale
 
 
 def claim(port: int, device: DeviceRef) -> socket.socket:

@@ -6,7 +6,8 @@ Boards with other programs share the ids of one vendor, and one board may have s
 from __future__ import annotations
 
 from softfinger.config.errors import DeviceError
-from softfinger.drivers.hid.options import Reports, library_lengths
+from softfinger.drivers.hid.options import Reports
+from softfinger.drivers.system.claims import library_lengths
 from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
 
 

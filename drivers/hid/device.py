@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import time
@@ -13,17 +14,17 @@ from numpy.typing import NDArray
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, LastWord
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
+from softfinger.drivers.board_exchange import BOARD, Times, init_exchange
+from softfinger.drivers.described_board import DESCRIBED, init_described, make_described_info, set_model
 from softfinger.drivers.fields import table
 from softfinger.drivers.hid import exchange
-from softfinger.drivers.hid.exchange import AT, FrameConversion
+from softfinger.drivers.hid.exchange import AT
 from softfinger.drivers.hid.link import open_link
 from softfinger.drivers.hid.options import Options, OutputReport
 from softfinger.drivers.hid.report_threads import ReportThreads
-from softfinger.drivers.kinematics.mechanism import SINGULAR_POSE, kind_of, make_mechanism
+from softfinger.drivers.kinematics.mechanism import SINGULAR_POSE
 from softfinger.drivers.kinematics.options import Chain
 from softfinger.drivers.kinematics.subspace import rows as rows
-from softfinger.proxy.kernels.jit.pack import flatten
 
 log: Final = logging.getLogger(__name__)
 
@@ -41,17 +42,11 @@ class HidDevice(BlockDevice):
 
     def __init__(self, options: Options, fd: int, threads: ReportThreads | None = None, node: str = "") -> None:
         self._options, self.threads, self._node = options, threads, node
-        kinematics = options.kinematics
-        self._mechanism = make_mechanism(kinematics, options.force_max_n)
         spec = options.reports
         self._zero = _encode_report(spec.output, {})
-        wrist = isinstance(kinematics, Chain) and kinematics.wrist_counts_per_turn is not None
-        has_orientation = wrist or any(field.meaning == "qw" for field in spec.input.field)
-        self._block = self._make_block(fd, kind_of(kinematics, has_orientation), has_orientation)
+        self._block = self._make_block(fd)
         name = f"hid {spec.name or 'described'} {options.vendor_id:04x}:{options.product_id:04x}"
-        self.info = make_info(
-            options, name, sensed_dof=6 if has_orientation else kinematics.dof, actuated_dof=kinematics.dof
-        )
+        self.info = make_described_info(self._block, options, options.kinematics, name)
         try:
             if options.calibrate:
                 self._calibrate()
@@ -60,30 +55,21 @@ class HidDevice(BlockDevice):
             self.close()
             raise
 
-    def _make_block(self, fd: int, kind: int, has_orientation: bool) -> Block:
-        block, options = Block(BOARD, AT), self._options
+    def _make_block(self, fd: int) -> Block:
+        block, options = Block(BOARD, DESCRIBED, AT), self._options
         # While waiting for a board, each wait sends a zero report.
         init_exchange(block, fd, Times(options.kick_s, options.kick_s, kick_awaiting=0.0, timeout=options.timeout_s))
         word, spec = block.word, options.reports
-        word[AT.kind], word[AT.has_orientation] = kind, has_orientation
-        block.numbers(AT.last_position, 3)[:] = self._mechanism.delta.home
+        self._mechanism = init_described(block, options, options.kinematics, spec.input.field, spec.output.field)
         word[AT.in_id], word[AT.in_bytes] = spec.input.id, spec.input.bytes + (spec.input.id != 0)
         word[AT.out_bytes] = 1 + spec.output.bytes
-        word[AT.in_rows], word[AT.out_rows] = len(spec.input.field), len(spec.output.field)
-        block.set_address(AT.in_table, table.input_table(spec.input.field))
-        block.set_address(AT.out_table, table.output_table(spec.output.field))
         for buffer in (AT.in_buffer, AT.latest_report):
             block.set_address(buffer, np.zeros(word[AT.in_bytes] + exchange.IN_SPARE, np.uint8))
         out = np.zeros(word[AT.out_bytes], np.uint8)
         out[0] = spec.output.id
         block.set_address(AT.out_buffer, out)
         word[AT.accepted_address] = 0 if self.threads is None else self.threads.accepted_address
-        self._set_model(block)
         return block
-
-    def _set_model(self, block: Block) -> None:
-        model = FrameConversion(self._mechanism, *self._options.mounting.frame())
-        block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(model)
 
     def arm(self) -> None:
         """Wake the board and wait for a current report: minutes may have passed since the device was opened."""
@@ -91,17 +77,15 @@ class HidDevice(BlockDevice):
 
     def stop(self) -> None:
         # Repeated calls wait only once for the full time for a write in progress.
-        hang_s = 0.0 if self.threads is None else self.threads.hang_duration_s()
-        until = time.monotonic() + STOP_WAIT_S - hang_s
+        wait_s = STOP_WAIT_S - (0.0 if self.threads is None else self.threads.hang_duration_s())
+        until = time.monotonic() + wait_s
         was_logged, self._zero_failure = bool(self._zero_failure), ""
         if self.threads is not None:
             self.threads.disarm(self._zero)
-        while not exchange.silence.ctypes(self._block.handle):
-            if time.monotonic() > until:
-                self._log_missing_zero(was_logged)
-                return
-            time.sleep(0.0001)
-        if self.threads is not None and not self.threads.flush(self.counts()["written"], until):
+        is_silent = self._call_until_done(exchange.silence, wait_s)
+        if is_silent and self.threads is not None:
+            is_silent = self.threads.flush(self.counts()["written"], until)
+        if not is_silent:
             self._log_missing_zero(was_logged)
         elif self._block.word[BOARD.has_force]:
             self._zero_failure = "its node accepts no report"
@@ -128,7 +112,7 @@ class HidDevice(BlockDevice):
         return f"a write has not returned for {hang_s:.2g} s" if hang_s else self.threads.failure
 
     def warning(self) -> str:
-        return SINGULAR_POSE if self._block.word[AT.singular] else ""
+        return SINGULAR_POSE if self._block.word[DESCRIBED.singular] else ""
 
     def last_word(self) -> LastWord | None:
         return LastWord(self._node, int(self._block.word[BOARD.fd]), self._zero) if self._node else None
@@ -145,8 +129,8 @@ class HidDevice(BlockDevice):
         preset = self._options.reports.preset
         if preset is None:
             a, b, c = (float(v) for v in target_counts - counts)
-            self._mechanism = self._mechanism._replace(chain=self._mechanism.chain._replace(offset=(a, b, c)))
-            self._set_model(self._block)
+            mechanism = self._mechanism._replace(chain=self._mechanism.chain._replace(offset=(a, b, c)))
+            set_model(self._block, mechanism, self._options.mounting)
             return
         until = time.monotonic() + PRESET_WAIT_S
         self._send_preset(preset, target_counts)
@@ -179,10 +163,7 @@ class HidDevice(BlockDevice):
     def _read_fresh_report(self) -> None:
         """Read a current report; raises DeviceTimeout or DeviceLost if there is none."""
         self._block.word[BOARD.has_sample] = 0  # the next read waits for a report instead of repeating one
-        sample = np.zeros(SAMPLE_SIZE)
-        status = exchange.read.ctypes(
-            self._block.handle, sample.ctypes.data_as(exchange.read.ctypes.argtypes[1])
-        )  # fmt: skip
+        status = exchange.read.ctypes(self._block.handle, (ctypes.c_double * SAMPLE_SIZE)())
         if status == TIMEOUT:
             raise DeviceTimeout(f"{self.info.name} sends no report: check its power, and its firmware")
         if status < 0:
@@ -191,17 +172,12 @@ class HidDevice(BlockDevice):
     def _read_counts(self) -> NDArray[np.float64]:
         """Return the counts of encoders a, b, c in a current report, without the offset added to them."""
         self._read_fresh_report()
-        return self._block.numbers(AT.values + table.COUNTS, 3).copy()
+        return self._block.numbers(DESCRIBED.values + table.COUNTS, 3).copy()
 
 
 def _encode_report(report: OutputReport, commanded: dict[int, float]) -> bytes:
     """Return a report with its id first; values that are not in `commanded` (by index) are 0."""
-    values, out = np.zeros(table.COMMANDED_SIZE), np.zeros(1 + report.bytes, np.uint8)
-    out[0], values[table.CONSTANT] = report.id, 1.0
-    for place, value in commanded.items():
-        values[place] = value
-    table.encode_once(values, table.output_table(report.field), np.zeros(1, np.int64), out)
-    return out.tobytes()
+    return bytes([report.id]) + table.encode_constants(report.field, report.bytes, commanded).tobytes()
 
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import struct
-import sys
 from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
@@ -40,8 +39,6 @@ def open_link(options: Options) -> ReportLink:
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
     than the rig.
     """
-    if not sys.platform.startswith("linux"):
-        raise DeviceError(f"driver 'hid' exchanges reports through Linux's hidraw or usbfs, and this is {sys.platform}")
     path = options.path or find_device(options)
     if not path.startswith("/"):
         opened = usb.open_usb(path, options)

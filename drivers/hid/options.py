@@ -24,7 +24,6 @@ from softfinger.drivers.fields.options import (
 )
 from softfinger.drivers.kinematics.options import Chain, Kinematics, field_faults
 from softfinger.drivers.mounting import Mounting
-from softfinger.drivers.system.descriptor import ReportLengths
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 REPORT_ID: Final = Range(0, 255, "one byte; 0 if the device does not number its reports")
@@ -64,25 +63,9 @@ class OutputReport(Table, frozen=True, kw_only=True):
 
 
 @lru_cache(maxsize=1)
-def _library() -> Mapping[str, Mapping[str, Any]]:
-    return msgspec.toml.decode(LIBRARY.read_bytes(), type=dict[str, dict[str, Any]])
-
-
-def library_lengths() -> dict[str, ReportLengths]:
-    """Return the lengths of the reports of each shipped format."""
-    return {
-        name: ReportLengths(
-            *({reports[direction].get("id", 0): reports[direction]["bytes"]} for direction in ("input", "output"))
-        )
-        for name, reports in _library().items()
-    }
-
-
 def _formats() -> Mapping[str, LibraryEntry]:
-    return {
-        name: LibraryEntry(about=name, holds="", papers=(), values=dict(reports))
-        for name, reports in _library().items()
-    }
+    formats = msgspec.toml.decode(LIBRARY.read_bytes(), type=dict[str, dict[str, Any]])
+    return {name: LibraryEntry(about=name, holds="", papers=(), values=reports) for name, reports in formats.items()}
 
 
 class Reports(Table, frozen=True, kw_only=True):
@@ -137,17 +120,11 @@ class Options(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
-            yield (
-                "timeout_s",
-                self.timeout_s,
-                f"must be at least kick_s = {self.kick_s:g}, so that a kick is sent first",
-            )
+            fault = f"must be at least kick_s = {self.kick_s:g}, so that a kick is sent first"
+            yield "timeout_s", self.timeout_s, fault
         if is_usable(self.path, self.through) and self.through == "node" and not (self.path or "/").startswith("/"):
-            yield (
-                "path",
-                self.path,
-                'is a path of hidapi on USB, but through = "node" needs a node such as /dev/hidraw0',
-            )
+            fault = 'is a path of hidapi on USB, but through = "node" needs a node such as /dev/hidraw0'
+            yield "path", self.path, fault
         if not is_usable(self.reports, self.kinematics):
             return
         reports, kinematics = self.reports, self.kinematics

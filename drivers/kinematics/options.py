@@ -21,11 +21,8 @@ CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices have at most 
 TORQUE_NM: Final = Range(0.0, 20.0, "a joint of a desktop device; 40 N at half a metre")
 ANGLE_DEG: Final = Range(-360.0, 360.0, "one full turn")
 
-Lengths = tuple[
-    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
-    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
-    Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)],
-]
+Diameter = Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)]
+Diameters = tuple[Diameter, Diameter, Diameter]
 Link = Annotated[float, Meta(ge=LINK_M.low, le=LINK_M.high)]
 TorqueConstant = Annotated[float, Meta(ge=TORQUE_CONSTANT.low, le=TORQUE_CONSTANT.high)]
 Preset = Annotated[float, Meta(ge=PRESET_COUNTS.low, le=PRESET_COUNTS.high)]
@@ -48,8 +45,8 @@ class Chain(Table, frozen=True, kw_only=True, tag_field="kind", tag="chain"):
     commanded: ClassVar[frozenset[str]] = frozenset({"current_a", "current_b", "current_c"})
     dof: ClassVar[int] = 3
 
-    capstan_m: Annotated[Lengths, doc("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
-    body_m: Annotated[Lengths, doc("diameters of the bodies that they drive", [0.16, 0.12, 0.12])]
+    capstan_m: Annotated[Diameters, doc("diameters of the motors' capstans", [0.01, 0.01, 0.01])]
+    body_m: Annotated[Diameters, doc("diameters of the bodies that they drive", [0.16, 0.12, 0.12])]
     link_m: Annotated[tuple[Link, Link, Link], doc("lengths of bodies a, b, c", [0.08, 0.205, 0.245])]
     origin_m: Annotated[Point, doc("workspace centre, from the foot of the arm", [0.22, 0.0, 0.08])]
     counts_per_turn: Annotated[float, within(COUNTS, "counts per turn of a motor", 2000.0)]

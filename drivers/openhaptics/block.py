@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Annotated, Final, NamedTuple
 
 from softfinger.drivers.base import SAMPLE_SIZE
-from softfinger.drivers.block import address, counter, lay_out, numbers, word
+from softfinger.drivers.block import counter, function, lay_out, numbers, word
 from softfinger.drivers.system.libc import TIMESPEC_WORDS
 
 SEQUENCE_WORDS: Final = 8
@@ -25,17 +25,17 @@ WRENCH_SIZE: Final = 8
 class Fields(NamedTuple):
     """Fields of the block."""
 
-    # addresses of the library's functions
-    begin_frame: Annotated[int, address("hdBeginFrame")]
-    end_frame: Annotated[int, address("hdEndFrame")]
-    get_doubles: Annotated[int, address("hdGetDoublev")]
-    get_integers: Annotated[int, address("hdGetIntegerv")]
-    get_booleans: Annotated[int, address("hdGetBooleanv")]
-    set_doubles: Annotated[int, address("hdSetDoublev")]
-    get_error: Annotated[int, address("hdGetError")]
-    enable: Annotated[int, address("hdEnable")]
-    disable: Annotated[int, address("hdDisable")]
-    is_enabled: Annotated[int, address("hdIsEnabled")]
+    # functions of the library
+    begin_frame: Annotated[int, function("hdBeginFrame")]
+    end_frame: Annotated[int, function("hdEndFrame")]
+    get_doubles: Annotated[int, function("hdGetDoublev")]
+    get_integers: Annotated[int, function("hdGetIntegerv")]
+    get_booleans: Annotated[int, function("hdGetBooleanv")]
+    set_doubles: Annotated[int, function("hdSetDoublev")]
+    get_error: Annotated[int, function("hdGetError")]
+    enable: Annotated[int, function("hdEnable")]
+    disable: Annotated[int, function("hdDisable")]
+    is_enabled: Annotated[int, function("hdIsEnabled")]
     # settings
     device: Annotated[int, word("the library's handle of the device")]
     has_torque: Annotated[int, word("whether the device has motors for torque; otherwise no torque is sent")]

@@ -20,14 +20,14 @@ from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, De
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.openhaptics import exchange, library, usb
+from softfinger.drivers.openhaptics import exchange, library
 from softfinger.drivers.openhaptics.block import AT
-from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM, ModelLimits
+from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM
 from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
-from softfinger.drivers.system import discovery
+from softfinger.drivers.system import discovery, rules
+from softfinger.drivers.system.claims import claims_by_ids
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.makers_library import address
 
 log: Final = logging.getLogger(__name__)
 
@@ -43,19 +43,6 @@ WARM: Final = 800
 """Of 1000: a warning about the motors starts here, and ends at COOL."""
 COOL: Final = 700
 FULL_DOF: Final = 6
-
-LIBRARY_FUNCTIONS: Final = {
-    AT.begin_frame: "hdBeginFrame",
-    AT.end_frame: "hdEndFrame",
-    AT.get_doubles: "hdGetDoublev",
-    AT.get_integers: "hdGetIntegerv",
-    AT.get_booleans: "hdGetBooleanv",
-    AT.set_doubles: "hdSetDoublev",
-    AT.get_error: "hdGetError",
-    AT.enable: "hdEnable",
-    AT.disable: "hdDisable",
-    AT.is_enabled: "hdIsEnabled",
-}
 
 ZERO: Final = (ctypes.c_double * 3)()
 
@@ -170,7 +157,7 @@ class OpenHaptics(BlockDevice):
         return model, serial, style
 
     def _info(self) -> DeviceInfo:
-        limits: ModelLimits = MODELS.get(self.model, UNKNOWN)
+        limits = MODELS.get(self.model, UNKNOWN)
         has_torque = self._integer(library.OUTPUT_DOF) == FULL_DOF and limits.torque_max_nm > 0.0
         self._word[AT.has_torque] = has_torque
         nominal_force = self._doubles(library.NOMINAL_MAX_FORCE, 1)[0]
@@ -223,8 +210,7 @@ class OpenHaptics(BlockDevice):
 
     def _set_up(self) -> None:
         call, options, word = self._library, self._options, self._word
-        for place, name in LIBRARY_FUNCTIONS.items():
-            word[place] = address(call, name)
+        self._block.set_functions(call)
         word[AT.device] = self._device
         word[AT.age_max] = round(options.force_age_max_s * 1e9)
         word[AT.started_at] = word[AT.read_at] = time.monotonic_ns()
@@ -337,7 +323,12 @@ def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
 def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn:
     messages = "; ".join(map(str, errors)) or "the library gives no reason"
     subject = "the default device" if name is None else f"the device '{name}'"
-    attached = usb.list_attached()
+    # devices with Ethernet or FireWire are not listed
+    attached = [
+        device
+        for device in discovery.list_attached()
+        if any(claim.driver == "openhaptics" for claim in claims_by_ids(device))
+    ]
     if any(error.code == library.ALREADY_INITIATED for error in errors):
         raise DeviceBusy(
             f"{subject} is in use by another program, or twice in this rig: {messages}: end the other program, then "
@@ -347,7 +338,8 @@ def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn
         raise DeviceError(f"{subject} cannot be opened: {messages}: install the developer edition's licence")
     for device in attached:
         if device.node and not discovery.is_permitted(device.node):
-            raise DevicePermission(usb.how_to_permit(device))
+            permit = rules.how_to_permit(device.vendor, device.product)
+            raise DevicePermission(f"{device} may not be opened by this user: {permit}")
         if device.node and (holder := discovery.holder(device.node)) is not None:
             raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
     if not attached:

@@ -13,7 +13,7 @@ frames.
 
 from __future__ import annotations
 
-from math import isfinite, nan
+from math import isfinite
 from typing import Any, Final
 
 import numpy as np
@@ -34,13 +34,12 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.openhaptics import library as hd
 from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, SEQUENCE_WORDS, WRENCH_SIZE, WRITE_TIME
+from softfinger.drivers.samples import copy_sample, is_finite, is_zero, orientation_of_rows, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32, call_two_int64, call_void
 from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at, uint8_at
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh, store
-from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
 DONE: Final = 0
 """Results of a callback: DONE if the library must not call it again, else CONTINUE."""
@@ -49,8 +48,6 @@ CONTINUE: Final = 1
 NS_PER_S: Final = 1_000_000_000
 MM_PER_M: Final = 1000.0
 MNM_PER_NM: Final = 1000.0
-NOT_A_ROTATION: Final = 0.01
-"""Tolerance of the rows' lengths and of the determinant; a larger deviation from 1 is a fault, not a rotation."""
 
 PROBE_INKWELL: Final = 0
 """Frames of the first queries of inkwell and motor temperature, which not every device has.
@@ -173,9 +170,7 @@ def _send_wrench(handle: int, wrench: Any) -> None:
     is_current = wrench[KNOWN_LAPSES] == word[AT.lapses]
     is_usable = may_send and is_current and word[AT.docked] == 0 and word[AT.late] == 0
     is_usable = is_usable and now - word[AT.started_at] - wrench[WRITE_TIME] <= word[AT.age_max]
-    has_force = False
-    for k in range(6):
-        has_force = has_force or wrench[k] != 0.0
+    has_force = not is_zero(wrench, 6)
     if not is_usable and (word[AT.has_force] != 0 or (has_force and is_current)):
         word[AT.lapses] += 1
     word[AT.has_force] = int(is_usable and has_force)
@@ -192,18 +187,8 @@ def _make_pose(handle: int, new_pose: Any) -> None:
     """Convert the frame's pose to the world frame; the orientation is NaN if its matrix is not a rotation."""
     word = int64_at(handle)
     p, m = float64_at(handle + 8 * AT.position), float64_at(handle + 8 * AT.matrix)
-    new_pose[0], new_pose[1], new_pose[2] = p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M
-    world = ((m[0], -m[8], m[4]), (-m[2], m[10], -m[6]), (m[1], -m[9], m[5]))
-    rotation = abs(vec3.dot(world[0], vec3.cross(world[1], world[2])) - 1.0) < NOT_A_ROTATION
-    for i in range(3):
-        rotation = rotation and abs(vec3.norm(world[i]) - 1.0) < NOT_A_ROTATION
-    if rotation:
-        q = from_matrix(world)
-        for k in range(4):
-            new_pose[3 + k] = q[k]
-    else:
-        for k in range(4):
-            new_pose[3 + k] = nan
+    rows = ((m[0], -m[8], m[4]), (-m[2], m[10], -m[6]), (m[1], -m[9], m[5]))
+    store_pose(new_pose, (p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M), orientation_of_rows(rows))
     new_pose[SAMPLE_TIME] = (word[AT.framed_at] - word[AT.started_at]) / NS_PER_S
     new_pose[SAMPLE_BUTTONS] = float(np.int64(int32_at(handle + 8 * AT.buttons)[0]) & 0xFFFFFFFF)
 
@@ -260,16 +245,14 @@ def read(handle: int, sample: Any) -> int:
     status = OK
     if sequence != word[AT.pose_seen]:
         word[AT.pose_seen], word[AT.silence] = sequence, 0
-        for k in range(SAMPLE_SIZE):
-            last_sample[k] = pose[k]
+        copy_sample(pose, last_sample)
     else:
         word[AT.repeated] += 1
         word[AT.silence] += listened
         if word[AT.silence] > TIMEOUT_NS:
             return TIMEOUT
         status = STALE
-    for k in range(SAMPLE_SIZE):
-        sample[k] = last_sample[k]
+    copy_sample(last_sample, sample)
     return status
 
 
@@ -280,18 +263,14 @@ def _status_of_write(handle: int, wrench: Any, now: int) -> int:
     WITHHELD: it sends zero instead. HELD: its frames have stopped, so the motors keep their force.
     """
     word = int64_at(handle)
-    zero, finite = True, True
-    for k in range(6):
-        finite = finite and isfinite(wrench[k])
-        zero = zero and wrench[k] == 0.0
     lapsed = word[AT.lapses] != word[AT.known_lapses]
     word[AT.known_lapses] = word[AT.lapses]
     silent = now - word[AT.framed_at] > word[AT.age_max]
     if silent and word[AT.has_force] != 0 and word[AT.stopped] == 0:
         return HELD
-    if zero:
+    if is_zero(wrench, 6):
         return OK
-    is_usable = finite and word[AT.armed] != 0 and word[AT.stopped] == 0
+    is_usable = is_finite(wrench, 6) and word[AT.armed] != 0 and word[AT.stopped] == 0
     if lapsed or silent or not is_usable or word[AT.docked] != 0 or word[AT.late] != 0:
         return WITHHELD
     return OK

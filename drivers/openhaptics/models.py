@@ -6,17 +6,9 @@ the Desktop. The device itself may report a lower force (`HD_NOMINAL_MAX_FORCE`)
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
-
-class ModelLimits(NamedTuple):
-    """Limits in N, N m (0: no motors turn the handle), N/m, N s/m."""
-
-    force_max_n: float
-    torque_max_nm: float
-    stiffness_max_n_per_m: float
-    damping_max_ns_per_m: float
-
+from softfinger.drivers.base import ModelLimits
 
 TOUCH: Final = ModelLimits(3.3, 0.0, 400.0, 4.0)
 DESKTOP: Final = ModelLimits(7.9, 0.0, 1000.0, 5.0)

@@ -1,16 +1,13 @@
-"""Memory that the exchange of a serial port shares with Python, after the fields of `board_exchange`."""
+"""Memory that the exchange of a serial port shares with Python, after the fields of `described_board`."""
 
 from __future__ import annotations
 
 from typing import Annotated, Final, NamedTuple
 
 from softfinger.drivers.block import address, counter, lay_out, numbers, raw_bytes, word
-from softfinger.drivers.board_exchange import BOARD
-from softfinger.drivers.fields.table import COMMANDED_SIZE, SENSED_SIZE
-from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, Mechanism
-from softfinger.drivers.serial.frames import LOOKBACK, NUMBERS
-from softfinger.proxy.kernels.jit.pack import flatten
-from softfinger.proxy.kernels.model import Quaternion, Vec3
+from softfinger.drivers.described_board import DESCRIBED
+from softfinger.drivers.fields.table import SENSED_SIZE
+from softfinger.drivers.serial.frames import LOOKBACK
 
 CHUNK: Final = 1024
 """Bytes per read."""
@@ -18,27 +15,8 @@ TEXT: Final = -1
 """Kind, in place of a mechanism's, of a board that computes its kinematics and sends WoodenHaptics' text."""
 
 
-class FrameConversion(NamedTuple):
-    """Parameters of the conversion between frames and poses or forces.
-
-    position     (3,) m  device's origin in the world
-    orientation  (4,)    device to world
-    force_max    N
-    mechanism    of a described board
-    """
-
-    position: Vec3
-    orientation: Quaternion
-    force_max: float
-    mechanism: Mechanism
-
-
-MODEL_LIKE: Final = FrameConversion((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0, NO_MECHANISM)
-MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
-
-
 class Fields(NamedTuple):
-    """Fields of this driver, after the fields of `board_exchange`."""
+    """Fields of this driver, after the fields of `described_board`."""
 
     bytes: Annotated[int, counter("bytes received")]
     frames: Annotated[int, counter("frames received")]
@@ -47,12 +25,6 @@ class Fields(NamedTuple):
     held: Annotated[int, counter("forces not sent because the last frame was not answered")]
     kicks: Annotated[int, counter("newlines sent because no data arrived")]
     blocked: Annotated[int, counter("forces withheld because more than two frames were queued in the port")]
-    cut: Annotated[int, counter("forces above the limit")]
-    singular: Annotated[
-        int, counter("forces reduced and samples without a position because the mechanism was in a singular pose")
-    ]
-    kind: Annotated[int, word("kind of mechanism, or TEXT")]
-    has_orientation: Annotated[int, word("whether the device measures its orientation")]
     answer_bytes: Annotated[int, word("bytes of an answer, valid or not; 0: the device does not answer")]
     bytes_at_send: Annotated[
         int, word("`bytes` when the last frame was sent; `answer_bytes` or more since then are its answer")
@@ -71,23 +43,14 @@ class Fields(NamedTuple):
     stream_bytes: Annotated[int, word("bytes in `stream` that may belong to a frame")]
     in_shape: Annotated[int, address("format of input frames, see `packets`")]
     out_shape: Annotated[int, address("format of output frames")]
-    in_rows: Annotated[int, word("fields of a frame")]
-    out_rows: Annotated[int, word("fields of an output frame")]
-    in_table: Annotated[int, address("(in_rows, ROW) float64")]
-    out_table: Annotated[int, address("(out_rows, ROW) float64")]
     stream: Annotated[int, address("received bytes, with described frames")]
     outgoing: Annotated[int, address("resync bytes and the last frame sent")]
     out_bytes: Annotated[int, word("bytes of an output frame")]
     out_total: Annotated[int, word("the same with the resync bytes before it")]
-    scratch_word: Annotated[int, word("buffer for one field")]
-    model: Annotated[int, numbers("a `FrameConversion`", MODEL_SIZE)]
-    last_position: Annotated[int, numbers("last position of a delta mechanism, m", 3)]
-    scratch: Annotated[int, numbers("values of the frame being read", max(NUMBERS, SENSED_SIZE))]
-    values: Annotated[int, numbers("values of the latest frame", max(NUMBERS, SENSED_SIZE))]
-    command_values: Annotated[int, numbers("values of the frame being written", COMMANDED_SIZE)]
+    scratch: Annotated[int, numbers("values of the frame being read; text has fewer", SENSED_SIZE)]
     incoming: Annotated[
         int, raw_bytes("last text read, preceded by earlier text that may belong to it", LOOKBACK + CHUNK)
     ]
 
 
-AT: Final = lay_out(Fields, after=BOARD)
+AT: Final = lay_out(Fields, after=DESCRIBED)

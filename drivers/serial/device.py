@@ -12,18 +12,18 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord
+from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord, make_info
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.board_exchange import BOARD, Times, init_exchange, make_info
-from softfinger.drivers.fields import table
-from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE, kind_of, make_mechanism
+from softfinger.drivers.board_exchange import BOARD, Times, init_exchange
+from softfinger.drivers.described_board import DESCRIBED, init_described, make_described_info, set_model
+from softfinger.drivers.fields.table import encode_constants
+from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE
 from softfinger.drivers.kinematics.subspace import rows as rows
 from softfinger.drivers.serial import exchange, frames, packets
-from softfinger.drivers.serial.block import AT, CHUNK, MODEL_SIZE, TEXT, FrameConversion
+from softfinger.drivers.serial.block import AT, CHUNK, TEXT
 from softfinger.drivers.serial.line import check as check
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
 from softfinger.drivers.serial.port import close_port, count_unsent, open_port
-from softfinger.proxy.kernels.jit.pack import flatten
 
 log: Final = logging.getLogger(__name__)
 
@@ -49,24 +49,20 @@ class SerialDevice(BlockDevice):
 
     def __init__(self, options: Options, fd: int, path: str) -> None:
         self._options, self._path = options, path
-        origin, rotation = options.mounting.frame()
         kinematics, spec = options.kinematics, options.frames
         self._setup, self._zero = b"", frames.ZERO
         if spec is not None:
             resync = b"" if spec.resync is None else bytes([spec.resync.byte]) * spec.resync.count
             self._setup = b"" if spec.setup is None else resync + _encode_frame(spec.setup, spec)
             self._zero = (self._setup or resync) + _encode_frame(spec.output, spec)
-        mechanism = NO_MECHANISM if kinematics is None else make_mechanism(kinematics, options.force_max_n)
-        self._block = self._make_block(fd, FrameConversion(origin, rotation, options.force_max_n, mechanism))
+        self._block = self._make_block(fd)
         ids = "" if options.vendor_id is None else f" {options.vendor_id:04x}:{options.product_id:04x}"
         name = f"serial{ids} at {path}"
         if kinematics is None:
-            self.info = make_info(options, name, sensed_dof=5)  # the rotation about the handle's axis is not sensed
+            # the rotation about the handle's axis is not sensed
+            self.info = make_info(options, name, sensed_dof=5, centre_m=options.mounting.position_m)
         else:
-            has_orientation = bool(self._block.word[AT.has_orientation])
-            self.info = make_info(
-                options, name, sensed_dof=6 if has_orientation else kinematics.dof, actuated_dof=kinematics.dof
-            )
+            self.info = make_described_info(self._block, options, kinematics, name)
         with contextlib.suppress(OSError):
             count_unsent(fd)
             self._block.word[AT.counts_unsent] = 1
@@ -76,8 +72,8 @@ class SerialDevice(BlockDevice):
             self.close()
             raise
 
-    def _make_block(self, fd: int, model: FrameConversion) -> Block:
-        block, options = Block(BOARD, AT), self._options
+    def _make_block(self, fd: int) -> Block:
+        block, options = Block(BOARD, DESCRIBED, AT), self._options
         spans = Times(options.quiet_s, options.kick_s, kick_awaiting=options.kick_s, timeout=options.timeout_s)
         spec = options.frames
         size = frames.FRAME_BYTES if spec is None else spec.input.bytes
@@ -86,32 +82,25 @@ class SerialDevice(BlockDevice):
         word[AT.answer_bytes] = 0 if spec is not None and spec.mode == "stream" else size
         word[AT.bytes_at_send] = -size  # nothing has been sent yet
         word[AT.newline] = frames.NEWLINE
-        word[AT.kind], word[AT.has_orientation] = TEXT, 1
         word[AT.out_bytes] = word[AT.out_total] = word[AT.frame_units] = frames.FRAME_BYTES
         block.raw_bytes(AT.incoming, frames.LOOKBACK)[:] = frames.NEWLINE
-        block.numbers(AT.model, MODEL_SIZE)[:] = flatten(model)
-        if spec is not None:
+        if spec is None:
+            word[DESCRIBED.kind], word[DESCRIBED.has_orientation] = TEXT, 1
+            set_model(block, NO_MECHANISM._replace(force_max=float(options.force_max_n)), options.mounting)
+        else:
             self._describe(block, spec)
         filler = 0 if spec is None or spec.resync is None else spec.resync.byte
         block.set_address(AT.outgoing, np.full(word[AT.out_total], filler, np.uint8))
         return block
 
     def _describe(self, block: Block, spec: Frames) -> None:
-        word, kinematics, big_endian = block.word, self._options.kinematics, spec.order == "big"
-        assert kinematics is not None
-        has_orientation = any(field.meaning == "qw" for field in spec.input.field)
-        has_orientation = has_orientation or getattr(kinematics, "wrist_counts_per_turn", None) is not None
-        word[AT.kind], word[AT.has_orientation] = kind_of(kinematics, has_orientation), has_orientation
+        word, options, big_endian = block.word, self._options, spec.order == "big"
+        assert options.kinematics is not None
+        init_described(block, options, options.kinematics, spec.input.field, spec.output.field, big_endian)
         word[AT.by_length] = spec.mode == "answer" and not spec.input.is_searchable()
-        for row_count, shape, fields, frame, table_of in (
-            (AT.in_rows, AT.in_shape, AT.in_table, spec.input, table.input_table(spec.input.field, big_endian)),
-            (AT.out_rows, AT.out_shape, AT.out_table, spec.output, table.output_table(spec.output.field, big_endian)),
-        ):
-            word[row_count] = len(table_of)
-            block.set_address(shape, packets.make_shape(frame, big_endian))
-            block.set_address(fields, table_of)
+        block.set_address(AT.in_shape, packets.make_shape(spec.input, big_endian))
+        block.set_address(AT.out_shape, packets.make_shape(spec.output, big_endian))
         block.set_address(AT.stream, np.zeros(2 * spec.input.bytes + CHUNK, np.uint8))
-        block.numbers(AT.last_position, 3)[:] = make_mechanism(kinematics, 0.0).delta.home
         word[AT.out_bytes] = word[AT.frame_units] = spec.output.bytes
         word[AT.out_total] = spec.output.bytes + (0 if spec.resync is None else spec.resync.count)
 
@@ -177,10 +166,8 @@ class SerialDevice(BlockDevice):
         """Return why no zero was sent in this time; empty if it was."""
         until = time.monotonic() + wait_s
         for step in (exchange.discard, exchange.silence):
-            while not step.ctypes(self._block.handle):
-                if time.monotonic() > until:
-                    return f"the port has accepted no data for {wait_s:g} s"
-                time.sleep(0.0001)
+            if not self._call_until_done(step, until - time.monotonic()):
+                return f"the port has accepted no data for {wait_s:g} s"
         try:
             while unsent := count_unsent(int(self._block.word[BOARD.fd])):
                 if time.monotonic() > until:
@@ -216,7 +203,7 @@ class SerialDevice(BlockDevice):
         blocked_at = self._block.word[AT.blocked_at]
         if blocked_at and time.monotonic_ns() - blocked_at < WARN_NS:
             return BLOCKED
-        return SINGULAR_POSE if self._block.word[AT.singular] else ""
+        return SINGULAR_POSE if self._block.word[DESCRIBED.singular] else ""
 
     def last_word(self) -> LastWord:
         return LastWord(self._path, int(self._block.word[BOARD.fd]), self._zero)
@@ -224,12 +211,10 @@ class SerialDevice(BlockDevice):
 
 def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:
     """Return a frame of the constants, with zero for everything commanded."""
-    big_endian, kinematics = spec.order == "big", np.zeros(table.COMMANDED_SIZE)
-    kinematics[table.CONSTANT] = 1.0
-    out = np.zeros(1 + frame.bytes, np.uint8)  # encoded like a report, with the id first
-    table.encode_once(kinematics, table.output_table(frame.field, big_endian), np.zeros(1, np.int64), out)
-    packets.complete_frame_once(out[1:], packets.make_shape(frame, big_endian))
-    return out[1:].tobytes()
+    is_big = spec.order == "big"
+    data, shape = encode_constants(frame.field, frame.bytes, big_endian=is_big), packets.make_shape(frame, is_big)
+    packets.complete_frame(data.ctypes.data, shape.ctypes.data)
+    return data.tobytes()
 
 
 def open_device(options: Options, rate_hz: float) -> SerialDevice:

@@ -12,52 +12,37 @@ given up: a board that reads nothing keeps its force.
 
 from __future__ import annotations
 
+from errno import EAGAIN
 from typing import Any, Final, NamedTuple
 
 from numba import types
 
-from softfinger.drivers.base import (
-    HELD,
-    IGNORED_WRENCH_MAX_S,
-    LOST,
-    OK,
-    SAMPLE_BUTTONS,
-    SAMPLE_GRIPPER,
-    STALE,
-    TIMEOUT,
-    WITHHELD,
-)
+from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, SAMPLE_BUTTONS, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
-from softfinger.drivers.fields.table import BUTTONS, COMMANDED_SIZE, CONSTANT, GRIPPER
-from softfinger.drivers.fields.table import encode as encode_fields
-from softfinger.drivers.kinematics.mechanism import (
-    FULL,
-    INVALID,
-    LIMITED,
-    SINGULAR,
-    force_to_command,
-    forward_kinematics,
+from softfinger.drivers.described_board import (
+    DESCRIBED,
+    MODEL_LIKE,
+    FrameConversion,
+    convert_values,
+    count_limited,
+    encode_force,
+    force_in_device,
+    store_in_world,
 )
+from softfinger.drivers.kinematics.mechanism import FULL, LIMITED
+from softfinger.drivers.samples import is_zero
 from softfinger.drivers.serial import packets
-from softfinger.drivers.serial.block import AT, CHUNK, MODEL_LIKE, TEXT, FrameConversion
+from softfinger.drivers.serial.block import AT, CHUNK, TEXT
 from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, decode_stream, encode
 from softfinger.drivers.serial.queue import drop_frames, has_unsent, is_blocked, record_write
-from softfinger.drivers.system.libc import EAGAIN, monotonic_ns, read_waiting, write_now
+from softfinger.drivers.system.libc import monotonic_ns, read_waiting, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.jit.pack import unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.rotations import (
-    about_x,
-    about_y,
-    about_z,
-    conjugate,
-    multiply,
-    normalize,
-    rotate,
-)
+from softfinger.proxy.kernels.numerics.rotations import about_x, about_y, about_z, multiply
 
 DRAIN_MAX: Final = 16
 """Maximum number of reads per tick, four times the kernel's buffer: a device that floods cannot block the loop."""
@@ -76,7 +61,7 @@ def _read_text(handle: int, size: int) -> tuple[int, int]:
     count = read_waiting(at[BOARD.fd], incoming + LOOKBACK, size, handle + 8 * AT.ioctl_scratch)
     if count <= 0:
         return count, 0
-    scratch, values = float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * AT.values)
+    scratch, values = float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * DESCRIBED.values)
     return count, decode_stream(incoming, count, scratch, values)
 
 
@@ -88,8 +73,8 @@ def _read_packets(handle: int, size: int) -> tuple[int, int]:
     if count <= 0:
         return count, 0
     at[AT.stream_bytes] += count
-    table = (at[AT.in_table], at[AT.in_rows], handle + 8 * AT.scratch_word)
-    numbers = (float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * AT.values))
+    table = (at[DESCRIBED.in_table], at[DESCRIBED.in_rows], handle + 8 * DESCRIBED.scratch_word)
+    numbers = (float64_at(handle + 8 * AT.scratch), float64_at(handle + 8 * DESCRIBED.values))
     filled = int64_at(handle + 8 * AT.stream_bytes)
     return count, packets.decode_stream(at[AT.stream], filled, at[AT.by_length] != 0, at[AT.in_shape], table, numbers)
 
@@ -102,7 +87,7 @@ def _drain(driver: Serial, handle: int) -> int:
         return TIMEOUT
     frames = 0
     for _ in range(DRAIN_MAX):
-        count, completed = _read_text(handle, CHUNK) if at[AT.kind] == TEXT else _read_packets(handle, CHUNK)
+        count, completed = _read_text(handle, CHUNK) if at[DESCRIBED.kind] == TEXT else _read_packets(handle, CHUNK)
         if count < 0:
             return LOST
         at[AT.bytes] += count
@@ -128,28 +113,13 @@ def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
 
 @pose.of(Serial)
 def _pose(driver: Serial, handle: int) -> bool:
-    at = int64_at(handle)
-    model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
-    values, sample = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * BOARD.sample)
-    if at[AT.kind] == TEXT:
-        position, rotation = _text_pose(values)
-        buttons, gripper = float(int(values[INFO]) & 0xFFFF), 0.0
-    else:
-        last_position = float64_at(handle + 8 * AT.last_position)
-        position, rotation, outcome = forward_kinematics(at[AT.kind], model.mechanism, values, last_position)
-        buttons, gripper = values[BUTTONS], values[GRIPPER]
-        if outcome == INVALID:
-            return False
-        at[AT.singular] += outcome == SINGULAR
-    position = vec3.add(rotate(model.orientation, position), model.position)
-    orientation = (
-        normalize(multiply(model.orientation, rotation)) if at[AT.has_orientation] != 0 else (1.0, 0.0, 0.0, 0.0)
-    )
-    for k in range(3):
-        sample[k] = position[k]
-    for k in range(4):
-        sample[3 + k] = orientation[k]
-    sample[SAMPLE_BUTTONS], sample[SAMPLE_GRIPPER] = buttons, gripper
+    if int64_at(handle)[DESCRIBED.kind] != TEXT:
+        return convert_values(handle)
+    model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * DESCRIBED.model)
+    values = float64_at(handle + 8 * DESCRIBED.values)
+    position, rotation = _text_pose(values)
+    store_in_world(handle, model, position, rotation)
+    float64_at(handle + 8 * BOARD.sample)[SAMPLE_BUTTONS] = float(int(values[INFO]) & 0xFFFF)
     return True
 
 
@@ -179,27 +149,19 @@ def _write_rest(handle: int) -> int:
 
 
 @jit
-def _encode_force(handle: int, force: Vec3) -> int:
+def _encode_frame(handle: int, force: Vec3) -> int:
     """Encode a force (N, device's frame) into the frame; return FULL, or why it was limited."""
     at = int64_at(handle)
-    model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
     frame = at[AT.outgoing] + at[AT.out_total] - at[AT.out_bytes]
-    if at[AT.kind] == TEXT:
-        norm = vec3.norm(force)
-        is_limited = norm > model.force_max
-        encode(vec3.scale(model.force_max / norm, force) if is_limited else force, frame)
+    if at[DESCRIBED.kind] == TEXT:
+        model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * DESCRIBED.model)
+        norm, force_max = vec3.norm(force), model.mechanism.force_max
+        is_limited = norm > force_max
+        encode(vec3.scale(force_max / norm, force) if is_limited else force, frame)
         return LIMITED if is_limited else FULL
-    command_values = float64_at(handle + 8 * AT.command_values)
-    for k in range(COMMANDED_SIZE):
-        command_values[k] = 0.0
-    command_values[CONSTANT] = 1.0
-    outcome = FULL
-    if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
-        values, last_position = float64_at(handle + 8 * AT.values), float64_at(handle + 8 * AT.last_position)
-        outcome = force_to_command(at[AT.kind], model.mechanism, values, last_position, force, command_values)
-    is_limited = encode_fields(command_values, at[AT.out_table], at[AT.out_rows], handle + 8 * AT.scratch_word, frame)
+    outcome = encode_force(handle, force, frame)
     packets.complete_frame(frame, at[AT.out_shape])
-    return LIMITED if is_limited and outcome == FULL else outcome
+    return outcome
 
 
 @outlined
@@ -215,19 +177,18 @@ def _send(handle: int, force: Vec3) -> int:
     status = _write_rest(handle)
     if status != OK:
         return status
-    outcome = _encode_force(handle, force)
+    outcome = _encode_frame(handle, force)
     count = at[AT.out_total] if _awaits_answer(handle) or at[AT.maybe_torn] != 0 else at[AT.out_bytes]
     accepted = _write_bytes(handle, at[AT.outgoing] + at[AT.out_total] - count, count)
     if accepted <= 0:
         return accepted if accepted < 0 else HELD
     at[BOARD.unsent_bytes] = count - accepted
     at[AT.written] += 1
-    at[BOARD.has_force] = 1 if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0 else 0
+    at[BOARD.has_force] = 0 if is_zero(force, 3) else 1
     at[AT.bytes_at_send] = at[AT.bytes]
     if at[AT.by_length] != 0:
         at[AT.stream_bytes] = 0  # the answer starts here
-    if outcome != FULL:
-        at[AT.singular if outcome == SINGULAR else AT.cut] += 1
+    count_limited(handle, outcome)
     status = _write_rest(handle)
     if status < 0:
         return status
@@ -294,8 +255,7 @@ def _command(driver: Serial, handle: int, wrench: Any) -> int:
         return HELD
     if is_blocked(handle):
         return _withhold(handle)
-    model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * AT.model)
-    return _send(handle, rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2])))
+    return _send(handle, force_in_device(handle, wrench))
 
 
 @wake.of(Serial)
@@ -305,7 +265,7 @@ def _wake(driver: Serial, handle: int) -> int:
         return OK
     _drop_old(handle)
     status = _write_rest(handle)
-    if status == OK and at[AT.kind] != TEXT:
+    if status == OK and at[DESCRIBED.kind] != TEXT:
         at[AT.kicks] += 1
         return _write_zero(handle)
     if status == OK and at[BOARD.has_force] != 0:

@@ -89,11 +89,8 @@ def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> 
         if not is_usable(frame.check.kind, frame.check.offset, frame.check.first):
             return
         if frame.check.first >= frame.check.offset:
-            yield (
-                "check.first",
-                frame.check.first,
-                f"must be below offset = {frame.check.offset}, otherwise it covers no byte",
-            )
+            fault = f"must be below offset = {frame.check.offset}, otherwise it covers no byte"
+            yield "check.first", frame.check.first, fault
     uses = dict[int, str]()
     for byte, name in frame.find_reserved_bytes():
         if not 0 <= byte < frame.bytes or byte in uses:
@@ -165,11 +162,8 @@ class Frames(Table, frozen=True, kw_only=True):
         ):
             for index, field in enumerate(self.setup.field):
                 if is_usable(field.meaning) and field.meaning != "constant":
-                    yield (
-                        f"setup.field[{index}].meaning",
-                        field.meaning,
-                        "must be constant, since it is sent before the first command",
-                    )
+                    fault = "must be constant, since it is sent before the first command"
+                    yield f"setup.field[{index}].meaning", field.meaning, fault
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -198,11 +192,8 @@ class Options(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
-            yield (
-                "timeout_s",
-                self.timeout_s,
-                f"must be at least quiet_s = {self.quiet_s:g}, so that a kick is sent first",
-            )
+            fault = f"must be at least quiet_s = {self.quiet_s:g}, so that a kick is sent first"
+            yield "timeout_s", self.timeout_s, fault
         if is_usable(self.vendor_id, self.product_id) and (self.vendor_id is None) != (self.product_id is None):
             yield "product_id", self.product_id, "vendor_id and product_id belong together: set both or none"
         if not is_usable(self.frames, self.kinematics):

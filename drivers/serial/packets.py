@@ -15,18 +15,19 @@ from numba import types
 from numpy.typing import NDArray
 
 from softfinger.drivers.fields.table import SENSED_SIZE, decode
-from softfinger.drivers.serial.options import CHECKS, Frame
-from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.drivers.serial.options import CHECK_BYTES, CHECKS, Frame
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import int64_at, uint8_at
 
-# Entries of a shape: bytes of the frame, kind of checksum, its offset and the first byte that it covers, 1 if its high
-# byte is first, then the fixed value of each byte, or -1.
+# Entries of a shape: bytes of the frame, kind of checksum, its offset, the first byte that it covers, its bytes (0: no
+# checksum), 1 if its high byte is first, then the fixed value of each byte, or -1.
 BYTES: Final = 0
 CHECK_KIND: Final = 1
 CHECK_OFFSET: Final = 2
 CHECK_FIRST: Final = 3
-IS_BIG_ENDIAN: Final = 4
-FIXED_BYTES: Final = 5
+CHECK_SIZE: Final = 4
+IS_BIG_ENDIAN: Final = 5
+FIXED_BYTES: Final = 6
 
 _SUM8: Final = CHECKS.index("sum8")
 _XOR8: Final = CHECKS.index("xor8")
@@ -37,14 +38,13 @@ _MODBUS: Final = CHECKS.index("crc16-modbus")
 
 def make_shape(frame: Frame, big_endian: bool) -> NDArray[np.int64]:
     """Return the shape of a frame for the kernels."""
-    check = frame.check
-    words = [frame.bytes, -1, 0, 0, int(big_endian)]
+    check, checked = frame.check, [-1, 0, 0, 0]
     if check is not None:
-        words[CHECK_KIND:IS_BIG_ENDIAN] = [CHECKS.index(check.kind), check.offset, check.first]
+        checked = [CHECKS.index(check.kind), check.offset, check.first, CHECK_BYTES[check.kind]]
     fixed = [-1] * frame.bytes
     fixed[: len(frame.start)] = frame.start
     fixed[frame.bytes - len(frame.end) :] = frame.end
-    return np.array([*words, *fixed], dtype=np.int64)
+    return np.array([frame.bytes, *checked, int(big_endian), *fixed], dtype=np.int64)
 
 
 @jit
@@ -76,10 +76,10 @@ def checksum(frame: int, shape: int) -> int:
 
 
 @jit
-def _check_byte_index(shape: int, high: bool) -> int:
-    """Return the index of the low or the high byte of a two-byte checksum."""
+def _check_index(shape: int, k: int) -> int:
+    """Return the index of byte `k` of a checksum, the lowest first."""
     s = int64_at(shape)
-    return int(s[CHECK_OFFSET] + (1 if (s[IS_BIG_ENDIAN] != 0) != high else 0))
+    return int(s[CHECK_OFFSET] + (s[CHECK_SIZE] - 1 - k if s[IS_BIG_ENDIAN] != 0 else k))
 
 
 @jit
@@ -89,14 +89,10 @@ def is_frame(frame: int, shape: int) -> bool:
     for k in range(s[BYTES]):
         if s[FIXED_BYTES + k] >= 0 and text[k] != s[FIXED_BYTES + k]:
             return False
-    if s[CHECK_KIND] < 0:
-        return True
-    crc = checksum(frame, shape)
-    if s[CHECK_KIND] in (_CCITT, _MODBUS):
-        return bool(
-            text[_check_byte_index(shape, False)] == crc & 0xFF and text[_check_byte_index(shape, True)] == crc >> 8
-        )
-    return bool(text[s[CHECK_OFFSET]] == crc)
+    is_valid, crc = True, checksum(frame, shape)
+    for k in range(s[CHECK_SIZE]):
+        is_valid = is_valid and text[_check_index(shape, k)] == crc >> (8 * k) & 0xFF
+    return is_valid
 
 
 @jit
@@ -106,14 +102,9 @@ def complete_frame(frame: int, shape: int) -> None:
     for k in range(s[BYTES]):
         if s[FIXED_BYTES + k] >= 0:
             text[k] = types.uint8(s[FIXED_BYTES + k])
-    if s[CHECK_KIND] < 0:
-        return
     crc = checksum(frame, shape)
-    if s[CHECK_KIND] in (_CCITT, _MODBUS):
-        text[_check_byte_index(shape, False)] = types.uint8(crc & 0xFF)
-        text[_check_byte_index(shape, True)] = types.uint8(crc >> 8)
-    else:
-        text[s[CHECK_OFFSET]] = types.uint8(crc)
+    for k in range(s[CHECK_SIZE]):
+        text[_check_index(shape, k)] = types.uint8(crc >> (8 * k) & 0xFF)
 
 
 @jit
@@ -163,9 +154,3 @@ def decode_stream(
         text[k] = text[at + k]
     filled[0] = count - at
     return frames
-
-
-@entry
-def complete_frame_once(frame: NDArray[np.uint8], shape: NDArray[np.int64]) -> None:
-    """Call `complete_frame` from Python."""
-    complete_frame(frame.ctypes.data, shape.ctypes.data)

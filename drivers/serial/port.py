@@ -14,20 +14,15 @@ from typing import Final
 from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.serial.options import Options
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import describe_foreign_product, explain_ambiguity
+from softfinger.drivers.system.claims import explain_ambiguity, is_inverse3
 from softfinger.drivers.system.hidraw import ids
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.drivers.system.rules import how_to_permit
 
-TIOCGSERIAL: Final = 0x541E
-TIOCSSERIAL: Final = 0x541F
 SERIAL_STRUCT_BYTES: Final = 72
 FLAGS_AT: Final = 16
 ASYNC_LOW_LATENCY: Final = 1 << 13
 """From linux/serial.h and tty_flags.h: struct serial_struct and the offset of its flags, on 64-bit machines."""
-TIOCSERGETLSR: Final = 0x5459
-TIOCSER_TEMT: Final = 1
-"""From asm/ioctls.h and linux/serial.h: state of a UART, and its bit for an empty transmitter."""
 DRAIN_WAIT_S: Final = 0.2
 """Maximum time to send written bytes before the port is closed; the system's close would wait for 30 s."""
 
@@ -37,8 +32,6 @@ def open_port(options: Options) -> tuple[int, str]:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is not a port or another device.
     """
-    if not sys.platform.startswith("linux"):
-        raise DeviceError(f"driver 'serial' opens serial ports of Linux, and this is {sys.platform}")
     path = options.path or find_port(options)
     _check_ids(path, options)
     fd = open_locked(path, _how_to_permit(path, options))
@@ -76,10 +69,10 @@ def count_unsent(fd: int) -> int:
     if queued:
         return queued
     try:
-        state = int.from_bytes(fcntl.ioctl(fd, TIOCSERGETLSR, bytes(4)), sys.byteorder)
+        state = int.from_bytes(fcntl.ioctl(fd, termios.TIOCSERGETLSR, bytes(4)), sys.byteorder)
     except OSError:  # no UART, or a driver that does not support the request
         return 0
-    return 0 if state & TIOCSER_TEMT else 1
+    return 0 if state & termios.TIOCSER_TEMT else 1
 
 
 def find_port(options: Options) -> str:
@@ -93,7 +86,7 @@ def find_port(options: Options) -> str:
         attached = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
         raise DeviceNotFound(f"the rig does not set a port: set path under [device]; attached: {attached}")
     usb_ids = ids(options.vendor_id, options.product_id)
-    with_ids = [port for port in ports if port.ids == usb_ids and describe_foreign_product(port) is None]
+    with_ids = [port for port in ports if port.ids == usb_ids and not is_inverse3(port)]
     matching = [port for port in with_ids if options.serial in (None, port.serial)]
     if len(matching) == 1:
         ambiguity = explain_ambiguity(matching[0]) if options.serial is None else None
@@ -112,7 +105,7 @@ def find_port(options: Options) -> str:
             f"no serial port {usb_ids} has the serial number '{options.serial}': attached are {serials}"
         )
     ignored_ports = ", ".join(
-        f"{describe_foreign_product(port) or port.name} ({port.ids}) at {port.node}" for port in ports
+        f"{'a Haply Inverse3' if is_inverse3(port) else port.name} ({port.ids}) at {port.node}" for port in ports
     )
     attached_text = f"attached are {ignored_ports}" if ports else "no USB serial port is attached"
     raise DeviceNotFound(
@@ -132,9 +125,9 @@ def _check_ids(path: str, options: Options) -> None:
             f"{path} is the device {port.ids} ({port.name}), but the rig is for {usb_ids}: set path to the right "
             "port, or remove it"
         )
-    if port is not None and (product := describe_foreign_product(port)) is not None:
+    if port is not None and is_inverse3(port):
         raise DeviceError(
-            f"{path} is {product} ('{port.name}'), which uses another protocol: set path to the right port"
+            f"{path} is a Haply Inverse3 ('{port.name}'), which uses another protocol: set path to the right port"
         )
 
 
@@ -159,7 +152,7 @@ def _set_raw(fd: int, baud: int) -> None:
     termios.tcflush(fd, termios.TCIOFLUSH)
     # A chip such as FTDI's then delivers bytes after 1 ms instead of 16; ports without such a timer reject it.
     with contextlib.suppress(OSError):
-        timer = bytearray(fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
+        timer = bytearray(fcntl.ioctl(fd, termios.TIOCGSERIAL, bytes(SERIAL_STRUCT_BYTES)))
         (flags,) = struct.unpack_from("i", timer, FLAGS_AT)
         struct.pack_into("i", timer, FLAGS_AT, flags | ASYNC_LOW_LATENCY)
-        fcntl.ioctl(fd, TIOCSSERIAL, bytes(timer))
+        fcntl.ioctl(fd, termios.TIOCSSERIAL, bytes(timer))

@@ -7,6 +7,7 @@ reproducible to the bit regardless of the clock, unless a puck or a program lead
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -15,8 +16,9 @@ from numba import carray
 
 from softfinger.config.devices import presets
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, make_info
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
+from softfinger.drivers.samples import store_pose
 from softfinger.drivers.simulated import hand as led_hand
 from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.drivers.simulated.plant import (
@@ -82,11 +84,7 @@ def _acting_force(handle: int) -> Vec3:
 
 @jit
 def _fill_sample(sample: Any, plant: Plant, state: PlantState, n: int, buttons: float) -> None:
-    position = sense(plant, state)
-    for k in range(3):
-        sample[k] = position[k]
-    for k in range(4):
-        sample[3 + k] = state.orientation[k]
+    store_pose(sample, sense(plant, state), state.orientation)
     sample[SAMPLE_TIME] = n / plant.rate
     sample[SAMPLE_BUTTONS] = buttons
     sample[SAMPLE_GRIPPER] = 0.0
@@ -169,19 +167,8 @@ class SimulatedDevice(LoggedDevice):
             self._puck = Puck(turning, fd, self._puck_block)
             block.word[AT.puck] = self._puck_block.handle
         self._functions = _read if self._puck is None else _read_led_by_puck, wrench_log.write
-        reach = preset.workspace_radius_m
-        self.info = DeviceInfo(
-            name=f"simulated {preset.name}",
-            sensed_dof=preset.sensed_dof,
-            actuated_dof=3,
-            force_max_n=plant.force_max,
-            torque_max_nm=TORQUE_MAX_NM,
-            stiffness_max_n_per_m=preset.stiffness_max_n_per_m,
-            damping_max_ns_per_m=preset.damping_max_ns_per_m,
-            workspace_min_m=(-reach, -reach, -reach),
-            workspace_max_m=(reach, reach, reach),
-            own_clock=True,
-        )
+        info = make_info(preset, f"simulated {preset.name}", preset.sensed_dof)
+        self.info = dataclasses.replace(info, force_max_n=plant.force_max, own_clock=True)
 
     def close(self) -> None:
         try:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import time
+from errno import EAGAIN
 from typing import Annotated, Any, Final, NamedTuple
 
-from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.config.errors import DeviceNotFound
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import (
     LOST,
@@ -27,6 +27,7 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
 from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M
+from softfinger.drivers.samples import store_pose
 from softfinger.drivers.spacemouse.puck import (
     BUTTONS,
     REPORT_MAX,
@@ -40,20 +41,12 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import PUCKS
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.hidraw import open_path
-from softfinger.drivers.system.libc import EAGAIN, IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, read_now
+from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, read_now
 from softfinger.drivers.wrench_log import LOG, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
-
-# Indices of the state.
-POSITION: Final = 0
-ORIENTATION: Final = 3
-TIME: Final = 7  # s of motion so far
-MASK: Final = 8  # buttons
-DEFLECTION: Final = 9  # (6,) counts
-STATE_SIZE: Final = 15
 
 QUEUE: Final = 64
 """Reports that the kernel queues per node; when the queue is full, it drops later reports."""
@@ -81,7 +74,10 @@ class Fields(NamedTuple):
     hold: Annotated[int, word("time without a report after which the puck counts as released, ns")]
     timespec: Annotated[int, numbers("struct timespec of the clock", TIMESPEC_WORDS)]
     setup: Annotated[int, numbers("a `PuckParameters`", SETUP_SIZE)]
-    state: Annotated[int, numbers("pose of the fingertip, see POSITION and the next indices", STATE_SIZE)]
+    pose: Annotated[int, numbers("position (m) and orientation of the fingertip", 7)]
+    motion_time: Annotated[int, numbers("duration of the motion so far, s", 1)]
+    buttons: Annotated[int, numbers("bit mask", 1)]
+    deflection: Annotated[int, numbers("of the puck, see `decode`", 6)]
     buffer: Annotated[int, raw_bytes("a report", REPORT_MAX)]
 
 
@@ -96,7 +92,7 @@ def _drain(handle: int, now: int) -> int:
     counts as zero until the next report.
     """
     at = int64_at(handle)
-    state = handle + 8 * AT.state
+    deflection, buttons = float64_at(handle + 8 * AT.deflection), float64_at(handle + 8 * AT.buttons)
     status, before = STALE, at[AT.reports]
     for _ in range(DRAIN_MAX):
         count = read_now(at[AT.fd], handle + 8 * AT.buffer, REPORT_MAX)
@@ -106,7 +102,7 @@ def _drain(handle: int, now: int) -> int:
             return LOST
         at[AT.reports] += 1
         report = uint8_at(handle + 8 * AT.buffer)
-        report_status = decode(report, count, float64_at(state + DEFLECTION * 8), float64_at(state + MASK * 8))
+        report_status = decode(report, count, deflection, buttons)
         if report_status == PROTOCOL:
             return PROTOCOL
         if report_status == STALE:
@@ -116,9 +112,7 @@ def _drain(handle: int, now: int) -> int:
         if report[0] != BUTTONS:
             at[AT.sampled_at] = now
     if at[AT.reports] - before >= QUEUE:
-        deflection = float64_at(state + DEFLECTION * 8)
-        for k in range(6):
-            deflection[k] = 0.0
+        at[AT.sampled_at] = now - at[AT.hold] - 1
     return status
 
 
@@ -131,13 +125,13 @@ def read_setup(handle: int) -> PuckParameters:
 @jit
 def fingertip_pose(handle: int) -> tuple[Vec3, Quaternion]:
     """Return the fingertip's position (3,) m and orientation."""
-    state = float64_at(handle + 8 * AT.state)
-    return (state[0], state[1], state[2]), (state[3], state[4], state[5], state[6])
+    pose = float64_at(handle + 8 * AT.pose)
+    return (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6])
 
 
 @jit
 def button_mask(handle: int) -> float:
-    return float(float64_at(handle + 8 * AT.state)[MASK])
+    return float(float64_at(handle + 8 * AT.buttons)[0])
 
 
 @jit
@@ -149,18 +143,14 @@ def update_pose(handle: int, setup: PuckParameters, now: int, dt: float) -> int:
     status = _drain(handle, now)
     if status < 0:
         return status
-    state = float64_at(handle + 8 * AT.state)
-    deflection = float64_at(handle + 8 * (AT.state + DEFLECTION))
+    deflection = float64_at(handle + 8 * AT.deflection)
     if now - at[AT.sampled_at] > at[AT.hold]:
         for k in range(6):
             deflection[k] = 0.0
-    before, rotation = fingertip_pose(handle)
-    position, orientation = move(setup, before, rotation, deflection, dt)
-    for k in range(3):
-        state[POSITION + k] = position[k]
-    for k in range(4):
-        state[ORIENTATION + k] = orientation[k]
-    state[TIME] += dt
+    position, orientation = fingertip_pose(handle)
+    position, orientation = move(setup, position, orientation, deflection, dt)
+    store_pose(float64_at(handle + 8 * AT.pose), position, orientation)
+    float64_at(handle + 8 * AT.motion_time)[0] += dt
     return status
 
 
@@ -174,11 +164,10 @@ def read(handle: int, sample: Any) -> int:
     if status < 0:
         return status
     at[LOG.reads] += 1
-    state = float64_at(handle + 8 * AT.state)
-    for k in range(7):
-        sample[k] = state[k]
-    sample[SAMPLE_TIME] = state[TIME]
-    sample[SAMPLE_BUTTONS] = state[MASK]
+    position, orientation = fingertip_pose(handle)
+    store_pose(sample, position, orientation)
+    sample[SAMPLE_TIME] = float64_at(handle + 8 * AT.motion_time)[0]
+    sample[SAMPLE_BUTTONS] = button_mask(handle)
     sample[SAMPLE_GRIPPER] = 0.0
     return OK  # also without a report: a puck that does not move sends none
 
@@ -188,8 +177,8 @@ class Puck:
 
     def __init__(self, options: Options, fd: int, block: Block) -> None:
         self._word, self._led = block.word, options.led
-        word, state = block.word, block.numbers(AT.state, STATE_SIZE)
-        state[POSITION : POSITION + 3], state[ORIENTATION] = options.start_m, 1.0
+        word = block.word
+        block.numbers(AT.pose, 4)[:] = *options.start_m, 1.0
         block.numbers(AT.setup, SETUP_SIZE)[:] = flatten(make_parameters(options))
         word[AT.fd] = fd
         word[AT.hold] = round(options.hold_s * 1e9)
@@ -244,8 +233,6 @@ def open_puck(options: Options) -> tuple[int, str]:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if the node is not a puck's.
     """
-    if not sys.platform.startswith("linux"):
-        raise DeviceError(f"a SpaceMouse is read through Linux's hidraw, and this is {sys.platform}")
     puck = find(options)
     return open_path(puck.node, puck.vendor, puck.product), puck.name
 

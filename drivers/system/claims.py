@@ -39,16 +39,12 @@ The first one has vendor and product exchanged. Devices with Ethernet or FireWir
 
 TEENSY_SERIAL: Final = (0x16C0, 0x0483)
 """Ids of every Teensy with a serial port, regardless of its program."""
-HAPLY: Final = "haply"
-FOREIGN_PRODUCTS: Final = {TEENSY_SERIAL: {HAPLY: "a Haply Inverse3"}}
-"""Start of the product string of another maker's device, in lower case, by ids that several makers use."""
 
 
 class Claim(NamedTuple):
     """Claim of a driver to the devices of these ids; `product` None: every product of the vendor.
 
     reports  reports that a HID device has to announce; None: any
-    begins   required start of its product string, in lower case, if devices of other makers have the same ids
     """
 
     driver: str
@@ -57,7 +53,6 @@ class Claim(NamedTuple):
     product: int | None
     rigs: tuple[str, ...] = ()
     reports: ReportLengths | None = None
-    product_prefix: str = ""
 
 
 def find_claim(device: SystemDevice) -> Claim | None:
@@ -66,9 +61,12 @@ def find_claim(device: SystemDevice) -> Claim | None:
     Drivers of hidraw nodes and serial ports also claim the device on the USB bus, where it is listed without a node if
     the system lacks support for these nodes.
     """
-    if describe_foreign_product(device) is not None:
-        return next((claim for claim in claims_by_ids(device) if _has_prefix(device, claim.product_prefix)), None)
-    matching = [claim for claim in claims_by_ids(device) if not claim.product_prefix and _has_reports(device, claim)]
+    is_haply = is_inverse3(device)
+    matching = [
+        claim
+        for claim in claims_by_ids(device)
+        if (claim.driver == "haply") == is_haply and _has_reports(device, claim.reports)
+    ]
     if len(matching) < 2:
         return matching[0] if matching else None
     return matching[0]._replace(rigs=tuple(rig for claim in matching for rig in claim.rigs), reports=None)
@@ -84,25 +82,17 @@ def claims_by_ids(device: SystemDevice) -> list[Claim]:
     return of_product or [claim for claim in of_vendor if claim.product is None]
 
 
-def describe_foreign_product(device: SystemDevice) -> str | None:
-    """Return a description of a device with known ids, but the product string of another maker; else None."""
-    products = FOREIGN_PRODUCTS.get((device.vendor, device.product), {})
-    return next((name for product_prefix, name in products.items() if _has_prefix(device, product_prefix)), None)
-
-
-def _has_prefix(device: SystemDevice, product_prefix: str) -> bool:
-    return product_prefix != "" and device.name.lower().startswith(product_prefix)
+def is_inverse3(device: SystemDevice) -> bool:
+    """Return True for a Haply Inverse3, which has the ids of any Teensy, by its product string."""
+    return (device.vendor, device.product) == TEENSY_SERIAL and device.name.lower().startswith("haply")
 
 
 def matches(device: SystemDevice, options: Mapping[str, Any]) -> bool:
     """Return True if a device matches the USB ids and reports in a rig's [device] table."""
-    if (device.vendor, device.product) != (options["vendor_id"], options.get("product_id")) or describe_foreign_product(
-        device
-    ):
+    if (device.vendor, device.product) != (options["vendor_id"], options.get("product_id")) or is_inverse3(device):
         return False
     format_ = options.get("reports")
-    claim = Claim("", device.bus, device.vendor, None, (), _lengths(format_ if isinstance(format_, str) else None))
-    return _has_reports(device, claim)
+    return _has_reports(device, library_lengths().get(format_ if isinstance(format_, str) else None))
 
 
 def explain_ambiguity(device: SystemDevice) -> str | None:
@@ -110,17 +100,17 @@ def explain_ambiguity(device: SystemDevice) -> str | None:
 
     The product string of WoodenHaptics' board is unpublished, so no string identifies it.
     """
-    if (device.vendor, device.product) != TEENSY_SERIAL or describe_foreign_product(device) is not None:
+    if (device.vendor, device.product) != TEENSY_SERIAL or is_inverse3(device):
         return None
     product_text = "it names no product" if device.name == NO_PRODUCT else f"its product is '{device.name}'"
     return f"{product_text}, and {device.ids} matches any Teensy with a serial port, with any firmware"
 
 
-def _has_reports(device: SystemDevice, claim: Claim) -> bool:
-    if claim.reports is None or not device.descriptor:
+def _has_reports(device: SystemDevice, required: ReportLengths | None) -> bool:
+    if required is None or not device.descriptor:
         return True
     try:
-        return parse_descriptor(device.descriptor).includes(claim.reports)
+        return parse_descriptor(device.descriptor).includes(required)
     except ValueError:
         return False
 
@@ -147,7 +137,7 @@ def _claims() -> Iterator[Claim]:
 
     yield Claim("forcedimension", "usb", 0x1451, None, rigs_of("forcedimension"))
     yield Claim("falcon", "usb", 0x0403, 0xCB48, rigs_of("falcon"))
-    yield Claim("haply", "serial", *TEENSY_SERIAL, rigs_of("haply"), product_prefix=HAPLY)
+    yield Claim("haply", "serial", *TEENSY_SERIAL, rigs_of("haply"))
     for bus, vendor, product in TOUCHES:
         yield Claim("openhaptics", bus, vendor, product, rigs_of("openhaptics"))
     for vendor, product in PUCKS:
@@ -156,14 +146,14 @@ def _claims() -> Iterator[Claim]:
         if vendor_id is not None and product_id is not None:
             for format_, names in by_format.items():
                 described: Bus = "serial" if driver == "serial" else "hid"
-                yield Claim(driver, described, vendor_id, product_id, tuple(names), _lengths(format_))
+                yield Claim(driver, described, vendor_id, product_id, tuple(names), library_lengths().get(format_))
 
 
-def _lengths(format_: str | None) -> ReportLengths | None:
-    """Return the report lengths of a shipped format, read here without importing its driver."""
-    if format_ is None:
-        return None
-    entry = tomllib.loads((Path(__file__).parents[1] / "hid" / "reports.toml").read_text(encoding="utf-8"))[format_]
-    return ReportLengths(
-        *({entry[direction].get("id", 0): entry[direction]["bytes"]} for direction in ("input", "output"))
-    )
+@cache
+def library_lengths() -> dict[str | None, ReportLengths]:
+    """Return the report lengths of every shipped format, read here without importing its driver."""
+    file = Path(__file__).parents[1] / "hid" / "reports.toml"
+    return {
+        name: ReportLengths(*({reports[way].get("id", 0): reports[way]["bytes"]} for way in ("input", "output")))
+        for name, reports in tomllib.loads(file.read_text(encoding="utf-8")).items()
+    }

@@ -11,7 +11,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import Claim, claims_by_ids, describe_foreign_product, explain_ambiguity
+from softfinger.drivers.system.claims import Claim, claims_by_ids, explain_ambiguity
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.rules import install_command
 
@@ -41,8 +41,6 @@ def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None
     rig  configures files that the driver needs
     """
     if claim is None:
-        if (foreign_product := describe_foreign_product(device)) is not None:
-            return Diagnosis("unclaimed", f"it is {foreign_product}, which no driver supports")
         if device.bus == "hid" and claims_by_ids(device):
             return Diagnosis(
                 "unclaimed",

@@ -1,7 +1,7 @@
 """Discovery of USB devices, hidraw nodes and serial ports, with the processes and users that may access them.
 
-Nothing is opened: names and numbers are read from the system's tables, so that discovery does not disturb a device in
-use. On Linux the table is sysfs, which also lists devices that this user may not open; elsewhere pyusb is used for USB.
+Nothing is opened: names and numbers are read from sysfs, so that discovery does not disturb a device in use. It also
+lists devices that this user may not open.
 """
 
 from __future__ import annotations
@@ -11,10 +11,7 @@ import os
 import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
-
-from softfinger.config.errors import DeviceError
-from softfinger.drivers.system import libusb
+from typing import Final, Literal, NamedTuple
 
 Bus = Literal["usb", "hid", "serial", "library", "service"]
 """List that has a device: a table of the system, or the maker's library or service."""
@@ -121,14 +118,8 @@ def serial_port(node: str, root: Path = ROOT) -> SystemDevice | None:
 
 
 def usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
-    """Yield every USB device except hubs, from sysfs, or through pyusb if there is no sysfs."""
+    """Yield every USB device except hubs."""
     folder = root / USB
-    if not os.path.isdir(folder):
-        for device in find_usb():
-            if device.bDeviceClass != 0x09:
-                node = usb_node(device.bus or 0, device.address or 0)
-                yield SystemDevice("usb", device.idVendor, device.idProduct, "USB device", "", node)
-        return
     for name in sorted(_list_names(folder)):
         if _is_device(name) and (device := _usb_device(folder / name)) is not None:
             yield device
@@ -195,10 +186,7 @@ def _is_port(name: str) -> bool:
 
 
 def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace").strip()
-    except OSError:
-        return ""
+    return _read_bytes(path).decode(errors="replace").strip()
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -251,16 +239,6 @@ def _serial_port(path: Path) -> SystemDevice | None:
 
 def usb_node(bus: int, number: int) -> str:
     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
-
-
-def find_usb(**ids: int) -> list[Any]:
-    """Return pyusb's devices with these ids; none without USB, without permission to list it, or without libusb."""
-    import usb.core
-
-    try:
-        return libusb.find(**ids)
-    except (usb.core.USBError, DeviceError):
-        return []
 
 
 def _pids_with_lock(inode: int) -> Iterator[int]:

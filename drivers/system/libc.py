@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from errno import EAGAIN, EINTR, EIO
+from termios import FIONREAD, TCFLSH, TCOFLUSH, TIOCOUTQ
 from typing import Any, Final
 
 from numba import types
@@ -11,16 +13,6 @@ from softfinger.proxy.kernels.jit.memory import int64_at
 
 _CPointer: Any = types.CPointer
 IO_SIGNATURE: Final[Any] = types.int64(types.int64, _CPointer(types.float64))
-
-EINTR: Final = 4
-EIO: Final = 5
-EAGAIN: Final = 11
-ETIMEDOUT: Final = 110
-
-_FIONREAD: Final = 0x541B
-_TIOCOUTQ: Final = 0x5411
-_TCFLSH: Final = 0x540B
-_TCOFLUSH: Final = 1
 
 TIMESPEC_WORDS: Final = 2
 INTERRUPTED_MAX: Final = 4
@@ -74,7 +66,7 @@ def read_waiting(fd: int, address: int, size: int, word: int) -> int:
     """
     at = int64_at(word)
     at[0] = 0  # the ioctl writes only the lower half
-    if _ioctl(fd, _FIONREAD, word) != 0:
+    if _ioctl(fd, FIONREAD, word) != 0:
         return -int(errno_location()[0])
     if at[0] == 0:
         return 0
@@ -93,7 +85,7 @@ def count_unsent(fd: int, word: int) -> int:
     """
     at = int64_at(word)
     at[0] = 0  # the ioctl writes only the lower half
-    if _ioctl(fd, _TIOCOUTQ, word) != 0:
+    if _ioctl(fd, TIOCOUTQ, word) != 0:
         return -int(errno_location()[0])
     return int(at[0])
 
@@ -101,4 +93,4 @@ def count_unsent(fd: int, word: int) -> int:
 @jit
 def drop_unsent(fd: int) -> None:
     """Drop the bytes written to a terminal that the system has not sent; those in a USB serial chip remain."""
-    _ioctl(fd, _TCFLSH, _TCOFLUSH)
+    _ioctl(fd, TCFLSH, TCOFLUSH)

@@ -29,13 +29,12 @@ from softfinger.config.files import expand_home
 from softfinger.config.limits import DAMPING_NS_PER_M, STIFFNESS_N_PER_M, Range
 from softfinger.config.schema import Table, doc, within
 from softfinger.drivers import switch_interval
-from softfinger.drivers.base import LOST, TIMEOUT, Device, DeviceInfo, DeviceIO
+from softfinger.drivers.base import LOST, TIMEOUT, Device, DeviceIO, make_info
 from softfinger.drivers.block import Block
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.exchange import (
     AT,
     COUNTERS,
-    MODEL_SIZE,
     POSE_SIZE,
     WRENCH_NUMBER,
     WRENCH_SIZE,
@@ -43,7 +42,6 @@ from softfinger.drivers.haply.exchange import (
 )
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.system.nodes import open_locked
-from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.jit.seqlock import Slot, publish, read
 from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
@@ -60,8 +58,6 @@ LAST_ZEROS: Final = 3
 WATCHDOG_UNITS: Final = 5
 """100 ms without a request, then a Dynamixel stops its motor."""
 STOP_WAIT_S: Final = 1.0
-TORQUE_MAX_NM: Final = 1e2
-"""No motor turns the handle about its tip, but torque is accepted: contact and telemetry use it."""
 BUSES: Final[dict[str, type[Bus]]] = {"feetech": Feetech, "dynamixel": Dynamixel}
 _NUMBER: Final = Range(0.0, 100.0, "no such arm is stronger")
 
@@ -154,15 +150,11 @@ class LeaderArm(Device):
         self._jacobian = np.zeros(3)
         self.failure = ""
         self._block = Block(AT)
-        word = self._block.word
-        self._block.numbers(AT.model, MODEL_SIZE)[:] = flatten(
-            exchange.FrameConversion(*options.mounting.frame(), options.force_max_n)
-        )
-        word[AT.opened_at], word[AT.increment] = time.monotonic_ns(), 1
-        for place, seconds in ((AT.quiet, options.quiet_s), (AT.timeout_after, options.timeout_s), (AT.stale, 0.05)):
-            word[place] = round(seconds * 1e9)
-        word[AT.wake] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self.info = _info(options)
+        times = exchange.Times(options.quiet_s, options.timeout_s, stale=0.05)
+        exchange.init_exchange(self._block, options.mounting, options.force_max_n, times)
+        name = f"leader arm of {len(options.joint)} {options.protocol} servos at {options.path}"
+        actuated_dof = 0 if options.force_joint is None else 1
+        self.info = make_info(options, name, sensed_dof=min(6, len(options.joint)), actuated_dof=actuated_dof)
         self._poses = self._slot(AT.pose_sequence, AT.pose, POSE_SIZE)
         self._wrenches = self._slot(AT.wrench_sequence, AT.wrench, WRENCH_SIZE)
         self._wrench, self._copy, self._sequence, self._sent = np.zeros(WRENCH_SIZE), np.zeros(WRENCH_SIZE), 0, 0
@@ -346,21 +338,6 @@ class LeaderArm(Device):
                 self._sent = counts
         word[AT.handled] = word[AT.answered] = number
         word[AT.stops_answered] = stops
-
-
-def _info(options: Options) -> DeviceInfo:
-    r = options.workspace_radius_m
-    return DeviceInfo(
-        name=f"leader arm of {len(options.joint)} {options.protocol} servos at {options.path}",
-        sensed_dof=min(6, len(options.joint)),
-        actuated_dof=0 if options.force_joint is None else 1,
-        force_max_n=options.force_max_n,
-        torque_max_nm=TORQUE_MAX_NM,
-        stiffness_max_n_per_m=options.stiffness_max_n_per_m,
-        damping_max_ns_per_m=options.damping_max_ns_per_m,
-        workspace_min_m=(-r, -r, -r),
-        workspace_max_m=(r, r, r),
-    )
 
 
 def open_device(options: Options, rate_hz: float) -> LeaderArm:

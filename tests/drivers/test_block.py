@@ -9,6 +9,7 @@ import numpy as np
 
 from softfinger.drivers.block import Block, address, counter, lay_out, numbers, raw_bytes, read_fields, word
 from softfinger.drivers.board_exchange import BOARD
+from softfinger.drivers.described_board import DESCRIBED
 from softfinger.drivers.hid import exchange as hid
 from softfinger.drivers.serial import exchange as serial
 from softfinger.proxy.kernels.jit.decorators import entry
@@ -59,12 +60,12 @@ def occupied_words(layouts: tuple[Any, ...]) -> list[int]:
 
 
 def test_layouts_do_not_overlap() -> None:
-    for layouts in ((FRONT, AT), (BOARD, serial.AT), (BOARD, hid.AT)):
+    for layouts in ((FRONT, AT), (BOARD, DESCRIBED, serial.AT), (BOARD, DESCRIBED, hid.AT)):
         assert occupied_words(layouts) == list(range(len(Block(*layouts).word)))
 
 
 def test_every_field_has_a_description() -> None:
-    for layout in (BOARD, serial.AT, hid.AT):
+    for layout in (BOARD, DESCRIBED, serial.AT, hid.AT):
         assert all(place.doc for place in read_fields(type(layout)).values())
 
 

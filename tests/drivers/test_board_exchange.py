@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from math import inf, nan
-from types import SimpleNamespace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +12,19 @@ from helpers.plain_by_call import BY_CALL, MS, START_NS, by_call
 from numpy.typing import NDArray
 
 from softfinger.drivers import board_exchange
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, SAMPLE_SIZE, SAMPLE_TIME, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import (
+    HELD,
+    LOST,
+    OK,
+    PROTOCOL,
+    SAMPLE_SIZE,
+    SAMPLE_TIME,
+    STALE,
+    TIMEOUT,
+    WITHHELD,
+    ModelLimits,
+    make_info,
+)
 from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import BOARD, WAIT_MS, Times
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS
@@ -419,11 +430,8 @@ def test_silence_succeeds_once_the_zero_is_sent(status: int, unsent_bytes: int, 
 
 
 def test_info_of_a_board() -> None:
-    rig = SimpleNamespace(
-        mounting=SimpleNamespace(position_m=(1.0, 2.0, 3.0)), workspace_radius_m=0.25, force_max_n=5.0,
-        stiffness_max_n_per_m=700.0, damping_max_ns_per_m=3.0,
-    )  # fmt: skip
-    info = board_exchange.make_info(cast(Any, rig), "board", sensed_dof=5, actuated_dof=2)
+    limits = ModelLimits(5.0, 0.0, 700.0, 3.0, 0.25)
+    info = make_info(limits, "board", sensed_dof=5, actuated_dof=2, centre_m=(1.0, 2.0, 3.0))
     assert (info.workspace_min_m, info.workspace_max_m) == ((0.75, 1.75, 2.75), (1.25, 2.25, 3.25))
     assert (info.name, info.sensed_dof, info.actuated_dof, info.force_max_n) == ("board", 5, 2, 5.0)
     assert (info.stiffness_max_n_per_m, info.damping_max_ns_per_m) == (700.0, 3.0)

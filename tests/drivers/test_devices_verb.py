@@ -118,15 +118,13 @@ def test_unreadable_tables_give_no_devices(root: Path) -> None:
     (hidden / "libdrd.so").touch()
     for folder in (root / "sys", hidden):
         folder.chmod(0)
-    list(discovery.usb_devices(hidden))  # imports pyusb, which the other user might not be able to
     privileged = os.geteuid() == 0
     if privileged:
         os.seteuid(65534)  # user nobody: root may read everything
     try:
         assert not discovery.has_usb(root)
         assert discovery.names(root) == frozenset()
-        # the devices that libusb finds, if any
-        assert discovery.list_attached(root) == list(discovery.usb_devices(root))
+        assert discovery.list_attached(root) == []
         with pytest.raises(DeviceNotFound, match="the file does not exist"):
             library.load(str(hidden / "libdrd.so"))
         options = {"firmware": str(hidden / "libdrd.so")}

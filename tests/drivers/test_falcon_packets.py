@@ -104,14 +104,9 @@ def test_the_filler_byte_may_have_any_value(filler: int) -> None:
     assert (word[AT.fillers], word[AT.garbled]) == (1, 0)
 
 
-@entry
-def _pose(handle: int) -> int:
-    return int(reply.pose(handle))
-
-
 def answer(word: np.ndarray, counts: tuple[int, int, int], state: int) -> int:
     word.view(np.uint8)[8 * AT.newest : 8 * AT.newest + 16] = np.frombuffer(packet(counts, state), np.uint8)
-    return _pose(word.ctypes.data)
+    return reply.pose(word.ctypes.data)
 
 
 @pytest.mark.scaled

@@ -12,9 +12,10 @@ from helpers.hid_devices import described
 from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, File, by_call, check_pose
 
 from softfinger.config.load import build
-from softfinger.drivers import board_exchange
+from softfinger.drivers import board_exchange, described_board
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
+from softfinger.drivers.described_board import DESCRIBED
 from softfinger.drivers.fields.table import POSITION, WRIST
 from softfinger.drivers.hid import device, exchange
 from softfinger.drivers.hid.device import HidDevice, Options
@@ -33,13 +34,19 @@ class Board(FarEnd):
     exchange = exchange
 
     def __init__(self, patch: pytest.MonkeyPatch, **changes: Any) -> None:
-        self.clock, self.node = by_call(patch, exchange, board_exchange, device), File(FD, packets=True)
+        self.clock, self.node = (
+            by_call(patch, exchange, board_exchange, described_board, device),
+            File(FD, packets=True),
+        )
         patch.setattr(exchange, "read_now", self._read)
         patch.setattr(exchange, "write_now", self.node.write)
         patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
         options = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
         self.block = HidDevice(build(Options, options, "rig"), FD)._block
-        self.block.fixed = [(AT.values + WRIST, AT.values + POSITION), (AT.model, len(self.word))]  # no wrist is sensed
+        self.block.fixed = [
+            (DESCRIBED.values + WRIST, DESCRIBED.values + POSITION),  # no wrist is sensed
+            (DESCRIBED.model, AT.reports),
+        ]
         self.clock.room = {self.block.handle + 8 * BOARD.timespec}
         self.word[BOARD.has_sample], self.word[BOARD.sampled_at] = 1, START_NS
         self.word[BOARD.opened_at] = START_NS - 2000 * MS

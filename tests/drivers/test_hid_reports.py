@@ -32,18 +32,18 @@ CODES = dict(zip(TYPES, "bBhHiIf", strict=True))
 
 
 def decode(report: InputReport, data: bytes) -> tuple[bool, dict[str, float]]:
-    values = np.zeros(reports.SENSED_SIZE)
-    usable = reports.decode_once(
-        np.frombuffer(data, np.uint8).copy(), reports.input_table(report.field), np.zeros(1, np.int64), values
-    )
+    values, scratch, packet = np.zeros(reports.SENSED_SIZE), np.zeros(1, np.int64), np.frombuffer(data, np.uint8)
+    rows = reports.input_table(report.field)
+    usable = reports.decode(packet.ctypes.data, rows.ctypes.data, len(rows), scratch.ctypes.data, values)
     return bool(usable), dict(zip(SENSED, values.tolist(), strict=True))
 
 
 def encode(report: OutputReport, **values: float) -> tuple[bool, bytes]:
-    out = np.zeros(1 + report.bytes, np.uint8)
+    out, scratch = np.zeros(1 + report.bytes, np.uint8), np.zeros(1, np.int64)
     numbers = np.array([values.get(name, 0.0) for name in COMMANDED])
     numbers[reports.CONSTANT] = 1.0
-    cut = reports.encode_once(numbers, reports.output_table(report.field), np.zeros(1, np.int64), out)
+    rows = reports.output_table(report.field)
+    cut = reports.encode(numbers, rows.ctypes.data, len(rows), scratch.ctypes.data, out[1:].ctypes.data)
     return bool(cut), out.tobytes()
 
 

@@ -9,28 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from emulators.guideboard import crc8
-from helpers.plain_by_call import (
-    ABOUT_Z,
-    BY_CALL,
-    MS,
-    START_NS,
-    FarEnd,
-    File,
-    by_call,
-    check_pose,
-    matrix,
-    turned,
-)
+from helpers.plain_by_call import ABOUT_Z, BY_CALL, MS, START_NS, FarEnd, File, by_call, check_pose, matrix, turned
 from helpers.serial_devices import rig_options
 
 from softfinger.config.load import build
-from softfinger.drivers import board_exchange
+from softfinger.drivers import board_exchange, described_board
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
-from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, make_mechanism
+from softfinger.drivers.described_board import DESCRIBED
 from softfinger.drivers.serial import device, exchange
 from softfinger.drivers.serial.device import Options, SerialDevice
-from softfinger.drivers.serial.exchange import AT, CHUNK, FrameConversion
+from softfinger.drivers.serial.exchange import AT, CHUNK
 
 pytestmark = BY_CALL
 
@@ -54,17 +43,15 @@ class Board(FarEnd):
     exchange = exchange
 
     def __init__(self, options: Options, patch: pytest.MonkeyPatch) -> None:
-        self.clock, self.port = by_call(patch, exchange, board_exchange, device), File(FD)
+        self.clock, self.port = by_call(patch, exchange, board_exchange, described_board, device), File(FD)
         patch.setattr(exchange, "read_waiting", self._read)
         patch.setattr(exchange, "write_now", self.port.write)
         patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
-        kinematics = options.kinematics
-        mechanism = NO_MECHANISM if kinematics is None else make_mechanism(kinematics, options.force_max_n)
         opened = SerialDevice.__new__(SerialDevice)  # without the board's answer to its opening
         opened._options = options
-        self.block = opened._make_block(FD, FrameConversion(*options.mounting.frame(), options.force_max_n, mechanism))
-        self.block.fixed = [(AT.model, AT.last_position)]
-        if kinematics is not None:  # no text is received
+        self.block = opened._make_block(FD)
+        self.block.fixed = [(DESCRIBED.model, AT.bytes)]
+        if options.kinematics is not None:  # no text is received
             self.block.fixed.append((AT.incoming, len(self.word)))
         self.clock.room = {self.block.handle + 8 * BOARD.timespec}
         self.word[BOARD.has_sample], self.word[BOARD.sampled_at] = 1, START_NS
@@ -73,7 +60,7 @@ class Board(FarEnd):
 
     def _read(self, fd: int, address: int, size: int, word: int) -> int:
         assert word == self.block.handle + 8 * AT.ioctl_scratch
-        if self.word[AT.kind] == exchange.TEXT:
+        if self.word[DESCRIBED.kind] == exchange.TEXT:
             assert address + size <= self.block.handle + self.word.nbytes
         else:
             assert address + size <= self.word[AT.stream] + self.block._arrays[AT.stream].nbytes
@@ -341,81 +328,81 @@ def force_frame(x: int, y: int, z: int) -> bytes:
 
 
 @pytest.fixture
-def described_board(monkeypatch: pytest.MonkeyPatch) -> Board:
+def board_of_rig(monkeypatch: pytest.MonkeyPatch) -> Board:
     return Board(described(), monkeypatch)
 
 
-def test_a_described_frame_is_a_pose_in_the_world(described_board: Board) -> None:
+def test_a_described_frame_is_a_pose_in_the_world(board_of_rig: Board) -> None:
     q = (0.5, 0.1, -0.7, 0.5)
-    status, sample = described_board.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
+    status, sample = board_of_rig.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
     assert status == OK
     check_pose(sample, (0.25, 0.5, -0.125), q, rounding=1e-7)  # a float32 of 0.7
     assert sample[7:].tolist() == [2.0, 6.0, 0.5]
-    assert described_board.read(answer(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))[0] == PROTOCOL
-    assert described_board.counts() == {"bytes": 62, "frames": 2}
+    assert board_of_rig.read(answer(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))[0] == PROTOCOL
+    assert board_of_rig.counts() == {"bytes": 62, "frames": 2}
 
 
-def test_a_force_is_written_as_described(described_board: Board) -> None:
-    described_board.read(answer(0.0, 0.0, 0.0))
-    assert described_board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
-    assert described_board.sent() == force_frame(-10000, -5000, 20000)
-    described_board.read(answer(0.0, 0.0, 0.0))
-    assert described_board.write(0.0, 0.0, -30.0, 0.0, 0.0, 0.0) == STALE  # the motors: 4 N, and the field: 3.2768 N
-    assert described_board.sent() == force_frame(0, 0, -32768)
-    described_board.read(answer(0.0, 0.0, 0.0))
-    assert described_board.write(0.0, 3.5, 0.0, 0.0, 0.0, 0.0) == STALE  # only the field
-    assert described_board.sent() == force_frame(32767, 0, 0)
-    described_board.read(answer(0.0, 0.0, 0.0))
-    assert described_board.write(*ZERO) == OK
-    assert described_board.sent() == force_frame(0, 0, 0)
-    assert described_board.counts() == {"bytes": 124, "frames": 4, "written": 4, "cut": 2}
+def test_a_force_is_written_as_described(board_of_rig: Board) -> None:
+    board_of_rig.read(answer(0.0, 0.0, 0.0))
+    assert board_of_rig.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
+    assert board_of_rig.sent() == force_frame(-10000, -5000, 20000)
+    board_of_rig.read(answer(0.0, 0.0, 0.0))
+    assert board_of_rig.write(0.0, 0.0, -30.0, 0.0, 0.0, 0.0) == STALE  # the motors: 4 N, and the field: 3.2768 N
+    assert board_of_rig.sent() == force_frame(0, 0, -32768)
+    board_of_rig.read(answer(0.0, 0.0, 0.0))
+    assert board_of_rig.write(0.0, 3.5, 0.0, 0.0, 0.0, 0.0) == STALE  # only the field
+    assert board_of_rig.sent() == force_frame(32767, 0, 0)
+    board_of_rig.read(answer(0.0, 0.0, 0.0))
+    assert board_of_rig.write(*ZERO) == OK
+    assert board_of_rig.sent() == force_frame(0, 0, 0)
+    assert board_of_rig.counts() == {"bytes": 124, "frames": 4, "written": 4, "cut": 2}
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_force_along_one_axis_is_sent(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    described_board = Board(described(mounting={}), monkeypatch)
+    board_of_rig = Board(described(mounting={}), monkeypatch)
     numbers = [0.0, 0.0, 0.0]
     numbers[axis] = 1.0
-    assert described_board.write(*numbers, 0.0, 0.0, 0.0) == OK
-    assert described_board.word[BOARD.has_force] == 1
-    assert described_board.sent() == force_frame(*(round(1e4 * n) for n in numbers))
-    described_board.read(answer(0.0, 0.0, 0.0))
-    described_board.write(*ZERO)
-    assert described_board.sent() == force_frame(0, 0, 0)
-    assert described_board.word[BOARD.has_force] == 0
+    assert board_of_rig.write(*numbers, 0.0, 0.0, 0.0) == OK
+    assert board_of_rig.word[BOARD.has_force] == 1
+    assert board_of_rig.sent() == force_frame(*(round(1e4 * n) for n in numbers))
+    board_of_rig.read(answer(0.0, 0.0, 0.0))
+    board_of_rig.write(*ZERO)
+    assert board_of_rig.sent() == force_frame(0, 0, 0)
+    assert board_of_rig.word[BOARD.has_force] == 0
 
 
-def test_resync_bytes_follow_an_unanswered_frame(described_board: Board) -> None:
-    assert described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert described_board.sent() == force_frame(0, 0, 10000)
-    assert described_board.write(*ZERO) == OK
-    assert described_board.sent() == b"\3" * 4 + force_frame(0, 0, 0)
-    assert described_board.wake() == OK
-    assert described_board.sent() == b"\3" * 4 + force_frame(0, 0, 0)
-    described_board.read(answer(0.0, 0.0, 0.0))
-    assert described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert described_board.sent() == force_frame(0, 0, 10000)
-    assert described_board.counts() == {"bytes": 31, "frames": 1, "written": 4, "kicks": 1}
+def test_resync_bytes_follow_an_unanswered_frame(board_of_rig: Board) -> None:
+    assert board_of_rig.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert board_of_rig.sent() == force_frame(0, 0, 10000)
+    assert board_of_rig.write(*ZERO) == OK
+    assert board_of_rig.sent() == b"\3" * 4 + force_frame(0, 0, 0)
+    assert board_of_rig.wake() == OK
+    assert board_of_rig.sent() == b"\3" * 4 + force_frame(0, 0, 0)
+    board_of_rig.read(answer(0.0, 0.0, 0.0))
+    assert board_of_rig.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert board_of_rig.sent() == force_frame(0, 0, 10000)
+    assert board_of_rig.counts() == {"bytes": 31, "frames": 1, "written": 4, "kicks": 1}
 
 
-def test_a_described_board_is_woken_after_its_frame(described_board: Board) -> None:
-    described_board.port.room = 3
-    assert described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert described_board.wake() == HELD
-    assert "kicks" not in described_board.counts()
-    described_board.port.room = None
-    assert described_board.wake() == OK
-    assert described_board.sent() == force_frame(0, 0, 10000) + b"\3" * 4 + force_frame(0, 0, 0)
-    assert described_board.counts() == {"written": 2, "kicks": 1}
+def test_a_described_board_is_woken_after_its_frame(board_of_rig: Board) -> None:
+    board_of_rig.port.room = 3
+    assert board_of_rig.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+    assert board_of_rig.wake() == HELD
+    assert "kicks" not in board_of_rig.counts()
+    board_of_rig.port.room = None
+    assert board_of_rig.wake() == OK
+    assert board_of_rig.sent() == force_frame(0, 0, 10000) + b"\3" * 4 + force_frame(0, 0, 0)
+    assert board_of_rig.counts() == {"written": 2, "kicks": 1}
 
 
-def test_bytes_before_a_request_are_discarded(described_board: Board) -> None:
-    described_board.read(b"\7\7\7")
-    described_board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    status, sample = described_board.read(answer(0.25, 0.0, 0.0))
+def test_bytes_before_a_request_are_discarded(board_of_rig: Board) -> None:
+    board_of_rig.read(b"\7\7\7")
+    board_of_rig.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    status, sample = board_of_rig.read(answer(0.25, 0.0, 0.0))
     assert (status, sample[1]) == (OK, pytest.approx(0.45))
-    assert described_board.read()[0] == STALE
-    assert [described_board.read(bytes([byte]))[0] for byte in answer(0.25, 0.0, 0.0)] == [STALE] * 30 + [OK]
+    assert board_of_rig.read()[0] == STALE
+    assert [board_of_rig.read(bytes([byte]))[0] for byte in answer(0.25, 0.0, 0.0)] == [STALE] * 30 + [OK]
 
 
 def test_byte_order_and_checksums_of_both_directions(monkeypatch: pytest.MonkeyPatch) -> None:

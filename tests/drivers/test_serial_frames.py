@@ -49,11 +49,6 @@ def feed(stream: Any, sizes: Any, buffer: Any, scratch: Any, results: Any) -> in
     return came
 
 
-@entry
-def encode_once(x: float, y: float, z: float, frame: Any) -> None:
-    frames.encode((x, y, z), frame.ctypes.data)
-
-
 def decode(*messages: bytes) -> tuple[np.ndarray, np.ndarray]:
     """Return numbers (n, NUMBERS) of frames, and which of them are valid."""
     rows = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, FRAME_BYTES)
@@ -64,7 +59,7 @@ def decode(*messages: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 def encode(*force: float) -> bytes:
     out = np.zeros(FRAME_BYTES + 1, np.uint8)
-    encode_once(*force, out)
+    frames.encode(force, out.ctypes.data)
     assert out[-1] == 0
     return out[:-1].tobytes()
 

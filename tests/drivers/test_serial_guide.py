@@ -39,10 +39,7 @@ def test_the_printed_rig_is_checked(
 @pytest.mark.parametrize(
     ("rig", "words"),
     [
-        (
-            "haply-2diy",
-            "in the plane across (0.00, -1.00, 0.00) of the world; forces out of it are not displayed",
-        ),
+        ("haply-2diy", "in the plane across (0.00, -1.00, 0.00) of the world; forces out of it are not displayed"),
         (
             "hapkit",
             "on an arc, in its middle along (0.00, 0.00, 1.00) of the world; forces across it are not displayed",

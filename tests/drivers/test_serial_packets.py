@@ -67,7 +67,7 @@ def test_checksums_of_the_catalogue(kind: Any, big: bool) -> None:
     frame = Frame(bytes=12, check=Checksum(kind=kind, offset=10, first=1))
     shape = packets.make_shape(frame, big)
     data = np.frombuffer(b"!" + DIGITS + b"\0\0", np.uint8).copy()
-    packets.complete_frame_once(data, shape)
+    packets.complete_frame(data.ctypes.data, shape.ctypes.data)
     size = 2 if PUBLISHED[kind] > 0xFF else 1
     assert int.from_bytes(data[10 : 10 + size].tobytes(), "big" if big else "little") == PUBLISHED[kind]
     rows = InputFrame(bytes=12, check=frame.check, field=build_fields("uint8", 5))
@@ -95,8 +95,11 @@ def test_both_byte_orders(kind: str, code: str, big: bool) -> None:
 
 def numbered_frame(n: int) -> bytes:
     frame = Frame(bytes=6, start=(0xA5,), check=Checksum(kind="crc8", offset=5))
-    data = np.frombuffer(b"\xa5" + struct.pack("<i", n) + b"\0", np.uint8).copy()
-    packets.complete_frame_once(data, packets.make_shape(frame, False))
+    data, shape = (
+        np.frombuffer(b"\xa5" + struct.pack("<i", n) + b"\0", np.uint8).copy(),
+        packets.make_shape(frame, False),
+    )
+    packets.complete_frame(data.ctypes.data, shape.ctypes.data)
     return data.tobytes()
 
 

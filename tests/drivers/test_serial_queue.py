@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import struct
 from collections.abc import Callable
+from errno import EAGAIN, EIO
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,7 +27,6 @@ from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial import device, exchange, queue
 from softfinger.drivers.serial.block import AT
 from softfinger.drivers.serial.device import BLOCKED, SerialDevice
-from softfinger.drivers.system.libc import EAGAIN, EIO
 from softfinger.proxy.kernels.jit.compiler.numba_internals import CFunction
 
 pytestmark = BY_CALL

@@ -59,11 +59,7 @@ CASES = [
 
 @pytest.mark.parametrize(("number", "name"), CASES)
 def test_a_signal_in_contact_ends_the_force_within_a_second(
-    number: signal.Signals,
-    name: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    number: signal.Signals, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:

@@ -391,11 +391,7 @@ class Desk:
                 case "settings":
                     return self._device(line["id"]).settings
                 case "seen":
-                    return {
-                        "asked": service.http_requests,
-                        "said": service.sent,
-                        "sessions": service.sessions,
-                    }
+                    return {"asked": service.http_requests, "said": service.sent, "sessions": service.sessions}
         return None
 
     def _device(self, name: str) -> Inverse:

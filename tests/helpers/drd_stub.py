@@ -1,4 +1,4 @@
-"""Stub of Force Dimension's library, compiled by the test, and USB devices for pyusb."""
+"""Stub of Force Dimension's library, compiled by the test, and its devices on USB."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import usb.backend
-import usb.backend.libusb1
-import usb.core
 from numpy.typing import NDArray
 
 from helpers.c_stub import CStub, compiled
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension import selection
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
@@ -63,40 +61,19 @@ def stub(stub_library: Path) -> Iterator[Stub]:
     stub.reset()
 
 
-class UsbBus(usb.backend.IBackend):
-    """USB bus for pyusb with devices of Force Dimension, each given by its product number."""
-
-    def __init__(self, *products: int) -> None:
-        self.products = products
-
-    def enumerate_devices(self) -> Any:
-        return iter(range(len(self.products)))
-
-    def get_parent(self, dev: int) -> None:
-        return None
-
-    def get_device_descriptor(self, dev: int) -> Any:
-        return SimpleNamespace(
-            bLength=18, bDescriptorType=1, bcdUSB=0x0200, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
-            bMaxPacketSize0=64, idVendor=0x1451, idProduct=self.products[dev], bcdDevice=0x100, iManufacturer=0,
-            iProduct=0, iSerialNumber=0, bNumConfigurations=1, address=5 + dev, bus=1, port_number=1,
-            port_numbers=(1,), speed=3,
-        )  # fmt: skip
-
-
 @contextmanager
 def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged: bool = False) -> Iterator[None]:
-    """Let pyusb find these products, with device nodes of that mode under `nodes`. Unless `privileged`, run as a user
-    without privileges."""
-    get_backend, root = usb.backend.libusb1.get_backend, selection.NODES
-    usb.backend.libusb1.get_backend = lambda *_, **__: UsbBus(*products)
-    if nodes is not None:
-        selection.NODES = nodes
-        (nodes / "001").mkdir(exist_ok=True)
-        for number in range(len(products)):
-            node = nodes / "001" / f"{5 + number:03d}"
+    """Let the system list these products, with device nodes of that mode under `nodes`. Unless `privileged`, run as a
+    user without privileges."""
+    usb_devices, devices = discovery.usb_devices, []
+    for number, product in enumerate(products, 5):
+        node = (nodes or Path("/dev/bus/usb")) / "001" / f"{number:03d}"
+        devices.append(SystemDevice("usb", selection.VENDOR, product, "USB device", "", str(node)))
+        if nodes is not None:
+            node.parent.mkdir(exist_ok=True)
             node.touch()
             node.chmod(mode)
+    discovery.usb_devices = lambda: devices
     drop = os.geteuid() == 0 and not privileged
     if drop:
         os.seteuid(65534)  # user nobody: root may open everything
@@ -105,7 +82,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
     finally:
         if drop:
             os.seteuid(0)
-        usb.backend.libusb1.get_backend, selection.NODES = get_backend, root
+        discovery.usb_devices = usb_devices
 
 
 class OmegaBench(Bench):

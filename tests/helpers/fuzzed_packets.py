@@ -140,9 +140,9 @@ def _hid(_: Path, data: bytes) -> None:
 
     for rig in RIGS:
         report = rig_options(rig).reports.input
-        values = np.zeros(table.SENSED_SIZE)
-        report_bytes = np.frombuffer(data.ljust(report.bytes, b"\0")[: report.bytes], np.uint8).copy()
-        usable = table.decode_once(report_bytes, table.input_table(report.field), np.zeros(1, np.int64), values)
+        values, scratch, rows = np.zeros(table.SENSED_SIZE), np.zeros(1, np.int64), table.input_table(report.field)
+        packet = np.frombuffer(data.ljust(report.bytes, b"\0"), np.uint8)
+        usable = table.decode(packet.ctypes.data, rows.ctypes.data, len(rows), scratch.ctypes.data, values)
         _finite_or_refused(bool(usable), values.tolist())
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from helpers.c_stub import CStub, compiled
 from softfinger.drivers.openhaptics import device as openhaptics
-from softfinger.drivers.openhaptics import usb
+from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
@@ -98,8 +98,8 @@ class TouchBench(Bench):
 
     def ports(self, ports: tuple[SystemDevice, ...], permitted: bool = True) -> None:
         """Devices listed by the system, and whether this user may open them."""
-        self._patch.setattr(usb.discovery, "list_attached", lambda: list(ports))
-        self._patch.setattr(usb.discovery, "is_permitted", lambda node: permitted)
+        self._patch.setattr(discovery, "list_attached", lambda: list(ports))
+        self._patch.setattr(discovery, "is_permitted", lambda node: permitted)
 
     patience_s = 5.0  # nothing waits for the library's thread, and this machine may delay any thread
 

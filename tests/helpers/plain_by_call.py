@@ -8,6 +8,7 @@ compiled.
 from __future__ import annotations
 
 import ctypes
+from errno import EAGAIN, EIO
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 from helpers.plain_exchange import ORDERED, exchange_int64, unpack_at
 from softfinger.drivers.base import SAMPLE_SIZE
 from softfinger.drivers.block import Block
-from softfinger.drivers.system.libc import EAGAIN, EIO
 from softfinger.proxy.kernels.jit import seqlock
 
 BY_CALL = [
