@@ -105,22 +105,10 @@ def add_stream_options(parser: argparse.ArgumentParser) -> None:
 def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
     """Return the files of a repeatable option by finger name.
 
-    Parameters
-    ----------
-    values
-        FILE, given once, or NAME=FILE for each of several fingers.
-    flag
-        Name of the option, for the message.
+    values   FILE, given once, or NAME=FILE for each of several fingers
+    returns  file by name; a FILE without a name has the key ""
 
-    Returns
-    -------
-    dict
-        File by name; a FILE without a name has the key "".
-
-    Raises
-    ------
-    ConfigError
-        If a name is repeated, or if values with and without a name are mixed.
+    Raises ConfigError if a name is repeated, or if values with and without a name are mixed.
     """
     files: dict[str, str] = {}
     for value in values:

@@ -77,10 +77,7 @@ FAULTS: Final = frozenset({SILENT, FAST})
 class States:
     """State machine of a daemon; thread-safe.
 
-    Parameters
-    ----------
-    report
-        Called on each transition, in order, with the previous state, the new state and the cause.
+    report  called on each transition, in order, with the previous state, the new state and the cause
     """
 
     def __init__(

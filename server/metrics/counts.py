@@ -102,16 +102,10 @@ class FingerCounts:
 class MetricsCollector(Collector):
     """Collector that receives records and returns the metrics on a scrape; thread-safe.
 
-    Parameters
-    ----------
-    fingers
-        Names of several fingers; one empty name for a single finger.
-    wire
-        Returns the counts of the publisher.
-    written
-        Returns the counts of the recordings.
-    state
-        Returns the state of the daemon.
+    fingers  names of several fingers; one empty name for a single finger
+    wire     returns the counts of the publisher
+    written  returns the counts of the recordings
+    state    returns the state of the daemon
     """
 
     def __init__(

@@ -65,14 +65,9 @@ class TopicMessage(NamedTuple):
 class Recorder:
     """Writes to an open unbuffered file in a separate thread until `stop`.
 
-    Parameters
-    ----------
-    about
-        Tables of metadata (`RecordingFile`).
-    on_trouble
-        Called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed.
-    guards
-        Names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`.
+    about       tables of metadata (`RecordingFile`)
+    on_trouble  called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed
+    guards      names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`
     """
 
     def __init__(

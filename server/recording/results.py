@@ -70,17 +70,10 @@ def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> Non
 
     The file appears complete or not at all. Long writes report their progress on stderr.
 
-    Parameters
-    ----------
-    path
-        File to write or replace.
-    records
-        (n, RECORD_SIZE), or a mapping with records of equal length by finger name.
+    path     file to write or replace
+    records  (n, RECORD_SIZE), or a mapping with records of equal length by finger name
 
-    Raises
-    ------
-    RecordingError
-        If the records have another shape, or the file cannot be written.
+    Raises RecordingError if the records have another shape, or the file cannot be written.
     """
     by_finger = records if isinstance(records, Mapping) else {"": records}
     fingers = {name: np.asarray(rows, dtype=np.float64) for name, rows in by_finger.items()}
@@ -110,22 +103,11 @@ def write_blocks(
 def read_results(path: str | Path, finger: str = "") -> Array:
     """Read the records of a file from `write_results`.
 
-    Parameters
-    ----------
-    path
-        File with the ending .csv, .npz or .mcap.
-    finger
-        Name of the finger to read; empty for a file of a single finger.
+    path     file with the ending .csv, .npz or .mcap
+    finger   name of the finger to read; empty for a file of a single finger
+    returns  records (n, RECORD_SIZE), equal bit for bit to the written ones
 
-    Returns
-    -------
-    Array
-        Records (n, RECORD_SIZE), equal bit for bit to the written ones.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read, or has more than RESULTS_MAX records.
+    Raises RecordingError if the file cannot be read, or has more than RESULTS_MAX records.
     """
     source = Path(path)
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())

@@ -307,16 +307,10 @@ def encode(message: dict[str, Any]) -> bytes:
 def decode(topic: bytes, body: bytes) -> Any:
     """Decode one message strictly; unknown keys are ignored.
 
-    Returns
-    -------
-    Any
-        A struct for `contact`, `finger/...`, `health`, `state`, `world` and `deformation`; a dict for `schema` and for
-        `event`, which has further keys by kind.
+    returns  a struct for `contact`, `finger/...`, `health`, `state`, `world` and `deformation`; a dict for `schema` and
+             for `event`, which has further keys by kind
 
-    Raises
-    ------
-    ProtocolError
-        If the message does not follow docs/protocol.md.
+    Raises ProtocolError if the message does not follow docs/protocol.md.
     """
     name = topic.decode("ascii", "replace")
     decoder = _DECODERS.get(CONTACT if name.startswith(FINGERS) else name)
