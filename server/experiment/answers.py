@@ -1,4 +1,4 @@
-"""Sources of answers: a participant at the device, or the simulated observer."""
+"""Source of answers: a participant at the device."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.server.experiment.files import screen_for
 from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.interfaces import Progress, Response, TouchResult
-from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question
 from softfinger.server.experiment.session import is_right_answer
@@ -172,30 +171,3 @@ class Participant:
         for sample in self._haptics.latest.values():
             buttons |= int(sample.data.buttons)
         return buttons
-
-
-class DryRun:
-    """Simulated observer in place of a participant."""
-
-    def __init__(self, experiment: ExperimentFile, participant: int) -> None:
-        self._observer = SimulatedObserver(experiment, participant)
-
-    def instruct(self) -> None:
-        """Do nothing: the simulated observer needs no instructions."""
-
-    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Response:
-        return Response(self._observer.confidence(trial, condition, level, question))
-
-    def ask(
-        self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
-    ) -> Response:
-        return Response(self._observer.survey(question, condition, number))
-
-    def prepare(self, progress: Progress, condition: Condition) -> None:
-        """Do nothing: the simulated observer needs no prompt."""
-
-    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
-        return Response(self._observer.answer(trial, condition, level))
-
-    def pause(self, completed: int, total: int) -> None:
-        """Do nothing: the simulated observer needs no break."""

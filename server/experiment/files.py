@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_scene
 from softfinger.config.schema import Scene
-from softfinger.config.sources import EXPERIMENTS, find_in, names_in, read_toml
+from softfinger.config.sources import EXPERIMENTS, find_in, read_toml
 from softfinger.config.words import format_value
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Screen, Survey, SurveyFile
@@ -27,10 +27,6 @@ IMAGES: Final = {"png": rb"\x89PNG\r\n\x1a\n", "jpeg": rb"\xff\xd8\xff", "webp":
 """First bytes of image files, by the name of their type."""
 FILE_KEYS: Final = ("file", "solution")
 """Keys of an object and its tables whose values are files."""
-
-
-def list_shipped() -> list[str]:
-    return names_in(EXPERIMENTS)
 
 
 def read(source: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any], str, Path]:
