@@ -260,15 +260,14 @@ class Daemon:
         endpoint = self._rig.metrics.endpoint
         if endpoint is None:
             return None
-        from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
+        from softfinger.server.metrics.counts import MetricsCollector
         from softfinger.server.metrics.service import KEY, MetricsService
 
-        def wire() -> PublisherCounts:
-            figures = self.publisher.figures
-            return PublisherCounts(figures.subscribers, figures.lost, figures.refused, self.publisher.restarts)
-
         counts = MetricsCollector(
-            self._fingers, wire, lambda: self.recordings.collect_totals(), lambda: self.states.now
+            self._fingers,
+            lambda: (self.publisher.figures, self.publisher.restarts),
+            lambda: self.recordings.collect_totals(),
+            lambda: self.states.now,
         )
         return MetricsService(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 

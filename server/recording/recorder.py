@@ -46,20 +46,23 @@ class RecorderState(NamedTuple):
     worst_write_s   longest duration of a write
     """
 
-    ticks: int
-    dropped: int
-    bytes: int
-    error: str
-    whole: bool
-    events_dropped: int
-    worst_write_s: float
+    ticks: int = 0
+    dropped: int = 0
+    bytes: int = 0
+    error: str = ""
+    whole: bool = False
+    events_dropped: int = 0
+    worst_write_s: float = 0.0
 
-
-class TopicMessage(NamedTuple):
-    """Message of a topic of the scene, in the queue of events."""
-
-    topic: str
-    message: Mapping[str, Any]
+    def with_recording(self, other: RecorderState) -> RecorderState:
+        """Return the numbers of both recordings together."""
+        return self._replace(
+            ticks=self.ticks + other.ticks,
+            dropped=self.dropped + other.dropped,
+            bytes=self.bytes + other.bytes,
+            events_dropped=self.events_dropped + other.events_dropped,
+            worst_write_s=max(self.worst_write_s, other.worst_write_s),
+        )
 
 
 class Recorder:
@@ -84,7 +87,8 @@ class Recorder:
             for index, finger in enumerate(self._fingers)
         ]
         self._queue: deque[tuple[int, Array]] = deque()
-        self._events: deque[Mapping[str, Any] | TopicMessage | tuple[str, Any]] = deque()
+        self._events: deque[Callable[[RecordingFile], None]] = deque()
+        """Writers of an event, a message or a table of metadata."""
         self._events_lock = threading.Lock()
         self._events_dropped = self._reported_events_dropped = 0
         self._worst_write_s = 0.0
@@ -114,24 +118,24 @@ class Recorder:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Queue an event, a map as on the wire; never waits. Thread-safe."""
-        self._append(event)
+        self._append(lambda recording: recording.event(event))
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
         """Queue a message of a topic of the scene, a map as on the wire; never waits. Thread-safe."""
-        self._append(TopicMessage(topic, message))
+        self._append(lambda recording: recording.message(topic, message))
 
-    def _append(self, event: Mapping[str, Any] | TopicMessage) -> None:
+    def _append(self, write: Callable[[RecordingFile], None]) -> None:
         if self._error:
             return
         with self._events_lock:
             if len(self._events) < QUEUE_EVENTS:
-                self._events.append(event)
+                self._events.append(write)
             else:
                 self._events_dropped += 1
 
     def note(self, name: str, value: Any) -> None:
         """Queue a table of metadata; never waits. Thread-safe."""
-        self._events.append((name, value))
+        self._events.append(lambda recording: recording.note(name, value))
 
     @property
     def recorded(self) -> RecorderState:
@@ -206,13 +210,7 @@ class Recorder:
                 for event in [] if detector is None else detector.observe(block):
                     recording.event(event)
         for _ in range(len(self._events)):
-            event_or_note = self._events.popleft()
-            if isinstance(event_or_note, TopicMessage):
-                recording.message(*event_or_note)
-            elif isinstance(event_or_note, tuple):
-                recording.note(*event_or_note)
-            else:
-                recording.event(event_or_note)
+            self._events.popleft()(recording)
         recording.flush()
         self._count(recording)
         self.last_written_tick = self._last_tick
