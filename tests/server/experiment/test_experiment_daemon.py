@@ -164,7 +164,7 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
         ({"overrides": {"rig.guard.force_max_n": 2.0}}, WEAK,
          "rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
         ({"factor": [SEVERAL], "task": {"kind": "rate", "question": "?", "parameter": "coupling.damping_ns_per_m"}}, {},
-         r"condition two, level 1: the scene has \[\[finger\]\] 'thumb', 'index', and the rig \[device\]"),
+         r"the scene has \[\[finger\]\] 'thumb', 'index', but the rig has \[device\]"),
         ({}, {"commands.endpoint": "off"}, "accepts no commands, but an experiment needs them"),
         ({"rig": "falcon"}, {}, "no Falcon .* is attached"),
     ],
