@@ -82,11 +82,11 @@ class Recorder:
         guards: Sequence[str] | None = None,
     ) -> None:
         self._file, self._fingers, self._about, self._on_trouble = file, list(fingers), about, on_trouble
-        self._event_detectors = [
-            RecordEvents(guards, finger, index == 0) if guards is not None else None
-            for index, finger in enumerate(self._fingers)
-        ]
-        self._queue: deque[tuple[int, Array]] = deque()
+        self._event_detectors: dict[str, RecordEvents] = {}
+        if guards is not None:
+            for finger in fingers:
+                self._event_detectors[finger] = RecordEvents(guards, finger, finger == fingers[0])
+        self._queue: deque[tuple[str, Array]] = deque()
         self._events: deque[Callable[[RecordingFile], None]] = deque()
         """Writers of an event, a message or a table of metadata."""
         self._events_lock = threading.Lock()
@@ -103,8 +103,8 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def take(self, records: Array, finger: int = 0) -> None:
-        """Copy records (n, RECORD_SIZE) of the finger with this index to the queue; never waits. From one thread."""
+    def ticks(self, records: Array, finger: str = "") -> None:
+        """Copy records (n, RECORD_SIZE) of a finger to the queue; never waits. From one thread."""
         if self._error or self._closing.is_set():
             return
         if self._queued_rows - self._written_rows + len(records) > QUEUE_ROWS * len(self._fingers):
@@ -144,11 +144,6 @@ class Recorder:
             self._ticks, self._dropped, self._bytes, self._error, ended and not self._error,
             self._events_dropped, self._worst_write_s,
         )  # fmt: skip
-
-    @property
-    def failed(self) -> bool:
-        """Whether an error ended the recording."""
-        return bool(self._error)
 
     def stop(self, timeout_s: float) -> RecorderState:
         """Finish the recording, waiting at most `timeout_s` for the disk; writing continues after a timeout.
@@ -193,7 +188,7 @@ class Recorder:
 
     def _write(self, recording: RecordingFile) -> None:
         """Write all queued data, one batch per finger."""
-        batches: dict[int, list[Array]] = {}
+        batches: dict[str, list[Array]] = {}
         rows = 0
         for _ in range(len(self._queue)):
             finger, records = self._queue.popleft()
@@ -201,12 +196,12 @@ class Recorder:
             rows += len(records)
         for finger, arrays in batches.items():
             records = round_integer_fields(np.concatenate(arrays))
-            if finger == len(self._fingers) - 1:  # its ticks arrive last
+            if finger == self._fingers[-1]:  # its ticks arrive last
                 self._last_tick = int(records[-1, AT.tick])
-            detector = self._event_detectors[finger]
+            detector = self._event_detectors.get(finger)
             for first in range(0, len(records), BLOCK_ROWS):  # in blocks, so that other threads can run
                 block = records[first : first + BLOCK_ROWS]
-                recording.ticks(block, self._fingers[finger])
+                recording.ticks(block, finger)
                 for event in [] if detector is None else detector.observe(block):
                     recording.event(event)
         for _ in range(len(self._events)):

@@ -146,8 +146,8 @@ class Recordings:
     def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
         if (recorder := self._recorder) is not None:
             fingers = records.reshape(len(records), -1, RECORD_SIZE)
-            for finger_index in range(fingers.shape[1]):
-                recorder.take(fingers[:, finger_index], finger_index)
+            for index, finger in enumerate(self._fingers):
+                recorder.ticks(fingers[:, index], finger)
 
     def _report_trouble(self, path: Path, message: str, ended: bool) -> None:
         text = f"{path}: {message}"

@@ -331,10 +331,10 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     reports: list[str] = []
     file = SlowFile(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
-    recorder.take(run()[:1])
+    recorder.ticks(run()[:1])
     assert eventually(lambda: recorder.recorded.ticks == 1)
     file.free.clear()
-    recorder.take(run()[:1])
+    recorder.ticks(run()[:1])
     assert file.writing.wait(WAIT_S)
     start_s = time.monotonic()
     for number in range(QUEUE_EVENTS + 30):
@@ -364,7 +364,7 @@ def test_a_stalled_disk_loses_ticks_but_delays_nothing(tmp_path: Path) -> None:
     def take() -> int:
         first = next(numbers)
         batch[:, AT.tick] = first + np.arange(len(batch))
-        recorder.take(batch)
+        recorder.ticks(batch)
         return first
 
     take()
@@ -462,7 +462,7 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, limits[1]))
         recorder = Recorder(path.open("wb", buffering=0), [""], about(), lambda text, _: reports.append(text))
         for first in range(0, 2000, 40):
-            recorder.take(rows[first : first + 40])
+            recorder.ticks(rows[first : first + 40])
             time.sleep(PERIOD_S / 20)
         assert eventually(lambda: reports)
     finally:
