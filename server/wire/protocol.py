@@ -180,13 +180,7 @@ HEALTH_KEYS: Final = (
         "lower bound of the messages lost because subscribers were too slow, since the server started",
     ),
     Key("refused", "int", "1", "", "connections refused or closed because of their messages, since the server started"),
-    Key(
-        "restarts",
-        "int",
-        "1",
-        "",
-        "restarts of the processes of telemetry and commands since the server started",
-    ),
+    Key("restarts", "int", "1", "", "restarts of the processes of telemetry and commands since the server started"),
     Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
     Key(
         "preparing",

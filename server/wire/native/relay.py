@@ -173,14 +173,18 @@ class Tap:
 
 
 class Relay:
-    """Relay thread, and the memory in which it passes on the records of `fingers` fingers."""
+    """Relay thread, and the memory in which it passes on the records of `fingers` fingers.
+
+    memory  memory with every tick
+    bell    eventfd that wakes the publisher
+    """
 
     def __init__(self, fingers: int) -> None:
         width = fingers * RECORD_SIZE
         bell, self.bell = os.eventfd(0), os.eventfd(0)
-        self._memory = make_memory(CAPACITY_TICKS, width)
+        self.memory: Final = make_memory(CAPACITY_TICKS, width)
         self._state: Final = RelayState(
-            self._memory.broadcast,
+            self.memory.broadcast,
             self.bell,
             bell,
             np.array([0, -1, 0, 0, 0, 0, 0, 0]),
@@ -207,16 +211,6 @@ class Relay:
         with report_compilation("kernels of the relay"):
             for kernel, arguments in kernels:
                 kernel.compile(_types(*arguments))
-
-    @property
-    def memory(self) -> str:
-        """Name under which programs of this user find every tick, '' if they cannot."""
-        return self._memory.name
-
-    @property
-    def file(self) -> int:
-        """File of the same memory, opened read-only, for the publisher."""
-        return self._memory.reading
 
     @property
     def rows(self) -> int:
@@ -247,7 +241,7 @@ class Relay:
         self._closing.set()
         self._call()
         self._thread.join(JOIN_S)
-        remove(self._memory)
+        remove(self.memory)
         if not self._thread.is_alive():
             for file in (self._idle_feed.wake_fd, self._state.bell_fd, self.bell):
                 os.close(file)
