@@ -86,6 +86,12 @@ class CommandHandlers:
     def _store_latest(self, records: NDArray[np.float64], drops: int) -> None:
         self._latest = records[-1].copy()
 
+    def _latest_record(self, finger_index: int = 0) -> NDArray[np.float64]:
+        if self._latest is None:
+            raise Declined("refused", "there is no tick yet: repeat the request later")
+        record: NDArray[np.float64] = self._latest.reshape(-1, RECORD_SIZE)[finger_index]
+        return record
+
     def publish_change(self, name: str, command_id: str, change: Mapping[str, Any]) -> None:
         """Publish a change, shortened if it is too long to store for all subscribers."""
         content = dict(change)
@@ -94,9 +100,7 @@ class CommandHandlers:
         self._daemon.event("command", name, command_id=command_id, what=content)
 
     def get_state(self, request: Request) -> wire.State:
-        if self._latest is None:
-            raise Declined("refused", "there is no tick yet: repeat the request later")
-        return wire.state_of(self._latest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
+        return wire.state_of(self._latest_record(), self._rendering.servo.epoch_s, self._scene_name)
 
     def heartbeat(self, request: Request) -> wire.Alive:
         if self._rendering.force.is_inhibited_by(SILENT):
@@ -193,10 +197,7 @@ class CommandHandlers:
         if params.position_m is not msgspec.UNSET:
             turn = None if params.orientation_wxyz is msgspec.UNSET else params.orientation_wxyz
             hand_of(self._rendering.servo.devices[finger_index])  # raises NoSimulatedHand even before the first tick
-            if self._latest is None:
-                raise Declined("refused", "there is no tick yet: repeat the request later")
-            at = AT.probe_orientation
-            w, x, y, z = self._latest.reshape(-1, RECORD_SIZE)[finger_index][at : at + 4].tolist()
+            w, x, y, z = self._latest_record(finger_index)[AT.probe_orientation :][:4].tolist()
             target = RequestedPose(params.position_m, turn, (w, x, y, z))
         self._rendering.lead_hand(finger_index, target)
         self._publish_led(finger_index, not params.release, request)
@@ -252,9 +253,7 @@ class CommandHandlers:
         finger_index = self._finger(params.finger)
         if self._rendering.force.is_requested:
             raise Declined("refused", "the probe would jump while force is enabled: disarm first, and arm afterwards")
-        if self._latest is None:
-            raise Declined("refused", "there is no tick yet: repeat the request later")
-        record = self._latest.reshape(-1, RECORD_SIZE)[finger_index]
+        record = self._latest_record(finger_index)
         tick = self._rendering.set_offset(finger_index, None if params.reset else params.position_m, record)
         offset = self._rendering.offsets[finger_index]
         self.publish_change(

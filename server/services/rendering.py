@@ -99,15 +99,11 @@ class Rendering:
         self._offset_tick = 0
         """Number of ticks started when an offset was last set."""
         devices = self._open(scene, rig)
-        try:
+        with shutdown.close_on_error(devices), report_compilation("kernels that call the device"):
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
-            with report_compilation("kernels that call the device"):
-                self.servo: Final = ServoThread(
-                    devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
-                )
-        except BaseException as error:
-            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
-            raise
+            self.servo: Final = ServoThread(
+                devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
+            )
         unarmed = rig.guard.arm != "automatic"
         self.force: Final = Force(unarmed, states or States(), self.servo.switch, lambda: self.servo.ticks)
 
@@ -266,19 +262,13 @@ class Rendering:
         """Return a loop for devices that are opened in place of the present ones."""
         shutdown.close_all(self.servo.devices)
         devices = self._open(scene, rig)
-        try:
+        with shutdown.close_on_error(devices):
             return self._loop(scene, rig, devices)
-        except BaseException as error:
-            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
-            raise
 
     def _open(self, scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
         devices = open_devices(scene, rig)
-        try:
+        with shutdown.close_on_error(devices):
             return inject_faults(devices, scene, self.faults, rig.servo.rate_hz)
-        except BaseException as error:
-            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
-            raise
 
     def _await_no_force(self) -> None:
         """Wait until the loop has turned the force off; raises SafetyStop if it does not tick."""
