@@ -6,24 +6,18 @@ import math
 from statistics import NormalDist
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from softfinger.server.experiment.interfaces import Progress, Response, TouchResult
 from softfinger.server.experiment.psychometric import probability
-from softfinger.server.experiment.schema import ExperimentFile, Observer
+from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question
-from softfinger.server.experiment.trial_order import SURVEY, TRIAL, Condition, PlannedTrial
+from softfinger.server.experiment.trial_order import SURVEY, TRIAL, Condition, PlannedTrial, by_condition
 
 CERTAIN: Final = 2.0
 """Smallest evidence, in standard deviations of its noise, for the highest rating of confidence."""
 RATING_NOISE: Final = 0.1
 """Standard deviation of the answers to likert questions and numbers, as a share of their range."""
-
-
-def observer_for(experiment: ExperimentFile, condition: Condition) -> Observer:
-    """Return the observer in a condition: values of the condition replace the general ones."""
-    return msgspec.structs.replace(experiment.observer, **experiment.observer.by.get(condition.name, {}))
 
 
 class SimulatedObserver:
@@ -43,7 +37,7 @@ class SimulatedObserver:
 
     def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
         rng = self._rng(TRIAL, trial.number)
-        observer = observer_for(self._experiment, condition)
+        observer = by_condition(self._experiment.observer, condition)
         if self._experiment.task.kind == "compare":
             right = rng.random() < float(probability(level, observer.threshold, observer.slope, lapse=observer.lapse))
             return Response("first" if right == trial.test_first else "second")
@@ -57,7 +51,7 @@ class SimulatedObserver:
         Signal detection: evidence x is normal with unit variance, and the answer is right if x > 0. The range of |x|
         from 0 to CERTAIN has equal parts for all marks. The random number is that of the answer.
         """
-        observer, normal = observer_for(self._experiment, condition), NormalDist()
+        observer, normal = by_condition(self._experiment.observer, condition), NormalDist()
         chance = float(probability(level, observer.threshold, observer.slope, lapse=observer.lapse))
         uniform = self._rng(TRIAL, trial.number).random()
         evidence = normal.inv_cdf(min(chance, 1.0 - 1e-12)) - normal.inv_cdf(max(uniform, 1e-300))
@@ -73,7 +67,7 @@ class SimulatedObserver:
         """Return the answer to a question of a survey; its number in the session determines its noise."""
         answers = dict(self._experiment.observer.answers)
         if condition is not None:
-            answers |= observer_for(self._experiment, condition).answers
+            answers |= by_condition(self._experiment.observer, condition).answers
         configured = answers.get(question.name)
         if question.kind == "text":
             return "simulated" if configured is None else str(configured)
