@@ -277,11 +277,8 @@ class Daemon:
         telemetry = TelemetryService(self.publisher, self.servo)
         optional_services: list[CommandService | MetricsService] = []
         if self.commands_endpoint is not None:
-            interface = DaemonInterface(
-                lambda scene, name: self.replace(scene, scene_name=name),
-                self.publisher.ring, self.publisher.endpoint, self.publisher.serve, self.publisher.reply,
-                self._event, self.stop, self.fail, self.recordings, self.publisher.set_preparing,
-            )  # fmt: skip
+            replace = lambda scene, name: self.replace(scene, scene_name=name)  # noqa: E731
+            interface = DaemonInterface(self.publisher, self.recordings, replace, self._event, self.stop, self.fail)
             optional_services.append(CommandService(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
             optional_services.append(metrics)
