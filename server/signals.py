@@ -41,6 +41,17 @@ GRACE_S: Final = 0.5
 """Time for the main thread to handle a signal. Python code does so within one switch interval."""
 
 
+def call_at_end_of_input(action: Callable[[], None]) -> None:
+    """Call a function, in a thread, when standard input ends: the program that started this one has ended."""
+
+    def wait() -> None:
+        while os.read(sys.stdin.fileno(), 64):
+            pass
+        action()
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
 class Interrupted(KeyboardInterrupt):
     """A signal requested the end. As for KeyboardInterrupt, `except Exception` does not catch it."""
 
