@@ -83,7 +83,6 @@ class Daemon:
         self._failure: HapticError | None = None
         self._failed_at = math.inf
         self._published_faults: Final[set[str]] = set()
-        """Messages of published faults."""
         # Created first, so that each later change of the attached devices is reported, even if the first poll is late.
         hotplug = Hotplug()
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]

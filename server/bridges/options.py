@@ -7,7 +7,6 @@ from typing import Final
 from softfinger.server.arguments import Parser, add_daemon_options, add_stream_options
 
 FOXGLOVE_PORT: Final = 8765
-"""Default port of Foxglove."""
 
 
 def configure_bridge(parser: Parser) -> None:

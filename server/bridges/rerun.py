@@ -26,7 +26,6 @@ from softfinger.server.wire.protocol import WORLD
 PLOTTED: Final = (
     "force", "torque", "contact.mode", "contact.penetration", "contact.spin", "contact.torsion", "servo.late",
 )  # fmt: skip
-"""Fields that are plotted."""
 
 
 def stream(save: Path | None = None, connect: str | None = None) -> Any:

@@ -17,7 +17,6 @@ from softfinger.server.recording.reader import End, Event, Note, TickBlock
 from softfinger.server.recording.recorder import END
 
 _COPIED_TABLES = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
-"""Tables of metadata that a summary copies unchanged."""
 
 
 class _Finger:

@@ -88,7 +88,6 @@ EVENT_KEYS: Final = (
     Key("kind", "str", "", "", "contact, guard, elastic, servo, device, command, mark, fault, state or lifecycle"),
     Key("name", "str", "", "", "what happened"),
 )
-"""Keys of every event."""
 
 _FINGER_KEY: Final = Key("finger", "str", "", "", "name of the finger, empty for a single one")
 

@@ -38,7 +38,6 @@ of their frame; viser's default limit is 50 MB.
 BROWSERS_MAX: Final = 32
 """Maximum number of simultaneous browsers. Each has a separate send buffer."""
 ERROR_TEXT_MAX: Final = 200
-"""Maximum length of an error text in the log."""
 ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
 HEADERS: Final = {
     "X-Frame-Options": "DENY",

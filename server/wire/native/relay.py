@@ -223,7 +223,6 @@ class Relay:
 
     @property
     def native_id(self) -> int | None:
-        """Native id of the thread."""
         return self._thread.native_id
 
     def attach(self, source: RecordSource) -> None:
