@@ -182,11 +182,6 @@ class Publisher(Closeable):
         return msgspec.structs.replace(figures, refused=figures.refused + self._commands.figures.refused)
 
     @property
-    def subscribers(self) -> int:
-        """Connections that subscribe to at least one topic."""
-        return self._link.figures.subscribers
-
-    @property
     def restarts(self) -> int:
         return sum(link.restarts for link in self._links)
 

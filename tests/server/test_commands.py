@@ -108,7 +108,7 @@ def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, 
 @contextlib.contextmanager
 def events(daemon: Daemon) -> Iterator[Any]:
     with subscribed(daemon.publisher.endpoint, "event") as subscriber:
-        assert eventually(lambda: daemon.publisher.subscribers == 1)
+        assert eventually(lambda: daemon.publisher.figures.subscribers == 1)
 
         def next_event(kind: str) -> dict[str, Any]:
             while (event := msgpack.unpackb(subscriber.recv_multipart()[1]))["kind"] != kind:
@@ -192,7 +192,7 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
         running(rig(**{"recording.directory": str(tmp_path)})) as (daemon, control, _),
         subscribe(daemon.publisher.endpoint, ["event"]) as subscription,
     ):
-        assert eventually(lambda: daemon.publisher.subscribers == 1)
+        assert eventually(lambda: daemon.publisher.figures.subscribers == 1)
         control.record_start("all.mcap")
 
         def try_zero() -> bool:

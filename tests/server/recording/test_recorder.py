@@ -404,7 +404,7 @@ def test_a_full_disk_is_one_event_and_the_run_continues(tmp_path: Path) -> None:
         subscribe(daemon.publisher.endpoint, ("event",)) as wire,
     ):
         daemon.start()
-        assert eventually(lambda: daemon.publisher.subscribers == 1)  # earlier events reach no subscriber
+        assert eventually(lambda: daemon.publisher.figures.subscribers == 1)  # earlier events reach no subscriber
         daemon.recordings.begin("a.mcap", "paper-plane")
         recorder = daemon.recordings._recorder
         assert eventually(lambda: recorder.recorded.ticks > 100)
