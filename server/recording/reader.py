@@ -218,7 +218,7 @@ def _unpack_chunk(data: bytes) -> Iterator[Any]:
             raise ValueError("a record is longer than its chunk")
         if opcode == _MESSAGE:
             if length < 22:
-                raise ValueError("a message without a headerer")
+                raise ValueError("a message without a header")
             yield data[at] | data[at + 1] << 8, data[at + 22 : at + length]
         elif opcode in (_SCHEMA, _CHANNEL):
             stream = ReadDataStream(io.BytesIO(data[at : at + length]))
