@@ -471,7 +471,8 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
             is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
         ),
     )
-    actions = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
+    publisher = SimpleNamespace(set_preparing=None)
+    actions = SimpleNamespace(replace=None, publisher=publisher, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
     unknown = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     alive = []

@@ -77,8 +77,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     rendering = SimpleNamespace(rig=rig, force=Failing())
     actions = SimpleNamespace(
         replace=print,
-        report=print,
-        serve=served.append,
+        publisher=SimpleNamespace(set_preparing=print, serve=served.append),
         fail=ended.append,
         event=lambda *words, **more: events.append((words, more)),
     )
