@@ -56,25 +56,14 @@ PUBLISHER_PRIORITY: Final = 1
 class Daemon:
     """Running server. Construct (opens everything), `start`, `wait`, `close`; also a context manager.
 
-    Parameters
-    ----------
-    rig, scene
-        Validated configuration.
-    ticks
-        Number of ticks to run; None: until stopped.
-    report
-        Called from the servo thread with the result of each real-time setting.
-    sinks
-        Receivers of all records, in addition to the publisher.
-    scene_name
-        Name of the scene.
-    faults
-        Faults to inject between the devices and the loop.
+    rig, scene  validated configuration
+    ticks       number of ticks to run; None: until stopped
+    report      called from the servo thread with the result of each real-time setting
+    sinks       receivers of all records, in addition to the publisher
+    scene_name  name of the scene
+    faults      faults to inject between the devices and the loop
 
-    Raises
-    ------
-    HapticError
-        If a device cannot be opened or an endpoint cannot be bound; everything opened before is closed.
+    Raises HapticError if a device cannot be opened or an endpoint cannot be bound; everything opened before is closed.
     """
 
     def __init__(
@@ -94,7 +83,6 @@ class Daemon:
         self._failure: HapticError | None = None
         self._failed_at = math.inf
         self._published_faults: Final[set[str]] = set()
-        """Messages of published faults."""
         # Created first, so that each later change of the attached devices is reported, even if the first poll is late.
         hotplug = Hotplug()
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
@@ -161,17 +149,7 @@ class Daemon:
 
         Subscribers stay connected and receive an event; the counts of ticks and misses and the time continue.
 
-        Parameters
-        ----------
-        scene, rig
-            New configuration; None: unchanged.
-        scene_name
-            Name of the new scene.
-
-        Returns
-        -------
-        int
-            Number of the first tick with the new configuration.
+        Returns the number of the first tick with the new configuration.
         """
         first = self.rendering.replace(scene, rig)
         self._publish_scene_info(self._scene_name if scene is None else scene_name)
@@ -191,16 +169,10 @@ class Daemon:
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait for the end of the servo; return False on timeout.
 
-        Parameters
-        ----------
-        timeout_s
-            Maximum time to wait; None: no limit.
+        timeout_s  maximum time to wait; None: no limit
 
-        Raises
-        ------
-        DeviceError, SafetyStop, RealtimeError
-            If the cause was neither a stop, nor the last tick, nor the end of a recording. Exceptions from
-            defects of the program are raised unchanged.
+        Raises DeviceError, SafetyStop, RealtimeError if the cause was neither a stop, nor the last tick, nor the end of
+        a recording. Exceptions from defects of the program are raised unchanged.
         """
         try:
             until = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
@@ -229,10 +201,7 @@ class Daemon:
 
         Each step runs even if an earlier one failed. The first error is raised at the end, later ones are logged.
 
-        Parameters
-        ----------
-        first
-            Exception that is already propagating: all errors are logged and none is raised.
+        first  exception that is already propagating: all errors are logged and none is raised
         """
         failed = shutdown.run_all_steps(lambda: self.states.fire(Trigger.END, "by request, or complete"), first=first)
         failed = stop_all(self.services, failed)
@@ -290,15 +259,14 @@ class Daemon:
         endpoint = self._rig.metrics.endpoint
         if endpoint is None:
             return None
-        from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
+        from softfinger.server.metrics.counts import MetricsCollector
         from softfinger.server.metrics.service import KEY, MetricsService
 
-        def wire() -> PublisherCounts:
-            figures = self.publisher.figures
-            return PublisherCounts(figures.subscribers, figures.lost, figures.refused, self.publisher.restarts)
-
         counts = MetricsCollector(
-            self._fingers, wire, lambda: self.recordings.collect_totals(), lambda: self.states.now
+            self._fingers,
+            lambda: (self.publisher.figures, self.publisher.restarts),
+            lambda: self.recordings.collect_totals(),
+            lambda: self.states.now,
         )
         return MetricsService(listen(f"tcp://{endpoint}", KEY), counts, self._event)
 
@@ -308,11 +276,8 @@ class Daemon:
         telemetry = TelemetryService(self.publisher, self.servo)
         optional_services: list[CommandService | MetricsService] = []
         if self.commands_endpoint is not None:
-            interface = DaemonInterface(
-                lambda scene, name: self.replace(scene, scene_name=name),
-                self.publisher.ring, self.publisher.endpoint, self.publisher.serve, self.publisher.reply,
-                self._event, self.stop, self.fail, self.recordings, self.publisher.set_preparing,
-            )  # fmt: skip
+            replace = lambda scene, name: self.replace(scene, scene_name=name)  # noqa: E731
+            interface = DaemonInterface(self.publisher, self.recordings, replace, self._event, self.stop, self.fail)
             optional_services.append(CommandService(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
             optional_services.append(metrics)

@@ -31,6 +31,15 @@ class Parser(argparse.ArgumentParser):
         ):
             verbosity.add_argument(*flags, action="store_true", default=argparse.SUPPRESS, help=help)
 
+    def argument(self, name: str, metavar: str | None, help: str, **options: Any) -> None:
+        """Add a positional argument or an option with a value; the help text names the default."""
+        default = "" if options.get("default") in (None, "", []) else " (default: %(default)s)"
+        self.add_argument(name, metavar=metavar, help=help + default, **options)
+
+    def flag(self, name: str, help: str) -> None:
+        """Add an option without a value."""
+        self.add_argument(name, action="store_true", help=help)
+
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse unknown arguments here, where similar option names are known, and not in the parent parser."""
         self._add_options()
@@ -73,54 +82,28 @@ class Parser(argparse.ArgumentParser):
             raise
 
 
-def add_daemon_options(parser: argparse.ArgumentParser, commands: bool = False) -> None:
+def add_daemon_options(parser: Parser, commands: bool = False) -> None:
     """Add the options of a client: endpoint of the daemon, `--commands` if requested, and keys."""
-    parser.add_argument(
-        "--endpoint",
-        default=DEFAULT_ENDPOINT,
-        help="telemetry or commands endpoint of the daemon (default: %(default)s)",
-    )
+    parser.argument("--endpoint", None, "telemetry or commands endpoint of the daemon", default=DEFAULT_ENDPOINT)
     if commands:
-        parser.add_argument(
-            "--commands", metavar="URL", help="commands endpoint of the daemon (default: derived from --endpoint)"
-        )
-    parser.add_argument("--keys", metavar="FILE", help="secret key of this client, if the server requires one")
-    parser.add_argument("--server-key", metavar="FILE", help="public key of the server")
+        parser.argument("--commands", "URL", "commands endpoint of the daemon (default: derived from --endpoint)")
+    parser.argument("--keys", "FILE", "secret key of this client, if the server requires one")
+    parser.argument("--server-key", "FILE", "public key of the server")
 
 
-def add_stream_options(parser: argparse.ArgumentParser) -> None:
+def add_stream_options(parser: Parser) -> None:
     """Add `--duration` and `--timeout` of a client of the telemetry."""
-    parser.add_argument(
-        "--duration", type=duration, metavar="S", help="stop after S seconds (default: when the daemon ends, or Ctrl-C)"
-    )
-    parser.add_argument(
-        "--timeout",
-        type=duration,
-        metavar="S",
-        default=3.0,
-        help="stop if no telemetry arrives for S seconds (default: %(default)s)",
-    )
+    parser.argument("--duration", "S", "stop after S seconds (default: when the daemon ends, or Ctrl-C)", type=duration)
+    parser.argument("--timeout", "S", "stop if no telemetry arrives for S seconds", type=duration, default=3.0)
 
 
 def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
     """Return the files of a repeatable option by finger name.
 
-    Parameters
-    ----------
-    values
-        FILE, given once, or NAME=FILE for each of several fingers.
-    flag
-        Name of the option, for the message.
+    values   FILE, given once, or NAME=FILE for each of several fingers
+    returns  file by name; a FILE without a name has the key ""
 
-    Returns
-    -------
-    dict
-        File by name; a FILE without a name has the key "".
-
-    Raises
-    ------
-    ConfigError
-        If a name is repeated, or if values with and without a name are mixed.
+    Raises ConfigError if a name is repeated, or if values with and without a name are mixed.
     """
     files: dict[str, str] = {}
     for value in values:

@@ -77,10 +77,7 @@ FAULTS: Final = frozenset({SILENT, FAST})
 class States:
     """State machine of a daemon; thread-safe.
 
-    Parameters
-    ----------
-    report
-        Called on each transition, in order, with the previous state, the new state and the cause.
+    report  called on each transition, in order, with the previous state, the new state and the cause
     """
 
     def __init__(
@@ -88,20 +85,16 @@ class States:
     ) -> None:
         self._report = report
         self._lock = threading.RLock()
-        self._now = DaemonState.STARTING
+        self.now = DaemonState.STARTING
         self._failed = False
-
-    @property
-    def now(self) -> DaemonState:
-        return self._now
 
     def fire(self, trigger: Trigger, cause: str) -> bool:
         """Change to the state given by TRANSITIONS; return False if there is none, which changes nothing."""
         with self._lock:
-            after = TRANSITIONS.get((self._now, trigger))
+            after = TRANSITIONS.get((self.now, trigger))
             if after is None:
                 return False
-            before, self._now = self._now, after
+            before, self.now = self.now, after
             self._report(before, after, cause)
             return True
 
@@ -114,7 +107,7 @@ class States:
     def follow(self, reasons: Set[str]) -> None:
         """Update the state from the reasons for zero force; an empty set means that forces are rendered."""
         with self._lock:
-            if self._now is DaemonState.STARTING or self._failed:
+            if self.now is DaemonState.STARTING or self._failed:
                 return
             cause = ", ".join(sorted(reasons))
             if reasons & FAULTS:

@@ -30,14 +30,9 @@ TRY_S = 2.0
 class Watcher:
     """Starts the process; call `dismiss` after the device is closed.
 
-    Parameters
-    ----------
-    node
-        Path of the device node.
-    fd
-        Descriptor of the open device.
-    zero
-        Bytes that command zero force when written to it.
+    node  path of the device node
+    fd    descriptor of the open device
+    zero  bytes that command zero force when written to it
     """
 
     def __init__(self, node: str, fd: int, zero: bytes) -> None:

@@ -27,7 +27,7 @@ from softfinger.proxy.record import AT, FIELDS, MODE_NAMES, RECORD_SIZE, columns
 from softfinger.proxy.records import Records
 from softfinger.server.cli import main
 from softfinger.server.offline.simulate import run_recording
-from softfinger.server.recording.results import write_results
+from softfinger.server.recording.results import write_blocks
 from softfinger.server.remote import Client
 from softfinger.server.verbs.shipped import FOLDER_OF
 from softfinger.server.wire.control import Control
@@ -307,7 +307,7 @@ def test_a_recording_runs_as_simulate_does(tmp_path: Path) -> None:
     out, own = tmp_path / "verb.csv", tmp_path / "own.csv"
     assert main(["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(out), "--rate", "500"]) == 0
     records = run_recording("tap", "paper-plane", rate_hz=500.0)
-    write_results(own, records)
+    write_blocks(own, [""], [records[:, None]])
     assert own.read_bytes() == out.read_bytes() and type(records) is Records
     with pytest.raises(ConfigError, match="poses of thumb do not match the fingers"):
         run_recording({"thumb": "tap"})

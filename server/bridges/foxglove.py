@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import AddressInUse, ConfigError
-from softfinger.config.schema import Scene
 from softfinger.server.bridges.options import FOXGLOVE_PORT
-from softfinger.server.recording.writer import Bytes, Times, Topics
+from softfinger.server.recording.writer import Bytes, Times
 
 BACKLOG: Final = 8192
 """Queued messages of a slow viewer, seconds at 1 kHz; beyond it, the oldest are dropped."""
 
 
 class Server:
-    """Foxglove's WebSocket server, for this machine only; a `Sink` for `Topics`.
+    """Foxglove's WebSocket server, for this machine only; a `MessageSink` for `Topics`.
 
     port  0: a free port
 
@@ -69,24 +67,3 @@ class Server:
 
     def close(self) -> None:
         self._server.stop()
-
-
-class FoxgloveSink:
-    """Forwards the data of a daemon to a server."""
-
-    failed = False
-
-    def __init__(self, server: Server, fingers: Sequence[str], scene: Scene | None) -> None:
-        self._fingers, self._topics = list(fingers), Topics(server, fingers, scene)
-
-    def take(self, records: NDArray[np.float64], finger: int) -> None:
-        """Send records (n, RECORD_SIZE) of a finger, given by its index."""
-        self._topics.ticks(records, self._fingers[finger])
-
-    def event(self, event: Mapping[str, Any]) -> None:
-        """Send an event, a map as on the wire."""
-        self._topics.event(event)
-
-    def message(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Send a message of a topic of the scene, a map as on the wire."""
-        self._topics.message(topic, message)

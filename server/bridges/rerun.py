@@ -26,7 +26,6 @@ from softfinger.server.wire.protocol import WORLD
 PLOTTED: Final = (
     "force", "torque", "contact.mode", "contact.penetration", "contact.spin", "contact.torsion", "servo.late",
 )  # fmt: skip
-"""Fields that are plotted."""
 
 
 def stream(save: Path | None = None, connect: str | None = None) -> Any:
@@ -59,36 +58,33 @@ class RerunSink:
     scene    scene to draw, None for none
     """
 
-    failed = False
-
     def __init__(self, stream: Any, fingers: Sequence[str], scene: Scene | None) -> None:
         import rerun
 
         self._rr: Any = rerun
         self._stream = stream
-        self._fingers = list(fingers)
-        self._pictures = dict.fromkeys(self._fingers, np.nan)
+        self._pictures = dict.fromkeys(fingers, np.nan)
         self._scene = scene
         stream.log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         radii = {finger.name: finger.radius_m for finger in scene.fingers} if scene else {}
-        for name in self._fingers:
+        for name in fingers:
             ball = self._rr.Ellipsoids3D(radii=[radii.get(name, 0.01)], colors=[(230, 140, 90)])
             stream.log(f"world/{picture.frame_names(name)[0]}", ball, static=True)
             proxy = self._rr.Points3D([(0.0, 0.0, 0.0)], radii=[0.001], colors=[(255, 255, 255)])
             stream.log(f"world/{picture.frame_names(name)[1]}", proxy, static=True)
         self._draw_objects()
 
-    def take(self, records: Array, finger: int) -> None:
-        """Log records (n, RECORD_SIZE) of a finger, given by its index."""
-        name, rows = self._fingers[finger], Records(records)
+    def ticks(self, records: Array, finger: str) -> None:
+        """Log records (n, RECORD_SIZE) of a finger."""
+        rows = Records(records)
         for field in PLOTTED:
-            path = f"plots/{name}/{field}" if name else f"plots/{field}"
+            path = f"plots/{finger}/{field}" if finger else f"plots/{field}"
             values = np.asarray(rows[field], np.float64).reshape(len(rows), -1)
             series = self._rr.Scalars.columns(scalars=values.ravel())
             self._send(path, rows, series.partition([values.shape[1]] * len(rows)))
-        indices, self._pictures[name] = picture.select_displayed(records, self._pictures[name])
+        indices, self._pictures[finger] = picture.select_displayed(records, self._pictures[finger])
         if len(indices):
-            self._send_poses(Records(records[indices]), name)
+            self._send_poses(Records(records[indices]), finger)
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Log an event, a map as on the wire."""
@@ -172,7 +168,7 @@ def show_recording(recording: str | Path, stream: Any) -> int:
     sink, count = RerunSink(stream, fingers, parse_scene(about)), 0
     for part in read_recording(recording):
         if isinstance(part, TickBlock):
-            sink.take(part.records(), fingers.index(part.finger))
+            sink.ticks(part.records(), part.finger)
             count += len(part.rows)
         elif isinstance(part, Event):
             sink.event(part.event)

@@ -14,7 +14,7 @@ from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.recording.verbs import live
-from softfinger.server.recording.writer import parse_scene
+from softfinger.server.recording.writer import Topics, parse_scene
 
 log: Final = logging.getLogger(__name__)
 
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         server = foxglove.Server(args.port)
         try:
             log.info("in Foxglove open the connection %s, or %s", server.url, server.app)
-            return follow(args, lambda fingers, scene: foxglove.FoxgloveSink(server, fingers, scene))
+            return follow(args, lambda fingers, scene: Topics(server, fingers, scene))
         finally:
             server.close()
     stream = rerun.stream(args.save and Path(args.save), args.connect)

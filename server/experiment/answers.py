@@ -1,4 +1,4 @@
-"""Sources of answers: a participant at the device, or the simulated observer."""
+"""Source of answers: a participant at the device."""
 
 from __future__ import annotations
 
@@ -6,18 +6,16 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 from softfinger.config.errors import CommandRefused, ConfigError
-from softfinger.server.experiment.files import screen_for
 from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.interfaces import Progress, Response, TouchResult
-from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question
 from softfinger.server.experiment.session import is_right_answer
 from softfinger.server.experiment.terminal import CHOICES, is_single, keyboard, parse_answer, print_line
-from softfinger.server.experiment.trial_order import Condition, PlannedTrial
+from softfinger.server.experiment.trial_order import Condition, PlannedTrial, by_condition
 from softfinger.server.wire.commands import TEXT_ANSWER_MAX, Prompt
 
 NUMBERS: Final = (1e-6, 1e6)
@@ -42,9 +40,9 @@ class Participant:
 
     def __init__(self, experiment: ExperimentFile, haptics: Haptics, images: Mapping[str, str]) -> None:
         self._experiment, self._haptics, self._images = experiment, haptics, images
-        self._progress: Progress | None = None
+        self._title, self._prompt = "", partial(Prompt)
+        """Title of the present trial, and its prompt without text and question."""
         self._last_key_s = 0.0
-        self._screen: dict[str, Any] = {}
 
     def instruct(self) -> None:
         """Show the instructions until the participant starts."""
@@ -54,40 +52,35 @@ class Participant:
             )
 
     def prepare(self, progress: Progress, condition: Condition) -> None:
-        self._progress = progress
-        screen = screen_for(self._experiment, condition)
-        self._screen = {
-            "masking_noise": screen.masking_noise,
-            "volume": screen.volume,
-            "colour": screen.colour,
-            "image": self._images.get(screen.image, ""),
-        }
-        task = self._experiment.task
-        self._show(self._prompt(task.question if task.kind == "trace" else progress.text))
+        screen, task = by_condition(self._experiment.screen, condition), self._experiment.task
+        self._title = progress.title
+        self._prompt = partial(
+            Prompt, progress.title, done=progress.trial - 1, of=progress.trials, colour=screen.colour,
+            image=self._images.get(screen.image, ""), masking_noise=screen.masking_noise, volume=screen.volume,
+        )  # fmt: skip
+        self._show(self._prompt(text=task.question if task.kind == "trace" else progress.text))
 
     def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
         task = self._experiment.task
         if task.kind == "trace":
             return Response(float(result.summary.get("duration_s", 0.0)))
         if task.kind == "compare":
-            prompt = self._prompt(task.question, choices=CHOICES)
+            prompt = self._prompt(text=task.question, choices=CHOICES)
             answer = self._ask(prompt, f"{task.question} 1: the first, 2: the second")
             if trial.practice:
                 text = "That was right." if is_right_answer(trial, answer.value) else "That was wrong."
-                self._ask(self._prompt(text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
+                self._ask(self._prompt(text=text, choices=(CONTINUE,)), f"{text} Press Enter or a button to continue.")
             return answer
         if task.scale is None:
-            prompt = self._prompt(task.question, number=NUMBERS)
+            prompt = self._prompt(text=task.question, number=NUMBERS)
             return self._ask(prompt, f"{task.question} A number above 0, then Enter")
         ends = ", ".join(f"{mark}: {word}" for mark, word in zip(task.scale, task.scale_ends, strict=False))
-        prompt = self._prompt(f"{task.question}\n{ends}", choices=task.marks)
+        prompt = self._prompt(text=f"{task.question}\n{ends}", choices=task.marks)
         answer = self._ask(prompt, f"{task.question} {ends} ({task.scale[0]} to {task.scale[1]}, then Enter)")
         return answer._replace(value=float(answer.value))
 
     def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Response:
-        progress = self._progress
-        assert progress is not None
-        return self.ask(progress.title, question, condition, trial.number, (0, 0))
+        return self.ask(self._title, question, condition, trial.number, (0, 0))
 
     def ask(
         self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
@@ -118,11 +111,6 @@ class Participant:
                 f"{text} Press Enter or a button to continue.",
             )
         self._show(Prompt(self._experiment.title, END))
-
-    def _prompt(self, text: str, **options: Any) -> Prompt:
-        progress = self._progress
-        assert progress is not None
-        return Prompt(progress.title, text, progress.trial - 1, progress.trials, **self._screen, **options)
 
     def _show(self, prompt: Prompt) -> int:
         number: int = self._haptics.client.ask("set_prompt", prompt).number
@@ -172,30 +160,3 @@ class Participant:
         for sample in self._haptics.latest.values():
             buttons |= int(sample.data.buttons)
         return buttons
-
-
-class DryRun:
-    """Simulated observer in place of a participant."""
-
-    def __init__(self, experiment: ExperimentFile, participant: int) -> None:
-        self._observer = SimulatedObserver(experiment, participant)
-
-    def instruct(self) -> None:
-        """Do nothing: the simulated observer needs no instructions."""
-
-    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Response:
-        return Response(self._observer.confidence(trial, condition, level, question))
-
-    def ask(
-        self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
-    ) -> Response:
-        return Response(self._observer.survey(question, condition, number))
-
-    def prepare(self, progress: Progress, condition: Condition) -> None:
-        """Do nothing: the simulated observer needs no prompt."""
-
-    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
-        return Response(self._observer.answer(trial, condition, level))
-
-    def pause(self, completed: int, total: int) -> None:
-        """Do nothing: the simulated observer needs no break."""

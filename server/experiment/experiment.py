@@ -12,11 +12,12 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError
 from softfinger.config.words import format_value
 from softfinger.server.experiment import checks, files
-from softfinger.server.experiment.answers import DryRun, Participant
+from softfinger.server.experiment.answers import Participant
 from softfinger.server.experiment.daemon import RunOptions, record_ticks, run_doctor, start_daemon
 from softfinger.server.experiment.folder import ParticipantFolder, load, read_trials
 from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Entry, Journal, MemoryJournal
+from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.session import Session
 from softfinger.server.experiment.trial_order import Condition, list_conditions
 from softfinger.server.progress import progress
@@ -61,7 +62,7 @@ class Experiment:
 
     def rehearse(self, participant: int = 1) -> list[Entry]:
         """Run the trials with the simulated observer, without daemon and files; return one row per trial."""
-        journal, simulated = MemoryJournal(), DryRun(self.file, _check_participant(participant))
+        journal, simulated = MemoryJournal(), SimulatedObserver(self.file, _check_participant(participant))
         session = Session(self.file, participant)
         session.welcome(journal, simulated)
         session.run(journal, NullApparatus(), simulated)
@@ -99,7 +100,6 @@ class Experiment:
             Path(folder), self.file, _check_participant(participant), files.hashes(self.file, self._folder)
         )
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
-        participant_folder.check_design(self.file, session.conditions, session.trials)
         participant_folder.check_answer_kind(running.dry_run)
         with ExitStack() as stack:
             # Lock an existing journal before the device is opened: another session may be using both.
@@ -122,11 +122,9 @@ class Experiment:
         running: RunOptions,
     ) -> None:
         """Run the unanswered trials. Files are written only after the device ticks: earlier steps can fail."""
-        simulated = DryRun(self.file, participant_folder.participant)
+        simulated = SimulatedObserver(self.file, participant_folder.participant)
         if running.no_daemon:
-            journal, _ = _begin_run(
-                session, stack, journal, participant_folder, {"about.json": {"daemon": False}}, True
-            )
+            journal, _ = _begin_run(stack, journal, participant_folder, {"about.json": {"daemon": False}}, True)
             session.welcome(journal, simulated)
             with progress("rehearsing", len(session.trials)) as update:
                 session.run(journal, NullApparatus(update), simulated, participant_folder)
@@ -136,7 +134,7 @@ class Experiment:
         run_files = {"doctor.json": run_doctor(str(rig))} if running.doctor else {}
         with start_daemon(self.file, self._folder, participant_folder.root, running) as (haptics, about):
             run_files |= {"about.json": about}
-            journal, number = _begin_run(session, stack, journal, participant_folder, run_files, running.dry_run)
+            journal, number = _begin_run(stack, journal, participant_folder, run_files, running.dry_run)
             participant = (
                 None if running.dry_run else Participant(self.file, haptics, files.images(self.file, self._folder))
             )
@@ -148,7 +146,6 @@ class Experiment:
 
 
 def _begin_run(
-    session: Session,
     stack: ExitStack,
     journal: Journal | None,
     participant_folder: ParticipantFolder,
@@ -159,7 +156,7 @@ def _begin_run(
 
     run_files  additional files of the start, by name
     """
-    session.begin(participant_folder)
+    participant_folder.begin()
     if journal is None:
         journal = stack.enter_context(Journal(participant_folder.journal))
     number = participant_folder.add_run(run_files)

@@ -15,22 +15,18 @@ from msgspec.structs import replace
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_scene
 from softfinger.config.schema import Scene
-from softfinger.config.sources import EXPERIMENTS, find_in, names_in, read_toml
+from softfinger.config.sources import EXPERIMENTS, find_in, read_toml
 from softfinger.config.words import format_value
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.experiment.schema_parts import Screen, Survey, SurveyFile
+from softfinger.server.experiment.schema_parts import Survey, SurveyFile
 from softfinger.server.experiment.session import parameters
-from softfinger.server.experiment.trial_order import Condition, list_conditions
+from softfinger.server.experiment.trial_order import by_condition, list_conditions
 from softfinger.server.wire.commands import IMAGE_BYTES_MAX
 
 IMAGES: Final = {"png": rb"\x89PNG\r\n\x1a\n", "jpeg": rb"\xff\xd8\xff", "webp": rb"RIFF....WEBP"}
 """First bytes of image files, by the name of their type."""
 FILE_KEYS: Final = ("file", "solution")
 """Keys of an object and its tables whose values are files."""
-
-
-def list_shipped() -> list[str]:
-    return names_in(EXPERIMENTS)
 
 
 def read(source: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any], str, Path]:
@@ -85,12 +81,9 @@ def _list_files(scene: Scene) -> Iterator[str]:
 
 
 def image_names(experiment: ExperimentFile) -> list[str]:
-    return sorted({screen_for(experiment, condition).image for condition in list_conditions(experiment)} - {""})
-
-
-def screen_for(experiment: ExperimentFile, condition: Condition) -> Screen:
-    """Return the screen in a condition: values of the condition replace the general ones."""
-    return replace(experiment.screen, **experiment.screen.by.get(condition.name, {}))
+    return sorted(
+        {by_condition(experiment.screen, condition).image for condition in list_conditions(experiment)} - {""}
+    )
 
 
 def images(experiment: ExperimentFile, folder: Path) -> dict[str, str]:

@@ -32,7 +32,7 @@ from softfinger.config.materials import flat
 from softfinger.config.words import format_value
 from softfinger.server.experiment.journal import RESTORE_REMEDY, Entry, make_write_error, read
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.experiment.trial_order import Condition, PlannedTrial, list_conditions
+from softfinger.server.experiment.trial_order import Condition, PlannedTrial, list_conditions, plan_trials
 
 JOURNAL: Final = "sub-*/sub-*_journal.jsonl"
 BIDS_VERSION: Final = "1.10.0"
@@ -43,7 +43,7 @@ class ParticipantFolder:
 
     files  hashes of the scenes and the rig next to the experiment, by name
 
-    Raises ConfigError if the folder belongs to another experiment.
+    Raises ConfigError if the folder belongs to another experiment, or has another design of this participant.
     """
 
     def __init__(self, root: Path, experiment: ExperimentFile, participant: int, files: Mapping[str, str]) -> None:
@@ -53,42 +53,30 @@ class ParticipantFolder:
         self.journal: Final = self.participant_dir / f"{self.label}_journal.jsonl"
         about = {"Name": experiment.title, "BIDSVersion": BIDS_VERSION, "DatasetType": "raw"}
         shared = {"experiment.json": describe(experiment), "files.json": files, "dataset_description.json": about}
-        self._shared_files = {root / name: _json(values) for name, values in shared.items() if values}
-        for path, text in self._shared_files.items():
+        conditions = list_conditions(experiment)
+        self._order = _rows(conditions, plan_trials(experiment, participant))
+        design = {"seed": experiment.design.seed, "conditions": [condition._asdict() for condition in conditions]}
+        self._texts = {root / name: _json(values) for name, values in shared.items() if values}
+        self._texts[self.participant_dir / f"{self.label}_design.json"] = _json(design | {"trials": self._order})
+        for path, text in self._texts.items():
             _check_same(path, text)
 
-    def begin(
-        self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[PlannedTrial]
-    ) -> None:
+    def begin(self) -> None:
         """Write the missing files: description of the experiment, design and order.
 
         Raises ConfigError if a file cannot be written, or exists with another content.
         """
-        rows = _rows(conditions, trials)
         try:
             (self.participant_dir / "trials").mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise make_write_error(self.participant_dir / "trials", error) from error
-        for path, text in (self._shared_files | self._design(experiment, conditions, rows)).items():
+        for path, text in self._texts.items():
             if not path.exists():
                 _write(path, text)
             _check_same(path, text)
         order = self.participant_dir / f"{self.label}_order.csv"
         if not order.exists():
-            write_csv(order, rows)
-
-    def check_design(
-        self, experiment: ExperimentFile, conditions: Sequence[Condition], trials: Sequence[PlannedTrial]
-    ) -> None:
-        """Raise ConfigError if the folder has another design of this participant."""
-        for path, text in self._design(experiment, conditions, _rows(conditions, trials)).items():
-            _check_same(path, text)
-
-    def _design(
-        self, experiment: ExperimentFile, conditions: Sequence[Condition], rows: Sequence[Entry]
-    ) -> dict[Path, bytes]:
-        design = {"seed": experiment.design.seed, "conditions": [condition._asdict() for condition in conditions]}
-        return {self.participant_dir / f"{self.label}_design.json": _json(design | {"trials": rows})}
+            write_csv(order, self._order)
 
     def check_answer_kind(self, dry_run: bool) -> None:
         """Raise ConfigError if the folder has answers of the other kind: participants or a dry run; or lost answers."""

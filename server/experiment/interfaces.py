@@ -88,8 +88,6 @@ class Response(NamedTuple):
 
 
 class AnswerSource(Protocol):
-    """Source of answers."""
-
     def instruct(self) -> None:
         """Show the instructions until the participant starts."""
 

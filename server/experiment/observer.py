@@ -6,13 +6,13 @@ import math
 from statistics import NormalDist
 from typing import Final
 
-import msgspec
 import numpy as np
 
+from softfinger.server.experiment.interfaces import Progress, Response, TouchResult
 from softfinger.server.experiment.psychometric import probability
-from softfinger.server.experiment.schema import ExperimentFile, Observer
+from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question
-from softfinger.server.experiment.trial_order import SURVEY, TRIAL, Condition, PlannedTrial
+from softfinger.server.experiment.trial_order import SURVEY, TRIAL, Condition, PlannedTrial, by_condition
 
 CERTAIN: Final = 2.0
 """Smallest evidence, in standard deviations of its noise, for the highest rating of confidence."""
@@ -20,48 +20,54 @@ RATING_NOISE: Final = 0.1
 """Standard deviation of the answers to likert questions and numbers, as a share of their range."""
 
 
-def observer_for(experiment: ExperimentFile, condition: Condition) -> Observer:
-    """Return the observer in a condition: values of the condition replace the general ones."""
-    return msgspec.structs.replace(experiment.observer, **experiment.observer.by.get(condition.name, {}))
-
-
 class SimulatedObserver:
-    """Answers of a participant with the properties of [observer], determined by the seed and the trial's number."""
+    """Answers of a participant with the properties of [observer], determined by the seed and the trial's number.
+
+    An `AnswerSource`; it needs neither instructions nor prompts nor breaks.
+    """
 
     def __init__(self, experiment: ExperimentFile, participant: int) -> None:
         self._experiment, self._participant = experiment, participant
 
-    def answer(self, trial: PlannedTrial, condition: Condition, level: float) -> str | float:
+    def instruct(self) -> None: ...
+
+    def prepare(self, progress: Progress, condition: Condition) -> None: ...
+
+    def pause(self, completed: int, total: int) -> None: ...
+
+    def answer(self, trial: PlannedTrial, condition: Condition, level: float, result: TouchResult) -> Response:
         rng = self._rng(TRIAL, trial.number)
-        observer = observer_for(self._experiment, condition)
+        observer = by_condition(self._experiment.observer, condition)
         if self._experiment.task.kind == "compare":
             right = rng.random() < float(probability(level, observer.threshold, observer.slope, lapse=observer.lapse))
-            return "first" if right == trial.test_first else "second"
+            return Response("first" if right == trial.test_first else "second")
         answer = observer.scale * math.pow(level, observer.exponent) * math.exp(observer.noise * rng.standard_normal())
         scale = self._experiment.task.scale
-        return answer if scale is None else float(min(max(round(answer), scale[0]), scale[1]))
+        return Response(answer if scale is None else float(min(max(round(answer), scale[0]), scale[1])))
 
-    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> float:
+    def confidence(self, trial: PlannedTrial, condition: Condition, level: float, question: Question) -> Response:
         """Return the mark of confidence in the answer to a comparison.
 
         Signal detection: evidence x is normal with unit variance, and the answer is right if x > 0. The range of |x|
         from 0 to CERTAIN has equal parts for all marks. The random number is that of the answer.
         """
-        observer, normal = observer_for(self._experiment, condition), NormalDist()
+        observer, normal = by_condition(self._experiment.observer, condition), NormalDist()
         chance = float(probability(level, observer.threshold, observer.slope, lapse=observer.lapse))
         uniform = self._rng(TRIAL, trial.number).random()
         evidence = normal.inv_cdf(min(chance, 1.0 - 1e-12)) - normal.inv_cdf(max(uniform, 1e-300))
         marks = question.marks
-        return float(marks[min(int(abs(evidence) / CERTAIN * len(marks)), len(marks) - 1)])
+        return Response(float(marks[min(int(abs(evidence) / CERTAIN * len(marks)), len(marks) - 1)]))
+
+    def ask(
+        self, title: str, question: Question, condition: Condition | None, number: int, place: tuple[int, int]
+    ) -> Response:
+        return Response(self.survey(question, condition, number))
 
     def survey(self, question: Question, condition: Condition | None, number: int) -> str | float:
-        """Return the answer to a question of a survey.
-
-        number  number of the answer in the session, which determines its noise
-        """
+        """Return the answer to a question of a survey; its number in the session determines its noise."""
         answers = dict(self._experiment.observer.answers)
         if condition is not None:
-            answers |= observer_for(self._experiment, condition).answers
+            answers |= by_condition(self._experiment.observer, condition).answers
         configured = answers.get(question.name)
         if question.kind == "text":
             return "simulated" if configured is None else str(configured)

@@ -13,7 +13,15 @@ from msgspec import Meta
 from softfinger.config import limits
 from softfinger.config.fields import Complaint, Coordinate, Point, Table, doc, is_usable, sized, within
 from softfinger.config.limits import Range
-from softfinger.server.experiment.schema_parts import TEXT, CatchTrials, Confidence, Positive, Screen, Survey
+from softfinger.server.experiment.schema_parts import (
+    TEXT,
+    CatchTrials,
+    Confidence,
+    Positive,
+    Screen,
+    Survey,
+    repeated_names,
+)
 from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Procedure, Task
 
 SECONDS: Final = Range(0.0, 600.0, "longer than any touch")
@@ -106,11 +114,8 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
-            yield (
-                "procedure.kind",
-                self.procedure.kind,
-                f"must be constant: answers of {self.task.kind} are not right or wrong",
-            )
+            fault = f"must be constant: answers of {self.task.kind} are not right or wrong"
+            yield "procedure.kind", self.procedure.kind, fault
         yield from self._participant_faults()
         if is_usable(self.motion, self.turn):
             for finger in self.turn.keys() - self.motion.keys():
@@ -124,33 +129,22 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
                         yield f"{key}.{finger}", times, "times must increase from point to point"
                     if path and path[-1][0] > self.trial.touch_s:
                         yield f"{key}.{finger}", msgspec.UNSET, f"ends at {path[-1][0]:g} s: set trial.touch_s to that"
+        yield from repeated_names("factor", self.factor)
         if is_usable(self.factor):
-            names = [factor.name for factor in self.factor if is_usable(factor)]
-            if len(set(names)) < len(names):
-                yield "factor", names, "has a name twice"
-            if (
-                math.prod(
-                    len(factor.levels) for factor in self.factor if is_usable(factor) and is_usable(factor.levels)
-                )
-                > LEVELS.high
-            ):
+            factors = [factor for factor in self.factor if is_usable(factor)]
+            if math.prod(len(factor.levels) for factor in factors if is_usable(factor.levels)) > LEVELS.high:
+                names = [factor.name for factor in factors]
                 yield "factor", names, f"has more than {LEVELS.high:g} combinations"
 
     def _participant_faults(self) -> Iterator[Complaint]:
         if is_usable(self.task):
             for key, value in (("catch", self.catch), ("confidence", self.confidence)):
                 if is_usable(value) and value is not None and self.task.kind != "compare":
-                    yield (
-                        key,
-                        msgspec.UNSET,
-                        f"applies to compare only: answers of {self.task.kind} are not right or wrong",
-                    )
-        if is_usable(self.survey):
-            names = [survey.name for survey in self.survey if is_usable(survey)]
-            if len(set(names)) < len(names):
-                yield "survey", names, "has a name twice"
-            if is_usable(self.design) and is_usable(self.design.order) and self.design.order == "random":
-                for survey in self.survey:
-                    if is_usable(survey) and is_usable(survey.at) and "between" in survey.at:
-                        fault = "random order has no blocks: use latin-square"
-                        yield f"survey.{survey.name}.at", list(survey.at), fault
+                    fault = f"applies to compare only: answers of {self.task.kind} are not right or wrong"
+                    yield key, msgspec.UNSET, fault
+        yield from repeated_names("survey", self.survey)
+        if is_usable(self.survey, self.design) and is_usable(self.design.order) and self.design.order == "random":
+            for survey in self.survey:
+                if is_usable(survey) and is_usable(survey.at) and "between" in survey.at:
+                    fault = "random order has no blocks: use latin-square"
+                    yield f"survey.{survey.name}.at", list(survey.at), fault

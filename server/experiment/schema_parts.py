@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, Final, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 from msgspec import Meta
@@ -22,6 +22,12 @@ Positive = Annotated[float, Meta(gt=0.0, le=POSITIVE.high)]
 Label = Annotated[str, Meta(min_length=1, max_length=int(NAME_LENGTH.high), pattern=r"^[\w .+-]+$")]
 Option = Annotated[str, Meta(min_length=1, max_length=CHOICE_LENGTH)]
 Bound = Annotated[float, Meta(ge=-1e6, le=1e6)]
+
+
+def repeated_names(key: str, tables: Sequence[Any]) -> Iterator[Complaint]:
+    names = [table.name for table in tables if is_usable(table)] if is_usable(tables) else []
+    if len(set(names)) < len(names):
+        yield key, names, "has a name twice"
 
 
 class Question(Table, frozen=True, kw_only=True):
@@ -78,10 +84,7 @@ class SurveyFile(Table, frozen=True, kw_only=True):
     question: Annotated[tuple[Question, ...], sized(Range(0, 100, "a questionnaire"), "its questions, in order")] = ()
 
     def faults(self) -> Iterator[Complaint]:
-        if is_usable(self.question):
-            names = [question.name for question in self.question if is_usable(question)]
-            if len(set(names)) < len(names):
-                yield "question", names, "has a name twice"
+        yield from repeated_names("question", self.question)
 
 
 class Survey(SurveyFile, frozen=True, kw_only=True):

@@ -39,9 +39,6 @@ class Session:
         self._blocks = number_blocks(self.trials, experiment.design.order == "random")
         self._procedures = [make_procedures(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
-    def begin(self, folder: ParticipantFolder) -> None:
-        folder.begin(self.experiment, self.conditions, self.trials)
-
     def welcome(self, journal: MemoryJournal, answers: AnswerSource) -> None:
         """Ask for consent and the surveys before the first trial, then show the instructions.
 

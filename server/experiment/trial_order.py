@@ -11,10 +11,13 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
+from msgspec.structs import replace
 
-from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.experiment.schema import ExperimentFile, Observer
+from softfinger.server.experiment.schema_parts import Screen
 
 T = TypeVar("T")
+V = TypeVar("V", Observer, Screen)
 
 _ORDER: Final = 1
 """Stream of random numbers for the order; TRIAL: for each trial; SURVEY: for each answer of a survey.
@@ -75,6 +78,11 @@ def list_conditions(experiment: ExperimentFile) -> list[Condition]:
         by_factor = dict(zip((factor.name for factor in experiment.factor), levels, strict=True))
         combinations.append(Condition(", ".join(names) or "all", by_factor, scene, changes))
     return combinations
+
+
+def by_condition(table: V, condition: Condition) -> V:
+    """Return [observer] or [screen] in a condition: values of the condition replace the general ones."""
+    return replace(table, **table.by.get(condition.name, {}))
 
 
 def williams(count: int, row: int) -> list[int]:

@@ -13,11 +13,9 @@ force as in Ryu, Preusche, Hannaford, Hirzinger (2005), Time domain passivity co
 from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
-from softfinger.proxy.kernels.numerics.tool import Tool
 from softfinger.proxy.record import FREE
 from softfinger.server.loop.guard import GuardState
 
@@ -46,18 +44,11 @@ class HandMotion(NamedTuple):
     tool: Any
 
 
-@by_type
-def handle_at(tool: Any, tip: Pose) -> Any:
+@jit
+def handle_at(tool: Any, tip: Pose) -> Vec3:
     """Return the position (3,) m of the handle."""
-
-
-@handle_at.of(None)
-def handle_at_tip(tool: None, tip: Pose) -> Vec3:
-    return tip.position
-
-
-@handle_at.of(Tool)
-def handle_behind_tool(tool: Tool, tip: Pose) -> Vec3:
+    if tool is None:
+        return tip.position
     return vec3.sub(tip.position, rotate(tip.orientation, tool.lever))
 
 
@@ -69,11 +60,13 @@ def work_on_hand(wrench: GuardState, motion: HandMotion) -> float:
     return vec3.dot(wrench.force, displacement) + vec3.dot(wrench.torque, turn)
 
 
-@by_type
+@jit
 def keep_passive(
     passivity: Any, energy: Energy, wrench: GuardState, motion: HandMotion, mode: float, force: Vec3, dt: float
-) -> Any:
+) -> tuple[Energy, Vec3]:
     """Return the force with the damping that makes the rendering passive.
+
+    A damper alpha v dissipates alpha v^2 T in the next tick at constant v, so alpha = -E / (v^2 T).
 
     energy          Energy      state after the last tick
     wrench          GuardState  wrench on the handle commanded since then, after the guard
@@ -83,20 +76,8 @@ def keep_passive(
     dt              s           time since the last tick
     returns         Energy, force (3,) N
     """
-
-
-@keep_passive.of(None)
-def pass_force(
-    passivity: None, energy: Energy, wrench: GuardState, motion: HandMotion, mode: float, force: Vec3, dt: float
-) -> tuple[Energy, Vec3]:
-    return energy, force
-
-
-@keep_passive.of(Passivity)
-def add_damping(
-    passivity: Passivity, energy: Energy, wrench: GuardState, motion: HandMotion, mode: float, force: Vec3, dt: float
-) -> tuple[Energy, Vec3]:
-    """Add a damper alpha v: it dissipates alpha v^2 T in the next tick at constant v, so alpha = -E / (v^2 T)."""
+    if passivity is None:
+        return energy, force
     work = energy.work - work_on_hand(wrench, motion)
     if mode == FREE:
         work = min(work, 0.0)

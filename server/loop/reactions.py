@@ -9,14 +9,13 @@ fingertip's centre.
 from typing import Any, Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import Bodies, Contact, ContactOutcome, FingerState, Pose, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import log, relative, rotate
 from softfinger.proxy.kernels.query.bodies import POSITION, has_fault, pose_of_body
 from softfinger.server.loop.guard import GuardState
-from softfinger.server.loop.passivity import Energy, Passivity
+from softfinger.server.loop.passivity import Energy
 
 
 class Reaction(NamedTuple):
@@ -52,40 +51,14 @@ def received_share(requested: Vec3, received: Vec3) -> float:
     return min(max(vec3.dot(requested, received) / square, 0.0), 1.0) if square > 0.0 else 0.0
 
 
-@by_type
+@jit
 def reactions_of(passivity: Any, bodies: Any, before: Any, contact: Contact, applied: GuardState, center: Vec3) -> Any:
     """Return the wrenches of contacts until the next tick, a tuple of Reaction; `before` unchanged without an observer.
 
     applied  wrench on the fingertip, about its `center` (3,) m, after the guard
     """
-
-
-@reactions_of.of(None)
-def unchanged_reactions(
-    passivity: None, bodies: Any, before: Any, contact: Contact, applied: GuardState, center: Vec3
-) -> Any:
-    return before
-
-
-@reactions_of.of(Passivity)
-def observed_reactions(
-    passivity: Passivity, bodies: Any, before: Any, contact: Contact, applied: GuardState, center: Vec3
-) -> Any:
-    return reactions_on(bodies, contact, applied, center)
-
-
-@by_type
-def reactions_on(bodies: Any, contact: Contact, applied: GuardState, center: Vec3) -> Any:
-    """Return the reactions, or None in a scene without bodies."""
-
-
-@reactions_on.of(None)
-def no_reactions_on(bodies: None, contact: Contact, applied: GuardState, center: Vec3) -> None:
-    return None
-
-
-@reactions_on.of(Bodies)
-def reactions_on_bodies(bodies: Bodies, contact: Contact, applied: GuardState, center: Vec3) -> Any:
+    if passivity is None or bodies is None:
+        return before
     force_share = received_share(contact.force, applied.force)
     torque_share = received_share(contact.torque, applied.torque)
     return map_each(reaction, (contact.contacts,), bodies, force_share, torque_share, center)
@@ -100,36 +73,14 @@ def reaction(
     return Reaction(body, force, torque, center, pose_of_body(bodies.block, body, POSITION))
 
 
-@by_type
-def relative_energy(passivity: Any, bodies: Any, energy: Energy, last_reactions: Any) -> Any:
-    """Return the energy after the last tick, plus the work of the bodies since then.
+@jit
+def relative_energy(passivity: Any, bodies: Any, energy: Energy, last_reactions: Any) -> Energy:
+    """Return the energy after the last tick, plus the work of contacts over the motion of the bodies since then.
 
-    last_reactions  Reactions, or None
+    last_reactions  Reactions, or None in a scene without bodies
     """
-
-
-@relative_energy.of(None)
-def unchanged_energy(passivity: None, bodies: Any, energy: Energy, last_reactions: Any) -> Energy:
-    return energy
-
-
-@relative_energy.of(Passivity)
-def add_body_work(passivity: Passivity, bodies: Any, energy: Energy, last_reactions: Any) -> Energy:
-    return Energy(energy.work + work_of_bodies(bodies, last_reactions), energy.damping)
-
-
-@by_type
-def work_of_bodies(bodies: Any, last_reactions: Any) -> Any:
-    """Return the work (J) of the wrenches of Reactions over the motion of their bodies since then."""
-
-
-@work_of_bodies.of(None)
-def work_of_none(bodies: None, last_reactions: Any) -> float:
-    return 0.0
-
-
-@work_of_bodies.of(Bodies)
-def work_of_all(bodies: Bodies, last_reactions: Any) -> float:
+    if passivity is None or bodies is None:
+        return energy
     work = 0.0
     if not has_fault(bodies):
         for reaction in last_reactions:
@@ -137,4 +88,4 @@ def work_of_all(bodies: Bodies, last_reactions: Any) -> float:
             turned = relative(now.orientation, before.orientation)
             target = vec3.add(now.position, rotate(turned, vec3.sub(reaction.center, before.position)))
             work += vec3.dot(reaction.force, vec3.sub(target, reaction.center)) + vec3.dot(reaction.torque, log(turned))
-    return work
+    return Energy(energy.work + work, energy.damping)

@@ -76,14 +76,17 @@ class ServoThread:
         self._recent_tunings: list[Tuning] = []
         self._tuned_tick = 0
         self._ended: LoopEnd | None = None
-        self._armed = self._stopping = False
+        self._stopping = False
+        self.is_armed = False
+        """Whether the devices have been armed; from then on a tick is due."""
         self._handover: Handover | None = None
         self._finished = threading.Event()
         # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset is valid for the run.
         self._epoch_ns = _epoch_offset_ns()
         self.switch: Final = make_switch() if switch is None else switch
         self._words = np.zeros(8, np.int64), np.zeros(8, np.int64), self.switch
-        self._missed_before = 0
+        self.missed_before = 0
+        """Deadlines missed by the loops before this one."""
         self.records: Final = Rings()
         self._loop = self.loop(devices, tuning, rate_hz)
         self.records.add(self._loop.shared.ring)
@@ -173,7 +176,7 @@ class ServoThread:
         if not self._stopping:
             for device in self.devices:
                 device.arm()
-            self._armed = True
+            self.is_armed = True
 
     def _run_loops(self) -> LoopEnd:
         while True:
@@ -185,7 +188,7 @@ class ServoThread:
 
     def _switch_loop(self, handover: Handover) -> None:
         if not handover.keeps_devices:
-            self._armed = False  # no tick is due until the next devices are armed
+            self.is_armed = False  # no tick is due until the next devices are armed
             shutdown.stop_all(self.devices)
             shutdown.confirm_zero(self.devices)
         handover.loop_ended.set()
@@ -201,7 +204,7 @@ class ServoThread:
             self.shared.stop[0] = 1
         if not handover.keeps_devices:
             self._arm()
-        handover.first, self._missed_before = self.ticks, self.missed
+        handover.first, self.missed_before = self.ticks, self.missed
         handover.loop_started.set()
 
     def replace(self, make: Callable[[], Loop], keeps_devices: bool) -> int:
@@ -240,7 +243,7 @@ class ServoThread:
 
     def check_running(self) -> None:
         """Raise SafetyStop unless the loop is ticking."""
-        if not self._armed or self._ended is not None:
+        if not self.is_armed or self._ended is not None:
             raise SafetyStop("the servo is not running: nothing can be replaced")
 
     @property
@@ -289,11 +292,6 @@ class ServoThread:
         return self._ended is None
 
     @property
-    def is_armed(self) -> bool:
-        """Whether the devices have been armed; from then on a tick is due."""
-        return self._armed
-
-    @property
     def epoch_s(self) -> float:
         """Offset of a record's timestamp from CLOCK_MONOTONIC, s."""
         return self._epoch_ns / NS_PER_S
@@ -312,11 +310,6 @@ class ServoThread:
     @property
     def missed(self) -> int:
         return int(self.shared.progress[1])
-
-    @property
-    def missed_before(self) -> int:
-        """Deadlines missed by the loops before this one."""
-        return self._missed_before
 
     @property
     def woken_late(self) -> bool:

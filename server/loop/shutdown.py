@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -107,6 +108,16 @@ def stop_all(devices: Sequence[Device]) -> None:
 
 def close_all(devices: Sequence[Device]) -> None:
     _raise_first("be closed", open_devices.call_all(close, devices))
+
+
+@contextmanager
+def close_on_error(devices: Sequence[Device]) -> Iterator[None]:
+    """Close the devices if the block raises an error, which is then raised; errors of closing are logged."""
+    try:
+        yield
+    except BaseException as error:
+        run_all_steps(lambda: close_all(devices), first=error)
+        raise
 
 
 def confirm_zero(devices: Sequence[Device]) -> None:

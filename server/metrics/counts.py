@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from prometheus_client.core import (
@@ -24,14 +24,14 @@ from softfinger.config.arrays import Array
 from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.services.recordings import RecordingTotals
+from softfinger.server.recording.recorder import RecorderState
+from softfinger.server.socket_process.setup import Figures
 from softfinger.server.states import DaemonState
 
 ROWS: Final = 1024
 """Ticks per computation: a batch of one tick takes as long as one of this size."""
 
 LATENESS_S: Final = [float(f"{step}e{power}") for power in (-6, -5, -4, -3) for step in (1, 2, 5)]
-EXECUTION_S: Final = LATENESS_S
 FORCE_N: Final = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0]
 """Upper bounds of the buckets; the last bucket is unbounded."""
 
@@ -47,15 +47,6 @@ _COLUMNS: Final = [
     AT.servo_device,
     *range(AT.force, AT.force + 3),
 ]
-
-
-class PublisherCounts(NamedTuple):
-    """Counts of the publisher: current subscribers; messages they missed, refused connections and restarts so far."""
-
-    subscribers: int
-    lost: int
-    refused: int
-    restarts: int
 
 
 class Histogram:
@@ -102,30 +93,24 @@ class FingerCounts:
 class MetricsCollector(Collector):
     """Collector that receives records and returns the metrics on a scrape; thread-safe.
 
-    Parameters
-    ----------
-    fingers
-        Names of several fingers; one empty name for a single finger.
-    wire
-        Returns the counts of the publisher.
-    written
-        Returns the counts of the recordings.
-    state
-        Returns the state of the daemon.
+    fingers  names of several fingers; one empty name for a single finger
+    wire     returns the figures of the publisher, and the number of restarts of its processes
+    written  returns the counts of the recordings
+    state    returns the state of the daemon
     """
 
     def __init__(
         self,
         fingers: Sequence[str],
-        wire: Callable[[], PublisherCounts],
-        written: Callable[[], RecordingTotals],
+        wire: Callable[[], tuple[Figures, int]],
+        written: Callable[[], RecorderState],
         state: Callable[[], DaemonState],
     ) -> None:
         self._names, self._wire, self._written, self._state = tuple(fingers), wire, written, state
         self._lock = threading.Lock()
         self._rows = np.empty((ROWS, len(self._names), len(_COLUMNS)))
         self._pending_rows = self._ticks = self._missed = self._drops = 0
-        self._late, self._exec = Histogram(LATENESS_S), Histogram(EXECUTION_S)
+        self._late, self._exec = Histogram(LATENESS_S), Histogram(LATENESS_S)
         self._fingers = [FingerCounts() for _ in self._names]
 
     def add_records(self, records: Array, drops: int) -> None:
@@ -154,17 +139,13 @@ class MetricsCollector(Collector):
         with self._lock:
             self._count()
             metrics = [*self._servo_metrics(), *self._finger_metrics()]
-        subscribers, lost, refused, restarts = self._wire()
+        figures, restarts = self._wire()
         yield from metrics
-        yield GaugeMetricFamily("softfinger_subscribers", "Connections with a subscription", subscribers)
-        yield _counter("softfinger_messages_lost", "Messages lost because subscribers were too slow", lost)
-        yield _counter(
-            "softfinger_connections_refused", "Connections refused or closed because of their messages", refused
-        )
-        yield _counter(
-            "softfinger_publisher_restarts",
-            "Restarts of the processes of telemetry and commands",
-            restarts,
+        yield GaugeMetricFamily("softfinger_subscribers", "Connections with a subscription", figures.subscribers)
+        yield from _counters(
+            ("messages_lost", "Messages lost because subscribers were too slow", figures.lost),
+            ("connections_refused", "Connections refused or closed because of their messages", figures.refused),
+            ("publisher_restarts", "Restarts of the processes of telemetry and commands", restarts),
         )
         yield from _recording_metrics(self._written())
         state, now = GaugeMetricFamily("softfinger_state", "1 for the daemon's state", labels=["state"]), self._state()
@@ -174,9 +155,11 @@ class MetricsCollector(Collector):
         yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})
 
     def _servo_metrics(self) -> Iterator[Metric]:
-        yield _counter("softfinger_ticks", "Ticks of the servo", self._ticks)
-        yield _counter("softfinger_deadlines_missed", "Deadlines of the servo that passed without a tick", self._missed)
-        yield _counter("softfinger_records_dropped", "Ticks lost because the daemon was too slow", self._drops)
+        yield from _counters(
+            ("ticks", "Ticks of the servo", self._ticks),
+            ("deadlines_missed", "Deadlines of the servo that passed without a tick", self._missed),
+            ("records_dropped", "Ticks lost because the daemon was too slow", self._drops),
+        )
         for name, text, histogram in (
             ("softfinger_lateness_seconds", "Wake-up of the servo after its deadline", self._late),
             ("softfinger_execution_seconds", "Time from the servo's wake-up until the device was written", self._exec),
@@ -200,26 +183,22 @@ class MetricsCollector(Collector):
         yield from (force, modes, guard, errors)
 
 
-def _recording_metrics(totals: RecordingTotals) -> Iterator[Metric]:
-    yield _counter("softfinger_recorded_ticks", "Ticks in recordings, of the first finger", totals.ticks)
-    yield _counter("softfinger_recorded_bytes", "Bytes of recordings", totals.bytes)
-    yield _counter(
-        "softfinger_unrecorded_ticks",
-        "Ticks of any finger that were not recorded because the disk was too slow",
-        totals.ticks_dropped,
-    )
-    yield _counter(
-        "softfinger_unrecorded_events",
-        "Events that were not recorded because the disk was too slow",
-        totals.events_dropped,
+def _recording_metrics(totals: RecorderState) -> Iterator[Metric]:
+    slow = "not recorded because the disk was too slow"
+    yield from _counters(
+        ("recorded_ticks", "Ticks in recordings, of the first finger", totals.ticks),
+        ("recorded_bytes", "Bytes of recordings", totals.bytes),
+        ("unrecorded_ticks", f"Ticks of any finger that were {slow}", totals.dropped),
+        ("unrecorded_events", f"Events that were {slow}", totals.events_dropped),
     )
     yield GaugeMetricFamily(
         "softfinger_recording_worst_write_seconds", "Longest duration of a write to the disk", totals.worst_write_s
     )
 
 
-def _counter(name: str, text: str, value: float) -> Metric:
-    return CounterMetricFamily(name, text, value)
+def _counters(*rows: tuple[str, str, float]) -> Iterator[Metric]:
+    for name, text, value in rows:
+        yield CounterMetricFamily(f"softfinger_{name}", text, value)
 
 
 def _label(family: CounterMetricFamily, finger: str, values: Any) -> None:

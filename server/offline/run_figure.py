@@ -28,7 +28,7 @@ COLUMNS: Final = (
 
 
 def draw_run(curves: Array, path: Path) -> None:
-    """Draw the columns DRAWN (n, 9) of one run's records and save the figure as `path`."""
+    """Draw the COLUMNS (n, 9) of one run's records and save the figure as `path`."""
     tick, dt, penetration, x, y, z, rolled, spin, mode = curves.T
     drawing = figure(8.0, 5.5)
     depth, forces, turns = drawing.subplots(3, 1, sharex=True)

@@ -70,7 +70,6 @@ class McapFile:
         self.counts: Final[dict[int, int]] = {}
         """Messages written to the file, by channel."""
         self.worst_write_s = 0.0
-        """Longest duration of a write, s."""
         self._time_range: tuple[int, int] | None = None
         self._write(MCAP0_MAGIC + _record(records.Header(profile="", library=f"softfinger {version('softfinger')}")))
 

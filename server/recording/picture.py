@@ -45,10 +45,7 @@ ARROW_M_PER_N: Final = 0.02
 def select_displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]:
     """Return the indices of the records (n, RECORD_SIZE) to draw, and the number of the last picture.
 
-    Parameters
-    ----------
-    before
-        Number of the last picture, returned by the previous call; NaN for the first.
+    before  number of the last picture, returned by the previous call; NaN for the first
     """
     if not len(records):
         return np.empty(0, np.int64), before
@@ -72,17 +69,10 @@ def pose_message(record: Record, time_ns: int) -> bytes:
 
 def frame_messages(record: Record, time_ns: int, finger: str) -> list[bytes]:
     """Encode the frames of fingertip and proxy, both with the orientation of the fingertip."""
-    rotation = _quaternion(_wxyz(record, AT.probe_orientation))
+    orientation = _wxyz(record, AT.probe_orientation)
     positions = _xyz(record, AT.probe_position), _xyz(record, AT.proxy_position)
     return [
-        _encode(
-            FRAME,
-            timestamp=to_timestamp(time_ns),
-            parent_frame_id=WORLD,
-            child_frame_id=name,
-            translation=_vector(position),
-            rotation=rotation,
-        )
+        _frame_message(name, position, orientation, time_ns)
         for name, position in zip(frame_names(finger), positions, strict=True)
     ]
 
@@ -93,17 +83,12 @@ def body_frame(body: str) -> str:
 
 
 def body_messages(bodies: Sequence[Mapping[str, Any]], time_ns: int) -> list[bytes]:
-    return [
-        _encode(
-            FRAME,
-            timestamp=to_timestamp(time_ns),
-            parent_frame_id=WORLD,
-            child_frame_id=body_frame(body["name"]),
-            translation=_vector(body["position"]),
-            rotation=_quaternion(body["orientation"]),
-        )
-        for body in bodies
-    ]
+    return [_frame_message(body_frame(body["name"]), body["position"], body["orientation"], time_ns) for body in bodies]
+
+
+def _frame_message(name: str, position: Sequence[float], orientation: Sequence[float], time_ns: int) -> bytes:
+    pose = {"translation": _vector(position), "rotation": _quaternion(orientation)}
+    return _encode(FRAME, timestamp=to_timestamp(time_ns), parent_frame_id=WORLD, child_frame_id=name, **pose)
 
 
 def force_message(record: Record, time_ns: int, finger: str) -> bytes:

@@ -146,10 +146,7 @@ def translate_errors(path: str | Path, action: str = "written") -> Iterator[None
 def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     """Yield the contents of a recording in file order, followed by an End; report the progress.
 
-    Raises
-    ------
-    RecordingError
-        If the file is not a readable recording.
+    Raises RecordingError if the file is not a readable recording.
     """
     with (
         translate_errors(path, "read"),
@@ -268,7 +265,7 @@ def _unpack_chunk(data: bytes) -> Iterator[Any]:
             raise ValueError("a record is longer than its chunk")
         if opcode == _MESSAGE:
             if length < 22:
-                raise ValueError("a message without a headerer")
+                raise ValueError("a message without a header")
             yield data[at] | data[at + 1] << 8, data[at + 22 : at + length]
         elif opcode in (_SCHEMA, _CHANNEL):
             stream = ReadDataStream(io.BytesIO(data[at : at + length]))

@@ -47,20 +47,23 @@ class RecorderState(NamedTuple):
     worst_write_s   longest duration of a write
     """
 
-    ticks: int
-    dropped: int
-    bytes: int
-    error: str
-    whole: bool
-    events_dropped: int
-    worst_write_s: float
+    ticks: int = 0
+    dropped: int = 0
+    bytes: int = 0
+    error: str = ""
+    whole: bool = False
+    events_dropped: int = 0
+    worst_write_s: float = 0.0
 
-
-class TopicMessage(NamedTuple):
-    """Message of a topic of the scene, in the queue of events."""
-
-    topic: str
-    message: Mapping[str, Any]
+    def with_recording(self, other: RecorderState) -> RecorderState:
+        """Return the numbers of both recordings together."""
+        return self._replace(
+            ticks=self.ticks + other.ticks,
+            dropped=self.dropped + other.dropped,
+            bytes=self.bytes + other.bytes,
+            events_dropped=self.events_dropped + other.events_dropped,
+            worst_write_s=max(self.worst_write_s, other.worst_write_s),
+        )
 
 
 class Recorder:
@@ -68,14 +71,9 @@ class Recorder:
 
     If the disk is full, the file ends with the last complete write; without any message it is removed.
 
-    Parameters
-    ----------
-    about
-        Tables of metadata (`RecordingFile`).
-    on_trouble
-        Called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed.
-    guards
-        Names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`.
+    about       tables of metadata (`RecordingFile`)
+    on_trouble  called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed
+    guards      names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`
     """
 
     def __init__(
@@ -87,12 +85,13 @@ class Recorder:
         guards: Sequence[str] | None = None,
     ) -> None:
         self._file, self._fingers, self._about, self._on_trouble = file, list(fingers), about, on_trouble
-        self._event_detectors = [
-            RecordEvents(guards, finger, index == 0) if guards is not None else None
-            for index, finger in enumerate(self._fingers)
-        ]
-        self._queue: deque[tuple[int, Array]] = deque()
-        self._events: deque[Mapping[str, Any] | TopicMessage | tuple[str, Any]] = deque()
+        self._event_detectors: dict[str, RecordEvents] = {}
+        if guards is not None:
+            for finger in fingers:
+                self._event_detectors[finger] = RecordEvents(guards, finger, finger == fingers[0])
+        self._queue: deque[tuple[str, Array]] = deque()
+        self._events: deque[Callable[[RecordingFile], None]] = deque()
+        """Writers of an event, a message or a table of metadata."""
         self._events_lock = threading.Lock()
         self._events_dropped = self._reported_events_dropped = 0
         self._worst_write_s = 0.0
@@ -108,8 +107,8 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def take(self, records: Array, finger: int = 0) -> None:
-        """Copy records (n, RECORD_SIZE) of the finger with this index to the queue; never waits. From one thread."""
+    def ticks(self, records: Array, finger: str = "") -> None:
+        """Copy records (n, RECORD_SIZE) of a finger to the queue; never waits. From one thread."""
         if self._error or self._closing.is_set():
             return
         if self._queued_rows - self._written_rows + len(records) > QUEUE_ROWS * len(self._fingers):
@@ -123,24 +122,24 @@ class Recorder:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Queue an event, a map as on the wire; never waits. Thread-safe."""
-        self._append(event)
+        self._append(lambda recording: recording.event(event))
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
         """Queue a message of a topic of the scene, a map as on the wire; never waits. Thread-safe."""
-        self._append(TopicMessage(topic, message))
+        self._append(lambda recording: recording.message(topic, message))
 
-    def _append(self, event: Mapping[str, Any] | TopicMessage) -> None:
+    def _append(self, write: Callable[[RecordingFile], None]) -> None:
         if self._error:
             return
         with self._events_lock:
             if len(self._events) < QUEUE_EVENTS:
-                self._events.append(event)
+                self._events.append(write)
             else:
                 self._events_dropped += 1
 
     def note(self, name: str, value: Any) -> None:
         """Queue a table of metadata; never waits. Thread-safe."""
-        self._events.append((name, value))
+        self._events.append(lambda recording: recording.note(name, value))
 
     @property
     def recorded(self) -> RecorderState:
@@ -149,11 +148,6 @@ class Recorder:
             self._ticks, self._dropped, self._bytes, self._error, ended and not self._error,
             self._events_dropped, self._worst_write_s,
         )  # fmt: skip
-
-    @property
-    def failed(self) -> bool:
-        """Whether an error ended the recording."""
-        return bool(self._error)
 
     def stop(self, timeout_s: float) -> RecorderState:
         """Finish the recording, waiting at most `timeout_s` for the disk; writing continues after a timeout.
@@ -206,7 +200,7 @@ class Recorder:
 
     def _write(self, recording: RecordingFile) -> None:
         """Write all queued data, one batch per finger."""
-        batches: dict[int, list[Array]] = {}
+        batches: dict[str, list[Array]] = {}
         rows = 0
         for _ in range(len(self._queue)):
             finger, records = self._queue.popleft()
@@ -214,22 +208,16 @@ class Recorder:
             rows += len(records)
         for finger, arrays in batches.items():
             records = round_integer_fields(np.concatenate(arrays))
-            if finger == len(self._fingers) - 1:  # its ticks arrive last
+            if finger == self._fingers[-1]:  # its ticks arrive last
                 self._last_tick = int(records[-1, AT.tick])
-            detector = self._event_detectors[finger]
+            detector = self._event_detectors.get(finger)
             for first in range(0, len(records), BLOCK_ROWS):  # in blocks, so that other threads can run
                 block = records[first : first + BLOCK_ROWS]
-                recording.ticks(block, self._fingers[finger])
+                recording.ticks(block, finger)
                 for event in [] if detector is None else detector.observe(block):
                     recording.event(event)
         for _ in range(len(self._events)):
-            event_or_note = self._events.popleft()
-            if isinstance(event_or_note, TopicMessage):
-                recording.message(*event_or_note)
-            elif isinstance(event_or_note, tuple):
-                recording.note(*event_or_note)
-            else:
-                recording.event(event_or_note)
+            self._events.popleft()(recording)
         recording.flush()
         self._count(recording)
         self.last_written_tick = self._last_tick

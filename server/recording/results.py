@@ -40,7 +40,6 @@ from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.wire.protocol import contact_topic
 
 SUFFIXES: Final = (".csv", ".npz", ".mcap")
-BLOCK_ROWS: Final = 2_000
 RESULTS_MAX: Final = 2_000_000
 """Limit of records read: 33 minutes at 1 kHz, 3 GB."""
 CSV_CHUNK_ROWS: Final = 500
@@ -65,37 +64,18 @@ class RunContext(NamedTuple):
     messages: deque[tuple[str, dict[str, Any]]]
 
 
-def write_results(path: str | Path, records: Array | Mapping[str, Array]) -> None:
-    """Write records in the format of the file ending: .csv, .npz or .mcap.
-
-    The file appears complete or not at all. Long writes report their progress on stderr.
-
-    Parameters
-    ----------
-    path
-        File to write or replace.
-    records
-        (n, RECORD_SIZE), or a mapping with records of equal length by finger name.
-
-    Raises
-    ------
-    RecordingError
-        If the records have another shape, or the file cannot be written.
-    """
-    by_finger = records if isinstance(records, Mapping) else {"": records}
-    fingers = {name: np.asarray(rows, dtype=np.float64) for name, rows in by_finger.items()}
-    for rows in fingers.values():
-        if rows.ndim != 2 or rows.shape[1] != RECORD_SIZE:
-            raise RecordingError(f"{path}: records of shape {rows.shape}, must be (n, {RECORD_SIZE})")
-    write_blocks(path, list(fingers), _blocks(list(fingers.values()), Path(path).suffix[1:]))
-
-
 def write_blocks(
     path: str | Path, fingers: Sequence[str], blocks: Iterable[Array], context: RunContext | None = None
 ) -> None:
-    """Write records given as blocks (m, fingers, RECORD_SIZE), of which only one is in memory at a time.
+    """Write records in the format of the file ending: .csv, .npz or .mcap.
 
-    Otherwise as `write_results`. An exception of `blocks` is propagated and no file is written.
+    The file appears complete or not at all. An exception of `blocks` is propagated.
+
+    path     file to write or replace
+    fingers  names of several fingers, an empty name for a single one
+    blocks   records (m, fingers, RECORD_SIZE), of which only one block is in memory at a time
+
+    Raises RecordingError if the file cannot be written.
     """
     target = Path(path)
     write_mcap = partial(_write_mcap, context=context or RunContext({}, deque()))
@@ -108,24 +88,13 @@ def write_blocks(
 
 
 def read_results(path: str | Path, finger: str = "") -> Array:
-    """Read the records of a file from `write_results`.
+    """Read the records of a file from `write_blocks`.
 
-    Parameters
-    ----------
-    path
-        File with the ending .csv, .npz or .mcap.
-    finger
-        Name of the finger to read; empty for a file of a single finger.
+    path     file with the ending .csv, .npz or .mcap
+    finger   name of the finger to read; empty for a file of a single finger
+    returns  records (n, RECORD_SIZE), equal bit for bit to the written ones
 
-    Returns
-    -------
-    Array
-        Records (n, RECORD_SIZE), equal bit for bit to the written ones.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read, or has more than RESULTS_MAX records.
+    Raises RecordingError if the file cannot be read, or has more than RESULTS_MAX records.
     """
     source = Path(path)
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())
@@ -312,13 +281,3 @@ class McapResults(Closeable):
                 yield
         except ValueError as error:
             raise RecordingError(str(error)) from error
-
-
-def _blocks(fingers: Sequence[Array], kind: str) -> Iterator[Array]:
-    """Yield the fingers' records (n, RECORD_SIZE) in joint blocks; report the progress."""
-    count = min(map(len, fingers))
-    with progress(f"writing {kind}", count) as advance:
-        for start in range(0, count, BLOCK_ROWS):
-            block = [records[start : min(start + BLOCK_ROWS, count)] for records in fingers]
-            yield block[0][:, None] if len(block) == 1 else np.stack(block, axis=1)
-            advance(min(start + BLOCK_ROWS, count))

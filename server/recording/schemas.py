@@ -30,102 +30,47 @@ LOG: Final = "foxglove.Log"
 MORE: Final = "more"
 """Field of an event with all values that have no other field, as JSON: maps, and keys that are in no table."""
 
-_TIME: Final = "google.protobuf.Timestamp"
-_DURATION: Final = "google.protobuf.Duration"
-
-# Message: fields in the order of their numbers, from 1. [X]: repeated; names in capitals: an enumeration.
-_FOXGLOVE: Final[dict[str, dict[str, str]]] = {
-    "Vector3": {"x": "double", "y": "double", "z": "double"},
-    "Point3": {"x": "double", "y": "double", "z": "double"},
-    "Quaternion": {"x": "double", "y": "double", "z": "double", "w": "double"},
-    "Color": {"r": "double", "g": "double", "b": "double", "a": "double"},
-    "Pose": {"position": "Vector3", "orientation": "Quaternion"},
-    "KeyValuePair": {"key": "string", "value": "string"},
-    "PoseInFrame": {"timestamp": _TIME, "frame_id": "string", "pose": "Pose"},
-    "Log": {
-        "timestamp": _TIME,
-        "level": "UNKNOWN DEBUG INFO WARNING ERROR FATAL",
-        "message": "string",
-        "name": "string",
-        "file": "string",
-        "line": "fixed32",
-    },
-    "FrameTransform": {
-        "timestamp": _TIME,
-        "parent_frame_id": "string",
-        "child_frame_id": "string",
-        "translation": "Vector3",
-        "rotation": "Quaternion",
-    },
-    "ArrowPrimitive": {
-        "pose": "Pose",
-        "shaft_length": "double",
-        "shaft_diameter": "double",
-        "head_length": "double",
-        "head_diameter": "double",
-        "color": "Color",
-    },
-    "CubePrimitive": {"pose": "Pose", "size": "Vector3", "color": "Color"},
-    "SpherePrimitive": {"pose": "Pose", "size": "Vector3", "color": "Color"},
-    "CylinderPrimitive": {
-        "pose": "Pose",
-        "size": "Vector3",
-        "bottom_scale": "double",
-        "top_scale": "double",
-        "color": "Color",
-    },
-    "LinePrimitive": {
-        "type": "LINE_STRIP LINE_LOOP LINE_LIST",
-        "pose": "Pose",
-        "thickness": "double",
-        "scale_invariant": "bool",
-        "points": "[Point3]",
-        "color": "Color",
-        "colors": "[Color]",
-        "indices": "[fixed32]",
-    },
-    "TriangleListPrimitive": {
-        "pose": "Pose",
-        "points": "[Point3]",
-        "color": "Color",
-        "colors": "[Color]",
-        "indices": "[fixed32]",
-    },
-    "TextPrimitive": {
-        "pose": "Pose",
-        "billboard": "bool",
-        "font_size": "double",
-        "scale_invariant": "bool",
-        "color": "Color",
-        "text": "string",
-    },
-    "ModelPrimitive": {
-        "pose": "Pose",
-        "scale": "Vector3",
-        "color": "Color",
-        "override_color": "bool",
-        "url": "string",
-        "media_type": "string",
-        "data": "bytes",
-    },
-    "SceneEntityDeletion": {"timestamp": _TIME, "type": "MATCHING_ID ALL", "id": "string"},
-    "SceneEntity": {
-        "timestamp": _TIME,
-        "frame_id": "string",
-        "id": "string",
-        "lifetime": _DURATION,
-        "frame_locked": "bool",
-        "metadata": "[KeyValuePair]",
-        "arrows": "[ArrowPrimitive]",
-        "cubes": "[CubePrimitive]",
-        "spheres": "[SpherePrimitive]",
-        "cylinders": "[CylinderPrimitive]",
-        "lines": "[LinePrimitive]",
-        "triangles": "[TriangleListPrimitive]",
-        "texts": "[TextPrimitive]",
-        "models": "[ModelPrimitive]",
-    },
-    "SceneUpdate": {"deletions": "[SceneEntityDeletion]", "entities": "[SceneEntity]"},
+# Message: types and names of its fields in the order of their numbers, from 1. [X]: repeated; A|B: an enumeration.
+_FOXGLOVE: Final = {
+    "Vector3": "double x, double y, double z",
+    "Point3": "double x, double y, double z",
+    "Quaternion": "double x, double y, double z, double w",
+    "Color": "double r, double g, double b, double a",
+    "Pose": "Vector3 position, Quaternion orientation",
+    "KeyValuePair": "string key, string value",
+    "PoseInFrame": "google.protobuf.Timestamp timestamp, string frame_id, Pose pose",
+    "Log": (
+        "google.protobuf.Timestamp timestamp, UNKNOWN|DEBUG|INFO|WARNING|ERROR|FATAL level, "
+        "string message, string name, string file, fixed32 line"
+    ),
+    "FrameTransform": (
+        "google.protobuf.Timestamp timestamp, string parent_frame_id, string child_frame_id, "
+        "Vector3 translation, Quaternion rotation"
+    ),
+    "ArrowPrimitive": (
+        "Pose pose, double shaft_length, double shaft_diameter, double head_length, double head_diameter, Color color"
+    ),
+    "CubePrimitive": "Pose pose, Vector3 size, Color color",
+    "SpherePrimitive": "Pose pose, Vector3 size, Color color",
+    "CylinderPrimitive": "Pose pose, Vector3 size, double bottom_scale, double top_scale, Color color",
+    "LinePrimitive": (
+        "LINE_STRIP|LINE_LOOP|LINE_LIST type, Pose pose, double thickness, bool scale_invariant, "
+        "[Point3] points, Color color, [Color] colors, [fixed32] indices"
+    ),
+    "TriangleListPrimitive": "Pose pose, [Point3] points, Color color, [Color] colors, [fixed32] indices",
+    "TextPrimitive": "Pose pose, bool billboard, double font_size, bool scale_invariant, Color color, string text",
+    "ModelPrimitive": (
+        "Pose pose, Vector3 scale, Color color, bool override_color, string url, string media_type, bytes data"
+    ),
+    "SceneEntityDeletion": "google.protobuf.Timestamp timestamp, MATCHING_ID|ALL type, string id",
+    "SceneEntity": (
+        "google.protobuf.Timestamp timestamp, string frame_id, string id, "
+        "google.protobuf.Duration lifetime, bool frame_locked, [KeyValuePair] metadata, "
+        "[ArrowPrimitive] arrows, [CubePrimitive] cubes, [SpherePrimitive] spheres, "
+        "[CylinderPrimitive] cylinders, [LinePrimitive] lines, [TriangleListPrimitive] triangles, "
+        "[TextPrimitive] texts, [ModelPrimitive] models"
+    ),
+    "SceneUpdate": "[SceneEntityDeletion] deletions, [SceneEntity] entities",
 }
 
 _LISTS: Final = {
@@ -267,31 +212,32 @@ def _add_foxglove(files: Any, name: str, added: set[str]) -> None:
     """Add one file per Foxglove message, dependencies first, as in Foxglove's schemas."""
     from google.protobuf import duration_pb2, timestamp_pb2
 
+    well_known = {"google.protobuf.Timestamp": timestamp_pb2, "google.protobuf.Duration": duration_pb2}
+    fields = [field.split(" ") for field in _FOXGLOVE[name].split(", ")]
     added.add(name)
-    dependencies = [kind.strip("[]") for kind in _FOXGLOVE[name].values()]
-    for kind in dependencies:
-        if kind in _FOXGLOVE and kind not in added:
-            _add_foxglove(files, kind, added)
-        for known, module in ((_TIME, timestamp_pb2), (_DURATION, duration_pb2)):
-            if kind == known and kind not in added:
-                added.add(kind)
-                module.DESCRIPTOR.CopyToProto(files.file.add())
+    paths: dict[str, str] = {}
+    for kind in [kind.strip("[]") for kind, _ in fields]:
+        if kind in well_known:
+            paths[kind] = well_known[kind].DESCRIPTOR.name
+            if kind not in added:
+                well_known[kind].DESCRIPTOR.CopyToProto(files.file.add())
+        elif kind in _FOXGLOVE:
+            paths[kind] = f"foxglove/{kind}.proto"
+            if kind not in added:
+                _add_foxglove(files, kind, added)
+        added.add(kind)
     file = files.file.add(name=f"foxglove/{name}.proto", package="foxglove", syntax="proto3")
+    file.dependency.extend(paths.values())
     message = file.message_type.add(name=name)
-    paths = {_TIME: "google/protobuf/timestamp.proto", _DURATION: "google/protobuf/duration.proto"}
-    paths |= {kind: f"foxglove/{kind}.proto" for kind in _FOXGLOVE}
-    file.dependency.extend(dict.fromkeys(paths[kind] for kind in dependencies if kind in paths))
-    for key, kind in _FOXGLOVE[name].items():
+    for kind, key in fields:
         bare = kind.strip("[]")
-        if bare in _FOXGLOVE:
-            kind = kind.replace(bare, f".foxglove.{bare}")
-        elif bare in paths:
-            kind = kind.replace(bare, f".{bare}")
-        elif bare.isupper():
+        if "|" in kind:
             values = message.enum_type.add(name=key.capitalize())
-            for number, value in enumerate(bare.split()):
+            for number, value in enumerate(kind.split("|")):
                 values.value.add(name=value, number=number)
             kind = f".foxglove.{name}.{key.capitalize()}="
+        elif bare in paths:
+            kind = kind.replace(bare, f".{bare}" if bare in well_known else f".foxglove.{bare}")
         _add_field(message, key, kind)
 
 

@@ -17,7 +17,6 @@ from softfinger.server.recording.reader import End, Event, Note, TickBlock, expl
 from softfinger.server.recording.recorder import END
 
 _COPIED_TABLES = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
-"""Tables of metadata that a summary copies unchanged."""
 
 
 class _Finger:
@@ -72,10 +71,7 @@ def summary(recording: str | Path) -> dict[str, Any]:
     events_dropped  events not written for the same reason
     lost            ticks that did not arrive over the wire
 
-    Raises
-    ------
-    RecordingError
-        If the file is not a recording of this program.
+    Raises RecordingError if the file is not a recording of this program.
     """
     path = find_recording(recording)
     fingers: dict[str, _Finger] = {}

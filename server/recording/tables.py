@@ -66,7 +66,7 @@ class TableFormat(NamedTuple):
 
 
 def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> TableFormat:
-    """Return a Layout; `columns` is a comma-separated list. Raises ConfigError if it does not describe poses."""
+    """Return the format with `columns`, a comma-separated list. Raises ConfigError if it does not describe poses."""
     names = tuple(name.strip() for name in columns.split(","))
     invalid = [name for name in names if name != SKIPPED and (name not in POSE_COLUMNS or names.count(name) > 1)]
     if invalid:

@@ -27,8 +27,8 @@ from softfinger.server.services.rendering import Rendering
 from softfinger.server.states import COMMANDED, FAST, SILENT, UNARMED
 from softfinger.server.wire import commands as wire
 from softfinger.server.wire.envelope import Declined, Request
-from softfinger.server.wire.link import RequestHandlers
 from softfinger.server.wire.protocol import encode, wire_schema
+from softfinger.server.wire.publisher import Publisher
 
 EVENT_BYTES_MAX: Final = 1024
 """Largest part of a request that is copied into an event: the publisher stores 40 000 messages for slow subscribers."""
@@ -40,28 +40,18 @@ OnResult = Callable[[Any], None]
 class DaemonInterface(NamedTuple):
     """Interface of the commands to the daemon, other than the rendering.
 
-    replace     renders a scene under a name, and returns its first tick
-    ring        returns where local readers find every tick, in the format of `describe`
-    telemetry   endpoint of the telemetry
-    serve       sets the handler of requests; None removes it
-    reply       sends a deferred answer to a client
-    event       publishes an event
-    stop        ends the run in order
-    fail        ends the run with an error
-    recordings  service that records
-    report      publishes the progress of a scene in preparation; empty: there is none
+    replace  renders a scene under a name, and returns its first tick
+    event    publishes and records an event
+    stop     ends the run in order
+    fail     ends the run with an error
     """
 
+    publisher: Publisher
+    recordings: Recordings
     replace: Callable[[schema.Scene, str], int]
-    ring: Callable[[], dict[str, Any]]
-    telemetry: str
-    serve: Callable[[RequestHandlers | None], None]
-    reply: Callable[[bytes, bytes], None]
     event: Callable[..., None]
     stop: Callable[[], None]
     fail: Callable[[HapticError], None]
-    recordings: Recordings
-    report: Callable[[str], None]
 
 
 class CommandHandlers:
@@ -78,13 +68,19 @@ class CommandHandlers:
         self._latest: NDArray[np.float64] | None = None
         self._led_fingers: Final = set[int]()
         """Indices of the fingers with hands moved by a program."""
-        self.scenes: Final = SceneChanges(daemon.replace, daemon.report)
+        self.scenes: Final = SceneChanges(daemon.replace, daemon.publisher.set_preparing)
         prompts = Prompts(self.publish_change, lambda: rendering.servo.ticks)
         self.get_prompt, self.set_prompt, self.answer = prompts.get, prompts.set, prompts.answer
         self.sink: Final = Sink("commands", self._store_latest)
 
     def _store_latest(self, records: NDArray[np.float64], drops: int) -> None:
         self._latest = records[-1].copy()
+
+    def _latest_record(self, finger_index: int = 0) -> NDArray[np.float64]:
+        if self._latest is None:
+            raise Declined("refused", "there is no tick yet: repeat the request later")
+        record: NDArray[np.float64] = self._latest.reshape(-1, RECORD_SIZE)[finger_index]
+        return record
 
     def publish_change(self, name: str, command_id: str, change: Mapping[str, Any]) -> None:
         """Publish a change, shortened if it is too long to store for all subscribers."""
@@ -94,9 +90,7 @@ class CommandHandlers:
         self._daemon.event("command", name, command_id=command_id, what=content)
 
     def get_state(self, request: Request) -> wire.State:
-        if self._latest is None:
-            raise Declined("refused", "there is no tick yet: repeat the request later")
-        return wire.state_of(self._latest[:RECORD_SIZE], self._rendering.servo.epoch_s, self._scene_name)
+        return wire.state_of(self._latest_record(), self._rendering.servo.epoch_s, self._scene_name)
 
     def heartbeat(self, request: Request) -> wire.Alive:
         if self._rendering.force.is_inhibited_by(SILENT):
@@ -193,10 +187,7 @@ class CommandHandlers:
         if params.position_m is not msgspec.UNSET:
             turn = None if params.orientation_wxyz is msgspec.UNSET else params.orientation_wxyz
             hand_of(self._rendering.servo.devices[finger_index])  # raises NoSimulatedHand even before the first tick
-            if self._latest is None:
-                raise Declined("refused", "there is no tick yet: repeat the request later")
-            at = AT.probe_orientation
-            w, x, y, z = self._latest.reshape(-1, RECORD_SIZE)[finger_index][at : at + 4].tolist()
+            w, x, y, z = self._latest_record(finger_index)[AT.probe_orientation :][:4].tolist()
             target = RequestedPose(params.position_m, turn, (w, x, y, z))
         self._rendering.lead_hand(finger_index, target)
         self._publish_led(finger_index, not params.release, request)
@@ -252,9 +243,7 @@ class CommandHandlers:
         finger_index = self._finger(params.finger)
         if self._rendering.force.is_requested:
             raise Declined("refused", "the probe would jump while force is enabled: disarm first, and arm afterwards")
-        if self._latest is None:
-            raise Declined("refused", "there is no tick yet: repeat the request later")
-        record = self._latest.reshape(-1, RECORD_SIZE)[finger_index]
+        record = self._latest_record(finger_index)
         tick = self._rendering.set_offset(finger_index, None if params.reset else params.position_m, record)
         offset = self._rendering.offsets[finger_index]
         self.publish_change(
@@ -274,11 +263,10 @@ class CommandHandlers:
         return wire.Applied(tick)
 
     def describe(self, request: Request) -> dict[str, Any]:
-        about = describe_daemon(self._rendering, self._scene_name)
-        endpoints = {"telemetry": self._daemon.telemetry, "commands": self._endpoint}
-        return {
-            "wire": wire_schema(), "ring": self._daemon.ring(), "commands": wire.schema(), "endpoints": endpoints,
-        } | about  # fmt: skip
+        publisher, about = self._daemon.publisher, describe_daemon(self._rendering, self._scene_name)
+        endpoints = {"telemetry": publisher.endpoint, "commands": self._endpoint}
+        interfaces = {"wire": wire_schema(), "ring": publisher.ring(), "commands": wire.schema()}
+        return interfaces | {"endpoints": endpoints} | about
 
     def mesh(self, request: Request) -> wire.Triangles:
         _, obj = self._object(request.params.object)

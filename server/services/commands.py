@@ -49,7 +49,6 @@ class CommandService:
     """
 
     def __init__(self, endpoint: str, rendering: Rendering, daemon: DaemonInterface, scene_name: str) -> None:
-        self.endpoint: Final = endpoint
         self._handlers: Final = CommandHandlers(endpoint, rendering, daemon, scene_name)
         self.sink: Final = self._handlers.sink
         self._rendering, self._daemon = rendering, daemon
@@ -70,12 +69,12 @@ class CommandService:
         self._handlers.scenes.start()
         self._thread.start()
         self._note_alive(time.monotonic())
-        self._daemon.serve(RequestHandlers(self._receive, self._check_periodically))
+        self._daemon.publisher.serve(RequestHandlers(self._receive, self._check_periodically))
 
     def stop(self) -> None:
         restore = [switch_interval.restore] if self._started else []
         self._started = False
-        steps = self._handlers.scenes.stop, self._stop_queue, lambda: self._daemon.serve(None), *restore
+        steps = self._handlers.scenes.stop, self._stop_queue, lambda: self._daemon.publisher.serve(None), *restore
         shutdown.complete_all_steps(*steps)
 
     def _stop_queue(self) -> None:
@@ -125,7 +124,7 @@ class CommandService:
             client = item[0]
             answer = self._answer_queued(*item)
             if answer is not None:
-                self._daemon.reply(client, answer)
+                self._daemon.publisher.reply(client, answer)
             with self._counts_lock:
                 self._pending_counts[client] -= 1
                 if not self._pending_counts[client]:
@@ -152,7 +151,7 @@ class CommandService:
             answer = encode_refusal(self._as_declined(outcome), command_id)
         else:
             answer = encode_answer(command_id, outcome)
-        self._daemon.reply(client, answer)
+        self._daemon.publisher.reply(client, answer)
 
     def _as_declined(self, error: Exception) -> Declined:
         match error:
@@ -178,7 +177,7 @@ class CommandService:
             self._check_heartbeat()
         except Exception as error:
             log.exception("commands failed")
-            self._daemon.serve(None)
+            self._daemon.publisher.serve(None)
             self._daemon.event("fault", "commands", message=str(error))
             self._daemon.fail(SafetyStop(f"commands cannot be received: {error}; the heartbeat cannot be checked"))
 

@@ -31,6 +31,7 @@ from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S, progress_text
 from softfinger.server.services.base import Worker
+from softfinger.server.signals import call_at_end_of_input
 
 log: Final = logging.getLogger(__name__)
 
@@ -202,7 +203,7 @@ def main() -> None:
     os.nice(NICE)
     COMPILE_PROGRESS.on_first = lambda: threading.Thread(target=_report, daemon=True).start()
     scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
-    threading.Thread(target=_exit_with_daemon, daemon=True).start()
+    call_at_end_of_input(lambda: os._exit(1))
     compile_loop(scene)
 
 
@@ -214,12 +215,6 @@ def _report() -> None:
         if kernel := str(COMPILE_PROGRESS):
             print(kernel, flush=True)
         wait = REPORT_PERIOD_S
-
-
-def _exit_with_daemon() -> None:
-    while os.read(sys.stdin.fileno(), 1):
-        pass
-    os._exit(1)
 
 
 if __name__ == "__main__":

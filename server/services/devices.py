@@ -12,14 +12,11 @@ from softfinger.server.loop import shutdown
 
 def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
     """Open the device of each finger; on an error, close the devices opened before."""
-    devices: tuple[Device, ...] = ()
-    try:
+    devices = list[Device]()
+    with shutdown.close_on_error(devices):
         for finger in pair(scene, rig):
-            devices += (registry.open_device(finger.device, rig.servo.rate_hz, finger.table),)
-    except BaseException as error:
-        shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
-        raise
-    return devices
+            devices.append(registry.open_device(finger.device, rig.servo.rate_hz, finger.table))
+    return tuple(devices)
 
 
 def inject_faults(

@@ -100,5 +100,4 @@ class Force:
         (self._guard_reasons.add if is_inhibiting else self._guard_reasons.discard)(why)
 
     def update_state(self) -> None:
-        """Update the state with the present reasons."""
         self._states.follow(self._reasons | self._guard_reasons)

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,32 +31,6 @@ CLOSE_S: Final = 2.0
 """Time for which the end of the run waits for the disk."""
 
 
-class RecordingTotals(NamedTuple):
-    """Statistics of recordings.
-
-    ticks, bytes    written
-    ticks_dropped   ticks lost because the disk was too slow
-    events_dropped  events lost because the disk was too slow
-    worst_write_s   duration of the longest write
-    """
-
-    ticks: int
-    bytes: int
-    ticks_dropped: int
-    events_dropped: int
-    worst_write_s: float
-
-    def with_recording(self, recorder: RecorderState) -> RecordingTotals:
-        """Return the statistics with one recording added."""
-        return RecordingTotals(
-            self.ticks + recorder.ticks,
-            self.bytes + recorder.bytes,
-            self.ticks_dropped + recorder.dropped,
-            self.events_dropped + recorder.events_dropped,
-            max(self.worst_write_s, recorder.worst_write_s),
-        )
-
-
 class Recordings:
     """Service that starts, feeds and ends recordings of a daemon.
 
@@ -69,7 +43,7 @@ class Recordings:
         self._changing = threading.Lock()
         self._recorder: Recorder | None = None
         self._ending: list[Recorder] = []  # recordings with a last part that may not be on disk yet
-        self._ended = RecordingTotals(0, 0, 0, 0, 0.0)
+        self._ended = RecorderState()
         self._path = Path()
         self._failure: RecordingError | None = None
         self._settings: Any = None
@@ -121,7 +95,7 @@ class Recordings:
                 raise RecordingError(f"{self._path}: the recording ends after {recorded.ticks} ticks: {error}")
             return recorder.last_written_tick
 
-    def collect_totals(self) -> RecordingTotals:
+    def collect_totals(self) -> RecorderState:
         """Return the statistics of all recordings of this run so far."""
         with self._changing:
             recorders, self._ending = self._ending, []
@@ -172,8 +146,8 @@ class Recordings:
     def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
         if (recorder := self._recorder) is not None:
             fingers = records.reshape(len(records), -1, RECORD_SIZE)
-            for finger_index in range(fingers.shape[1]):
-                recorder.take(fingers[:, finger_index], finger_index)
+            for index, finger in enumerate(self._fingers):
+                recorder.ticks(fingers[:, index], finger)
 
     def _report_trouble(self, path: Path, message: str, ended: bool) -> None:
         text = f"{path}: {message}"

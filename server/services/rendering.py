@@ -99,15 +99,11 @@ class Rendering:
         self._offset_tick = 0
         """Number of ticks started when an offset was last set."""
         devices = self._open(scene, rig)
-        try:
+        with shutdown.close_on_error(devices), report_compilation("kernels that call the device"):
             self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
-            with report_compilation("kernels that call the device"):
-                self.servo: Final = ServoThread(
-                    devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
-                )
-        except BaseException as error:
-            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
-            raise
+            self.servo: Final = ServoThread(
+                devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
+            )
         unarmed = rig.guard.arm != "automatic"
         self.force: Final = Force(unarmed, states or States(), self.servo.switch, lambda: self.servo.ticks)
 
@@ -173,24 +169,12 @@ class Rendering:
 
         Parameters that act on the force reach their values at the end of the ramp of the rig's [commands].
 
-        Parameters
-        ----------
-        changes
-            Values by dotted key, as for `load_scene`.
-        where
-            Origin of the changes, for messages.
+        changes  values by dotted key, as for `load_scene`
+        where    origin of the changes, for messages
+        returns  scene before and after, and a lower bound of the number of ticks started without the change
 
-        Returns
-        -------
-        tuple[Scene, Scene, int]
-            Scene before and after, and a lower bound of the number of ticks started without the change.
-
-        Raises
-        ------
-        ConfigError
-            If a value is out of its range, or would need another loop.
-        Replacing
-            If another change is in progress.
+        Raises ConfigError if a value is out of its range, or would need another loop; Replacing if another change is in
+        progress.
         """
         with _acquire(self._parameters_lock):
             before, after = self.scene, apply_overrides(self.scene, changes, where)
@@ -278,19 +262,13 @@ class Rendering:
         """Return a loop for devices that are opened in place of the present ones."""
         shutdown.close_all(self.servo.devices)
         devices = self._open(scene, rig)
-        try:
+        with shutdown.close_on_error(devices):
             return self._loop(scene, rig, devices)
-        except BaseException as error:
-            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
-            raise
 
     def _open(self, scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
         devices = open_devices(scene, rig)
-        try:
+        with shutdown.close_on_error(devices):
             return inject_faults(devices, scene, self.faults, rig.servo.rate_hz)
-        except BaseException as error:
-            shutdown.run_all_steps(lambda: shutdown.close_all(devices), first=error)
-            raise
 
     def _await_no_force(self) -> None:
         """Wait until the loop has turned the force off; raises SafetyStop if it does not tick."""

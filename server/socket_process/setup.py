@@ -30,7 +30,7 @@ class Kind(IntEnum):
     ANSWER = 6
     """Answer to the client `key`; frees one of the unanswered requests."""
     DEFERRED = 7
-    """A request was accepted and will be answered with LATE; frees one of the unanswered requests."""
+    """A request was accepted and will be answered with DEFERRED_ANSWER; frees one of the unanswered requests."""
     DEFERRED_ANSWER = 8
     END = 9
 

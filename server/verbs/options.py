@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.server.arguments import add_daemon_options, add_stream_options, duration
+from softfinger.server.arguments import Parser, add_daemon_options, add_stream_options, duration
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.viewer.roles import Role
 
@@ -33,29 +33,26 @@ OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
 )
 
 
-def configure_run(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+def configure_run(parser: Parser) -> None:
+    parser.argument(
         "--rig",
-        help=f"rig file or the name of a shipped one (default: simulated-SCENE if it exists, else {RIG}; with --view "
+        None,
+        f"rig file or the name of a shipped one (default: simulated-SCENE if it exists, else {RIG}; with --view "
         f"{VIEW_RIG})",
     )
-    parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
+    parser.argument("--scene", None, "scene file or name", default="paper-plane")
     for flag, _, kind, metavar, text in OVERRIDES:
-        parser.add_argument(flag, type=kind, metavar=metavar, help=text)
-    parser.add_argument("--once", action="store_true", help="play a recording once instead of looping it")
-    parser.add_argument(
-        "--watcher", action="store_true", help="start a second process that removes the force if this one is killed"
-    )
-    parser.add_argument("--record", metavar="FILE", help="record every tick and event to a new .mcap file")
-    parser.add_argument(
-        "--inject", metavar="FILE", help="inject faults between device and loop: a file or the name of a shipped one"
-    )
-    parser.add_argument("--view", action="store_true", help="open a browser page on which the mouse moves the hand")
-    parser.add_argument("--duration", type=duration, metavar="S", help="stop after S seconds of ticks")
+        parser.argument(flag, metavar, text, type=kind)
+    parser.flag("--once", "play a recording once instead of looping it")
+    parser.flag("--watcher", "start a second process that removes the force if this one is killed")
+    parser.argument("--record", "FILE", "record every tick and event to a new .mcap file")
+    parser.argument("--inject", "FILE", "inject faults between device and loop: a file or the name of a shipped one")
+    parser.flag("--view", "open a browser page on which the mouse moves the hand")
+    parser.argument("--duration", "S", "stop after S seconds of ticks", type=duration)
 
 
-def configure_simulate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
+def configure_simulate(parser: Parser) -> None:
+    parser.argument("--scene", None, "scene file or name", default="paper-plane")
     poses_or_device = parser.add_mutually_exclusive_group(required=True)
     poses_or_device.add_argument(
         "--poses",
@@ -66,89 +63,75 @@ def configure_simulate(parser: argparse.ArgumentParser) -> None:
     poses_or_device.add_argument(
         "--device", metavar="D", help="driver of a device that responds to the force: simulated"
     )
-    parser.add_argument("--out", required=True, type=Path, help="output file: .csv, .npz or .mcap")
-    parser.add_argument(
-        "--plot", type=plot_file, metavar="FILE.png", help="plot depth, force, angles and modes (.png, .svg)"
-    )
-    parser.add_argument("--duration", type=duration, metavar="S", help="with --device: simulated time (default: 10)")
-    parser.add_argument("--method", help="rolling method that replaces the scene's")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="tick rate that replaces the rig's (default: 1000)")
-    parser.add_argument(
+    parser.argument("--out", None, "output file: .csv, .npz or .mcap", required=True, type=Path)
+    parser.argument("--plot", "FILE.png", "plot depth, force, angles and modes (.png, .svg)", type=plot_file)
+    parser.argument("--duration", "S", "with --device: simulated time (default: 10)", type=duration)
+    parser.argument("--method", None, "rolling method that replaces the scene's")
+    parser.argument("--rate", "HZ", "tick rate that replaces the rig's (default: 1000)", type=float)
+    parser.argument(
         "--rig",
-        help="rig with the force limits and device options (default: replay; with --device simulated-SCENE if it "
+        None,
+        "rig with the force limits and device options (default: replay; with --device simulated-SCENE if it "
         "exists, else simulated)",
     )
 
 
-def configure_monitor(parser: argparse.ArgumentParser) -> None:
+def configure_monitor(parser: Parser) -> None:
     parser.description = "Show contact mode, forces, lateness and events of a running server."
     add_daemon_options(parser)
-    parser.add_argument("--once", action="store_true", help="print one summary and exit")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
+    parser.flag("--once", "print one summary and exit")
+    parser.flag("--json", "print one JSON object per line")
     add_stream_options(parser)
 
 
-def configure_view(parser: argparse.ArgumentParser) -> None:
+def configure_view(parser: Parser) -> None:
     parser.description = (
         "Open a browser page that shows a recording, or a running daemon whose simulated hand the mouse can move."
     )
-    parser.add_argument(
-        "recording",
-        nargs="?",
-        metavar="RECORDING",
-        help="MCAP file, results, poses, or the name of a shipped recording",
+    parser.argument(
+        "recording", "RECORDING", "MCAP file, results, poses, or the name of a shipped recording", nargs="?"
     )
-    parser.add_argument("--scene", help="scene for a recording; replaces the recorded one")
-    parser.add_argument(
-        "--tick", type=int, default=0, metavar="N", help="first tick of the recording to show (default: %(default)s)"
-    )
+    parser.argument("--scene", None, "scene for a recording; replaces the recorded one")
+    parser.argument("--tick", "N", "first tick of the recording to show", type=int, default=0)
     add_daemon_options(parser, commands=True)
-    parser.add_argument(
+    parser.argument(
         "--role",
+        None,
+        "role of the user: a watcher changes nothing, a participant sees only prompts",
         choices=[role.value for role in Role],
         default=Role.OPERATOR.value,
-        help="role of the user: a watcher changes nothing, a participant sees only prompts (default: %(default)s)",
     )
-    parser.add_argument("--host", default=PAGE_HOST, help="address to serve the page on (default: %(default)s)")
-    parser.add_argument(
+    parser.argument("--host", None, "address to serve the page on", default=PAGE_HOST)
+    parser.argument(
         "--allow-host",
+        "NAME[:PORT]",
+        "additional host name of the page, such as that of a tunnel or proxy; repeatable",
         action="append",
         default=[],
-        metavar="NAME[:PORT]",
-        help="additional host name of the page, such as that of a tunnel or proxy; repeatable",
     )
-    parser.add_argument(
-        "--port",
-        type=int,
-        default=PAGE_PORT,
-        help="port of the page; the next free port if it is in use (default: %(default)s)",
-    )
-    parser.add_argument("--print-address", action="store_true", help="print only the address, for use by programs")
+    parser.argument("--port", None, "port of the page; the next free port if it is in use", type=int, default=PAGE_PORT)
+    parser.flag("--print-address", "print only the address, for use by programs")
     # For `run --view`. The first line of standard input is the token, or empty for a new one; end of input ends the
     # page.
-    parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--no-open", action="store_true", help="do not open a browser")
-    parser.add_argument(
-        "--duration", type=duration, metavar="S", help="exit after S seconds (default: run until Ctrl-C)"
-    )
+    parser.flag("--until-eof", argparse.SUPPRESS)
+    parser.flag("--no-open", "do not open a browser")
+    parser.argument("--duration", "S", "exit after S seconds (default: run until Ctrl-C)", type=duration)
 
 
-def configure_record(parser: argparse.ArgumentParser) -> None:
+def configure_record(parser: Parser) -> None:
     parser.description = "Record a running daemon: all telemetry to .mcap, or only poses to .csv."
-    parser.add_argument(
-        "file", nargs="?", metavar="FILE", help="new file: .mcap for ticks, events and scene; .csv for poses"
-    )
-    parser.add_argument(
+    parser.argument("file", "FILE", "new file: .mcap for ticks, events and scene; .csv for poses", nargs="?")
+    parser.argument(
         "--poses",
+        "FILE",
+        ".csv for poses, .mcap for all telemetry; NAME=FILE for each of several fingers",
         action="append",
-        metavar="FILE",
-        help=".csv for poses, .mcap for all telemetry; NAME=FILE for each of several fingers",
     )
     add_daemon_options(parser, commands=True)
     add_stream_options(parser)
 
 
-def configure_ctl(parser: argparse.ArgumentParser) -> None:
+def configure_ctl(parser: Parser) -> None:
     from softfinger.server.wire.commands import METHODS, table
 
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -165,63 +148,49 @@ def configure_ctl(parser: argparse.ArgumentParser) -> None:
         "  softfinger ctl set_scene scene=sphere          # or a file: scene=mine.toml\n"
         "  softfinger ctl drive object=lid 'position_m=[0, 0, 0.01]'"
     )
-    parser.add_argument("method", metavar="METHOD", help="one of the methods below")
-    parser.add_argument(
-        "params",
-        nargs="*",
-        metavar="key=value",
-        help="parameters of the method; values in TOML or JSON, otherwise text",
+    parser.argument("method", "METHOD", "one of the methods below")
+    parser.argument(
+        "params", "key=value", "parameters of the method; values in TOML or JSON, otherwise text", nargs="*"
     )
     add_daemon_options(parser)
-    parser.add_argument(
-        "--timeout", type=duration, metavar="S", help="time limit for the answer (default: depends on the method)"
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.argument("--timeout", "S", "time limit for the answer (default: depends on the method)", type=duration)
+    parser.flag("--json", "print the result as JSON")
 
 
-def configure_scenes(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print names, files and descriptions as JSON")
+def configure_scenes(parser: Parser) -> None:
+    parser.flag("--json", "print names, files and descriptions as JSON")
 
 
 configure_rigs = configure_recordings = configure_faults = configure_experiments = configure_scenes
 
 
-def configure_materials(parser: argparse.ArgumentParser) -> None:
+def configure_materials(parser: Parser) -> None:
     parser.description = (
         'List the materials (material = "rubber") and fingertips (fingertip = "human-index") that a scene can use.'
     )
-    parser.add_argument("name", nargs="?", metavar="NAME", help="show the values, ranges and sources of this one")
-    parser.add_argument(
-        "--plot", type=plot_file, metavar="FILE", help="plot it with published measurements (.png, .svg)"
-    )
-    parser.add_argument("--json", action="store_true", help="print as JSON")
+    parser.argument("name", "NAME", "show the values, ranges and sources of this one", nargs="?")
+    parser.argument("--plot", "FILE", "plot it with published measurements (.png, .svg)", type=plot_file)
+    parser.flag("--json", "print as JSON")
 
 
-def configure_check(parser: argparse.ArgumentParser) -> None:
+def configure_check(parser: Parser) -> None:
     parser.description = "Validate scenes, rigs and experiments. Exit code 0: all are valid; 2: at least one is not."
-    parser.add_argument(
-        "files", nargs="+", metavar="FILE", help="scene, rig or experiment: a file or the name of a shipped one"
+    parser.argument("files", "FILE", "scene, rig or experiment: a file or the name of a shipped one", nargs="+")
+    parser.flag("--explain", "compile each scene and measure the cost of a tick and of its parts")
+    parser.argument(
+        "--plot", "FILE.png", "plot the workspace limit of a rig with the objects of a scene", type=plot_file
     )
-    parser.add_argument(
-        "--explain", action="store_true", help="compile each scene and measure the cost of a tick and of its parts"
-    )
-    parser.add_argument(
-        "--plot",
-        type=plot_file,
-        metavar="FILE.png",
-        help="plot the workspace limit of a rig with the objects of a scene",
-    )
-    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
+    parser.flag("--json", "print the findings as JSON")
 
 
-def configure_schema(parser: argparse.ArgumentParser) -> None:
+def configure_schema(parser: Parser) -> None:
     parser.description = (
         "Print the JSON Schema of scenes, rigs, experiments and commands, and the fields of telemetry records."
     )
-    parser.add_argument("kind", nargs="?", choices=SCHEMAS, help="schema to print (default: all, as one object)")
-    parser.add_argument("--markdown", action="store_true", help="print tables of the keys as Markdown")
+    parser.argument("kind", None, "schema to print (default: all, as one object)", nargs="?", choices=SCHEMAS)
+    parser.flag("--markdown", "print tables of the keys as Markdown")
 
 
-def configure_warmup(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help="scenes to compile (default: all shipped ones)")
-    parser.add_argument("--prune", action="store_true", help="first remove compiled kernels of other versions")
+def configure_warmup(parser: Parser) -> None:
+    parser.argument("scenes", "SCENE", "scenes to compile (default: all shipped ones)", nargs="*")
+    parser.flag("--prune", "first remove compiled kernels of other versions")

@@ -8,8 +8,9 @@ from __future__ import annotations
 import argparse
 import logging
 import math
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import combinations
@@ -44,11 +45,11 @@ def run(args: argparse.Namespace) -> int:
     """
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record needs either a FILE or --poses FILE")
-    stop, lock = Stop(), keys.keys_from_options(args)
+    stop, lock = threading.Event(), keys.keys_from_options(args)
     addresses = find_addresses(args.endpoint, lock, args.commands, within_s=args.timeout)
     if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
-        job = RecordingJob(addresses, lock, args.duration, args.timeout, lambda: stop.is_requested)
-        with signals.stop_on_signal(stop.request):
+        job = RecordingJob(addresses, lock, args.duration, args.timeout, stop.is_set)
+        with signals.stop_on_signal(stop.set):
             log.info("%s", record_live(job, Path(args.file)))
         return signals.stop_exit_code()
     files = {name: Path(file) for name, file in files_by_finger(args.poses or [args.file], "--poses").items()}
@@ -58,22 +59,13 @@ def run(args: argparse.Namespace) -> int:
                 f"--poses {name}={file} and --poses {second_name}={second_file} are the same file: use two names"
             )
     topics = CONTACT, FINGERS, EVENT
-    with subscribe(addresses.telemetry, topics, keys=lock) as samples, signals.stop_on_signal(stop.request):
-        recorded = record(samples, files, args.duration, args.timeout, stop)
+    with subscribe(addresses.telemetry, topics, keys=lock) as samples, signals.stop_on_signal(stop.set):
+        recorded = record(samples, files, args.duration, args.timeout, stop.is_set)
     for name, stats in recorded.items():
         log.info("%s: %s", files[name], stats)
         if stats.lost:
             log.warning("%s", stats.gaps())
     return signals.stop_exit_code()
-
-
-class Stop:
-    """Stop request, set by a signal."""
-
-    is_requested = False
-
-    def request(self) -> None:
-        self.is_requested = True
 
 
 @dataclass
@@ -121,14 +113,14 @@ def record(
     files: Mapping[str, Path],
     duration_s: float | None = None,
     timeout_s: float = 3.0,
-    stop: Stop | None = None,
+    is_stopped: Callable[[], bool] = lambda: False,
 ) -> dict[str, RecordingStats]:
     """Write the poses of each finger until `duration_s` of ticks, the end of the server, or a stop.
 
     A single finger has the name "". Raises NoTelemetry if nothing arrives within `timeout_s` at the start, and
     ConfigError if the server has other fingers. A later silence of `timeout_s` ends the recording.
     """
-    first = _receive_first(samples, files, timeout_s, stop)
+    first = _receive_first(samples, files, timeout_s, is_stopped)
     # With several fingers, messages of the first tick may have been missed: all recordings start at the next tick.
     start = first.tick + (len(files) > 1)
     sample: Sample | None = first
@@ -146,7 +138,7 @@ def record(
             else:
                 received_s = now
                 _dispatch(sample, writers, start)
-            if stop is not None and stop.is_requested:
+            if is_stopped():
                 set_end_reason(all_stats, "stopped")
             if show is not None and now - shown_s > SHOW_PERIOD_S:
                 shown_s = now
@@ -176,9 +168,11 @@ def set_end_reason(all_stats: Sequence[RecordingStats], reason: str) -> None:
         stats.end_reason = stats.end_reason or reason
 
 
-def _receive_first(samples: Subscription, files: Mapping[str, Path], timeout_s: float, stop: Stop | None) -> Sample:
+def _receive_first(
+    samples: Subscription, files: Mapping[str, Path], timeout_s: float, is_stopped: Callable[[], bool]
+) -> Sample:
     until = time.monotonic() + timeout_s
-    while time.monotonic() < until and not (stop is not None and stop.is_requested):
+    while time.monotonic() < until and not is_stopped():
         sample = samples.receive(POLL_S)
         finger = None if sample is None else finger_of(sample.topic)
         if sample is None or finger is None:

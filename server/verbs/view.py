@@ -7,7 +7,6 @@ import logging
 import os
 import socket
 import sys
-import threading
 from contextlib import nullcontext
 from typing import Final
 
@@ -46,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     stop_requests = list[bool]()
     token = sys.stdin.readline().strip() or None if args.until_eof else None
     if args.until_eof:
-        threading.Thread(target=_until_eof, args=(stop_requests,), daemon=True).start()
+        signals.call_at_end_of_input(lambda: stop_requests.append(True))
     page = Page(args.host, args.port, tuple(args.allow_host), token)
     try:
         if recording is None:
@@ -88,12 +87,6 @@ def _check_host(host: str) -> None:
         raise ConfigError(f"--host {host}: {reason}: must be an address or a name of this machine") from None
 
 
-def _until_eof(stop_requests: list[bool]) -> None:
-    while os.read(sys.stdin.fileno(), 64):
-        pass
-    stop_requests.append(True)
-
-
 def _can_open() -> bool:
     """Return True if a screen is available; without one, some browsers would start in the terminal."""
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or os.name == "nt"
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

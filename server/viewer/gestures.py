@@ -23,7 +23,6 @@ Gesture = Generator[Goals, float, None]
 HOVER_M: Final = 0.008
 """Gap between fingertip and object before a touch."""
 APPROACH_SPEED_M_PER_S: Final = 0.02
-"""m/s during an approach."""
 MAX_STEP_S: Final = 0.05
 """Maximum time step of an approach, which must check the force between steps."""
 CARRY_SPEED_M_PER_S: Final = 0.08

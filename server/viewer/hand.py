@@ -343,6 +343,5 @@ class HandControls:
 
 
 def _move_towards_centre(targets: dict[str, Target], distance_m: float) -> dict[str, Target]:
-    """Return the targets moved by `distance_m` towards their common centre."""
     centre = np.mean([target.position for target in targets.values()], axis=0)
     return {name: Target(move_towards(at, centre, distance_m), turn) for name, (at, turn) in targets.items()}

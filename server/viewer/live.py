@@ -64,7 +64,6 @@ class LivePage:
         self._first_tick = -1
         self._scene_number = 0
         self._orientable_fingers: set[str] = set()
-        """Fingers with devices that sense orientation."""
         self._since_request_s = self._silent_s = 0.0
         gui = page.server.gui
         self._prompt = PromptPanel(gui, self._commands, self._show_refusal, can_answer=allowed_methods is None)

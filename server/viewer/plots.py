@@ -37,7 +37,6 @@ class Plots:
         self._points: deque[tuple[float, ...]] = deque(maxlen=POINTS)
         self._late, self._changed = 0.0, False
         self._last_row: NDArray[np.float64] | None = None
-        """Row of the last point."""
         panel = gui.add_panel()
         panel.dock_below(gui.main_panel)
         with panel.add_tab(f"Last {SPAN_S:.0f} s"):

@@ -38,16 +38,9 @@ REQUEST_PERIOD_S: Final = 1.0
 class PromptPanel:
     """Display of a daemon's prompt, and input of the answer.
 
-    Parameters
-    ----------
-    commands
-        Sends commands to the daemon.
-    on_refused
-        Called with the reason if an answer was refused.
-    can_answer
-        False: only show the prompt.
-    size
-        Text size relative to the page.
+    on_refused  called with the reason if an answer was refused
+    can_answer  false: only show the prompt
+    size        text size relative to the page
     """
 
     def __init__(
@@ -65,12 +58,8 @@ class PromptPanel:
             self._text = gui.add_html("")
             self._bar = gui.add_progress_bar(0.0, visible=False)
         self._controls: list[Any] = []
-        self._shown_prompt: Prompted | None = None
+        self.shown: Prompted | None = None
         self._received: Prompted | None = None
-
-    @property
-    def is_known(self) -> bool:
-        return self._shown_prompt is not None
 
     def request(self) -> None:
         self._commands.submit("prompt", QueuedCommand("get_prompt", {}, self._store))
@@ -86,9 +75,9 @@ class PromptPanel:
     def step(self) -> None:
         """Show the received prompt; from the thread that draws."""
         received, self._received = self._received, None
-        if received is None or received == self._shown_prompt:
+        if received is None or received == self.shown:
             return
-        self._shown_prompt, prompt = received, received.prompt
+        self.shown, prompt = received, received.prompt
         self._folder.visible = bool(prompt.title or prompt.text or received.open)
         self._text.content = TEXT.format(
             size=self._size,
@@ -169,7 +158,7 @@ class ParticipantPage:
     def step(self, dt: float) -> None:
         """Show the data received in the last `dt` s."""
         self._since_request_s += dt
-        if not self._prompt.is_known and self._since_request_s > REQUEST_PERIOD_S:
+        if self._prompt.shown is None and self._since_request_s > REQUEST_PERIOD_S:
             self._since_request_s = 0.0
             self._prompt.request()
         for event in self._telemetry.take().events:

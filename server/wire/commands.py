@@ -341,7 +341,6 @@ METHODS: Final = {
     "mesh": Method(OfObject, Triangles, "Return the triangles of a mesh or height map, for display."),
     "stop": Method(Empty, Stopping, "End the daemon in order."),
 }
-"""All methods by name."""
 
 
 def state_of(record: NDArray[np.float64], epoch_s: float, scene: str) -> State:

@@ -103,7 +103,6 @@ class SocketProcess:
         self._ready = self._restart_failed = False
         """`_ready`: a process has been ready. `_restart_failed`: a restart failed, and was reported."""
         self.restarts = 0
-        """Number of restarts."""
         self._restart_reports: list[str] = []
         """Texts about restarts, published when the process is ready: before that, it would drop the event."""
         self._delayed_events: list[tuple[float, str]] = []

@@ -88,7 +88,6 @@ EVENT_KEYS: Final = (
     Key("kind", "str", "", "", "contact, guard, elastic, servo, device, command, mark, fault, state or lifecycle"),
     Key("name", "str", "", "", "what happened"),
 )
-"""Keys of every event."""
 
 _FINGER_KEY: Final = Key("finger", "str", "", "", "name of the finger, empty for a single one")
 
@@ -180,13 +179,7 @@ HEALTH_KEYS: Final = (
         "lower bound of the messages lost because subscribers were too slow, since the server started",
     ),
     Key("refused", "int", "1", "", "connections refused or closed because of their messages, since the server started"),
-    Key(
-        "restarts",
-        "int",
-        "1",
-        "",
-        "restarts of the processes of telemetry and commands since the server started",
-    ),
+    Key("restarts", "int", "1", "", "restarts of the processes of telemetry and commands since the server started"),
     Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
     Key(
         "preparing",
@@ -307,16 +300,10 @@ def encode(message: dict[str, Any]) -> bytes:
 def decode(topic: bytes, body: bytes) -> Any:
     """Decode one message strictly; unknown keys are ignored.
 
-    Returns
-    -------
-    Any
-        A struct for `contact`, `finger/...`, `health`, `state`, `world` and `deformation`; a dict for `schema` and for
-        `event`, which has further keys by kind.
+    returns  a struct for `contact`, `finger/...`, `health`, `state`, `world` and `deformation`; a dict for `schema` and
+             for `event`, which has further keys by kind
 
-    Raises
-    ------
-    ProtocolError
-        If the message does not follow docs/protocol.md.
+    Raises ProtocolError if the message does not follow docs/protocol.md.
     """
     name = topic.decode("ascii", "replace")
     decoder = _DECODERS.get(CONTACT if name.startswith(FINGERS) else name)

@@ -111,7 +111,7 @@ class Publisher(Closeable):
             undo.callback(self._switch.close)
             self._relay: Final = Relay(len(fingers))
             undo.callback(self._relay.close)
-            files = [self._relay.file, self._relay.bell, self._switch.file]
+            files = [self._relay.memory.reading, self._relay.bell, self._switch.file]
             files += [entrance.fd for entrance in self._endpoints.entrances]
             self._commands: Final = self._open_commands(files)
             if self._commands is not None:
@@ -147,7 +147,7 @@ class Publisher(Closeable):
 
     def _send_setup(self, send: Send, name: str, begin: int) -> None:
         setup = ProcessSetup(
-            self._relay.file,
+            self._relay.memory.reading,
             begin,
             self._relay.bell,
             self._switch.file,
@@ -165,7 +165,7 @@ class Publisher(Closeable):
     def ring(self) -> dict[str, Any]:
         """Return where programs of this user find every tick in memory, for `describe`."""
         fingers = len(self._events)
-        return {"name": self._relay.memory, "layout": LAYOUT, "columns": columns(), "records_in_a_row": fingers}
+        return {"name": self._relay.memory.name, "layout": LAYOUT, "columns": columns(), "records_in_a_row": fingers}
 
     @property
     def native_id(self) -> int | None:
@@ -183,11 +183,6 @@ class Publisher(Closeable):
         if self._commands is None:
             return figures
         return msgspec.structs.replace(figures, refused=figures.refused + self._commands.figures.refused)
-
-    @property
-    def subscribers(self) -> int:
-        """Connections that subscribe to at least one topic."""
-        return self._link.figures.subscribers
 
     @property
     def restarts(self) -> int:

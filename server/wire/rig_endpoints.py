@@ -71,19 +71,8 @@ def bind_rig(rig: schema.Rig) -> Endpoints:
     endpoints, telemetry, commands = Endpoints(), rig.telemetry.endpoint, rig.commands_endpoint
     with ExitStack() as undo:
         undo.callback(endpoints.close)
-        keys = _keys(rig)
-        folder = ""
         if is_public(telemetry) or is_public(commands or ""):
-            runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-            folder = endpoints.files.enter_context(
-                tempfile.TemporaryDirectory(prefix="softfinger-", dir=runtime if os.path.isdir(runtime) else None)
-            )
-        if is_public(telemetry):
-            endpoints.bind(TELEMETRY, telemetry, keys=keys[TELEMETRY])
-            telemetry = f"ipc://{folder}/{TELEMETRY}"
-        if commands is not None and is_public(commands):
-            endpoints.bind(COMMANDS, commands, keys=keys[COMMANDS])
-            commands = f"ipc://{folder}/{COMMANDS}"
+            telemetry, commands = _bind_public(endpoints, rig, telemetry, commands)
         endpoints.telemetry = endpoints.bind(TELEMETRY, telemetry)
         if commands is not None:
             is_beside = rig.commands.endpoint is None and COMMANDS not in endpoints.public
@@ -94,11 +83,20 @@ def bind_rig(rig: schema.Rig) -> Endpoints:
     return endpoints
 
 
-def _keys(rig: schema.Rig) -> dict[str, tuple[str, str]]:
-    if not (is_public(rig.telemetry.endpoint) or is_public(rig.commands_endpoint or "")):
-        return {}
+def _bind_public(endpoints: Endpoints, rig: schema.Rig, telemetry: str, commands: str | None) -> tuple[str, str | None]:
+    """Bind the endpoints that are open to the network; return those for programs of this user."""
     from softfinger.server.socket_process.allowed import key_folders  # imports libzmq, which takes time
 
     assert rig.security is not None  # the rig is refused without it
-    readers, commanders = key_folders(rig.security)
-    return {TELEMETRY: (rig.security.key, readers), COMMANDS: (rig.security.key, commanders)}
+    key, (readers, commanders) = rig.security.key, key_folders(rig.security)
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    folder = endpoints.files.enter_context(
+        tempfile.TemporaryDirectory(prefix="softfinger-", dir=runtime if os.path.isdir(runtime) else None)
+    )
+    if is_public(telemetry):
+        endpoints.bind(TELEMETRY, telemetry, keys=(key, readers))
+        telemetry = f"ipc://{folder}/{TELEMETRY}"
+    if commands is not None and is_public(commands):
+        endpoints.bind(COMMANDS, commands, keys=(key, commanders))
+        commands = f"ipc://{folder}/{COMMANDS}"
+    return telemetry, commands

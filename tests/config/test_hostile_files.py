@@ -30,7 +30,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.recording import results
 from softfinger.server.recording.compare import FIELDS
-from softfinger.server.recording.results import McapResults, read_results, write_results
+from softfinger.server.recording.results import McapResults, read_results, write_blocks
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.summary import summary
 from softfinger.tools.doctor import report
@@ -194,7 +194,7 @@ def some_records(count: int) -> np.ndarray:
 @pytest.mark.parametrize("ending", poses.ENDINGS)
 def test_more_rows_than_the_limit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
     path = tmp_path / f"long{ending}"
-    write_results(path, some_records(5))
+    write_blocks(path, [""], [some_records(5)[:, None]])
     monkeypatch.setattr(poses, "POSES_MAX", 4)
     monkeypatch.setattr(results, "RESULTS_MAX", 4)
     for read in (load_poses, read_results):
@@ -215,9 +215,9 @@ def stream(path: Path) -> None:
 
 
 OUTPUTS: dict[str, Callable[[Path], object]] = {
-    "o.csv": lambda path: write_results(path, some_records(2)),
-    "o.npz": lambda path: write_results(path, some_records(2)),
-    "o.mcap": lambda path: write_results(path, some_records(2)),
+    "o.csv": lambda path: write_blocks(path, [""], [some_records(2)[:, None]]),
+    "o.npz": lambda path: write_blocks(path, [""], [some_records(2)[:, None]]),
+    "o.mcap": lambda path: write_blocks(path, [""], [some_records(2)[:, None]]),
     "live.mcap": stream,
     "sweep.mcap": write_sweep,
     "report.json": lambda path: report.write(path, {"a": 1}, "--probe"),
@@ -268,7 +268,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
         with pytest.raises(RecordingError, match=r"o\.csv: cannot be written: File too large"):
-            write_results(path, some_records(100))
+            write_blocks(path, [""], [some_records(100)[:, None]])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]

@@ -19,7 +19,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import ENDINGS, RESULT_COLUMNS, Poses, check_poses, list_shipped_recordings, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.proxy.record import AT, RECORD_SIZE, columns
-from softfinger.server.recording.results import write_results
+from softfinger.server.recording.results import write_blocks
 
 pytestmark = pytest.mark.plain
 
@@ -116,7 +116,7 @@ def test_results_are_poses(tmp_path: Path, ending: str) -> None:
     assert set(RESULT_COLUMNS) <= set(columns())
     poses = some_poses()
     path = tmp_path / f"results{ending}"
-    write_results(path, records_of(poses))
+    write_blocks(path, [""], [records_of(poses)[:, None]])
     reloaded = load_poses(path)
     np.testing.assert_allclose(reloaded.t, poses.t - poses.t[0], atol=5e-7)  # resolution of an epoch time in float64
     assert reloaded.position.tobytes() == poses.position.tobytes()
@@ -126,7 +126,7 @@ def test_results_are_poses(tmp_path: Path, ending: str) -> None:
 def test_a_truncated_mcap_gives_its_first_part(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     poses = some_poses(2000)
     path = tmp_path / "whole.mcap"
-    write_results(path, records_of(poses))
+    write_blocks(path, [""], [records_of(poses)[:, None]])
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with caplog.at_level(logging.WARNING, logger="softfinger"):
@@ -163,7 +163,7 @@ def test_invalid_npz_files_are_rejected(tmp_path: Path) -> None:
 
 def _valid(ending: str, folder: Path) -> bytes:
     path = folder / f"seed{ending}"
-    write_results(path, records_of(some_poses(30)))
+    write_blocks(path, [""], [records_of(some_poses(30))[:, None]])
     return path.read_bytes()
 
 

@@ -115,9 +115,9 @@ def _records() -> Any:
 
 
 def _results(path: Path) -> None:
-    from softfinger.server.recording.results import write_results
+    from softfinger.server.recording.results import write_blocks
 
-    write_results(path, _records())
+    write_blocks(path, [""], [_records()[:, None]])
 
 
 def _run(path: Path) -> None:

@@ -68,7 +68,7 @@ def run(
     path = folder / "run.mcap"
     recorder = Recorder(path.open("wb", buffering=0), [""], {}, lambda *_: None, GUARD_NAMES)
     supervisor = Supervisor(servo, fail, lambda kind, name, **_: names.append(name))
-    reader = threading.Thread(target=_hand_on, args=(servo, recorder.take, after_tick))
+    reader = threading.Thread(target=_hand_on, args=(servo, recorder.ticks, after_tick))
     try:
         servo.start()
         supervisor.start()

@@ -84,7 +84,7 @@ import numpy as np
 from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
 from softfinger.server.cli import main
-from softfinger.server.recording.results import read_results, write_results
+from softfinger.server.recording.results import read_results, write_blocks
 from softfinger.server.socket_process.messages import Messages
 from softfinger.server.socket_process.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import record_of
@@ -99,7 +99,7 @@ _, body = next(Messages(ticks, StateInfo()).encode_row(tuple(records[0].tolist()
 assert decode(CONTACT.encode(), body).fault.level == (0.25, -0.5)
 
 for ending in ("csv", "npz", "mcap"):
-    write_results(f"out.{ending}", records)
+    write_blocks(f"out.{ending}", [""], [records[:, None]])
     assert read_results(f"out.{ending}").tobytes() == records.tobytes(), ending
 assert open("out.csv").readline().rstrip().endswith(",fault.level[0],fault.level[1]")
 assert np.load("out.npz")["fault.level"].tolist() == [[0.25, -0.5]] * 3

@@ -23,7 +23,7 @@ from softfinger.server.cli import main
 from softfinger.server.recording import picture
 from softfinger.server.recording.reader import RecordedWorld, read_contents
 from softfinger.server.recording.schemas import FRAME, SCENE, TICK, message_class
-from softfinger.server.recording.writer import RecordingFile
+from softfinger.server.recording.writer import RecordingFile, Topics
 
 WHY = "`make setup` does not install this package, which is larger than softfinger: see docs/operate/bridges.md"
 
@@ -140,7 +140,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
     pytest.importorskip("foxglove", reason=WHY)
     records, server = run(), foxglove.Server(0)
     try:
-        shown = foxglove.FoxgloveSink(server, [""], load_scene("paper-plane"))
+        shown = Topics(server, [""], load_scene("paper-plane"))
         with Viewer(int(server.url.rpartition(":")[2])) as viewer:
             shown.event(event("lifecycle", "started", 0))
             came: dict[str, tuple[int, bytes]] = {}
@@ -159,12 +159,12 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
     assert list(tick.force) == row["force"].tolist() and time_ns == round(tick.timestamp * 1e9)
 
 
-def send_repeatedly(shown: foxglove.FoxgloveSink, records: np.ndarray) -> AbstractContextManager[None]:
+def send_repeatedly(shown: Topics, records: np.ndarray) -> AbstractContextManager[None]:
     """Send from another thread repeatedly, because a subscription takes effect with a delay."""
     later = records.copy()
 
     def send() -> None:
-        shown.take(later, 0)
+        shown.ticks(later)
         later[:, AT.timestamp] += 1.0  # so that the scene is due again
 
     return repeated(send)
@@ -185,8 +185,8 @@ def test_each_finger_has_named_entities(tmp_path: Path) -> None:
     stream = rerun.stream(tmp_path / "two.rrd")
     scene = load_scene("pinch")
     shown = rerun.RerunSink(stream, [finger.name for finger in scene.fingers], scene)
-    for place in range(2):
-        shown.take(run()[:100], place)
+    for finger in scene.fingers:
+        shown.ticks(run()[:100], finger.name)
     stream.flush()
     stream.disconnect()
     batches = read_batches(tmp_path / "two.rrd")

@@ -110,7 +110,7 @@ def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, 
 @contextlib.contextmanager
 def events(daemon: Daemon) -> Iterator[Any]:
     with subscribed(daemon.publisher.endpoint, "event") as subscriber:
-        assert eventually(lambda: daemon.publisher.subscribers == 1)
+        assert eventually(lambda: daemon.publisher.figures.subscribers == 1)
 
         def next_event(kind: str) -> dict[str, Any]:
             while (event := msgpack.unpackb(subscriber.recv_multipart()[1]))["kind"] != kind:
@@ -194,7 +194,7 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
         running(rig(**{"recording.directory": str(tmp_path)})) as (daemon, control, _),
         subscribe(daemon.publisher.endpoint, ["event"]) as subscription,
     ):
-        assert eventually(lambda: daemon.publisher.subscribers == 1)
+        assert eventually(lambda: daemon.publisher.figures.subscribers == 1)
         control.record_start("all.mcap")
 
         def try_zero() -> bool:
@@ -473,7 +473,8 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
             is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
         ),
     )
-    actions = SimpleNamespace(replace=None, report=None, event=lambda *words, **fields: None)
+    publisher = SimpleNamespace(set_preparing=None)
+    actions = SimpleNamespace(replace=None, publisher=publisher, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
     unknown = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     alive = []

@@ -55,7 +55,7 @@ def test_a_failing_sink_is_dropped_and_the_others_get_every_record():
         make_daemon(1500, sinks=sinks) as running,
         subscribed(running.publisher.endpoint, "event") as socket,
     ):
-        assert eventually(lambda: running.publisher.subscribers == 1)
+        assert eventually(lambda: running.publisher.figures.subscribers == 1)
         running.start()
         assert running.wait(60.0)
         assert eventually(lambda: "records" not in {thread.name for thread in threading.enumerate()})

@@ -129,7 +129,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
     ):
         recorder = threading.Thread(target=take, args=(running.publisher.endpoint,))
         recorder.start()
-        until(lambda: running.publisher.subscribers == 2)
+        until(lambda: running.publisher.figures.subscribers == 2)
         running.start()
         assert running.wait(WAIT_S)
         played = [device.samples for device in running.devices]  # type: ignore[attr-defined]
@@ -177,7 +177,7 @@ def test_clients_separate_the_fingers() -> None:
             Window(publisher.endpoint, 100, "index") as window,
             subscribed(publisher.endpoint, "event") as plain,
         ):
-            until(lambda: publisher.subscribers == 3)
+            until(lambda: publisher.figures.subscribers == 3)
             join(publisher, plain)
             publisher.publish(make_records(1001))
             publisher.publish(make_records(10, 1011))

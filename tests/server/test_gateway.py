@@ -217,7 +217,7 @@ def test_forwarded_messages_equal_published_ones() -> None:
             while not socket.poll(10):
                 publisher.event("mark", "mark", label="are you there")
         publisher.publish(records)
-        assert eventually(lambda: publisher.subscribers == 1)
+        assert eventually(lambda: publisher.figures.subscribers == 1)
         for socket in (first, second):
             frames = [socket.recv_multipart()]
             while len(contacts := [body for topic, body in frames if topic == b"contact"]) < len(records):

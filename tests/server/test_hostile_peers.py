@@ -259,7 +259,7 @@ def test_unfinished_handshakes_are_disconnected() -> None:
             wait_until_closed(peer)
         assert eventually(lambda: publisher.figures.refused == 3)
         patient.sendall(SUBSCRIBE)
-        assert eventually(lambda: publisher.subscribers == 1)
+        assert eventually(lambda: publisher.figures.subscribers == 1)
 
 
 def test_connections_are_limited_by_open_files() -> None:
@@ -274,11 +274,11 @@ def test_connections_are_limited_by_open_files() -> None:
             if b"XPUB" not in received:
                 break
             peer.sendall(SUBSCRIBE)
-        assert eventually(lambda: publisher.subscribers > FILES_MAX // 2)
+        assert eventually(lambda: publisher.figures.subscribers > FILES_MAX // 2)
         time.sleep(0.5)  # for peers that could connect, and must not
-        assert publisher.subscribers < FILES_MAX
+        assert publisher.figures.subscribers < FILES_MAX
         peers.close()
-        assert eventually(lambda: publisher.subscribers == 0)
+        assert eventually(lambda: publisher.figures.subscribers == 0)
         with Subscription(publisher.endpoint, ("schema",)) as late:
             assert late.receive(60.0) is not None
         assert publisher.restarts == 0

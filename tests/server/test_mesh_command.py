@@ -57,10 +57,10 @@ def commands(folder: Path) -> Iterator[str]:
     rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", LOCAL), scene=scene))
     doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
-        actions = cast(Any, SimpleNamespace(replace=None, report=print, serve=publisher.serve, reply=publisher.reply))
+        actions = cast(Any, SimpleNamespace(replace=None, publisher=publisher))
         service = CommandService(str(doors.commands), rendering, actions, "meshes")
         service.start()
-        yield service.endpoint
+        yield str(doors.commands)
         service.stop()
 
 

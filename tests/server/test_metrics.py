@@ -28,16 +28,16 @@ from softfinger.server.metrics.counts import (
     STATUSES,
     Histogram,
     MetricsCollector,
-    PublisherCounts,
 )
 from softfinger.server.metrics.service import DASHBOARD
+from softfinger.server.recording.recorder import RecorderState
 from softfinger.server.recording.summary import summary
-from softfinger.server.services.recordings import RecordingTotals
+from softfinger.server.socket_process.setup import Figures
 from softfinger.server.states import DaemonState
 
 pytestmark = pytest.mark.real_time
 
-NOTHING = RecordingTotals(0, 0, 0, 0, 0.0)
+NOTHING = RecorderState()
 UNITS = ("seconds", "newtons", "info", "total")
 COUNTED = re.compile(r"softfinger_[a-z_]+")
 
@@ -78,8 +78,8 @@ def test_figures_equal_those_computed_from_records(batch: int) -> None:
     put(fingers[0], "servo.missed", np.arange(count))
     counts = MetricsCollector(
         ["thumb", "index"],
-        lambda: PublisherCounts(3, 4, 5, 6),
-        lambda: RecordingTotals(6, 7, 8, 9, 0.25),
+        lambda: (Figures(3, 4, 5), 6),
+        lambda: RecorderState(6, 8, 7, "", True, 9, 0.25),
         lambda: DaemonState.ARMED,
     )
     together = np.concatenate(fingers, axis=1)
@@ -180,9 +180,7 @@ def test_names_follow_prometheus_rules_and_are_on_the_page() -> None:
     page = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text("utf-8")
     rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
     stats: dict[str, set[str]] = {}
-    for family in MetricsCollector(
-        [""], lambda: PublisherCounts(0, 0, 0, 0), lambda: NOTHING, lambda: DaemonState.READY
-    ).collect():
+    for family in MetricsCollector([""], lambda: (Figures(), 0), lambda: NOTHING, lambda: DaemonState.READY).collect():
         for sample in family.samples:
             name = re.sub("_(bucket|sum|count)$", "", sample.name)
             assert name.endswith(UNITS) or name in ("softfinger_subscribers", "softfinger_state"), name

@@ -43,7 +43,7 @@ def endpoint():
     }  # fmt: skip
 
     def publish():
-        if not publisher.subscribers:  # health is sent after a second of ticks, and events after it
+        if not publisher.figures.subscribers:  # health is sent after a second of ticks, and events after it
             return
         first = next(firsts)
         records = synthetic(20, first_tick=first, start_s=time.time() - first / 1000.0)

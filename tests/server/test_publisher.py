@@ -273,7 +273,7 @@ def test_a_killed_publisher_is_restarted(sockets, tmp_path):
             assert socket.recv_multipart()
             for killed in (1, 2):
                 os.kill(publisher.pids["telemetry"], signal.SIGKILL)
-                while not (publisher.restarts == killed and publisher.subscribers == 1):
+                while not (publisher.restarts == killed and publisher.figures.subscribers == 1):
                     rows.append(local.take(1.0).copy())
                     while socket.poll(0):  # a subscriber that does not read does not resubscribe either
                         messages.append(socket.recv_multipart())

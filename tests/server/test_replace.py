@@ -127,7 +127,7 @@ def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
 def test_subscribers_stay_connected_and_get_an_event():
     rig, (first, second) = load_rig("replay", QUIET), load_scenes()
     with Daemon(rig, first) as running, subscribed(running.publisher.endpoint, "contact", "event") as socket:
-        assert eventually(lambda: running.publisher.subscribers == 1)
+        assert eventually(lambda: running.publisher.figures.subscribers == 1)
         running.start()
         assert eventually(lambda: running.servo.ticks > 50)
         running.replace(second)

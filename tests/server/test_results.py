@@ -13,7 +13,7 @@ import pytest
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
-from softfinger.server.recording.results import SUFFIXES, McapResults, read_results, write_results
+from softfinger.server.recording.results import SUFFIXES, McapResults, read_results, write_blocks
 
 
 def make_records(count: int, seed: int = 11) -> np.ndarray:
@@ -33,14 +33,14 @@ def make_records(count: int, seed: int = 11) -> np.ndarray:
 def test_round_trip_is_exact(tmp_path: Path, ending: str, count: int) -> None:
     path = tmp_path / f"out{ending.upper()}"
     records = make_records(count)
-    write_results(path, records)
+    write_blocks(path, [""], [records[:, None]])
     assert read_results(path).tobytes() == records.tobytes()
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])
 def test_no_records_is_a_valid_file(tmp_path: Path, ending: str) -> None:
-    write_results(tmp_path / f"o{ending}", make_records(0))
+    write_blocks(tmp_path / f"o{ending}", [""], [])
     assert read_results(tmp_path / f"o{ending}").shape == (0, RECORD_SIZE)
 
 
@@ -52,7 +52,7 @@ def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
     records[::3, 11] = np.arange(len(records[::3])) * -1.0
     records[::2, 12] = -0.0
     records[:, 13] = np.resize([1e15, 9999999999999998.0, 1e16, -(2.0**53), 1e22, 1e-5], count)
-    write_results(tmp_path / "o.csv", records)
+    write_blocks(tmp_path / "o.csv", [""], [records[:, None]])
     rows = [[msgspec.json.encode(number).decode().removesuffix(".0") for number in row] for row in records.tolist()]
     assert (tmp_path / "o.csv").read_text().splitlines() == [",".join(row) for row in [columns(), *rows]]
 
@@ -62,7 +62,7 @@ def test_npz_equals_that_of_numpy(tmp_path: Path, count: int) -> None:
     records = make_records(count)
     records[:, [AT.buttons, AT.force + 1]] = 0.0
     records[5000:, AT.buttons], records[8500:, AT.force + 1] = -0.0, 1.0
-    write_results(tmp_path / "o.npz", records)
+    write_blocks(tmp_path / "o.npz", [""], [records[:, None]] if count else [])
     arrays = {f.name: records[:, f.at] if f.size == 1 else records[:, f.at : f.at + f.size] for f in FIELDS}
     np.savez(tmp_path / "numpys.npz", records=records, **arrays)
     with ZipFile(tmp_path / "o.npz") as ours, ZipFile(tmp_path / "numpys.npz") as numpys:
@@ -73,7 +73,7 @@ def test_npz_equals_that_of_numpy(tmp_path: Path, count: int) -> None:
 def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
     records = np.zeros((2500, RECORD_SIZE))
     records[:, AT.tick], records[-1, AT.buttons] = np.arange(2500), 1.0
-    write_results(tmp_path / "o.npz", records)
+    write_blocks(tmp_path / "o.npz", [""], [records[:, None]])
     with ZipFile(tmp_path / "o.npz") as archive:
         stored = {entry.filename for entry in archive.infolist() if entry.compress_type == ZIP_STORED}
     assert stored == {"records.npy", "tick.npy", "buttons.npy"}
@@ -100,19 +100,17 @@ def test_unusable_requests_are_refused(tmp_path: Path) -> None:
     records = make_records(3)
     for name in ("o.txt", "o"):
         with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):
-            write_results(tmp_path / name, records)
+            write_blocks(tmp_path / name, [""], [records[:, None]])
         with pytest.raises(RecordingError, match=r"\.csv, \.npz, \.mcap"):
             read_results(tmp_path / name)
-    with pytest.raises(RecordingError, match=r"\(3, 4\), must be"):
-        write_results(tmp_path / "o.csv", np.zeros((3, 4)))
     for ending in SUFFIXES:
         with pytest.raises(RecordingError, match="cannot be written"):
-            write_results(tmp_path / "nowhere" / f"o{ending}", records)
+            write_blocks(tmp_path / "nowhere" / f"o{ending}", [""], [records[:, None]])
         with pytest.raises(RecordingError, match="cannot be read"):
             read_results(tmp_path / f"missing{ending}")
     records[1, AT.contact_mode] = np.nan
     with pytest.raises(RecordingError, match=r"record 1: contact\.mode = nan"):
-        write_results(tmp_path / "o.mcap", records)
+        write_blocks(tmp_path / "o.mcap", [""], [records[:, None]])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -141,6 +139,6 @@ def test_full_disk_is_reported(tmp_path: Path) -> None:
 def test_a_link_still_points_at_its_file(tmp_path: Path) -> None:
     (tmp_path / "real.csv").write_text("old")
     (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
-    write_results(tmp_path / "link.csv", make_records(2))
+    write_blocks(tmp_path / "link.csv", [""], [make_records(2)[:, None]])
     assert (tmp_path / "link.csv").is_symlink()
     assert len(read_results(tmp_path / "real.csv")) == 2

@@ -11,12 +11,13 @@ import pytest
 
 from softfinger.config.errors import SafetyStop
 from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
-from softfinger.server.metrics.counts import MetricsCollector, PublisherCounts
+from softfinger.server.metrics.counts import MetricsCollector
 from softfinger.server.metrics.service import MetricsService
+from softfinger.server.recording.recorder import RecorderState
 from softfinger.server.services.commands import CommandService
 from softfinger.server.services.hotplug import HotplugWatch
-from softfinger.server.services.recordings import RecordingTotals
 from softfinger.server.services.world import WorldState
+from softfinger.server.socket_process.setup import Figures
 from softfinger.server.states import DaemonState
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.health import HealthSummary
@@ -44,8 +45,8 @@ def test_a_failed_service_is_reported_and_ends_nothing(name: str) -> None:
     if name == "metrics":
         counts = MetricsCollector(
             [""],
-            lambda: PublisherCounts(0, 0, 0, 0),
-            lambda: RecordingTotals(0, 0, 0, 0, 0.0),
+            lambda: (Figures(), 0),
+            lambda: RecorderState(),
             lambda: DaemonState.READY,
         )
         bound = SimpleNamespace(
@@ -76,8 +77,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     rendering = SimpleNamespace(rig=rig, force=Failing())
     actions = SimpleNamespace(
         replace=print,
-        report=print,
-        serve=served.append,
+        publisher=SimpleNamespace(set_preparing=print, serve=served.append),
         fail=ended.append,
         event=lambda *words, **more: events.append((words, more)),
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import sys
 import threading
 from contextlib import ExitStack
 from typing import Final
@@ -44,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         if telemetry is not None:
             stack.callback(telemetry.end)
         if args.until_eof:
-            threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
+            signals.call_at_end_of_input(stop.set)
         with signals.stop_on_signal(stop.set), counter() as show:
             if telemetry is None:
                 forward.run(stop.is_set, show)
@@ -74,11 +73,6 @@ def _open_telemetry(
         readers = (bind(args.to, "--to", stack), lock)
     outlets = Outlets(origin.telemetry) if args.lsl else None
     return Forward(ForwardedServer(origin.telemetry, upstream), readers, outlets=outlets)
-
-
-def _end_with_input(stop: threading.Event) -> None:
-    sys.stdin.buffer.read()
-    stop.set()
 
 
 def make_lock(endpoint: str, flag: str, key_file: str | None, folder: str | None) -> KeyLock | None:

@@ -56,12 +56,7 @@ class RecordingJob(NamedTuple):
 def record_live(job: RecordingJob, path: Path) -> str:
     """Record into a new file until the first of several causes ends the recording; return a report in one line.
 
-    Raises
-    ------
-    NoTelemetry
-        If nothing arrives.
-    RecordingError
-        If the file exists or cannot be written.
+    Raises NoTelemetry if nothing arrives; RecordingError if the file exists or cannot be written.
     """
     with subscribe_all(job) as wire:
         first_samples, fingers, about = receive_first(wire, job)
@@ -70,7 +65,7 @@ def record_live(job: RecordingJob, path: Path) -> str:
         recorder = Recorder(file, fingers, about, lambda text, _: log.warning(text))
         batcher = TickBatcher(recorder, fingers)
         try:
-            end_reason = record_until_end(wire, job, first_samples, batcher)
+            end_reason = record_until_end(wire, job, first_samples, batcher, lambda: recorder.recorded.error)
         finally:
             recorder.note("lost", batcher.lost)
             recorded = recorder.stop(DISK_TIMEOUT_S)
@@ -85,8 +80,8 @@ def record_live(job: RecordingJob, path: Path) -> str:
 
 
 class TickReceiver(Protocol):
-    def take(self, records: NDArray[np.float64], finger: int) -> None:
-        """Receive records (n, RECORD_SIZE) of the finger with this index."""
+    def ticks(self, records: NDArray[np.float64], finger: str) -> None:
+        """Receive records (n, RECORD_SIZE) of a finger."""
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Receive an event, a map as on the wire."""
@@ -94,17 +89,13 @@ class TickReceiver(Protocol):
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
         """Receive a message of one of SCENE_TOPICS, a map as on the wire."""
 
-    @property
-    def failed(self) -> bool:
-        """Return whether the receiver stopped because of an error."""
-
 
 class TickBatcher:
     """Passes messages to a receiver, ticks in batches."""
 
     def __init__(self, receiver: TickReceiver, fingers: list[str]) -> None:
-        self.receiver, self._indices = receiver, {finger: index for index, finger in enumerate(fingers)}
-        self._rows: dict[int, list[list[float]]] = {index: [] for index in self._indices.values()}
+        self._receiver, self._first_finger = receiver, fingers[0]
+        self._rows: dict[str, list[list[float]]] = {finger: [] for finger in fingers}
         self._due_s = time.monotonic() + BATCH_S
         self.first = self.last = -1
         self.seconds = 0.0
@@ -115,34 +106,40 @@ class TickBatcher:
         """Process the next message; set `end_reason` if the server stopped or restarted."""
         finger = finger_of(sample.topic)
         if sample.topic == EVENT:
-            self.receiver.event(sample.data)
+            self._receiver.event(sample.data)
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
                 self.end_reason = "the server stopped"
         elif sample.topic in SCENE_TOPICS:
-            self.receiver.message(sample.topic, msgspec.to_builtins(sample.data))
-        elif finger in self._indices:
+            self._receiver.message(sample.topic, msgspec.to_builtins(sample.data))
+        elif finger is not None and finger in self._rows:
             if sample.tick < self.last:
                 self.end_reason = "the server started again"
                 return
             if self.first < 0:
                 self.first = sample.tick
-            if self._indices[finger] == 0:
+            if finger == self._first_finger:
                 self.seconds += sample.dt * (1 + sample.lost)
             self.last = sample.tick
             self.lost += sample.lost
-            self._rows[self._indices[finger]].append(record_of(sample))
+            self._rows[finger].append(record_of(sample))
         if time.monotonic() > self._due_s:
             self.flush()
 
     def flush(self) -> None:
         self._due_s = time.monotonic() + BATCH_S
-        for index, rows in self._rows.items():
+        for finger, rows in self._rows.items():
             if rows:
-                self.receiver.take(np.array(rows), index)
+                self._receiver.ticks(np.array(rows), finger)
                 rows.clear()
 
 
-def record_until_end(wire: Subscription, job: RecordingJob, first_samples: list[Sample], batcher: TickBatcher) -> str:
+def record_until_end(
+    wire: Subscription,
+    job: RecordingJob,
+    first_samples: list[Sample],
+    batcher: TickBatcher,
+    has_failed: Callable[[], object] = lambda: False,
+) -> str:
     """Process the first messages and all that arrive until the end; return the cause of the end."""
     received_s = shown_s = time.monotonic()
     with ExitStack() as stack:
@@ -164,7 +161,7 @@ def record_until_end(wire: Subscription, job: RecordingJob, first_samples: list[
                 batcher.take(sample)
             if job.is_stop_requested():
                 return "stopped"
-            if batcher.receiver.failed:
+            if has_failed():
                 return "the file accepts no more data"
             if show is not None and now - shown_s > SHOW_PERIOD_S:
                 shown_s = now
@@ -186,10 +183,7 @@ def subscribe_all(job: RecordingJob) -> Subscription:
 def receive_first(wire: Subscription, job: RecordingJob) -> tuple[list[Sample], list[str], dict[str, Any]]:
     """Return the first messages, the names of the fingers, and the daemon's description, empty if it sends none.
 
-    Raises
-    ------
-    NoTelemetry
-        If nothing arrives.
+    Raises NoTelemetry if nothing arrives.
     """
     first_samples = _receive_full_tick(wire, job)
     fingers = list(dict.fromkeys(finger for sample in first_samples if (finger := finger_of(sample.topic)) is not None))

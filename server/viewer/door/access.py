@@ -38,7 +38,6 @@ of their frame; viser's default limit is 50 MB.
 BROWSERS_MAX: Final = 32
 """Maximum number of simultaneous browsers. Each has a separate send buffer."""
 ERROR_TEXT_MAX: Final = 200
-"""Maximum length of an error text in the log."""
 ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
 HEADERS: Final = {
     "X-Frame-Options": "DENY",
@@ -56,16 +55,9 @@ Handler = Callable[[ServerConnection], Awaitable[None]]
 class Access:
     """Check of requests to a page on `host`.
 
-    Parameters
-    ----------
-    host
-        Address that the page listens on.
-    allowed
-        Further hosts, NAME or NAME:PORT, for access through a tunnel.
-    title
-        Title of the page.
-    token
-        Secret part of the address; None: a new one.
+    host     address that the page listens on
+    allowed  further hosts, NAME or NAME:PORT, for access through a tunnel
+    token    secret part of the address; None: a new one
     """
 
     def __init__(

@@ -12,7 +12,6 @@ from softfinger.server.viewer.nodes.looks import Colour
 MIN_ROLL_SPEED_M_PER_S: Final = 2e-3
 """Minimum visible speed of rolling: one pixel in a tenth of a second."""
 MIN_SPIN_RATE_RAD_PER_S: Final = 0.05
-"""Minimum visible rate of spin."""
 STATE_TICKS: Final = 100
 """Ticks over which rolling and spinning are detected."""
 MAX_GAP_S: Final = 0.5

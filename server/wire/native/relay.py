@@ -173,14 +173,18 @@ class Tap:
 
 
 class Relay:
-    """Relay thread, and the memory in which it passes on the records of `fingers` fingers."""
+    """Relay thread, and the memory in which it passes on the records of `fingers` fingers.
+
+    memory  memory with every tick
+    bell    eventfd that wakes the publisher
+    """
 
     def __init__(self, fingers: int) -> None:
         width = fingers * RECORD_SIZE
         bell, self.bell = os.eventfd(0), os.eventfd(0)
-        self._memory = make_memory(CAPACITY_TICKS, width)
+        self.memory: Final = make_memory(CAPACITY_TICKS, width)
         self._state: Final = RelayState(
-            self._memory.broadcast,
+            self.memory.broadcast,
             self.bell,
             bell,
             np.array([0, -1, 0, 0, 0, 0, 0, 0]),
@@ -209,16 +213,6 @@ class Relay:
                 kernel.compile(_types(*arguments))
 
     @property
-    def memory(self) -> str:
-        """Name under which programs of this user find every tick, '' if they cannot."""
-        return self._memory.name
-
-    @property
-    def file(self) -> int:
-        """File of the same memory, opened read-only, for the publisher."""
-        return self._memory.reading
-
-    @property
     def rows(self) -> int:
         return int(self._state.readers.head[0])
 
@@ -229,7 +223,6 @@ class Relay:
 
     @property
     def native_id(self) -> int | None:
-        """Native id of the thread."""
         return self._thread.native_id
 
     def attach(self, source: RecordSource) -> None:
@@ -247,7 +240,7 @@ class Relay:
         self._closing.set()
         self._call()
         self._thread.join(JOIN_S)
-        remove(self._memory)
+        remove(self.memory)
         if not self._thread.is_alive():
             for file in (self._idle_feed.wake_fd, self._state.bell_fd, self.bell):
                 os.close(file)

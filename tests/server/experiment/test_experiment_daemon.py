@@ -23,10 +23,10 @@ from test_trial_order import make_tables
 
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
 from softfinger.config.materials import materials
+from softfinger.config.sources import EXPERIMENTS, names_in
 from softfinger.server import cli
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, results
-from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.hands import interpolate_path
 from softfinger.server.experiment.haptics import START_TOLERANCE_M, START_TOLERANCE_RAD, Haptics
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
@@ -353,7 +353,7 @@ def test_a_hand_follows_straight_lines() -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", list_shipped())
+@pytest.mark.parametrize("name", names_in(EXPERIMENTS))
 def test_each_shipped_experiment_runs_on_a_daemon(name: str, tmp_path: Path) -> None:
     levels = Experiment(name).file.procedure.levels or (0.1, 0.6)
     changes: dict[str, Any] = {"procedure.kind": "constant", "procedure.levels": [min(levels), max(levels)]}

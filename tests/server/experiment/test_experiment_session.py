@@ -23,17 +23,16 @@ from test_trial_order import make_tables
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Scene
-from softfinger.config.sources import EXPERIMENTS, FOLDERS
+from softfinger.config.sources import EXPERIMENTS, FOLDERS, names_in
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
-from softfinger.server.experiment.answers import DryRun
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, results
-from softfinger.server.experiment.files import list_shipped
 from softfinger.server.experiment.folder import ParticipantFolder, load
 from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Journal, MemoryJournal, read
 from softfinger.server.experiment.report import _starts
+from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
@@ -50,7 +49,7 @@ def check_figure(figure: Path) -> None:
 
 def test_a_rehearsal_reports_each_trial() -> None:
     file, numbers = Experiment("friction-magnitude").file, list[int]()
-    session, journal, observer = Session(file, 1), MemoryJournal(), DryRun(file, 1)
+    session, journal, observer = Session(file, 1), MemoryJournal(), SimulatedObserver(file, 1)
     session.welcome(journal, observer)
     session.run(journal, NullApparatus(numbers.append), observer)
     assert numbers == list(range(1, len(session.trials) + 1))
@@ -58,7 +57,7 @@ def test_a_rehearsal_reports_each_trial() -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
-    "name", [name for name in list_shipped() if name != "stiffness-and-workload"]
+    "name", [name for name in names_in(EXPERIMENTS) if name != "stiffness-and-workload"]
 )  # tested elsewhere
 def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path: Path) -> None:
     assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
@@ -190,7 +189,7 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
 def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
     file = Experiment(make_tables()).file
     folder = ParticipantFolder(tmp_path, file, 1, {})
-    Session(file, 1).begin(folder)
+    folder.begin()
     table = tmp_path / "sub-01" / "trials" / "sub-01_trial-0001.csv"
     rows = [{"tick": tick} for tick in range(1000)]
     with (
@@ -395,7 +394,7 @@ def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
 def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["experiments"]) == 0
     listed = capsys.readouterr().out
-    assert [line.split()[0] for line in listed.splitlines()] == list_shipped()
+    assert [line.split()[0] for line in listed.splitlines()] == names_in(EXPERIMENTS)
     for words, message in (
         (["experiment", "friction-magnitude", "--no-daemon"], "add --dry-run"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),

@@ -16,7 +16,7 @@ from softfinger.config.errors import RecordingError
 from softfinger.proxy.record import AT
 from softfinger.server import cli
 from softfinger.server.recording.export import export
-from softfinger.server.recording.results import read_results, write_results
+from softfinger.server.recording.results import read_results, write_blocks
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.summary import summary
 
@@ -32,7 +32,7 @@ def damaged(path: Path) -> tuple[int, ...]:
     put(records, "timestamp", np.arange(3) * 0.001)
     put(records, "probe.orientation", [1.0, 0.0, 0.0, 0.0])
     put(records, "force", FORCE_N)
-    write_results(path, records)
+    write_blocks(path, [""], [records[:, None]])
     text = str(FORCE_N).encode() if path.suffix == ".csv" else np.float64(FORCE_N).tobytes()
     data = path.read_bytes()
     return tuple(at for at in range(len(data)) if data.startswith(text, at))[:9]
@@ -53,7 +53,7 @@ def test_results_with_a_damaged_force_are_refused(ending: str, place: int, tmp_p
 
 def test_a_file_cut_at_any_place_is_cut_short(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    write_results(path, synthetic(300))
+    write_blocks(path, [""], [synthetic(300)[:, None]])
     data = path.read_bytes()
     # The last 8 bytes only repeat the first ones.
     for size in range(len(data) - 9, len(data) // 2, -max(1, len(data) // 200)):

@@ -8,7 +8,7 @@ import pytest
 from helpers.called import called
 from helpers.telemetry_records import synthetic
 
-from softfinger.server.recording.results import write_results
+from softfinger.server.recording.results import write_blocks
 
 pytestmark = pytest.mark.plain
 
@@ -31,7 +31,7 @@ TABLE = "t x y z\n0 0 0 0\n1 0 0 0\n"
 def test_a_message_is_clear(words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("table").write_text(TABLE)
-    write_results("run.mcap", synthetic(3))
+    write_blocks("run.mcap", [""], [synthetic(3)[:, None]])
     result = called(*words.split())
     assert result.returncode in (2, 3)
     assert message in result.stderr

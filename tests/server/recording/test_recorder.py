@@ -337,10 +337,10 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     reports: list[str] = []
     file = SlowFile(tmp_path / "slow.mcap")
     recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
-    recorder.take(run()[:1])
+    recorder.ticks(run()[:1])
     assert eventually(lambda: recorder.recorded.ticks == 1)
     file.free.clear()
-    recorder.take(run()[:1])
+    recorder.ticks(run()[:1])
     assert file.writing.wait(WAIT_S)
     start_s = time.monotonic()
     for number in range(QUEUE_EVENTS + 30):
@@ -370,7 +370,7 @@ def test_a_stalled_disk_loses_ticks_but_delays_nothing(tmp_path: Path) -> None:
     def take() -> int:
         first = next(numbers)
         batch[:, AT.tick] = first + np.arange(len(batch))
-        recorder.take(batch)
+        recorder.ticks(batch)
         return first
 
     take()
@@ -410,7 +410,7 @@ def test_a_full_disk_is_one_event_and_the_run_continues(tmp_path: Path) -> None:
         subscribe(daemon.publisher.endpoint, ("event",)) as wire,
     ):
         daemon.start()
-        assert eventually(lambda: daemon.publisher.subscribers == 1)  # earlier events reach no subscriber
+        assert eventually(lambda: daemon.publisher.figures.subscribers == 1)  # earlier events reach no subscriber
         daemon.recordings.begin("a.mcap", "paper-plane")
         recorder = daemon.recordings._recorder
         assert eventually(lambda: recorder.recorded.ticks > 100)
@@ -484,7 +484,7 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
     with file_size_limit(40_000):
         recorder = Recorder(open_recording(path), [""], about(), lambda text, _: reports.append(text))
         for first in range(0, 2000, 40):
-            recorder.take(rows[first : first + 40])
+            recorder.ticks(rows[first : first + 40])
             time.sleep(PERIOD_S / 20)
         assert eventually(lambda: reports)
     assert "File too large" in recorder.recorded.error

@@ -11,7 +11,7 @@ from helpers.pages import daemon_of
 
 from softfinger.server.app import Daemon
 from softfinger.server.offline.simulate import run_recording
-from softfinger.server.recording.results import write_results
+from softfinger.server.recording.results import write_blocks
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
 
@@ -23,7 +23,7 @@ ROLL, SPIN, SLIDE = 4300, 7000, 9000
 
 def test_roll_spin_and_slide_have_different_colours(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
-    write_results(file, run_recording("press-roll-spin-drag"))
+    write_blocks(file, [""], [run_recording("press-roll-spin-drag")[:, None]])
     colours = {}
     with served(str(file)) as screen:
         assert eventually(lambda: screen.shows("tick 0"))

@@ -24,7 +24,7 @@ from softfinger.server.app import Daemon
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.simulate import run_recording
-from softfinger.server.recording.results import write_results
+from softfinger.server.recording.results import write_blocks
 from softfinger.server.viewer.driven import ObjectControls
 from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
@@ -50,7 +50,7 @@ def results() -> np.ndarray:
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_results_are_shown_unchanged(tmp_path: Path, results: np.ndarray, ending: str) -> None:
     file = tmp_path / f"run{ending}"
-    write_results(file, results)
+    write_blocks(file, [""], [results[:, None]])
     shown = load(str(file), None)
     assert list(shown.fingers) == [""] and shown.fingers[""].tobytes() == results.tobytes()
     assert shown.scene.object[0].shape == "plane"
@@ -84,7 +84,7 @@ def page() -> Iterator[Page]:
 
 def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.ndarray) -> None:
     file = tmp_path / "run.npz"
-    write_results(file, results)
+    write_blocks(file, [""], [results[:, None]])
     player = Player(page.server.gui, load(str(file), None), tick=0)
     ticks, jumped = player.take_rows()
     assert len(ticks[""]) == 1 and jumped
