@@ -18,6 +18,7 @@ import numpy as np
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
+from softfinger.tools.accuracy import meshes
 from softfinger.tools.accuracy.meshes import (
     HEADINGS_RAD,
     TICKS,
@@ -63,10 +64,7 @@ def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
     if kind == "heightmap":
         np.save(folder / "hills.npy", z)
         return {"shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": pitch, "level_m": 1.0}
-    number = np.arange(z.size).reshape(z.shape)
-    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    vertices = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
+    vertices, triangles = meshes.grid(np.stack([x, y, z], axis=2).transpose(1, 0, 2))
     return {"shape": "mesh", "file": save_mesh(folder, vertices, triangles), "shading": "normals"}
 
 
