@@ -153,12 +153,13 @@ def targets() -> dict[str, Target]:
     config, recording = (ConfigError,), (RecordingError,)
 
     def every(path: Path, _: bytes) -> None:
+        refusal = None
         for read in (lambda: list(read_contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
             try:
                 read()
             except RecordingError as error:
                 refusal = error
-        if "said" in locals():
+        if refusal is not None:
             raise refusal
 
     return {
@@ -174,7 +175,7 @@ def targets() -> dict[str, Target]:
         "mesh-stl": Target(lambda: packets.STL, arrays_of, config, ".stl"),
         "mesh-obj": Target(lambda: packets.OBJ, arrays_of, config, ".obj"),
         "mesh-ply": Target(lambda: packets.PLY, arrays_of, config, ".ply"),
-        "mesh-glb": Target(lambda: [packets.GLB], arrays_of, config, ".glb"),
+        "mesh-glb": Target(lambda: packets.GLB, arrays_of, config, ".glb"),
         "grid-png": Target(packets.pictures, lambda path, _: read_grid(path), config, ".png"),
         "grid-npy": Target(packets.arrays, lambda path, _: read_grid(path), config, ".npy"),
         "command": Target(packets.commands, lambda _, data: parse(data), (Declined,), named=False),
