@@ -1,8 +1,10 @@
-"""Common parts of the measuring verbs: percentiles, tables, and JSON."""
+"""Common parts of the measuring verbs: percentiles, tables, figures, JSON, and reference programs in C."""
 
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -48,3 +50,13 @@ def draw_exceedance(path: Path, seconds: Mapping[str, Array], least_us: float, t
 
 def microseconds(seconds: float) -> str:
     return f"{seconds * 1e6:9.2f}"
+
+
+def compile_c(source: Path, folder: Path, *flags: str) -> Path | None:
+    """Compile a program in C into a folder; returns None if there is no C compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        return None
+    program = folder / source.stem
+    subprocess.run([compiler, "-O2", "-o", str(program), str(source), *flags], check=True)
+    return program

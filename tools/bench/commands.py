@@ -27,7 +27,7 @@ from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.tools.bench.telemetry import await_messages
+from softfinger.tools.bench.telemetry import source
 from softfinger.tools.measure import Array, show
 
 DEPTH_M: Final = 0.001
@@ -59,7 +59,7 @@ SECOND_SCENE: Final = "paper-plane"
 RIG: Final = f"""
 [device]
 driver = "replay"
-recording = "held.csv"
+recording = "{{recording}}"
 [servo]
 realtime = "auto"
 [guard]
@@ -68,8 +68,6 @@ torque_max_nm = 0.1
 force_slew_n_per_s = {SLEW_N_PER_S}
 torque_slew_nm_per_s = 50.0
 ramp_s = 0.05
-[telemetry]
-endpoint = "ENDPOINT"
 [commands]
 ramp_s = 0.0
 """
@@ -167,20 +165,13 @@ def table(result: dict[str, Any]) -> list[str]:
 def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
     """Run a daemon until the block ends; yields its process and its two endpoints."""
     endpoint, commands = f"ipc://{folder}/telemetry", f"ipc://{folder}/commands"
-    (folder / "held.csv").write_text(POSES_CSV, "utf-8")
-    (folder / "pressed.toml").write_text(SCENE, "utf-8")
-    (folder / "rig.toml").write_text(RIG.replace("ENDPOINT", endpoint), "utf-8")
-    words = ["run", "--rig", "rig.toml", "--scene", "pressed.toml", "--commands", commands]
-    log_path = folder / "log"
-    with log_path.open("wb") as log, subprocess.Popen(
-        [sys.executable, "-m", "softfinger.server.cli", *words], cwd=folder, stdout=log, stderr=log
-    ) as process:  # fmt: skip
-        try:
-            await_messages(endpoint)
-            yield process, endpoint, commands
-        finally:
-            process.terminate()
-            process.wait(timeout=30.0)
+    poses, scene, rig = folder / "held.csv", folder / "pressed.toml", folder / "rig.toml"
+    poses.write_text(POSES_CSV, "utf-8")
+    scene.write_text(SCENE, "utf-8")
+    rig.write_text(RIG.format(recording=poses), "utf-8")
+    words = ["run", "--rig", str(rig), "--scene", str(scene), "--endpoint", endpoint, "--commands", commands]
+    with source([sys.executable, "-m", "softfinger.server.cli", *words], endpoint) as process:
+        yield process, endpoint, commands
 
 
 def make_setter(control: Control) -> Callable[[], None]:

@@ -17,7 +17,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ import numpy as np
 from softfinger.config.errors import ConfigError
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import subscribe
-from softfinger.tools.bench.telemetry import await_messages, processor_s, source
+from softfinger.tools.bench.telemetry import processor_s, running_process, source
 from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show
 
 TURN_S: Final = 10.0
@@ -81,15 +80,14 @@ def run(args: argparse.Namespace) -> int:
     turns = max(1, round(args.seconds / TURN_S))
     parts: dict[str, list[TurnResult]] = {name: [] for name in page_counts}
     with tempfile.TemporaryDirectory() as folder:
-        commands = f"ipc://{folder}/commands"
+        endpoint, commands = (f"ipc://{folder}/{name}" for name in ("telemetry", "commands"))
         words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", args.rig]
-        with source([*words, "--endpoint", "ENDPOINT", "--commands", commands], "ipc", Path(folder)) as publisher:
-            await_messages(publisher.endpoint)
-            with progress("measuring", turns * len(page_counts)) as advance:
-                for number in range(turns * len(page_counts)):
-                    name = list(page_counts)[number % len(page_counts)]
-                    parts[name].append(measure(page_counts[name], publisher.endpoint, commands, args.seconds / turns))
-                    advance(number + 1)
+        words += ["--endpoint", endpoint, "--commands", commands]
+        with source(words, endpoint), progress("measuring", turns * len(page_counts)) as advance:
+            for number in range(turns * len(page_counts)):
+                name = list(page_counts)[number % len(page_counts)]
+                parts[name].append(measure(page_counts[name], endpoint, commands, args.seconds / turns))
+                advance(number + 1)
     result = {name: summary(rows) for name, rows in parts.items()}
     show({"rig": args.rig, "seconds": args.seconds, "cases": result}, args.json, table(result))
     if args.plot:
@@ -153,19 +151,15 @@ def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     Raises ConfigError with the output of the process if there is no page.
     """
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "--no-open", *words]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
+    with running_process(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
         assert process.stderr is not None
-        try:
-            output = ""
-            while (match := re.search(r"(?m)^(http\S+)\n", output)) is None:
-                line = process.stderr.readline()
-                if not line:
-                    raise ConfigError(f"no page was served: {output.strip() or 'it ended without a word'}")
-                output += line
-            yield process, match[1]
-        finally:
-            process.terminate()
-            process.communicate(timeout=30.0)
+        output = ""
+        while (match := re.search(r"(?m)^(http\S+)\n", output)) is None:
+            line = process.stderr.readline()
+            if not line:
+                raise ConfigError(f"no page was served: {output.strip() or 'it ended without a word'}")
+            output += line
+        yield process, match[1]
 
 
 @contextmanager
