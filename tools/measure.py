@@ -48,6 +48,16 @@ def draw_exceedance(path: Path, seconds: Mapping[str, Array], least_us: float, t
     save(drawing, path)
 
 
+def draw_bars(path: Path, costs: Mapping[str, float], unit: str) -> None:
+    """Draw a horizontal bar for each name, the first at the top."""
+    drawing = figure(height=3.0)
+    axes = drawing.add_subplot()
+    axes.barh(list(costs), list(costs.values()))
+    axes.invert_yaxis()
+    axes.set_xlabel(unit)
+    save(drawing, path)
+
+
 def microseconds(seconds: float) -> str:
     return f"{seconds * 1e6:9.2f}"
 

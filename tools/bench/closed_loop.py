@@ -28,10 +28,9 @@ from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch, thread_cp
 from softfinger.server.loop.tick import Memory, Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import TickRange, close_loop
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.bench.step import ROUNDS, quiet, reference_ns
-from softfinger.tools.measure import show
+from softfinger.tools.measure import draw_bars, show
 
 TICKS: Final = 10_000
 """Ticks in a block."""
@@ -111,11 +110,7 @@ def run(args: argparse.Namespace) -> int:
     ]
     show(result, args.json, lines)
     if args.plot:
-        drawing = figure(height=3.0)
-        axes = drawing.add_subplot()
-        axes.barh([row["plant"] for row in rows][::-1], [row["ns_per_tick"] for row in rows][::-1])
-        axes.set_xlabel(f"ns per tick on {args.scene}")
-        save(drawing, args.plot)
+        draw_bars(args.plot, {row["plant"]: row["ns_per_tick"] for row in rows}, f"ns per tick on {args.scene}")
     return 0
 
 

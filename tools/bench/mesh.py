@@ -25,6 +25,7 @@ from softfinger.server.loop.clock import stopwatch
 from softfinger.server.offline.cost import time_steps
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
+from softfinger.tools.bench.features import GRIP
 from softfinger.tools.measure import Array, quantiles, show
 
 RADIUS_M: Final = 0.05
@@ -82,12 +83,7 @@ def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
 
 
 def scene_of(radius: float, **shape: Any) -> schema.Scene:
-    material = {
-        "stiffness_n_per_m": 1000.0,
-        "friction": {"static": 0.6, "kinetic": 0.5},
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    }
-    obj = {"name": "ball", "material": material, **shape}
+    obj = {"name": "ball", "material": GRIP, **shape}
     coupling = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0}
     tables = {"fingertip": {"radius_m": radius}, "rolling": {"method": "midpoint"}, "coupling": coupling}
     return build(schema.Scene, {**tables, "object": [obj]}, "bench mesh")

@@ -16,10 +16,9 @@ import numpy as np
 from softfinger.config.errors import ConfigError
 from softfinger.drivers.poses import POSE_COLUMNS, load_poses
 from softfinger.drivers.resample import close_loop, resample
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.recording.results import SUFFIXES, write_csv_rows
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, draw_bars, show
 
 RATE_HZ: Final = 1000.0
 TICKS_MIN: Final = 1000
@@ -51,11 +50,7 @@ def run(args: argparse.Namespace) -> int:
     ]
     show({"scene": args.scene, "ticks": ticks, "rate_hz": RATE_HZ, "formats": rows}, args.json, lines)
     if args.plot:
-        drawing = figure(height=2.5)
-        axes = drawing.add_subplot()
-        axes.barh([row["format"] for row in rows][::-1], [row["times_real_time"] for row in rows][::-1])
-        axes.set_xlabel("times real time")
-        save(drawing, args.plot)
+        draw_bars(args.plot, {row["format"]: row["times_real_time"] for row in rows}, "times real time")
     return 0
 
 

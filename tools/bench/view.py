@@ -33,17 +33,10 @@ SETTLE_S: Final = 8.0
 SIZE: Final = (1100, 700)
 """Size of a page, pixels."""
 ARGUMENTS: Final = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
+    "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
     "--disable-sync",
-]
+]  # fmt: skip
 """Arguments for a Chromium that draws in software and makes no requests to the network."""
 
 COUNT: Final = """() => {
