@@ -152,8 +152,7 @@ figures: $(STAMP) ## Draw the figures of the model pages (docs/figures/model-*.s
 	@NUMBA_DISABLE_JIT=1 exec $(BIN)/python -m softfinger.tools.pages.figures docs/figures
 
 page-picture: $(STAMP) ## Take the screenshots of docs/figures/ (needs `make browser`)
-	@$(BIN)/python tests/page_picture.py
-	@exec $(BIN)/python tests/experiment_picture.py
+	@exec $(BIN)/python tests/page_picture.py
 
 DOCS_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r constraints-docs.txt
 
