@@ -50,7 +50,8 @@ def make_path(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
 
 
 def record_case(case: TouchCase) -> Array:
-    return run(case.objects, case.poses, rolling={"method": "rotation_vector"})
+    records: Array = run(case.objects, case.poses, rolling={"method": "rotation_vector"})
+    return records
 
 
 def over(objects: list[dict[str, Any]]) -> TouchCase:

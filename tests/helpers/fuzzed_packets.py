@@ -101,7 +101,8 @@ def _finite_or_refused(usable: bool, values: Any) -> None:
 
 
 def _hid(_: Path, data: bytes) -> None:
-    from helpers.hid_devices import RIGS, rig_options
+    from helpers.hid_devices import RIGS
+    from helpers.rig_files import rig_options
     from softfinger.drivers.fields import table
 
     for rig in RIGS:
@@ -131,15 +132,12 @@ def _serial_text(_: Path, data: bytes) -> None:
 
 
 def _serial_described(_: Path, data: bytes) -> None:
-    from softfinger.config.load import build, load_rig
+    from helpers.rig_files import rig_options
     from softfinger.drivers.fields import table
     from softfinger.drivers.serial import packets
-    from softfinger.drivers.serial.device import Options
 
     for rig in ("haply-2diy", "hapkit"):
-        options = build(Options, load_rig(rig).device.options, rig)
-        assert options.frames is not None
-        frame = options.frames.input
+        frame = rig_options(rig).frames.input
         shape, fields = packets.make_shape(frame, False), table.input_table(frame.field)
         numbers = np.zeros(table.SENSED_SIZE), np.zeros(table.SENSED_SIZE)
         buffer = np.zeros(len(data) + frame.bytes, np.uint8)
