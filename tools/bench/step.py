@@ -50,7 +50,7 @@ def reference_ns() -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    chosen = [] if args.features is None else select(all_features(), args.features)
+    chosen = [] if args.features is None else select(list(all_features()), args.features)
     names = list_shipped(Scene) if args.all else args.scene
     blocks = max(args.blocks, 1)
     scenes = map_with_progress(
