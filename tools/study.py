@@ -39,7 +39,6 @@ TABLES: Final = ("paper", "bodies")
 
 
 def markdown(table: Any) -> str:
-    """Convert a rich table to a Markdown table."""
     heads = [str(column.header).replace("\n", "_") for column in table.columns]
     rows = zip(*(map(str, column.cells) for column in table.columns), strict=True)
     return grid(heads, [list(row) for row in rows]) + "\n"

@@ -53,7 +53,6 @@ class StoredResults:
             self._file.flush()
 
     def finish(self) -> None:
-        """End the file."""
         if self._file is not None:
             self._writer.finish()
             self._file.flush()

@@ -43,7 +43,6 @@ GLB: Final = [TWICE.export(file_type="glb")]
 
 
 def pictures() -> list[bytes]:
-    """Grey pictures of 8 and 16 bits."""
     heights = np.arange(64, dtype=np.uint8).reshape(8, 8)
     made = []
     for pixels in (heights, heights.astype(np.uint16) * 1000):

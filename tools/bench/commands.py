@@ -106,7 +106,6 @@ class Listener:
         return bool(self._rows) and self._rows[-1][3] == 0.0 and self._rows[-1][2] > 0.0
 
     def wait_until_applied(self) -> None:
-        """Wait until `is_force_applied` is true."""
         until = time.monotonic() + TURN_S
         while not self.is_force_applied():
             if time.monotonic() > until:
@@ -175,7 +174,6 @@ def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
 
 
 def make_setter(control: Control) -> Callable[[], None]:
-    """Return a function that sets the next pair."""
     pairs = cycle(PAIRS[1:] + PAIRS[:1])
 
     def ask() -> None:
@@ -216,7 +214,6 @@ def alternate_scenes(listener: Listener, control: Control, pid: int, count: int)
 
 
 def count_missed(rows: Array) -> int:
-    """Return the number of deadlines missed in the rows."""
     return int(rows[-1, 4] - rows[0, 4])
 
 
@@ -227,6 +224,5 @@ def count_torn(rows: Array) -> int:
 
 
 def resident_mb(pid: int) -> float:
-    """Return the resident memory of a process, MB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

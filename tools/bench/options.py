@@ -120,7 +120,6 @@ def _configure_kind(add_own_options: Callable[[argparse.ArgumentParser], None], 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the chosen measurement and return its exit code."""
     module = importlib.import_module(f"softfinger.tools.bench.{args.kind.replace('-', '_')}")
     code: int = module.run(args)
     return code

@@ -182,7 +182,6 @@ def open_pages(address: str, count: int) -> Iterator[list[Any]]:
 
 
 def summary(turns: list[TurnResult]) -> dict[str, Any]:
-    """Return the results of a case."""
     late, busy = (np.concatenate([turn.ticks[:, column] for turn in turns]) for column in (0, 1))
     missed = [float(turn.ticks[-1, 2] - turn.ticks[0, 2]) for turn in turns]
     frames = [rate for turn in turns for rate in turn.frames]
