@@ -20,7 +20,7 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -202,11 +202,10 @@ def verdict(target: Target, path: Path, data: bytes) -> str:
     return ""
 
 
-def bounded() -> Iterator[None]:
+def bound_memory() -> None:
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + GROWTH_MAX
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    yield
 
 
 def main(name: str, seconds: float, seed: int, folder: Path) -> int:
@@ -216,7 +215,7 @@ def main(name: str, seconds: float, seed: int, folder: Path) -> int:
     if wrong := next(filter(None, (verdict(target, path, seed) for seed in seeds)), ""):
         print(f"of the seeds: {wrong}")
         return 1
-    next(bounded())
+    bound_memory()
     count, until = 0, time.monotonic() + seconds
     while time.monotonic() < until:
         data = mutated(seeds, chance)
