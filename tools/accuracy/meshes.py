@@ -28,7 +28,7 @@ from softfinger.proxy.records import Records
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy.reference import roll_path
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, show_and_draw
 
 Arrays = tuple[Array, NDArray[np.int64]]
 
@@ -149,10 +149,7 @@ def run(args: argparse.Namespace) -> int:
                 rows.append(row)
                 update(len(rows))
     result = {"rows": rows, "orders": {name: orders([r for r in rows if r["surface"] == name]) for name in CASES}}
-    show(result, args.json, list(lines(result)))
-    if args.plot:
-        draw(result, args.plot)
-    return 0
+    return show_and_draw(args, result, lines(result), lambda path: draw(result, path))
 
 
 def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator[dict[str, Any]]:

@@ -20,7 +20,7 @@ from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.accuracy import meshes
 from softfinger.tools.accuracy.reference import Hills, normal_and_curvature
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, show_and_draw
 
 HILLS: Final = Hills(0.004, 0.06)
 """The smallest radius of curvature of their valleys is 23 mm."""
@@ -80,10 +80,7 @@ def run(args: argparse.Namespace) -> int:
     led_paths = paths(meshes.TICKS)
     cases = [(kind, pitch) for pitch in PITCHES_M for kind in KINDS]
     rows = map_with_progress("hills of pixels", lambda case: compare(*case, led_paths), cases)
-    show({"rows": rows}, args.json, list(lines(rows)))
-    if args.plot:
-        draw(rows, args.plot)
-    return 0
+    return show_and_draw(args, {"rows": rows}, lines(rows), lambda path: draw(rows, path))
 
 
 def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:

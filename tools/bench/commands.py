@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
@@ -23,12 +24,11 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.loop.guard import PAUSE_MAX_S
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
 from softfinger.tools.bench.telemetry import source
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, draw_lines, show_and_draw
 
 DEPTH_M: Final = 0.001
 FORCE_N: Final = 2.0
@@ -136,14 +136,9 @@ def run(args: argparse.Namespace) -> int:
         "swaps": args.swaps, "largest_step_n": float(steps.max()), "slew_n": SLEW_N_PER_S / 1000.0,
         "lost": listener.lost, "resident_mb": memory,
     }  # fmt: skip
-    show(result, args.json, table(result))
-    if args.plot:
-        drawing = figure(height=3.0)
-        axes = drawing.add_subplot()
-        axes.plot(memory)
-        axes.set(xlabel="scenes set", ylabel="resident, MB")
-        save(drawing, args.plot)
-    return 0
+    lines = {"daemon": (range(len(memory)), memory)}
+    draw = partial(draw_lines, lines=lines, x="scenes set", y="resident, MB")
+    return show_and_draw(args, result, table(result), draw)
 
 
 def table(result: dict[str, Any]) -> list[str]:

@@ -30,7 +30,7 @@ from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.progress import progress
 from softfinger.tools.bench.geoms import scene_of_geoms
-from softfinger.tools.measure import Array, compile_c, draw_exceedance, microseconds, quantiles, show
+from softfinger.tools.measure import Array, compile_c, draw_exceedance, microseconds, quantiles, show_and_draw
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")
@@ -47,10 +47,7 @@ def run(args: argparse.Namespace) -> int:
         {name: np.concatenate(parts) for name, parts in runs.items()}, args.rate
     )
     result["realtime"] = {setting.name: setting.ok for setting in settings}
-    show(result, args.json, table(result))
-    if args.plot:
-        draw(args.plot, runs, args.rate)
-    return 0
+    return show_and_draw(args, result, table(result), lambda path: draw(path, runs, args.rate))
 
 
 def measure(

@@ -18,7 +18,7 @@ from softfinger.drivers.poses import POSE_COLUMNS, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.server.progress import progress
 from softfinger.server.recording.results import SUFFIXES, write_csv_rows
-from softfinger.tools.measure import Array, draw_bars, show
+from softfinger.tools.measure import Array, draw_bars, show_and_draw
 
 RATE_HZ: Final = 1000.0
 TICKS_MIN: Final = 1000
@@ -48,10 +48,9 @@ def run(args: argparse.Namespace) -> int:
         f"processor {row['cpu_s']:.2f}: {row['times_real_time']:6.1f} x real time"
         for row in rows
     ]
-    show({"scene": args.scene, "ticks": ticks, "rate_hz": RATE_HZ, "formats": rows}, args.json, lines)
-    if args.plot:
-        draw_bars(args.plot, {row["format"]: row["times_real_time"] for row in rows}, "times real time")
-    return 0
+    result = {"scene": args.scene, "ticks": ticks, "rate_hz": RATE_HZ, "formats": rows}
+    speeds = {row["format"]: row["times_real_time"] for row in rows}
+    return show_and_draw(args, result, lines, lambda path: draw_bars(path, speeds, "times real time"))
 
 
 def motion(recording: str, ticks: int) -> Array:

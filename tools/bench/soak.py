@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from urllib.parse import urlsplit
@@ -29,14 +30,13 @@ from softfinger.config.errors import ConfigError, Unfit
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.server import signals
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.loop import SOURCE, run_reference
 from softfinger.tools.bench.telemetry import source
 from softfinger.tools.bench.view import viewer
-from softfinger.tools.measure import Array, compile_c, show
+from softfinger.tools.measure import Array, compile_c, draw_lines, show_and_draw
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -99,9 +99,9 @@ def run(args: argparse.Namespace) -> int:
     rig = load_rig("simulated", {"servo.realtime": args.realtime})
     soaked = soak(rig, 60.0 * args.minutes)
     result = evaluate(soaked)
-    show(result, args.json, table(result))
-    if args.plot:
-        draw(args.plot, soaked)
+    lines = {name: (soaked.times / 60.0, values[:, 0]) for name, values in soaked.processes.items()}
+    draw = partial(draw_lines, lines=lines, x="time, minutes", y="resident memory, MB")
+    show_and_draw(args, result, table(result), draw)
     if result["faults"]:
         raise Unfit("; ".join(result["faults"]))
     return 0
@@ -294,17 +294,6 @@ def table(result: dict[str, Any]) -> list[str]:
         counts = f"{statistics['descriptors']['last']:>13.0f}{statistics['threads']['last']:>9.0f}"
         lines.append(f"  {name:<40}{memory['last']:>8.1f}{memory['an_hour']:>+10.2f}{counts}")
     return lines + [f"  {fault}" for fault in result["faults"]]
-
-
-def draw(path: Path, soaked: Soaked) -> None:
-    drawing = figure()
-    axes = drawing.add_subplot()
-    for name, values in soaked.processes.items():
-        axes.plot(soaked.times / 60.0, values[:, 0], label=name)
-    axes.set(xlabel="time, minutes", ylabel="resident memory, MB")
-    axes.legend(fontsize="small")
-    axes.grid(True, alpha=0.3)
-    save(drawing, path)
 
 
 def stop_on_sigterm() -> threading.Event:

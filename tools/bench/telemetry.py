@@ -30,7 +30,7 @@ from softfinger.server.socket_process.messages import Messages
 from softfinger.server.socket_process.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
-from softfinger.tools.measure import Array, compile_c, draw_exceedance, microseconds, quantiles, show
+from softfinger.tools.measure import Array, compile_c, draw_exceedance, microseconds, quantiles, show_and_draw
 
 START_S: Final = 180.0
 """Longest time for a cold daemon to compile."""
@@ -85,10 +85,8 @@ def run(args: argparse.Namespace) -> int:
         loss_text = f"lost {result[name]['lost']} of {result[name]['messages']}"
         lines.append(f"  {name:<10} {cells}   {loss_text}   processor {100.0 * result[name]['load']:4.1f} %")
     lines.append("  medians over blocks of a second; in brackets the ratio to the daemon")
-    show(result, args.json, lines)
-    if args.plot:
-        draw_exceedance(args.plot, latencies, 1.0, "tick to subscriber", "messages later than this", "")
-    return 0
+    texts = ("tick to subscriber", "messages later than this", "")
+    return show_and_draw(args, result, lines, lambda path: draw_exceedance(path, latencies, 1.0, *texts))
 
 
 def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:

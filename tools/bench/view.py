@@ -25,7 +25,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.telemetry import processor_s, running_process, source
-from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show
+from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show_and_draw
 
 TURN_S: Final = 10.0
 SETTLE_S: Final = 8.0
@@ -82,11 +82,10 @@ def run(args: argparse.Namespace) -> int:
                 parts[name].append(measure(page_counts[name], endpoint, commands, args.seconds / turns))
                 advance(number + 1)
     result = {name: summary(rows) for name, rows in parts.items()}
-    show({"rig": args.rig, "seconds": args.seconds, "cases": result}, args.json, table(result))
-    if args.plot:
-        late = {name: np.concatenate([turn.ticks[:, 0] for turn in turns]) for name, turns in parts.items()}
-        draw_exceedance(args.plot, late, 1.0, "woken late", "ticks later than this", "")
-    return 0
+    late = {name: np.concatenate([turn.ticks[:, 0] for turn in turns]) for name, turns in parts.items()}
+    texts = ("woken late", "ticks later than this", "")
+    content = {"rig": args.rig, "seconds": args.seconds, "cases": result}
+    return show_and_draw(args, content, table(result), lambda path: draw_exceedance(path, late, 1.0, *texts))
 
 
 def cases(args: argparse.Namespace) -> dict[str, PageCounts]:
