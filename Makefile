@@ -100,17 +100,12 @@ mutants: $(STAMP) ## Insert the mistakes of tests/mutants.toml one by one into a
 test-vm: $(STAMP) ## Test drivers on a real kernel's USB and HID, the service under systemd, in virtual machines (minutes; ARGS= for pytest)
 	@exec $(BIN)/python tests/vm/run.py $(ARGS)
 
-emulators: ## Install Debian packages for emulated USB devices (as root); without them the tests skip
-	@if $(call INSTALLED,$(EMULATORS)); then exit 0; fi
-	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(EMULATORS)
-
-browser: ## Install Debian's Chromium for tests of the page (as root); without it the tests skip
-	@if $(call INSTALLED,$(BROWSER)); then exit 0; fi
-	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(BROWSER)
-
-vm-packages: ## Install Debian packages for test-vm (as root); test-vm downloads the kernel into ~/.cache/softfinger-vm
-	@if $(call INSTALLED,$(VM_PACKAGES)); then exit 0; fi
-	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(VM_PACKAGES)
+emulators: WANTED = $(EMULATORS) ## Install Debian packages for emulated USB devices (as root); without them the tests skip
+browser: WANTED = $(BROWSER) ## Install Debian's Chromium for tests of the page (as root); without it the tests skip
+vm-packages: WANTED = $(VM_PACKAGES) ## Install Debian packages for test-vm (as root); test-vm downloads the kernel into ~/.cache/softfinger-vm
+emulators browser vm-packages:
+	@if $(call INSTALLED,$(WANTED)); then exit 0; fi
+	apt-get -qq update && apt-get -qq install -y --no-install-recommends $(WANTED)
 
 subscribers: ## Install packages for examples/subscribe: from Debian (as root) and npm
 	@if ! $(call INSTALLED,$(SUBSCRIBERS)); then
@@ -152,8 +147,7 @@ figures: $(STAMP) ## Draw the figures of the model pages (docs/figures/model-*.s
 	@NUMBA_DISABLE_JIT=1 exec $(BIN)/python -m softfinger.tools.pages.figures docs/figures
 
 page-picture: $(STAMP) ## Take the screenshots of docs/figures/ (needs `make browser`)
-	@$(BIN)/python tests/page_picture.py
-	@exec $(BIN)/python tests/experiment_picture.py
+	@exec $(BIN)/python tests/page_picture.py
 
 DOCS_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r constraints-docs.txt
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 from helpers.cpu_report import CpuReport
-from helpers.faults_seen import FaultsSeen
 from helpers.stalls import Patience
 from hypothesis import HealthCheck, settings
 
@@ -77,7 +76,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("softfinger")
     group.addoption("--cpu-report", metavar="FILE", help="write the CPU seconds of each test here, as JSON")
     group.addoption("--exhaustive", action="store_true", help="all cases of tests marked `scaled`")
-    group.addoption("--faults-seen", metavar="FILE", help="write what tests of injected faults saw here")
     group.addoption("--put-off", metavar="FILE", help="name tests of real time here that failed")
     group.addoption("--files", choices=["server", "others"], help="tests in tests/server itself, or all others")
 
@@ -112,8 +110,6 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(Patience(config.getoption("--put-off")))
     if file := config.getoption("--cpu-report"):
         config.pluginmanager.register(CpuReport(file))
-    if file := config.getoption("--faults-seen"):
-        config.pluginmanager.register(FaultsSeen(file))
 
 
 @pytest.hookimpl(wrapper=True)

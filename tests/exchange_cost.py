@@ -378,8 +378,6 @@ def main() -> int:
                 continue
             with tempfile.TemporaryDirectory() as folder, CASES[name](Path(folder)) as case:
                 results[name] = result(*times(case, args.ticks))
-        if args.plot is not None:
-            draw(results, args.plot)
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
@@ -388,8 +386,8 @@ def main() -> int:
         for name, costs in results.items()
     ]
     head = f"{'us a tick':15}" + "".join(f"{word:>9}" for word in COLUMNS) + f"{'whole ticks':>12}"
-    measure.show({"ticks": args.ticks, "seconds": results}, args.json, [head, *rows])
-    return 0
+    content = {"ticks": args.ticks, "seconds": results}
+    return measure.show_and_draw(args, content, [head, *rows], lambda path: draw(results, path))
 
 
 if __name__ == "__main__":

@@ -40,7 +40,6 @@ from softfinger.server.loop.clock import stopwatch
 from softfinger.server.offline.cost import time_steps
 from softfinger.server.progress import progress
 from softfinger.tools import measure
-from softfinger.tools.options import add_output_options
 
 Array = NDArray[np.float64]
 
@@ -240,7 +239,7 @@ def main() -> int:
     parser.add_argument("--scale", type=float, default=1.0, help="of the files, to metres (default: %(default)s)")
     parser.add_argument("--hostile", action="store_true", help="the meshes that nobody should have made")
     parser.add_argument("--seed", type=int, default=0)
-    add_output_options(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     try:
         made, result = dict(MADE), {}

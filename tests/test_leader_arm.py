@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from emulators.bus_servos import DYNAMIXEL, FEETECH, BusServos, Registers, crc16
 from helpers.waits import eventually, until
+from scipy.spatial.transform import Rotation
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceTimeout
 from softfinger.config.load import build, load_rig
@@ -163,7 +164,8 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
         wanted = (reach * math.cos(a), reach * math.sin(a), -0.18 + LEVER_M * math.cos(b))
         until(lambda: np.allclose(servo.read()[1][:3], wanted, rtol=0.0, atol=1e-9))  # rounding
         w, x, y, z = servo.read()[1][3:7]
-        assert 2.0 * math.atan2(math.hypot(x, y, z), w) == pytest.approx(_angle(a, b, c), abs=1e-9)
+        turn = Rotation.from_euler("ZYX", [a, b, math.pi / 2]) * Rotation.from_euler("Y", c)
+        assert 2.0 * math.atan2(math.hypot(x, y, z), w) == pytest.approx(turn.magnitude(), abs=1e-9)
         for motor in arm.servos.values():
             motor.turn_to(2048)
         until(lambda: np.allclose(servo.read()[1][:3], (0.0, 0.0, 0.02), rtol=0.0, atol=1e-9))
@@ -178,21 +180,6 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
 
             until(has_no_force)
         assert [arm.servos[number].memory[arm.table.enable] for number in IDS.values()] == [0, 1, 0]
-
-
-def _angle(a: float, b: float, c: float) -> float:
-    """Angle of the rotation Rz(a) Ry(b) Rx(pi/2) Ry(c)."""
-
-    def about(k: int, angle: float) -> Any:
-        i, j = (k + 1) % 3, (k + 2) % 3
-        m = np.eye(3)
-        m[i, i] = m[j, j] = math.cos(angle)
-        m[j, i] = math.sin(angle)
-        m[i, j] = -m[j, i]
-        return m
-
-    turn = about(2, a) @ about(1, b) @ about(0, math.pi / 2) @ about(1, c)
-    return math.acos((np.trace(turn) - 1.0) / 2.0)
 
 
 @pytest.mark.parametrize("protocol", SERIES)

@@ -256,13 +256,9 @@ def test_every_import_is_declared() -> None:
     installed = packages_distributions()
     undeclared = set()
     for file in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
-        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-                names = [node.module]
-            for top in {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"softfinger"}:
-                if not {plain(package) for package in installed.get(top, [IMPORTED_AS.get(top, top)])} & declared:
-                    undeclared.add(top)
+        for top in {name.partition(".")[0] for name in imported(file)} - sys.stdlib_module_names - {"softfinger"}:
+            if not {plain(package) for package in installed.get(top, [IMPORTED_AS.get(top, top)])} & declared:
+                undeclared.add(top)
     assert undeclared == set(UNDECLARED)
 
 

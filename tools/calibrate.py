@@ -138,18 +138,12 @@ def run(args: argparse.Namespace) -> int:
         "mass_kg": args.mass, "force_bare_n": bare, "force_loaded_n": loaded, "counts_per_nm_used": counts_in_use,
         "counts_per_nm": counts_in_use * (loaded - bare) / weight,
     }  # fmt: skip
-    if args.plot is not None:
-        _draw(args.plot, np.array(hold.record), result)
-    measure.show(
-        result,
-        args.json,
-        [
-            f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {counts_in_use:g} counts per N m",
-            f"add to the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
-            "repeat and average: friction of the legs bears part of the weight",
-        ],
-    )
-    return 0
+    lines = [
+        f"holding took {bare:.3f} N, with the weight {loaded:.3f} N, at {counts_in_use:g} counts per N m",
+        f"add to the rig's [device] table: counts_per_nm = {result['counts_per_nm']:.0f}",
+        "repeat and average: friction of the legs bears part of the weight",
+    ]
+    return measure.show_and_draw(args, result, lines, lambda path: _draw(path, np.array(hold.record), result))
 
 
 def _draw(path: Path, record: Array, result: dict[str, float]) -> None:

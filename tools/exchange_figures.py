@@ -7,17 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from softfinger.drivers.base import SAMPLE_TIME, STALE
-from softfinger.tools.exchange import (
-    EMPTY_READ,
-    EMPTY_WRITE,
-    LATE,
-    READ,
-    READ_STATUS,
-    SAMPLE,
-    START,
-    WRITE,
-    WRITE_STATUS,
-)
+from softfinger.tools import exchange
 from softfinger.tools.measure import Array, microseconds, quantiles
 
 HISTOGRAM_S: Final = tuple(float(f"{base}e{power}") for power in range(-8, 0) for base in (1, 2, 5))
@@ -32,26 +22,26 @@ def figures(rows: Array, rate_hz: float) -> dict[str, Any]:
     rows  (n, ROW_SIZE), n at least 1
     """
     block = max(1, min(round(rate_hz), len(rows)))
-    read, write = rows[:, READ], rows[:, WRITE]
-    empty_read, empty_write = rows[:, EMPTY_READ], rows[:, EMPTY_WRITE]
+    read, write = rows[:, exchange.READ], rows[:, exchange.WRITE]
+    empty_read, empty_write = rows[:, exchange.EMPTY_READ], rows[:, exchange.EMPTY_WRITE]
     result: dict[str, Any] = {"ticks": len(rows), "seconds": measure_elapsed(rows)}
     pairs = ((read, empty_read), (write, empty_write), (read + write, empty_read + empty_write))
     for name, (values, reference) in zip(TIMES, pairs, strict=True):
         measured, empty = quantiles(values, block), quantiles(reference, block)
         ratios = {at: measured["blocks"][at] / max(empty["blocks"][at], 1e-9) for at in ("p50", "p99")}
         result[name] = measured | {"empty": empty, "over_empty": ratios, "histogram": histogram(values)}
-    result["late"] = quantiles(rows[:, LATE], block)
+    result["late"] = quantiles(rows[:, exchange.LATE], block)
     return result | freshness(rows)
 
 
 def freshness(rows: Array) -> dict[str, Any]:
     """Return the shares of reads and writes with status STALE, new samples a second, and steps of the device's time."""
-    stale = rows[:, READ_STATUS] == STALE
-    steps = np.diff(rows[~stale, SAMPLE + SAMPLE_TIME])
+    stale = rows[:, exchange.READ_STATUS] == STALE
+    steps = np.diff(rows[~stale, exchange.SAMPLE + SAMPLE_TIME])
     fresh = int(np.sum(~stale))
     return {
         "stale_share": float(np.mean(stale)),
-        "limited_share": float(np.mean(rows[:, WRITE_STATUS] == STALE)),
+        "limited_share": float(np.mean(rows[:, exchange.WRITE_STATUS] == STALE)),
         "new_samples_hz": fresh / max(measure_elapsed(rows), 1e-9),
         "sample_step_s": {"min": float(steps.min()), "p50": float(np.median(steps)), "max": float(steps.max())}
         if len(steps) and np.isfinite(steps).all()
@@ -62,8 +52,8 @@ def freshness(rows: Array) -> dict[str, Any]:
 def measure_elapsed(rows: Array) -> float:
     """Return the time from the first tick to the end of the last one, s; the last one counts as long as the median."""
     if len(rows) < 2:
-        return float(rows[0, READ] + rows[0, WRITE])
-    return float(rows[-1, START] - rows[0, START] + np.median(np.diff(rows[:, START])))
+        return float(rows[0, exchange.READ] + rows[0, exchange.WRITE])
+    return float(rows[-1, exchange.START] - rows[0, exchange.START] + np.median(np.diff(rows[:, exchange.START])))
 
 
 def burst_figures(rows: Array) -> dict[str, Any]:

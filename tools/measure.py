@@ -1,9 +1,12 @@
-"""Common parts of the measuring verbs: percentiles, tables, and JSON."""
+"""Common parts of the measuring verbs: percentiles, tables, figures, JSON, and reference programs in C."""
 
 from __future__ import annotations
 
+import argparse
 import json
-from collections.abc import Mapping, Sequence
+import shutil
+import subprocess
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,22 +32,70 @@ def quantiles(values: Array, block: int) -> dict[str, Any]:
     return quantiles
 
 
-def show(result: Mapping[str, Any], as_json: bool, lines: Sequence[str]) -> None:
+def show(result: Mapping[str, Any], as_json: bool, lines: Iterable[str]) -> None:
     print(json.dumps(result, indent=2) if as_json else "\n".join(lines))
+
+
+def show_and_draw(
+    args: argparse.Namespace, result: Mapping[str, Any], lines: Iterable[str], draw: Callable[[Path], None]
+) -> int:
+    """Print a result as the output options require, and draw it if a figure is requested; returns exit code 0."""
+    show(result, args.json, lines)
+    if args.plot is not None:
+        draw(args.plot)
+    return 0
+
+
+def draw_lines(
+    path: Path,
+    lines: Mapping[str, tuple[Any, Any]],
+    x: str,
+    y: str,
+    *,
+    title: str = "",
+    style: str = "-",
+    log: bool = False,
+) -> None:
+    """Draw a line for each name, with logarithmic axes if `log`."""
+    drawing = figure()
+    axes = drawing.add_subplot()
+    for name, (at, values) in lines.items():
+        axes.plot(at, values, style, label=name)
+    scale = "log" if log else "linear"
+    axes.set(xscale=scale, yscale=scale, xlabel=x, ylabel=y, title=title)
+    axes.legend(fontsize="small")
+    axes.grid(True, alpha=0.3)
+    save(drawing, path)
 
 
 def draw_exceedance(path: Path, seconds: Mapping[str, Array], least_us: float, time: str, of: str, title: str) -> None:
     """Draw the share of values above each duration: a line for each name, in us, those below `least_us` at its left."""
-    drawing = figure()
+    lines = {
+        name: (np.sort(values).clip(1e-6 * least_us) * 1e6, 1.0 - np.arange(len(values)) / len(values))
+        for name, values in seconds.items()
+    }
+    draw_lines(path, lines, f"{time}, us", f"share of {of}", title=title, log=True)
+
+
+def draw_bars(path: Path, costs: Mapping[str, float], unit: str) -> None:
+    """Draw a horizontal bar for each name, the first at the top."""
+    drawing = figure(height=3.0)
     axes = drawing.add_subplot()
-    for name, values in seconds.items():
-        us = np.sort(values).clip(1e-6 * least_us) * 1e6
-        axes.loglog(us, 1.0 - np.arange(len(us)) / len(us), label=name)
-    axes.set(xlabel=f"{time}, us", ylabel=f"share of {of}", title=title)
-    axes.legend()
-    axes.grid(True, alpha=0.3)
+    axes.barh(list(costs), list(costs.values()))
+    axes.invert_yaxis()
+    axes.set_xlabel(unit)
     save(drawing, path)
 
 
 def microseconds(seconds: float) -> str:
     return f"{seconds * 1e6:9.2f}"
+
+
+def compile_c(source: Path, folder: Path, *flags: str) -> Path | None:
+    """Compile a program in C into a folder; returns None if there is no C compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        return None
+    program = folder / source.stem
+    subprocess.run([compiler, "-O2", "-o", str(program), str(source), *flags], check=True)
+    return program

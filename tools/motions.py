@@ -12,7 +12,6 @@ PRESSED_M: Final = 0.009
 """Radius of the fingertip, and heights of its centre in free space and on the plane."""
 
 Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
 
 
 class Move(NamedTuple):
@@ -76,34 +75,23 @@ def press_roll_spin_drag() -> list[Move]:
     full = [roll(0.9, about_x=large), roll(0.9, about_x=-large), roll(0.9, about_y=large), roll(0.9, about_y=-large)]
     spins = [spin(0.4, 0.15), spin(0.8, -0.30), spin(0.4, 0.15)]
     drags = [drag(0.020, 0.040), drag(-0.020, 0.040)]
-    return [
-        hold(0.3),
-        press(0.8),
-        hold(0.2),
-        *half,
-        hold(0.1),
-        *full,
-        *spins,
-        hold(0.1),
-        *drags,
-        hold(0.4),
-        release(0.6),
-        hold(0.3),
-    ]
+    return _touch(press(0.8), [*half, hold(0.1), *full, *spins, hold(0.1), *drags, hold(0.2)], 0.6)
+
+
+def _touch(onto: Move, middle: list[Move], back_s: float, settle_s: float = 0.2) -> list[Move]:
+    """Return a motion onto a surface, the moves there, and the way back within `back_s`."""
+    back = Move(back_s, opposite(onto.travel))
+    return [hold(0.3), onto, hold(settle_s), *middle, hold(0.2), back, hold(0.3)]
+
+
+def _and_back(move: Move) -> list[Move]:
+    return [move, Move(move.seconds, opposite(move.travel))]
 
 
 def roll_follow() -> list[Move]:
     """Return a roll of 1 rad that the hand follows fully, so that nothing may slide; it is reversed in the air."""
-    return [
-        hold(0.2),
-        press(0.6),
-        hold(0.2),
-        roll(2.0, about_x=1.0),
-        hold(0.2),
-        release(0.6),
-        roll(1.6, about_x=-1.0),
-        hold(0.2),
-    ]
+    touching = [press(0.6), hold(0.2), roll(2.0, about_x=1.0), hold(0.2), release(0.6)]
+    return [hold(0.2), *touching, roll(1.6, about_x=-1.0), hold(0.2)]
 
 
 def tap() -> list[Move]:
@@ -120,21 +108,9 @@ def pinch(side: float, slide: float) -> list[Move]:
     It presses, shears and twists the box back and forth within the sticking range, drags `slide` m along z and back
     (which slides at millimetres), and releases.
     """
-    shear, twist = 0.0003, 0.05
-    return [
-        hold(0.3),
-        _inwards(side, 0.6, ABOVE_M - PRESSED_M),
-        hold(0.2),
-        Move(0.3, (0.0, 0.0, shear)),
-        Move(0.3, (0.0, 0.0, -shear)),
-        Move(0.3, turn=(twist, 0.0, 0.0)),
-        Move(0.3, turn=(-twist, 0.0, 0.0)),
-        Move(0.5, (0.0, 0.0, slide)),
-        Move(0.5, (0.0, 0.0, -slide)),
-        hold(0.2),
-        _inwards(side, 0.5, PRESSED_M - ABOVE_M),
-        hold(0.3),
-    ]
+    twists = [Move(0.3, turn=(angle, 0.0, 0.0)) for angle in (0.05, -0.05)]
+    middle = [*_and_back(Move(0.3, (0.0, 0.0, 0.0003))), *twists, *_and_back(Move(0.5, (0.0, 0.0, slide)))]
+    return _touch(_inwards(side, 0.6, ABOVE_M - PRESSED_M), middle, 0.5)
 
 
 def lift(side: float) -> list[Move]:
@@ -142,18 +118,8 @@ def lift(side: float) -> list[Move]:
 
     It presses, moves up by 100 mm, holds, moves down and releases.
     """
-    press_m, height = ABOVE_M - RADIUS_M + SQUEEZE_M, 0.1
-    return [
-        hold(0.3),
-        _inwards(side, 0.6, press_m),
-        hold(0.2),
-        Move(1.2, (0.0, 0.0, height)),
-        hold(1.0),
-        Move(1.2, (0.0, 0.0, -height)),
-        hold(0.2),
-        _inwards(side, 0.5, -press_m),
-        hold(0.3),
-    ]
+    up, down = _and_back(Move(1.2, (0.0, 0.0, 0.1)))
+    return _touch(_inwards(side, 0.6, ABOVE_M - RADIUS_M + SQUEEZE_M), [up, hold(1.0), down], 0.5)
 
 
 def _inwards(side: float, seconds: float, distance: float) -> Move:
@@ -172,62 +138,34 @@ def turn_a_knob() -> list[Move]:
 
 def open_a_drawer() -> list[Move]:
     """Return a motion down behind the handle, 100 mm towards the hand, back on the front until it is shut, and up."""
-    down, pull, clearance = (0.0, 0.0, -0.045), 0.1, 0.006
-    return [
-        hold(0.3),
-        Move(0.6, down),
-        hold(0.1),
-        Move(1.4, (0.0, -pull, 0.0)),
-        hold(0.4),
-        Move(1.4, (0.0, pull + clearance, 0.0)),
-        hold(0.2),
-        Move(0.3, (0.0, -clearance, 0.0)),
-        Move(0.6, opposite(down)),
-        hold(0.3),
-    ]
+    (down, up), pull, clearance = _and_back(Move(0.6, (0.0, 0.0, -0.045))), 0.1, 0.006
+    shut = [Move(1.4, (0.0, pull + clearance, 0.0)), hold(0.2), Move(0.3, (0.0, -clearance, 0.0))]
+    return [hold(0.3), down, hold(0.1), Move(1.4, (0.0, -pull, 0.0)), hold(0.4), *shut, up, hold(0.3)]
 
 
 def open_a_door() -> list[Move]:
-    push = (0.0, 0.085, 0.0)
-    return [hold(0.3), Move(1.4, push), hold(0.6), Move(1.4, opposite(push)), hold(1.0)]
+    push, back = _and_back(Move(1.4, (0.0, 0.085, 0.0)))
+    return [hold(0.3), push, hold(0.6), back, hold(1.0)]
 
 
 def press_a_button() -> list[Move]:
     """Return a motion down to the cap, slowly through the click, a wait, and slowly back through the other click."""
-    near, through = (0.0, 0.0, -0.0095), (0.0, 0.0, -0.005)
-    back = [Move(1.2, opposite(through)), Move(0.4, opposite(near))]
-    return [hold(0.3), Move(0.4, near), Move(1.2, through), hold(0.3), *back]
+    near, away = _and_back(Move(0.4, (0.0, 0.0, -0.0095)))
+    through, back = _and_back(Move(1.2, (0.0, 0.0, -0.005)))
+    return [hold(0.3), near, through, hold(0.3), back, away]
 
 
 def roll_a_pencil() -> list[Move]:
     """Return a motion onto the pencil, 10 mm across it, and back."""
-    down, across = (0.0, 0.0, PRESSED_M - ABOVE_M - 0.001), (PENCIL_WAY_M, 0.0, 0.0)
-    return [
-        hold(0.3),
-        Move(0.6, down),
-        hold(0.2),
-        Move(1.0, across),
-        hold(0.3),
-        Move(1.0, opposite(across)),
-        hold(0.2),
-        Move(0.6, opposite(down)),
-        hold(0.3),
-    ]
+    across, back = _and_back(Move(1.0, (PENCIL_WAY_M, 0.0, 0.0)))
+    return _touch(Move(0.6, (0.0, 0.0, PRESSED_M - ABOVE_M - 0.001)), [across, hold(0.3), back], 0.6)
 
 
 def push_a_ball() -> list[Move]:
     """Return a motion behind the ball, up the side of its bowl, and away; the ball rolls back and swings."""
     down, along, away = (0.0, 0.0, -0.026), (0.04, 0.0, 0.0), (-0.005, 0.0, 0.026)
-    return [
-        hold(0.3),
-        Move(0.5, down),
-        Move(1.0, along),
-        hold(0.2),
-        Move(0.15, away),
-        hold(4.0),
-        Move(0.8, (-along[0] - away[0], 0.0, -down[2] - away[2])),
-        hold(0.2),
-    ]
+    back = Move(0.8, (-along[0] - away[0], 0.0, -down[2] - away[2]))
+    return [hold(0.3), Move(0.5, down), Move(1.0, along), hold(0.2), Move(0.15, away), hold(4.0), back, hold(0.2)]
 
 
 def stack(side: float) -> list[Move]:
@@ -235,18 +173,9 @@ def stack(side: float) -> list[Move]:
 
     It grips, lifts, carries, sets down and releases the box, then does the same in reverse.
     """
-    take = (-side * (ABOVE_M - RADIUS_M + 0.004), 0.0, 0.0)
-    lift_m, lower_m, carry = (0.0, 0.0, 0.064), (0.0, 0.0, -0.0045), (0.0, 0.06, 0.0)
-    forward = [
-        Move(0.6, take),
-        hold(0.2),
-        Move(0.9, lift_m),
-        Move(0.8, carry),
-        hold(0.2),
-        Move(0.4, lower_m),
-        hold(0.2),
-        Move(0.5, opposite(take)),
-    ]
+    take_m = ABOVE_M - RADIUS_M + 0.004
+    carry = [Move(0.9, (0.0, 0.0, 0.064)), Move(0.8, (0.0, 0.06, 0.0)), hold(0.2), Move(0.4, (0.0, 0.0, -0.0045))]
+    forward = [_inwards(side, 0.6, take_m), hold(0.2), *carry, hold(0.2), _inwards(side, 0.5, -take_m)]
     back = [
         move if move.travel == (0.0, 0.0, 0.0) else Move(move.seconds, opposite(move.travel)) for move in forward[::-1]
     ]
@@ -256,32 +185,21 @@ def stack(side: float) -> list[Move]:
 def plates() -> list[Move]:
     """Return a motion over a row of plates: on each one down, a stroke and back, up; then back to the first."""
     down, stroke, on = (0.0, 0.0, PRESSED_M - 0.001 - ABOVE_M), (0.0, 0.015, 0.0), (PLATE_PITCH_M, 0.0, 0.0)
-    samples = [
-        Move(0.5, down),
-        hold(0.2),
-        Move(0.5, stroke),
-        Move(0.5, opposite(stroke)),
-        hold(0.1),
-        Move(0.3, opposite(down)),
-    ]
+    samples = [Move(0.5, down), hold(0.2), *_and_back(Move(0.5, stroke)), hold(0.1), Move(0.3, opposite(down))]
     row = [*samples, *((PLATES - 1) * [Move(0.4, on), *samples])]
     return [hold(0.3), *row, Move(1.2, (-(PLATES - 1) * PLATE_PITCH_M, 0.0, 0.0)), hold(0.3)]
 
 
 def press_a_pad() -> list[Move]:
     """Return a motion that presses a pad 5 mm deep, strokes 12 mm along y, which sticks and then slides, and back."""
-    return _press_and_stroke(Move(0.8, (0.0, 0.0, RADIUS_M - 0.005 - ABOVE_M)), Move(0.8, (0.0, 0.012, 0.0)), 0.6)
+    strokes = _and_back(Move(0.8, (0.0, 0.012, 0.0)))
+    return _touch(Move(0.8, (0.0, 0.0, RADIUS_M - 0.005 - ABOVE_M)), strokes, 0.6, settle_s=0.3)
 
 
 def bend_a_strip() -> list[Move]:
     """Return a motion that bends a strip near its free end, moves 30 mm towards its clamp and back, and lets it go."""
-    return _press_and_stroke(Move(1.0, (0.0, 0.0, RADIUS_M - 0.01 - ABOVE_M)), Move(1.0, (-0.03, 0.0, 0.0)), 0.5)
-
-
-def _press_and_stroke(down: Move, stroke: Move, up_s: float) -> list[Move]:
-    """Return a motion down, along a stroke and back, and up within `up_s`."""
-    back, up = Move(stroke.seconds, opposite(stroke.travel)), Move(up_s, opposite(down.travel))
-    return [hold(0.3), down, hold(0.3), stroke, back, hold(0.2), up, hold(0.3)]
+    strokes = _and_back(Move(1.0, (-0.03, 0.0, 0.0)))
+    return _touch(Move(1.0, (0.0, 0.0, RADIUS_M - 0.01 - ABOVE_M)), strokes, 0.5, settle_s=0.3)
 
 
 def squeeze(side: float, presses: bool) -> list[Move]:
@@ -289,7 +207,7 @@ def squeeze(side: float, presses: bool) -> list[Move]:
 
     It touches with 1 mm of depth; the finger that presses does so twice by another 4 mm, while the other waits.
     """
-    touch, press_in = (-side * (ABOVE_M - PRESSED_M), 0.0, 0.0), (-side * 0.004, 0.0, 0.0)
-    squeezes = [Move(0.7, press_in), hold(0.2), Move(0.7, opposite(press_in)), hold(0.2)]
-    middle = 2 * squeezes if presses else [hold(2 * sum(move.seconds for move in squeezes))]
-    return [hold(0.3), Move(0.6, touch), hold(0.2), *middle, Move(0.5, opposite(touch)), hold(0.3)]
+    press_in, let_out = _and_back(_inwards(side, 0.7, 0.004))
+    squeezes = [press_in, hold(0.2), let_out, hold(0.2), press_in, hold(0.2), let_out]
+    middle = squeezes if presses else [hold(sum(move.seconds for move in squeezes))]
+    return _touch(_inwards(side, 0.6, ABOVE_M - PRESSED_M), middle, 0.5)

@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from softfinger.server.offline.figures import plot_file
 
 PUSH_N: Final = 0.2
 """Amplitude of the pushes: a tenth of the force of most devices, and more than the friction of a good one."""
-BOXES: Final = 3
-REPORT: Final = "softfinger-report.tar.gz"
+
+
+def add_option(parser: argparse._ActionsContainer, flag: str, default: Any, text: str, **settings: Any) -> None:
+    """Add an option whose default, which its help shows, is of the type of its values."""
+    settings = {"type": type(default), "default": default, "help": f"{text} (default: %(default)s)"} | settings
+    parser.add_argument(flag, **settings)
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -66,30 +70,15 @@ def configure_report(parser: argparse.ArgumentParser) -> None:
         "with their log. Names of the user and the machine, folders and serial numbers are removed. Check the "
         "archive before you send it."
     )
-    parser.add_argument("--rig", default="replay", help="rig file or name (default: %(default)s)")
-    parser.add_argument("--scene", default="paper-plane", help="scene file or name (default: %(default)s)")
-    parser.add_argument("--out", type=Path, default=Path(REPORT), metavar="FILE", help="archive (default: %(default)s)")
-    parser.add_argument(
-        "--boxes",
-        type=int,
-        default=BOXES,
-        metavar="N",
-        help="number of black boxes, latest first (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seconds", type=float, default=1.0, help="duration of each measurement of doctor (default: %(default)s)"
-    )
+    add_option(parser, "--rig", "replay", "rig file or name")
+    add_option(parser, "--scene", "paper-plane", "scene file or name")
+    add_option(parser, "--out", Path("softfinger-report.tar.gz"), "archive", type=Path, metavar="FILE")
+    add_option(parser, "--boxes", 3, "number of black boxes, latest first", metavar="N")
+    add_option(parser, "--seconds", 1.0, "duration of each measurement of doctor")
 
 
 def configure_calibrate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--rig",
-        default="falcon",
-        metavar="FILE",
-        help="rig file of a Falcon, or the name of a shipped one (default: %(default)s)",
-    )
+    add_option(parser, "--rig", "falcon", "rig file of a Falcon, or the name of a shipped one", metavar="FILE")
     parser.add_argument("--mass", type=float, required=True, metavar="KG", help="mass of the weight, 0.02 to 0.4")
-    parser.add_argument(
-        "--hang", type=float, default=60.0, metavar="S", help="time to attach the weight (default: %(default)s)"
-    )
+    add_option(parser, "--hang", 60.0, "time to attach the weight", metavar="S")
     add_output_options(parser)

@@ -6,26 +6,19 @@ python -m softfinger.tools.patches_figure docs/figures/patches.svg
 from __future__ import annotations
 
 import sys
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from rich.console import Console
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.offline.figures import figure, save
 from softfinger.tools.accuracy.report import WIDTH, table
 from softfinger.tools.measure import Array
+from softfinger.tools.pages.figures import GRIP, RADIUS_M, poses, run
 
-RADIUS_M: Final = 0.01
-"""Fingertip of the paper."""
 PRESS_M: Final = 0.001
-GRIP: Final = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
-"""Coefficients of the acceptance table; 1 N at a depth of 1 mm."""
 ICE: Final = {"kinetic": 0.0}
 """Friction table that stands for no friction."""
 EIGHTH: Final = float(np.pi / 8.0)
@@ -53,13 +46,12 @@ class Drag(NamedTuple):
 
 def make_path(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
     """Return upright poses (n, 7) from corner to corner, with `ticks` ticks each."""
-    points = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
-    return np.hstack([np.vstack(points), np.tile([1.0, 0.0, 0.0, 0.0], (ticks * len(points), 1))])
+    return poses(*corners, ticks=ticks)[:-1]
 
 
 def record_case(case: TouchCase) -> Array:
-    tables = {"fingertip": {"radius_m": RADIUS_M}, "rolling": {"method": "rotation_vector"}, "object": case.objects}
-    return Engine(build(Scene, tables, "the figure of patches")).run(case.poses)
+    records: Array = run(case.objects, case.poses, rolling={"method": "rotation_vector"})
+    return records
 
 
 def over(objects: list[dict[str, Any]]) -> TouchCase:

@@ -13,13 +13,16 @@ scene with moving bodies or an elastic object has one or two motions.
 from __future__ import annotations
 
 import argparse
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from softfinger.drivers import quaternions
 from softfinger.tools import motions
-from softfinger.tools.motions import ABOVE_M, RATE_HZ, Move, Quaternion, Vector
+from softfinger.tools.motions import ABOVE_M, RATE_HZ, Move, Vector
 
 HEADER: Final = "t,x,y,z,qw,qx,qy,qz"
 OVER_THE_PLANE: Final = (0.0, 0.0, ABOVE_M)
@@ -66,17 +69,21 @@ RECORDINGS: Final[dict[str, Script]] = {
 
 
 def to_csv(script: Script) -> str:
-    position, moves = script.start, script.moves()
-    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    lines, row = [HEADER], 0
-    for move in moves:
-        count = round(move.seconds * RATE_HZ)
-        for k in range(count):
-            lines.append(_line(row, *_at(position, orientation, move, k / count)))
-            row += 1
-        position, orientation = _at(position, orientation, move, 1.0)
-    lines.append(_line(row, position, orientation))
-    return "\n".join(lines) + "\n"
+    position, orientation, parts = np.array(script.start), np.array([1.0, 0.0, 0.0, 0.0]), []
+    for move in script.moves():
+        u = np.linspace(0.0, 1.0, round(move.seconds * RATE_HZ) + 1)[:, None]
+        share = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        positions = position + share * move.travel
+        orientations = quaternions.multiply(quaternions.exp(share * move.turn), orientation)
+        parts.append(np.hstack([positions, orientations])[:-1])
+        position, orientation = positions[-1], orientations[-1]
+    poses = np.vstack([*parts, [*position, *orientation]])
+    # Rounding, then adding zero keeps "-0.0000000" out of the file.
+    rounded = np.hstack([poses[:, :3].round(7), poses[:, 3:].round(8)]) + 0.0
+    rows = np.column_stack([np.arange(len(poses)) / RATE_HZ, rounded])
+    text = io.StringIO()
+    np.savetxt(text, rows, ["%.2f", *["%.7f"] * 3, *["%.8f"] * 4], ",", header=HEADER, comments="")
+    return text.getvalue()
 
 
 def write(folder: Path) -> list[Path]:
@@ -86,19 +93,6 @@ def write(folder: Path) -> list[Path]:
     for path, script in zip(paths, RECORDINGS.values(), strict=True):
         path.write_text(to_csv(script), encoding="ascii", newline="\n")
     return paths
-
-
-def _at(position: Vector, orientation: Quaternion, move: Move, u: float) -> tuple[Vector, Quaternion]:
-    progress = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    x, y, z = (p + progress * d for p, d in zip(position, move.travel, strict=True))
-    turn = quaternions.exp([progress * angle for angle in move.turn])
-    return (x, y, z), tuple(quaternions.multiply(turn, orientation).tolist())
-
-
-def _line(row: int, position: Vector, orientation: Quaternion) -> str:
-    # rounding then adding zero keeps "-0.0000000" out of the file
-    cells = [f"{round(p, 7) + 0.0:.7f}" for p in position] + [f"{round(q, 8) + 0.0:.8f}" for q in orientation]
-    return ",".join([f"{row / RATE_HZ:.2f}", *cells])
 
 
 def main() -> None:

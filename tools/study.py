@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, HapticError
+from softfinger.server.verbs.schema import grid
 from softfinger.tools.accuracy import report
 from softfinger.tools.patches_figure import draw_patches
 from softfinger.tools.stability import bodies, bodies_table
@@ -38,11 +39,9 @@ TABLES: Final = ("paper", "bodies")
 
 
 def markdown(table: Any) -> str:
-    """Convert a rich table to a Markdown table."""
     heads = [str(column.header).replace("\n", "_") for column in table.columns]
-    rows = zip(*(column.cells for column in table.columns), strict=True)
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "".join(f"| {' | '.join(str(cell) for cell in line)} |\n" for line in lines)
+    rows = zip(*(map(str, column.cells) for column in table.columns), strict=True)
+    return grid(heads, [list(row) for row in rows]) + "\n"
 
 
 def insert(page: str, tables: Mapping[str, str]) -> str:

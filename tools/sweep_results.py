@@ -27,19 +27,34 @@ log: Final = logging.getLogger(__name__)
 
 
 class StoredResults:
-    """Results by the key of their case: `by_key` contains the results in the file, `append` adds new ones."""
+    """Results by the key of their case in `by_key`; new ones are also written to the file if there is one."""
 
-    def __init__(self, by_key: dict[str, Any], file: _ResultFile | None) -> None:
-        self.by_key = by_key
+    def __init__(self, file: IO[bytes] | None = None) -> None:
+        self.by_key: dict[str, Any] = {}
         self._file = file
+        if file is not None:
+            from mcap.writer import CompressionType, IndexType, Writer
+
+            # A chunk ends with the message that fills it. With a chunk size of one byte, every message is a chunk with
+            # a checksum.
+            self._writer: Any = Writer(file, 1, CompressionType.NONE, IndexType.NONE)
+            self._writer.start(profile="", library="softfinger")
+            self._channel = self._writer.register_channel(TOPIC, "msgpack", schema_id=0)
 
     def append(self, rows: Iterable[tuple[str, Any, Any]]) -> None:
         """Add key, case and result of each case of a block; on return, they are in the file if there is one."""
         for key, case, result in rows:
-            self.by_key[key] = result
             if self._file is not None:
-                self._file.add({"key": key, "case": case, "result": result})
+                now, number = time.time_ns(), len(self.by_key) & 0xFFFFFFFF
+                data = msgspec.msgpack.encode({"key": key, "case": case, "result": result})
+                self._writer.add_message(self._channel, now, data, now, sequence=number)
+            self.by_key[key] = result
         if self._file is not None:
+            self._file.flush()
+
+    def finish(self) -> None:
+        if self._file is not None:
+            self._writer.finish()
             self._file.flush()
 
 
@@ -51,7 +66,7 @@ def open_rows(path: Path | None) -> Iterator[StoredResults]:
     or written, has other contents, or is in use by another run.
     """
     if path is None:
-        yield StoredResults({}, None)
+        yield StoredResults()
         return
     try:
         with ExitStack() as files:
@@ -63,19 +78,17 @@ def open_rows(path: Path | None) -> Iterator[StoredResults]:
             if not os.path.samestat(os.fstat(old.fileno()), os.stat(target)):
                 raise _in_use_error(path)
             size = os.fstat(old.fileno()).st_size
-            finished = list(_read(path, old)) if size else []
+            finished = _read(path, old) if size else []
             # The file is rewritten, since MCAP cannot append, and this also removes a damaged end.
             with new_file(target) as target_file:
                 new = files.enter_context(open(os.dup(target_file.fileno()), "wb"))
                 _lock(new, path)
-                file = _ResultFile(path, new)
-                for row in finished:
-                    file.add(row)
-                file.flush()
+                results = StoredResults(new)
+                results.append((row["key"], row["case"], row["result"]) for row in finished)
             try:
-                yield StoredResults({row["key"]: row["result"] for row in finished}, file)
+                yield results
             finally:
-                file.finish()
+                results.finish()
     except OSError as error:
         if isinstance(error, ConnectionError | TimeoutError):
             raise
@@ -94,55 +107,25 @@ def _in_use_error(path: Path) -> RecordingError:
     return RecordingError(f"{path}: another run is writing to it: wait until it ends or choose another file")
 
 
-def _read(path: Path, file: IO[bytes]) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the file up to the damage."""
-    count, is_complete = 0, False
+def _read(path: Path, file: IO[bytes]) -> list[dict[str, Any]]:
+    """Return the rows of the file up to the damage."""
+    rows: list[dict[str, Any]] = []
     try:
         for _, channel, message in mcap_messages(file, None):
             row = msgspec.msgpack.decode(message.data)
             if channel.topic != TOPIC or not isinstance(row, dict) or row.keys() != {"key", "case", "result"}:
                 raise RecordingError(f"{path}: not a file of sweep results: name another, it would be overwritten")
-            yield row
-            count += 1
-        is_complete = True
+            rows.append(row)
+        if not rows:
+            log.info("%s has no finished case", path)
     except RecordingError:
         raise
-    except GeneratorExit:
-        return
     except Exception as error:  # the decoders fail in many ways on damaged bytes
         reason = f"{type(error).__name__}: {str(error)[:120]}"
         file.seek(0)
         if file.read(5) != b"\x89MCAP":
             raise RecordingError(f"{path}: not a file of sweep results ({reason}): name another") from error
         log.warning(
-            "%s is truncated or damaged (%s): %d finished cases read, the remainder is ignored", path, reason, count
+            "%s is truncated or damaged (%s): %d finished cases read, the remainder is ignored", path, reason, len(rows)
         )
-    if is_complete and not count:
-        log.info("%s has no finished case", path)
-
-
-class _ResultFile:
-    """MCAP file that is being written."""
-
-    def __init__(self, path: Path, file: IO[bytes]) -> None:
-        from mcap.writer import CompressionType, IndexType, Writer
-
-        self._path, self._file, self._count = path, file, 0
-        # A chunk ends with the message that fills it. With a chunk size of one byte, every message is a chunk with a
-        # checksum.
-        self._writer: Any = Writer(file, 1, CompressionType.NONE, IndexType.NONE)
-        self._writer.start(profile="", library="softfinger")
-        self._channel = self._writer.register_channel(TOPIC, "msgpack", schema_id=0)
-
-    def add(self, row: dict[str, Any]) -> None:
-        now = time.time_ns()
-        data = msgspec.msgpack.encode(row)
-        self._writer.add_message(self._channel, now, data, now, sequence=self._count & 0xFFFFFFFF)
-        self._count += 1
-
-    def flush(self) -> None:
-        self._file.flush()
-
-    def finish(self) -> None:
-        self._writer.finish()
-        self._file.flush()
+    return rows

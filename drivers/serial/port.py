@@ -39,7 +39,7 @@ def open_port(options: Options) -> tuple[int, str]:
         if not os.isatty(fd):
             raise DeviceError(f"{path} is not a serial port: use a /dev/ttyACMN, or remove `path`")
         try:
-            _set_raw(fd, options.baud)
+            set_raw(fd, options.baud)
         except (OSError, termios.error) as error:
             raise DeviceError(f"{path} cannot be set to raw mode: {error}: plug the device in again") from error
     except BaseException:
@@ -139,7 +139,7 @@ def _how_to_permit(path: str, options: Options) -> str:
     return how_to_permit(options.vendor_id, options.product_id)
 
 
-def _set_raw(fd: int, baud: int) -> None:
+def set_raw(fd: int, baud: int) -> None:
     # `flock` excludes other instances of this program, TIOCEXCL every program that does not run as root
     fcntl.ioctl(fd, termios.TIOCEXCL)
     settings = termios.tcgetattr(fd)

@@ -10,7 +10,6 @@ The bus is slower than the loop: see docs/devices/leader-arms.md.
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import math
 import os
@@ -21,7 +20,6 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from softfinger_leader_bus import Bus, BusError, Dynamixel, Feetech
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceLost, DeviceTimeout
@@ -41,13 +39,15 @@ from softfinger.drivers.haply.exchange import (
     WRITE_TIME,
 )
 from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.serial.port import set_raw
 from softfinger.drivers.system.nodes import open_locked
 from softfinger.proxy.kernels.jit.seqlock import Slot, publish, read
-from softfinger.proxy.kernels.numerics.rotations import from_matrix
+from softfinger.proxy.kernels.model import Quaternion, Vec3
+from softfinger.proxy.kernels.numerics.rotations import about_x, about_y, about_z, exp, multiply, rotate
+from softfinger.proxy.kernels.numerics.vec3 import add, scale
 
 log: Final = logging.getLogger(__name__)
 
-Matrix = NDArray[np.float64]
 COUNTS_PER_TURN: Final = 4096
 WAIT_S: Final = 0.02
 """Maximum duration of one transaction. Seven servos at 57600 Bd take 25 ms: set a higher baud rate in the servos."""
@@ -93,10 +93,11 @@ class Options(Table, frozen=True, kw_only=True):
 
 
 class Link(NamedTuple):
-    """Joint of the chain: pose (4, 4) in the previous link at angle 0, axis (3,), and name; fixed without a name."""
+    """Joint of the chain: pose in the previous link at angle 0, unit axis, and name; fixed without a name."""
 
-    origin: Matrix
-    axis: Matrix
+    position: Vec3
+    orientation: Quaternion
+    axis: Vec3
     name: str
 
 
@@ -112,11 +113,11 @@ def read_chain(file: str, tip: str, names: set[str]) -> list[Link]:
     while (joint := joints.pop(link, None)) is not None:
         origin, axis = joint.find("origin"), joint.find("axis")
         place = {} if origin is None else origin.attrib
-        frame = np.eye(4)
-        frame[:3, :3] = _from_rpy(*_floats(place.get("rpy", "0 0 0")))
-        frame[:3, 3] = _floats(place.get("xyz", "0 0 0"))
+        roll, pitch, yaw = _floats(place.get("rpy", "0 0 0"))
+        turn = multiply(about_z(yaw), multiply(about_y(pitch), about_x(roll)))
         name = joint.get("name", "") if joint.get("type") in ("revolute", "continuous") else ""
-        chain.append(Link(frame, np.array(_floats("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))), name))
+        about = _floats("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))
+        chain.append(Link(_floats(place.get("xyz", "0 0 0")), turn, about, name))
         link = joint.find("parent").get("link")
     turning = {one.name for one in chain if one.name}
     if not chain or turning != names:
@@ -127,17 +128,16 @@ def read_chain(file: str, tip: str, names: set[str]) -> list[Link]:
     return chain[::-1]
 
 
-def forward(chain: list[Link], angles: dict[str, float]) -> tuple[Matrix, dict[str, tuple[Matrix, Matrix]]]:
-    """Return pose of the tip (4, 4) at joint angles (rad), and position and axis of each joint, in the base frame."""
-    pose, joints = np.eye(4), {}
+def forward(chain: list[Link], angles: dict[str, float]) -> tuple[Vec3, Quaternion, dict[str, tuple[Vec3, Vec3]]]:
+    """Return pose of the tip at joint angles (rad), and position and axis of each joint, in the base frame."""
+    position, orientation, joints = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), {}
     for link in chain:
-        pose = pose @ link.origin
+        position = add(position, rotate(orientation, link.position))
+        orientation = multiply(orientation, link.orientation)
         if link.name:
-            joints[link.name] = pose[:3, 3].copy(), pose[:3, :3] @ link.axis
-            turn = np.eye(4)
-            turn[:3, :3] = _about(link.axis, angles[link.name])
-            pose = pose @ turn
-    return pose, joints
+            joints[link.name] = position, rotate(orientation, link.axis)
+            orientation = multiply(orientation, exp(scale(angles[link.name], link.axis)))
+    return position, orientation, joints
 
 
 class LeaderArm(Device):
@@ -270,12 +270,11 @@ class LeaderArm(Device):
             joint.name: (-1 if joint.reversed else 1) * (count - joint.zero) * math.tau / COUNTS_PER_TURN
             for joint, count in zip(self._options.joint, counts, strict=True)
         }
-        pose, joints = forward(self._chain, angles)
+        position, orientation, joints = forward(self._chain, angles)
         if self._options.force_joint is not None:
             place, axis = joints[self._options.force_joint]
-            self._jacobian = np.cross(axis, pose[:3, 3] - place)
-        rotation = tuple(map(tuple, pose[:3, :3].tolist()))
-        publish(self._poses, np.array([*pose[:3, 3], *from_matrix(rotation), 0.0, time.monotonic_ns()]))
+            self._jacobian = np.cross(axis, np.subtract(position, place))
+        publish(self._poses, np.array([*position, *orientation, 0.0, time.monotonic_ns()]))
         self._block.word[AT.states] += 1
 
     def _run(self) -> None:
@@ -348,35 +347,13 @@ def open_device(options: Options, rate_hz: float) -> LeaderArm:
     chain = read_chain(options.urdf, options.tip, names)
     fd = open_locked(options.path, "sudo usermod -aG dialout $USER, and log in again")
     try:
-        _set_raw(fd, options.baud)
+        set_raw(fd, options.baud)
     except (OSError, termios.error) as error:
         os.close(fd)
         raise DeviceError(f"{options.path} is not a serial port: {error}: name the port of the bus as path") from error
     return LeaderArm(options, chain, fd)
 
 
-def _set_raw(fd: int, baud: int) -> None:
-    fcntl.ioctl(fd, termios.TIOCEXCL)
-    settings = termios.tcgetattr(fd)
-    settings[0] = settings[1] = settings[3] = 0
-    settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
-    settings[4] = settings[5] = getattr(termios, f"B{baud}")
-    settings[6][termios.VMIN], settings[6][termios.VTIME] = 1, 0
-    termios.tcsetattr(fd, termios.TCSANOW, settings)
-
-
 def _floats(text: str) -> tuple[float, float, float]:
     x, y, z = map(float, text.split())
     return x, y, z
-
-
-def _from_rpy(roll: float, pitch: float, yaw: float) -> Matrix:
-    x, y, z = np.eye(3)
-    return _about(z, yaw) @ _about(y, pitch) @ _about(x, roll)
-
-
-def _about(axis: Matrix, angle: float) -> Matrix:
-    """Return the rotation (3, 3) about a unit axis, after Rodrigues."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross

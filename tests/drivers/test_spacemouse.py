@@ -13,7 +13,6 @@ import numba
 import numpy as np
 import pytest
 from emulators import puck as emulated
-from helpers.blocks import whole
 from helpers.closed_loop import assert_engine_agrees
 from helpers.hid_devices import RefusedNode, ends
 from scipy.spatial.transform import Rotation
@@ -349,7 +348,7 @@ def test_a_puck_excludes_other_goals() -> None:
             build(SimulatedOptions, {"puck": {}, key: value}, "rig")
     rig = load_rig("simulated-spacemouse")
     with pytest.raises(ConfigError, match="cannot run offline"):
-        whole(simulate_devices(load_scene("paper-plane"), rig, 0.1))
+        list(simulate_devices(load_scene("paper-plane"), rig, 0.1))
 
 
 def test_selection_of_a_puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -56,8 +56,6 @@ def coloured(picture: NDArray[np.int64]) -> dict[str, int]:
 
 
 class Screen:
-    """A page in the browser."""
-
     def __init__(self, page: Any) -> None:
         self.page = page
 
@@ -102,7 +100,6 @@ class Screen:
         session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
     def choose(self, label: str, value: str) -> None:
-        """Choose a value of a dropdown."""
         field = self.page.locator(f"xpath=//label[normalize-space()={label!r}]/following::input[1]")
         field.click(timeout=1e3 * WAIT_S)
         self.page.get_by_role("option", name=value, exact=True).click(timeout=1e3 * WAIT_S)
@@ -117,7 +114,6 @@ class Screen:
         self.page.get_by_role("tab", name=name).click(timeout=1e3 * WAIT_S)
 
     def shows(self, text: str) -> bool:
-        """Return whether the page contains a text."""
         return bool(self.page.get_by_text(text).count())
 
 

@@ -18,7 +18,6 @@ class VerbResult(NamedTuple):
 
 
 def called(*words: str) -> VerbResult:
-    """Call `main` as the program does."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:

@@ -50,7 +50,6 @@ def records_of_daemon(rig: Rig, scene: Scene, ticks: int | None) -> Array:
 
 
 def _stroke(contacts: Iterator[Any]) -> Iterator[Any]:
-    """Yield the records of one stroke."""
     counts = [0, 0, 0]
     for record in contacts:
         yield record

@@ -27,8 +27,6 @@ def make_daemon(
 
 
 class RecordSink:
-    """Sink of a daemon that stores all records."""
-
     def __init__(self) -> None:
         self.batches: list[np.ndarray] = []
         self.sink = Sink("records", lambda records, drops: self.batches.append(records.copy()))

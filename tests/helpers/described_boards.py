@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from emulators.haply2diy import Firmware, place
 
+from helpers.rig_files import rig_options
 from helpers.waits import WAIT_S, eventually
-from softfinger.config.load import build, load_rig
-from softfinger.drivers.serial.device import Options, SerialDevice, open_device
+from softfinger.drivers.serial.device import SerialDevice, open_device
 
 PATIENT = {"quiet_s": 0.1, "timeout_s": 0.5}
 """Time limits for a busy machine, on which a thread may answer late."""
@@ -22,10 +22,6 @@ TO_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 ALONG = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
 """Direction in the world in which the handle of a Hapkit mounted `ASLANT` moves."""
 ASLANT = {"position_m": [0.0, 0.0, 0.03], "orientation_wxyz": [np.cos(np.pi / 8), 0.0, -np.sin(np.pi / 8), 0.0]}
-
-
-def rig_options(rig: str, **changes: Any) -> Options:
-    return build(Options, {**load_rig(rig).device.options, **changes}, f"{rig} [device]")
 
 
 def opened(rig: str, path: str, **changes: Any) -> SerialDevice:

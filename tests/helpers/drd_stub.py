@@ -27,8 +27,6 @@ LOGGED = 1 << 14
 
 
 class Stub(CStub):
-    """Stub of Force Dimension's library."""
-
     def force(self) -> tuple[float, float, float]:
         """Return the present force of the motors in the library's frame (x towards the user, y right, z up)."""
         out = (ctypes.c_double * 3)()
@@ -86,8 +84,6 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
 
 
 class OmegaBench(Bench):
-    """Bench with an omega on the stub."""
-
     def __init__(self, stub: Stub) -> None:
         self.stub = stub
         self.forbidden = False

@@ -19,7 +19,6 @@ def _contact_map(values, every):
 
 
 def contact_map(record, every=1):
-    """Return the message map of one record (RECORD_SIZE,)."""
     usable = record.copy()
     # a nan or inf in an integer field (buttons of a device) becomes 0
     usable[_INT_COLUMNS] = np.nan_to_num(record[_INT_COLUMNS], nan=0.0, posinf=0.0, neginf=0.0)
@@ -27,7 +26,6 @@ def contact_map(record, every=1):
 
 
 def state_map(record, scene, epoch_s=0.0):
-    """Return the message of topic `state` for one record."""
     row = record.tolist()
     return {
         "timestamp": row[AT.timestamp] - epoch_s,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from helpers.remote_bench import RemoteBench
-from softfinger.config.load import build, load_rig
+from helpers.rig_files import rig_options
 from softfinger.drivers.base import OK, STALE, WITHHELD
-from softfinger.drivers.falcon.device import Falcon, Options, open_device
+from softfinger.drivers.falcon.device import Falcon, open_device
 from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
 
 
@@ -23,8 +23,7 @@ class Emulated(RemoteBench):
 
     def open(self) -> Falcon:
         # A tick of the emulation waits for two other programs: it has longer silences than a bus.
-        options = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
-        device = open_device(build(Options, options, "falcon [device]"), RATE_HZ)
+        device = open_device(rig_options("falcon", kick_s=0.15, timeout_s=1.0), RATE_HZ)
         device.arm()
         return device
 

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 import msgpack
 import numpy as np
+import trimesh
 from PIL import Image
 
 MODELS: Final = [
@@ -28,56 +29,20 @@ iyy="1" iyz="0" izz="1"/></inertial><collision><geometry><box size="0.1 0.1 0.1"
 <joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"
 effort="1" velocity="1"/></joint></robot>""",
 ]
-_CORNERS: Final = ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.01))
-_FACES: Final = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
-STL: Final = [
-    bytes(80)
-    + struct.pack("<I", len(_FACES))
-    + b"".join(struct.pack("<12fH", 0, 0, 0, *(v for k in face for v in _CORNERS[k]), 0) for face in _FACES),
-    b"solid a\n"
-    + b"".join(
-        b"facet normal 0 0 0\nouter loop\n"
-        + b"".join(b"vertex %g %g %g\n" % _CORNERS[k] for k in face)
-        + b"endloop\nendfacet\n"
-        for face in _FACES
-    )
-    + b"endsolid a\n",
-]
-OBJ: Final = [
-    b"".join(b"v %g %g %g\n" % corner for corner in _CORNERS)
-    + b"".join(b"f %d %d %d\n" % (a + 1, b + 1, c + 1) for a, b, c in _FACES)
-]
-_PLY: Final = (
-    b"ply\nformat %s 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-    b"element face 4\nproperty list uchar int vertex_indices\nend_header\n"
+SOLID: Final = trimesh.Trimesh(
+    ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.01)),
+    ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)),
+    process=False,
 )
-PLY: Final = [
-    _PLY % b"ascii"
-    + b"".join(b"%g %g %g\n" % corner for corner in _CORNERS)
-    + b"".join(b"3 %d %d %d\n" % face for face in _FACES),
-    _PLY % b"binary_little_endian"
-    + b"".join(struct.pack("<3f", *corner) for corner in _CORNERS)
-    + b"".join(struct.pack("<B3i", 3, *face) for face in _FACES),
-]
-_GLB_POINTS: Final = b"".join(struct.pack("<3f", *corner) for corner in _CORNERS)
-_GLB_JSON: Final = (
-    b'{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0,"scale":[1,1,2],"children":[1]},{"mesh":0}],'
-    b'"meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1,"mode":4}]}],"buffers":[{"byteLength":60}],'
-    b'"accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3"},'
-    b'{"bufferView":1,"componentType":5121,"count":12,"type":"SCALAR"}],'
-    b'"bufferViews":[{"buffer":0,"byteLength":48},{"buffer":0,"byteOffset":48,"byteLength":12}]}   '
-)
-GLB: Final = (
-    struct.pack("<4sIIII", b"glTF", 2, 28 + len(_GLB_JSON) + 60, len(_GLB_JSON), 0x4E4F534A)
-    + _GLB_JSON
-    + struct.pack("<II", 60, 0x4E4942)
-    + _GLB_POINTS
-    + bytes(corner for face in _FACES for corner in face)
-)
+STL: Final = [SOLID.export(file_type="stl"), SOLID.export(file_type="stl_ascii").encode()]
+OBJ: Final = [SOLID.export(file_type="obj").encode()]
+PLY: Final = [SOLID.export(file_type="ply", encoding=encoding) for encoding in ("ascii", "binary")]
+TWICE: Final = trimesh.Scene(SOLID)
+TWICE.add_geometry(SOLID, transform=np.diag((1.0, 1.0, 2.0, 1.0)))
+GLB: Final = [TWICE.export(file_type="glb")]
 
 
 def pictures() -> list[bytes]:
-    """Grey pictures of 8 and 16 bits."""
     heights = np.arange(64, dtype=np.uint8).reshape(8, 8)
     made = []
     for pixels in (heights, heights.astype(np.uint16) * 1000):
@@ -135,7 +100,8 @@ def _finite_or_refused(usable: bool, values: Any) -> None:
 
 
 def _hid(_: Path, data: bytes) -> None:
-    from helpers.hid_devices import RIGS, rig_options
+    from helpers.hid_devices import RIGS
+    from helpers.rig_files import rig_options
     from softfinger.drivers.fields import table
 
     for rig in RIGS:
@@ -165,15 +131,12 @@ def _serial_text(_: Path, data: bytes) -> None:
 
 
 def _serial_described(_: Path, data: bytes) -> None:
-    from softfinger.config.load import build, load_rig
+    from helpers.rig_files import rig_options
     from softfinger.drivers.fields import table
     from softfinger.drivers.serial import packets
-    from softfinger.drivers.serial.device import Options
 
     for rig in ("haply-2diy", "hapkit"):
-        options = build(Options, load_rig(rig).device.options, rig)
-        assert options.frames is not None
-        frame = options.frames.input
+        frame = rig_options(rig).frames.input
         shape, fields = packets.make_shape(frame, False), table.input_table(frame.field)
         numbers = np.zeros(table.SENSED_SIZE), np.zeros(table.SENSED_SIZE)
         buffer = np.zeros(len(data) + frame.bytes, np.uint8)

@@ -20,7 +20,7 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -153,12 +153,13 @@ def targets() -> dict[str, Target]:
     config, recording = (ConfigError,), (RecordingError,)
 
     def every(path: Path, _: bytes) -> None:
+        refusal = None
         for read in (lambda: list(read_contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
             try:
                 read()
             except RecordingError as error:
                 refusal = error
-        if "refusal" in locals():
+        if refusal is not None:
             raise refusal
 
     return {
@@ -174,7 +175,7 @@ def targets() -> dict[str, Target]:
         "mesh-stl": Target(lambda: packets.STL, arrays_of, config, ".stl"),
         "mesh-obj": Target(lambda: packets.OBJ, arrays_of, config, ".obj"),
         "mesh-ply": Target(lambda: packets.PLY, arrays_of, config, ".ply"),
-        "mesh-glb": Target(lambda: [packets.GLB], arrays_of, config, ".glb"),
+        "mesh-glb": Target(lambda: packets.GLB, arrays_of, config, ".glb"),
         "grid-png": Target(packets.pictures, lambda path, _: read_grid(path), config, ".png"),
         "grid-npy": Target(packets.arrays, lambda path, _: read_grid(path), config, ".npy"),
         "command": Target(packets.commands, lambda _, data: parse(data), (Declined,), named=False),
@@ -201,11 +202,10 @@ def verdict(target: Target, path: Path, data: bytes) -> str:
     return ""
 
 
-def bounded() -> Iterator[None]:
+def bound_memory() -> None:
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + GROWTH_MAX
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    yield
 
 
 def main(name: str, seconds: float, seed: int, folder: Path) -> int:
@@ -215,7 +215,7 @@ def main(name: str, seconds: float, seed: int, folder: Path) -> int:
     if wrong := next(filter(None, (verdict(target, path, seed) for seed in seeds)), ""):
         print(f"of the seeds: {wrong}")
         return 1
-    next(bounded())
+    bound_memory()
     count, until = 0, time.monotonic() + seconds
     while time.monotonic() < until:
         data = mutated(seeds, chance)

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any, Self
 
+from helpers import rig_files
 from helpers.waits import eventually
-from softfinger.config.load import build, load_rig
-from softfinger.drivers.haply.device import HaplyDevice, Options, open_device
+from softfinger.drivers.haply.device import HaplyDevice, open_device
 
 RIG = "haply-inverse3"
 ID = "049D"
@@ -81,12 +81,10 @@ class Service:
             end.close()
 
 
-def rig_options(port: int, **changes: Any) -> Options:
+def rig_options(port: int, **changes: Any) -> Any:
     """Return the [device] table of the shipped rig with changed keys and limits for a busy machine."""
-    config = load_rig(RIG).device
-    assert config is not None
     patient = {"port": port, "stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
-    return build(Options, {**config.options, **patient, **changes}, f"{RIG} [device]")
+    return rig_files.rig_options(RIG, **patient | changes)
 
 
 def opened(service: Service, **changes: Any) -> HaplyDevice:

@@ -37,8 +37,6 @@ def journal_in(file: Path) -> NDArray[Any]:
 
 
 class HdStub(CStub):
-    """Stub of 3D Systems' library."""
-
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._library.stub_journal.restype = ctypes.c_void_p
@@ -89,8 +87,6 @@ PORT = SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM
 
 
 class TouchBench(Bench):
-    """Bench with a Touch on the stub."""
-
     def __init__(self, stub: HdStub, monkeypatch: pytest.MonkeyPatch) -> None:
         self.stub = stub
         self._patch = monkeypatch

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Self
 from emulators.hand import Vector
 from emulators.woodenhaptics import Woody
 
-from softfinger.config.load import build, load_rig
+from helpers.rig_files import rig_options
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
 from softfinger.server import driver_contract
@@ -36,10 +36,6 @@ RIGS = {
     "woodenhaptics-vintage": "vintage",
 }
 """Shipped rigs and the rows of the emulator's table."""
-
-
-def rig_options(rig: str, **changes: Any) -> Options:
-    return build(Options, {**load_rig(rig).device.options, **changes}, f"{rig} [device]")
 
 
 def described(**changes: Any) -> dict[str, Any]:

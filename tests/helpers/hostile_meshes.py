@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from helpers import meshes
 from helpers.meshes import Mesh
+from softfinger.tools.accuracy.meshes import grid
+from softfinger.tools.elastic_scenes import box
 
 Array = NDArray[np.float64]
 
 
 def bar(x: float, y: float, z: float) -> Mesh:
     """Return the twelve triangles of a box with these half extents, m, wound outward."""
-    corners = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (x, y, z)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return Mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32))
+    return meshes.made(box((-x, -y, -z), (x, y, z)))
 
 
 def messy_ball(frequency: int = 12, radius: float = 0.05) -> Mesh:
@@ -73,9 +73,7 @@ def shells(count: int = 60) -> Mesh:
 def valley(rows: int, wide: float, high: float, half_length: float = 0.1) -> Mesh:
     """Two sheets that meet along y, `wide` m to both sides of it and `high` m up, with this number of rows of quads."""
     y = np.linspace(-half_length, half_length, rows + 1)
-    vertices = np.array([(x, v, high * (x != 0.0)) for v in y for x in (-wide, 0.0, wide)])
-    cells = [(3 * i + j, 3 * i + j + 1, 3 * i + j + 4, 3 * i + j + 3) for i in range(rows) for j in range(2)]
-    return Mesh(vertices, np.array([t for a, b, c, d in cells for t in ((a, b, c), (a, c, d))], np.int32))
+    return meshes.made(grid(np.array([[(x, v, high * (x != 0.0)) for v in y] for x in (-wide, 0.0, wide)])))
 
 
 def crevice(angle: float = 0.02) -> Mesh:

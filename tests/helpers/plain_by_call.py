@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from numba import config
 from numpy.typing import NDArray
+from references.rotation import rodrigues
 
 from helpers.plain_exchange import ORDERED, exchange_int64, unpack_at
 from softfinger.drivers.base import SAMPLE_SIZE
@@ -170,10 +171,7 @@ def matrix(q: NDArray[np.float64] | list[float]) -> NDArray[np.float64]:
 
 def turned(axis: int, angle: float) -> NDArray[np.float64]:
     """Return the rotation matrix (3, 3) about axis 0, 1 or 2."""
-    out, (a, b) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
-    out[a, a] = out[b, b] = np.cos(angle)
-    out[b, a], out[a, b] = np.sin(angle), -np.sin(angle)
-    return out
+    return rodrigues(angle * np.eye(3)[axis])
 
 
 NEARLY_A_ROTATION = turned(2, 0.3) @ np.diag([1.004, 1.004, 1.0])

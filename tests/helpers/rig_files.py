@@ -8,15 +8,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from softfinger.config.load import load_rig
+from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
+from softfinger.drivers import registry
 
 
 def load_rig_in_process(name: str, device: Mapping[str, Any], overrides: Mapping[str, Any] | None = None) -> Rig:
     """Return a rig with changed keys of [device], without real time, whose force is full after 10 ms."""
     base = {"servo.realtime": "off", "guard.ramp_s": 0.01, "telemetry.endpoint": "tcp://127.0.0.1:*"}
     return load_rig(name, base | {f"device.{key}": value for key, value in device.items()} | dict(overrides or {}))
+
+
+def rig_options(rig: str, **changes: Any) -> Any:
+    """Return the options of a shipped rig's driver with changed keys of [device]."""
+    device = load_rig(rig).device
+    assert device is not None
+    return build(registry.load(device.driver).Options, {**device.options, **changes}, f"{rig} [device]")
 
 
 def write_rig(folder: Path, name: str, **keys: object) -> Path:

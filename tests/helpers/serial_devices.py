@@ -5,20 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from emulators.hand import Vector
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 
-from softfinger.config.load import build, load_rig
-from softfinger.drivers.serial.device import Options, SerialDevice, open_device
+from helpers import rig_files
+from softfinger.drivers.serial.device import SerialDevice, open_device
 
 RIG = "woodenhaptics-v3"
 PLACE = (0.01, 0.02, -0.015)
 
 
-def rig_options(**changes: Any) -> Options:
-    return build(Options, {**load_rig(RIG).device.options, **changes}, f"{RIG} [device]")
+rig_options = partial(rig_files.rig_options, RIG)
 
 
 def opened(cable: Cable, **changes: Any) -> SerialDevice:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from helpers.hostile_meshes import bar
-from helpers.meshes import Mesh, bumpy_sphere, joined, moved
+from helpers.meshes import Mesh, bumpy_sphere, joined, made, moved
+from softfinger.tools.accuracy.meshes import grid
 
 
 def turned_about_z(profile: ArrayLike, around: int) -> Mesh:
@@ -14,14 +15,8 @@ def turned_about_z(profile: ArrayLike, around: int) -> Mesh:
     outline = np.asarray(profile, float)
     angle = 2.0 * np.pi * np.arange(around) / around
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(around, z)]) for r, z in outline]
-    n, triangles = len(outline), []
-    for i in range(n):
-        j = (i + 1) % n
-        for k in range(around):
-            m = (k + 1) % around
-            a, b, c, d = i * around + k, i * around + m, j * around + k, j * around + m
-            triangles += [(a, b, d), (a, d, c)]
-    return Mesh(np.vstack(rings), np.array(triangles, np.int32))
+    vertices, triangles = grid(np.array(rings), rows_meet=True, columns_meet=True)
+    return made((vertices, triangles[:, ::-1]))
 
 
 def tube(outer: float = 0.03, wall: float = 0.0005, length: float = 0.05, around: int = 32) -> Mesh:
@@ -47,17 +42,14 @@ def thread(core: float = 0.01, height: float = 0.003, length: float = 0.04, turn
     phase = (z[:, None] * turns / length - angle / (2.0 * np.pi)) % 1.0
     r = core + height * np.abs(2.0 * phase - 1.0)
     side = np.stack([r * np.cos(angle), r * np.sin(angle), np.broadcast_to(z[:, None], r.shape)], axis=2)
-    triangles = []
-    for i in range(rows - 1):
-        for k in range(around):
-            a, b = i * around + k, i * around + (k + 1) % around
-            triangles += [(a, b, b + around), (a, b + around, a + around)]
+    vertices, sides = grid(side, columns_meet=True)
+    triangles = sides[:, ::-1].tolist()
     low, high = rows * around, rows * around + 1
     for k in range(around):
         m = (k + 1) % around
         triangles += [(low, m, k), (high, (rows - 1) * around + k, (rows - 1) * around + m)]
     ends = [(0.0, 0.0, -0.5 * length), (0.0, 0.0, 0.5 * length)]
-    return Mesh(np.vstack([side.reshape(-1, 3), ends]), np.array(triangles, np.int32))
+    return made((np.vstack([vertices, ends]), np.array(triangles)))
 
 
 def lattice(pitch: float = 0.015, bars: int = 3, width: float = 0.001) -> Mesh:

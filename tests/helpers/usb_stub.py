@@ -14,10 +14,10 @@ import pytest
 import usb.backend.libusb1
 
 from helpers.c_stub import compiled
-from softfinger.config.load import build, load_rig
+from helpers.rig_files import rig_options
 from softfinger.drivers.base import SAMPLE_SIZE
 from softfinger.drivers.falcon.block import AT
-from softfinger.drivers.falcon.device import Falcon, Options, open_device
+from softfinger.drivers.falcon.device import Falcon, open_device
 from softfinger.server.driver_contract import RATE_HZ, Bench
 
 SOURCE = Path(__file__).parents[1] / "stubs" / "usb.c"
@@ -129,10 +129,9 @@ def stub() -> Iterator[UsbStub]:
         yield stub
 
 
-def options(**changes: Any) -> Options:
+def options(**changes: Any) -> Any:
     """Return the [device] table of the shipped rig with changed keys and a known gain of the motors."""
-    keys = {**load_rig("falcon").device.options, "counts_per_nm": 10000.0, **changes}
-    return build(Options, keys, "falcon [device]")
+    return rig_options("falcon", **{"counts_per_nm": 10000.0, **changes})
 
 
 class FalconBench(Bench):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import paper_mapping
-from helpers.blocks import whole
 from scipy.signal import cont2discrete
 
 from softfinger.config.load import build, load_rig, load_scene
@@ -49,6 +49,11 @@ def tune_ice(stiffness: float = 1000.0, damping: float = 0.0, time_constant: flo
     material = {"stiffness_n_per_m": stiffness, "damping_ns_per_m": damping, "friction": None, "torsion": None}
     mapping = paper_mapping(material=material, rolling=None, probe={"velocity_time_constant_s": time_constant})
     return Tuning(build_scene(build(Scene, mapping, "test scene")), (OPEN_GUARD,))
+
+
+def whole(blocks: Iterable[np.ndarray]) -> np.ndarray:
+    """Return the records (n, RECORD_SIZE) of the only finger from blocks (m, 1, RECORD_SIZE)."""
+    return np.concatenate([*blocks])[:, 0]
 
 
 def make_rest_pose(z: float) -> np.ndarray:

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from faults_seen import SEEN
 from helpers.far_ends import FAR_ENDS, RATE_HZ, TIMELESS, FarEnd
-from helpers.faults_seen import SEEN
 from helpers.injected_run import FROZEN_S, RAMP_S, Seen, run
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from faults_seen import SEEN
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
-from helpers.faults_seen import SEEN
 from helpers.processes import find_child, list_children
 from helpers.programs import run_program
 from helpers.serial_devices import at_rest

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from faults_seen import SEEN
 from helpers.far_ends import FAR_ENDS, RATE_HZ
-from helpers.faults_seen import SEEN
 from helpers.injected_run import run
 from test_injected_faults import TURN, find_ticks
 

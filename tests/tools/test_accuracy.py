@@ -194,7 +194,7 @@ def test_nothing_drifts(result: dict[str, Any]) -> None:
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_motion_turns_at_its_nominal_rates(motion: cases.Motion) -> None:
     h, t, normal = 1e-5, np.linspace(0.0, 0.9, 7), (0.36, 0.48, 0.8)
-    path = cases.Track("plane", motion, 3.0, None, 0.7, 1.0)
+    path = cases.RollingCase("plane", "midpoint", motion, 1000.0, 3.0, None, 0.7, 1)
     assert cases.orientations(path, normal, np.zeros(1))[0] == pytest.approx([1, 0, 0, 0])
     before, at, after = (cases.orientations(path, normal, t + s) for s in (-h, 0.0, h))
     w = cases.angular_velocity(path, normal)

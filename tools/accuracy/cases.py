@@ -113,25 +113,8 @@ class RollingCase(NamedTuple):
     passes: int
 
 
-class Track(NamedTuple):
-    """Parameters of the reference path of a case."""
-
-    surface: str
-    motion: Motion
-    turn_rate: float
-    curvature_ratio: float | None
-    spin_ratio: float
-    duration_s: float
-
-
 def ticks(case: RollingCase) -> int:
     return max(MIN_TICKS, round(case.rate_hz * min(DURATION_S, MAX_ANGLE_RAD / case.turn_rate)))
-
-
-def track_of(case: RollingCase) -> Track:
-    return Track(
-        case.surface, case.motion, case.turn_rate, case.curvature_ratio, case.spin_ratio, ticks(case) / case.rate_hz
-    )
 
 
 def ratio_of(surface: str, ratio: float | None) -> float:
@@ -168,11 +151,11 @@ def rolling_axis(normal: model.Vec3) -> Array:
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def angular_velocity(track: Track, normal: model.Vec3) -> Callable[[float], Array]:
+def angular_velocity(case: RollingCase, normal: model.Vec3) -> Callable[[float], Array]:
     """Return w(t) (3,) rad/s in the object frame; see `orientations` for the motion."""
     n, e = np.array(normal), rolling_axis(normal)
-    roll_rate, spin_rate = rates(track)
-    if track.motion == "constant":
+    roll_rate, spin_rate = rates(case)
+    if case.motion == "constant":
         w = roll_rate * e + spin_rate * n
         return lambda _: w
     a, b, across = roll_rate / TILT_RAD, spin_rate / SPIN_RAD, np.cross(n, e)
@@ -187,13 +170,13 @@ def angular_velocity(track: Track, normal: model.Vec3) -> Callable[[float], Arra
     return changing
 
 
-def rates(track: Track) -> tuple[float, float]:
+def rates(case: RollingCase) -> tuple[float, float]:
     """Return the rates of roll and spin at the start, rad/s, for the given size and ratio."""
-    angle = atan(track.spin_ratio)
-    return track.turn_rate * cos(angle), track.turn_rate * sin(angle)
+    angle = atan(case.spin_ratio)
+    return case.turn_rate * cos(angle), case.turn_rate * sin(angle)
 
 
-def orientations(track: Track, normal: model.Vec3, times: Array) -> Array:
+def orientations(case: RollingCase, normal: model.Vec3, times: Array) -> Array:
     """Return the orientations (n, 4) of the fingertip at `times` (n,) s.
 
     "constant" turns at one angular velocity. "changing" is a product of three oscillations: a tilt about a tangent
@@ -201,8 +184,8 @@ def orientations(track: Track, normal: model.Vec3, times: Array) -> Array:
     start at their full rate, sway starts at rest. Two poses do not determine this motion.
     """
     n, e = np.array(normal), rolling_axis(normal)
-    roll_rate, spin_rate = rates(track)
-    if track.motion == "constant":
+    roll_rate, spin_rate = rates(case)
+    if case.motion == "constant":
         w = roll_rate * e + spin_rate * n
         return exp(times[:, None] * w)
     a, b = roll_rate / TILT_RAD, spin_rate / SPIN_RAD

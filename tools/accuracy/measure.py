@@ -17,13 +17,11 @@ from softfinger.tools.accuracy.cases import (
     METHODS,
     RADIUS_M,
     RollingCase,
-    Track,
     angular_velocity,
     contact,
     orientations,
     ratio_of,
     ticks,
-    track_of,
     turns,
 )
 from softfinger.tools.accuracy.reference import roll_path
@@ -76,27 +74,33 @@ def roll_path_timed(method: Any, shape: Any, center: Any, normal: Any, dq: Array
 
 
 @lru_cache(maxsize=16)
-def reference(track: Track, count: int) -> tuple[Array, Array]:
-    """Return contact points (count, 3) m and spins (count,) rad of the reference after each of `count` steps."""
-    points, _, spins = _reference_path(track).at(np.linspace(0.0, track.duration_s, count + 1)[1:])
+def reference(case: RollingCase) -> tuple[Array, Array]:
+    """Return contact points (n, 3) m and spins (n,) rad of the reference after each step; `case` has no method."""
+    times = step_times(case)
+    points, _, spins = _reference_path(case._replace(rate_hz=0.0), float(times[-1])).at(times[1:])
     return points, spins
 
 
 @lru_cache(maxsize=4)
-def _reference_path(track: Track) -> Any:
-    shape, center, normal = contact(track.surface, track.curvature_ratio)
+def _reference_path(case: RollingCase, duration_s: float) -> Any:
+    """Return the path, the same at all servo rates."""
+    shape, center, normal = contact(case.surface, case.curvature_ratio)
     # The normal turns with the finger at r / (r + R) of its rate; in a cavity that it nearly fills, much faster.
-    ratio = ratio_of(track.surface, track.curvature_ratio)
+    ratio = ratio_of(case.surface, case.curvature_ratio)
     faster = ratio / (1.0 - ratio) if getattr(shape, "side", 1.0) < 0.0 else 0.0
-    steps = ceil(20.0 * track.turn_rate * track.duration_s * max(1.0, faster))
-    return roll_path(shape, RADIUS_M, center, normal, angular_velocity(track, normal), track.duration_s, steps)
+    steps = ceil(20.0 * case.turn_rate * duration_s * max(1.0, faster))
+    return roll_path(shape, RADIUS_M, center, normal, angular_velocity(case, normal), duration_s, steps)
+
+
+def step_times(case: RollingCase) -> Array:
+    count = ticks(case)
+    return np.linspace(0.0, count / case.rate_hz, count + 1)
 
 
 def run_case(case: RollingCase) -> dict[str, Any]:
-    track, count = track_of(case), ticks(case)
     shape, center, normal = contact(case.surface, case.curvature_ratio)
-    dq = turns(orientations(track, normal, np.linspace(0.0, track.duration_s, count + 1)))
-    points, spins = reference(track, count)
+    dq = turns(orientations(case, normal, step_times(case)))
+    points, spins = reference(case._replace(method="", passes=0))
     unit = reference_ns()
     rolled = roll_path_timed(METHODS[case.method], shape, center, normal, dq, case.passes)
     return {
@@ -110,7 +114,7 @@ def run_case(case: RollingCase) -> dict[str, Any]:
         "curvature_ratio": ratio_of(case.surface, case.curvature_ratio),
         "given_ratio": case.curvature_ratio,
         "spin_ratio": case.spin_ratio,
-        "steps": count,
+        "steps": len(dq),
         "max_error_m": float(np.linalg.norm(rolled.points - points, axis=1).max()),
         "spin_error_rad": float(np.abs(rolled.spins - spins).max()),
         "ns_per_step": rolled.step_ns,

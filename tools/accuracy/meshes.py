@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -27,7 +28,7 @@ from softfinger.proxy.records import Records
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.tools.accuracy.reference import roll_path
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, show_and_draw
 
 Arrays = tuple[Array, NDArray[np.int64]]
 
@@ -80,59 +81,63 @@ class LedPath(NamedTuple):
     rolled: Array
 
 
-def grid(points: Array, is_closed: bool) -> Arrays:
-    """Return the triangles of a grid of points (n, m, 3) m.
-
-    The last column is connected to the first and, if `is_closed`, the last row to the first.
-    """
-    rows, columns = points.shape[:2]
-    at = np.arange(rows * columns).reshape(rows, columns)
-    at = np.concatenate([at, at[:, :1]], axis=1)
-    if is_closed:
-        at = np.concatenate([at, at[:1]])
+def cells(at: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return two triangles for each cell of a grid of vertex indices, wound from the rows towards the columns."""
     a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
-    return points.reshape(-1, 3), np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
 
-def ring(major: float, minor: float, fineness: int) -> Arrays:
-    u, v = (2.0 * np.pi * np.arange(count)[:, None] / count for count in (6 * fineness, 3 * fineness))
+def grid(points: Array, rows_meet: bool = False, columns_meet: bool = False) -> Arrays:
+    """Return the triangles of a grid of points (n, m, 3) m; the last row or column may connect to the first."""
+    at = np.arange(points[..., 0].size).reshape(points.shape[:2])
+    return points.reshape(-1, 3), cells(np.pad(at, ((0, rows_meet), (0, columns_meet)), mode="wrap"))
+
+
+def ring(major: float, minor: float, along: int, around: int) -> Arrays:
+    u, v = (2.0 * np.pi * np.arange(count)[:, None] / count for count in (along, around))
     out, up = major + minor * np.cos(v.T), minor * np.sin(v.T)
-    return grid(np.stack([np.cos(u) * out, np.sin(u) * out, 0.0 * u + up], axis=2), True)
+    return grid(np.stack([np.cos(u) * out, np.sin(u) * out, 0.0 * u + up], axis=2), True, True)
 
 
-def tube(radius: float, length: float, fineness: int) -> Arrays:
-    """Return a tube that is open at its ends, which the fingertip does not reach."""
-    u, z = 2.0 * np.pi * np.arange(8 * fineness) / (8 * fineness), np.linspace(-0.5, 0.5, 4 * fineness + 1) * length
-    around = np.stack([radius * np.cos(u), radius * np.sin(u)], axis=1)
-    points = np.concatenate([np.tile(around, (len(z), 1, 1)), np.repeat(z, len(u)).reshape(len(z), -1, 1)], axis=2)
-    vertices, triangles = grid(points, False)
+def tube(radius: float, length: float, around: int, along: int) -> Arrays:
+    """Return a tube about the z axis that is open at its ends."""
+    u, z = 2.0 * np.pi * np.arange(around) / around, np.linspace(-0.5, 0.5, along + 1)[:, None] * length
+    points = np.stack(np.broadcast_arrays(radius * np.cos(u), radius * np.sin(u), z), axis=2)
+    vertices, triangles = grid(points, columns_meet=True)
     return vertices, triangles[:, ::-1]
 
 
-def ball(radius: float, fineness: int) -> Arrays:
-    """Return an octahedron with subdivided faces, projected onto a sphere: 8 x fineness^2 triangles."""
+def geodesic(corners: Array, faces: Sequence[Sequence[int]], fineness: int) -> Arrays:
+    """Return a polyhedron with each face divided into fineness^2 triangles, projected onto the unit sphere."""
     i, j = (axis.ravel() for axis in np.indices((fineness + 1, fineness + 1)))
     keep = i + j <= fineness
     at = np.full((fineness + 1, fineness + 1), -1)
     at[i[keep], j[keep]] = np.arange(keep.sum())
-    up, down = i + j < fineness, (i > 0) & (j > 0) & (i + j <= fineness)
-    face = np.concatenate([
+    up, down = i + j < fineness, (i > 0) & (j > 0) & keep
+    divided = np.concatenate([
         np.stack([at[i[up], j[up]], at[i[up] + 1, j[up]], at[i[up], j[up] + 1]], axis=1),
         np.stack([at[i[down], j[down]], at[i[down] - 1, j[down]], at[i[down], j[down] - 1]], axis=1),
     ])  # fmt: skip
-    octant = np.stack([i, j, fineness - i - j], axis=1)[keep].astype(float)
-    signs = [(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)]
-    outward = [face if x * y * z > 0 else face[:, ::-1] for x, y, z in signs]
-    points = np.concatenate([octant * sign for sign in signs])
-    triangles = np.concatenate([faces + k * len(octant) for k, faces in enumerate(outward)])
-    points, places = np.unique(points, axis=0, return_inverse=True)
-    return radius * points / np.linalg.norm(points, axis=1)[:, None], places.ravel()[triangles]
+    weights = np.stack([i, j, fineness - i - j], axis=1)[keep]
+    points = np.concatenate([weights @ corners[list(face)] for face in faces])
+    triangles = np.concatenate([divided + k * len(weights) for k in range(len(faces))])
+    # Faces share the points of their edges, to rounding.
+    _, first, places = np.unique(points.round(9), axis=0, return_index=True, return_inverse=True)
+    return points[first] / np.linalg.norm(points[first], axis=1)[:, None], places.ravel()[triangles]
+
+
+def ball(radius: float, fineness: int) -> Arrays:
+    """Return an octahedron with divided faces, projected onto a sphere: 8 x fineness^2 triangles."""
+    octants = product((0, 3), (1, 4), (2, 5))
+    outward = [(x, y, z) if (x + y + z) % 2 else (y, x, z) for x, y, z in octants]
+    points, triangles = geodesic(np.vstack([np.eye(3), -np.eye(3)]), outward, fineness)
+    return radius * points, triangles
 
 
 CASES: Final = {
     "ball": MeshCase(model.Sphere(0.05, 1.0), lambda n: ball(0.05, 2 * n), (0.04, 0.02, 0.03)),
-    "cylinder": MeshCase(model.Cylinder(0.03, 1.0), lambda n: tube(0.03, 0.2, n), (0.04, 0.02, 0.003)),
-    "torus": MeshCase(model.Torus(0.05, 0.02, 1.0), lambda n: ring(0.05, 0.02, n), (0.06, 0.03, 0.01)),
+    "cylinder": MeshCase(model.Cylinder(0.03, 1.0), lambda n: tube(0.03, 0.2, 8 * n, 4 * n), (0.04, 0.02, 0.003)),
+    "torus": MeshCase(model.Torus(0.05, 0.02, 1.0), lambda n: ring(0.05, 0.02, 6 * n, 3 * n), (0.06, 0.03, 0.01)),
 }
 
 
@@ -144,10 +149,7 @@ def run(args: argparse.Namespace) -> int:
                 rows.append(row)
                 update(len(rows))
     result = {"rows": rows, "orders": {name: orders([r for r in rows if r["surface"] == name]) for name in CASES}}
-    show(result, args.json, list(lines(result)))
-    if args.plot:
-        draw(result, args.plot)
-    return 0
+    return show_and_draw(args, result, lines(result), lambda path: draw(result, path))
 
 
 def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator[dict[str, Any]]:

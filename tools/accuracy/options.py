@@ -6,23 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Final, Literal
 
-from softfinger.tools.options import add_output_options, add_sweep_options
+from softfinger.tools.options import add_option, add_output_options, add_sweep_options
 
 SURFACES: Final = (
-    "plane",
-    "sphere",
-    "sphere-inside",
-    "cylinder",
-    "cylinder-inside",
-    "capped-cylinder",
-    "capsule",
-    "capsule-inside",
-    "box",
-    "ellipsoid",
-    "ellipsoid-inside",
-    "torus",
-    "torus-inside",
-)
+    "plane", "sphere", "sphere-inside", "cylinder", "cylinder-inside", "capped-cylinder", "capsule", "capsule-inside",
+    "box", "ellipsoid", "ellipsoid-inside", "torus", "torus-inside",
+)  # fmt: skip
 METHODS: Final = ("euler_zxz", "euler_zyx", "rotation_vector", "midpoint", "montana_rk4", "montana_rk45")
 Motion = Literal["constant", "changing"]
 MOTIONS: Final[tuple[Motion, ...]] = ("constant", "changing")
@@ -43,14 +32,8 @@ def configure_accuracy(parser: argparse.ArgumentParser) -> None:
         help=f"rolling methods: {', '.join(METHODS)} (default: all)",
     )
     parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (default: 4 to 8000)")
-    parser.add_argument(
-        "--error-below",
-        nargs="+",
-        type=float,
-        metavar="M",
-        default=TARGETS_M,
-        help="errors (m) to recommend methods for (default: %(default)s)",
-    )
+    targets = "errors (m) to recommend methods for"
+    add_option(parser, "--error-below", TARGETS_M, targets, nargs="+", type=float, metavar="M")
     parser.add_argument(
         "--drift-steps", type=int, metavar="N", help=f"steps of the drift test (default: {DRIFT_STEPS})"
     )

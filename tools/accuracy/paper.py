@@ -21,7 +21,7 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.server.loop.clock import stopwatch
-from softfinger.server.progress import progress
+from softfinger.server.progress import map_with_progress, progress
 from softfinger.tools.accuracy.cases import METHODS, RADIUS_M
 from softfinger.tools.accuracy.classical import (
     ABSOLUTE_TOLERANCE,
@@ -52,17 +52,17 @@ MOTIONS: Final = ("contact_frame", "world")
 
 def experiment() -> list[dict[str, Any]]:
     """Return the largest differences (mm) along x, y and z from the reference path, of every method in both motions."""
-    rows = list[dict[str, Any]]()
-    names, exact_by_motion = (*METHODS, "classical"), {motion: exact_path(motion) for motion in MOTIONS}
-    with progress("the paper's experiment", len(MOTIONS) * len(names)) as update:
-        for motion, name in product(MOTIONS, names):
-            at_phi = motion == "contact_frame" and name == "euler_zxz"
-            path = classical_path(motion) if name == "classical" else method_path(name, motion)
-            largest = 1e3 * np.abs(path - exact_by_motion[motion]).max(axis=0)
-            heading = "phi" if at_phi else "own"
-            rows.append({"motion": motion, "method": name, "heading": heading, "max_error_mm": largest.tolist()})
-            update(len(rows))
-    return rows
+    exact_by_motion = {motion: exact_path(motion) for motion in MOTIONS}
+
+    def compare(case: tuple[str, str]) -> dict[str, Any]:
+        motion, name = case
+        path = classical_path(motion) if name == "classical" else method_path(name, motion)
+        largest = 1e3 * np.abs(path - exact_by_motion[motion]).max(axis=0)
+        heading = "phi" if case == ("contact_frame", "euler_zxz") else "own"
+        return {"motion": motion, "method": name, "heading": heading, "max_error_mm": largest.tolist()}
+
+    cases = list(product(MOTIONS, (*METHODS, "classical")))
+    return map_with_progress("the paper's experiment", compare, cases)
 
 
 def exact_path(motion: str) -> Array:

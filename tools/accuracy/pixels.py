@@ -17,19 +17,10 @@ import numpy as np
 
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline.figures import figure, save
-from softfinger.server.progress import progress
-from softfinger.tools.accuracy.meshes import (
-    HEADINGS_RAD,
-    TICKS,
-    LedPath,
-    differences,
-    lead_path,
-    save_mesh,
-    scene_of,
-    visit,
-)
+from softfinger.server.progress import map_with_progress
+from softfinger.tools.accuracy import meshes
 from softfinger.tools.accuracy.reference import Hills, normal_and_curvature
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, show_and_draw
 
 HILLS: Final = Hills(0.004, 0.06)
 """The smallest radius of curvature of their valleys is 23 mm."""
@@ -43,10 +34,10 @@ PASSES: Final = 3
 """Repetitions of the most expensive run; the shortest counts."""
 
 
-def paths(ticks: int) -> list[LedPath]:
+def paths(ticks: int) -> list[meshes.LedPath]:
     foot = np.array([*BEGIN_M, HILLS.height(*BEGIN_M)])
     normal, _ = normal_and_curvature(foot, HILLS)
-    return [lead_path(HILLS, foot, normal, heading, ticks) for heading in HEADINGS_RAD]
+    return [meshes.lead_path(HILLS, foot, normal, heading, ticks) for heading in meshes.HEADINGS_RAD]
 
 
 def grid(pitch: float) -> tuple[Array, Array, Array]:
@@ -63,22 +54,19 @@ def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
     if kind == "heightmap":
         np.save(folder / "hills.npy", z)
         return {"shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": pitch, "level_m": 1.0}
-    number = np.arange(z.size).reshape(z.shape)
-    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    vertices = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
-    return {"shape": "mesh", "file": save_mesh(folder, vertices, triangles), "shading": "normals"}
+    vertices, triangles = meshes.grid(np.stack([x, y, z], axis=2).transpose(1, 0, 2))
+    return {"shape": "mesh", "file": meshes.save_mesh(folder, vertices, triangles), "shading": "normals"}
 
 
-def compare(kind: str, pitch: float, led_paths: Sequence[LedPath]) -> dict[str, Any]:
+def compare(kind: str, pitch: float, led_paths: Sequence[meshes.LedPath]) -> dict[str, Any]:
     """Return the largest differences from the hills on all paths, and the cost of a tick that rolls, us."""
     with tempfile.TemporaryDirectory() as folder:
         obj = table(kind, pitch, Path(folder))
-        smooth, rolls = (Engine(scene_of(obj, sticks)) for sticks in (False, True))
+        smooth, rolls = (Engine(meshes.scene_of(obj, sticks)) for sticks in (False, True))
     rows, cost_us = [], []
     for path in led_paths:
-        records = visit(smooth, path)
-        rows.append(differences(path, records, records, visit(rolls, path)))
+        records = meshes.visit(smooth, path)
+        rows.append(meshes.differences(path, records, records, meshes.visit(rolls, path)))
         for _ in range(PASSES):
             rolls.reset()
             start = time.perf_counter()
@@ -89,18 +77,10 @@ def compare(kind: str, pitch: float, led_paths: Sequence[LedPath]) -> dict[str, 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb, with `--json` and `--plot`."""
-    rows: list[dict[str, Any]] = []
-    with progress("hills of pixels", len(KINDS) * len(PITCHES_M)) as update:
-        led_paths = paths(TICKS)
-        for pitch in PITCHES_M:
-            for kind in KINDS:
-                rows.append(compare(kind, pitch, led_paths))
-                update(len(rows))
-    show({"rows": rows}, args.json, list(lines(rows)))
-    if args.plot:
-        draw(rows, args.plot)
-    return 0
+    led_paths = paths(meshes.TICKS)
+    cases = [(kind, pitch) for pitch in PITCHES_M for kind in KINDS]
+    rows = map_with_progress("hills of pixels", lambda case: compare(*case, led_paths), cases)
+    return show_and_draw(args, {"rows": rows}, lines(rows), lambda path: draw(rows, path))
 
 
 def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:

@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
@@ -23,12 +24,11 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.loop.guard import PAUSE_MAX_S
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.tools.bench.telemetry import await_messages
-from softfinger.tools.measure import Array, show
+from softfinger.tools.bench.telemetry import source
+from softfinger.tools.measure import Array, draw_lines, show_and_draw
 
 DEPTH_M: Final = 0.001
 FORCE_N: Final = 2.0
@@ -59,7 +59,7 @@ SECOND_SCENE: Final = "paper-plane"
 RIG: Final = f"""
 [device]
 driver = "replay"
-recording = "held.csv"
+recording = "{{recording}}"
 [servo]
 realtime = "auto"
 [guard]
@@ -68,8 +68,6 @@ torque_max_nm = 0.1
 force_slew_n_per_s = {SLEW_N_PER_S}
 torque_slew_nm_per_s = 50.0
 ramp_s = 0.05
-[telemetry]
-endpoint = "ENDPOINT"
 [commands]
 ramp_s = 0.0
 """
@@ -108,7 +106,6 @@ class Listener:
         return bool(self._rows) and self._rows[-1][3] == 0.0 and self._rows[-1][2] > 0.0
 
     def wait_until_applied(self) -> None:
-        """Wait until `is_force_applied` is true."""
         until = time.monotonic() + TURN_S
         while not self.is_force_applied():
             if time.monotonic() > until:
@@ -139,14 +136,9 @@ def run(args: argparse.Namespace) -> int:
         "swaps": args.swaps, "largest_step_n": float(steps.max()), "slew_n": SLEW_N_PER_S / 1000.0,
         "lost": listener.lost, "resident_mb": memory,
     }  # fmt: skip
-    show(result, args.json, table(result))
-    if args.plot:
-        drawing = figure(height=3.0)
-        axes = drawing.add_subplot()
-        axes.plot(memory)
-        axes.set(xlabel="scenes set", ylabel="resident, MB")
-        save(drawing, args.plot)
-    return 0
+    lines = {"daemon": (range(len(memory)), memory)}
+    draw = partial(draw_lines, lines=lines, x="scenes set", y="resident, MB")
+    return show_and_draw(args, result, table(result), draw)
 
 
 def table(result: dict[str, Any]) -> list[str]:
@@ -167,24 +159,16 @@ def table(result: dict[str, Any]) -> list[str]:
 def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
     """Run a daemon until the block ends; yields its process and its two endpoints."""
     endpoint, commands = f"ipc://{folder}/telemetry", f"ipc://{folder}/commands"
-    (folder / "held.csv").write_text(POSES_CSV, "utf-8")
-    (folder / "pressed.toml").write_text(SCENE, "utf-8")
-    (folder / "rig.toml").write_text(RIG.replace("ENDPOINT", endpoint), "utf-8")
-    words = ["run", "--rig", "rig.toml", "--scene", "pressed.toml", "--commands", commands]
-    log_path = folder / "log"
-    with log_path.open("wb") as log, subprocess.Popen(
-        [sys.executable, "-m", "softfinger.server.cli", *words], cwd=folder, stdout=log, stderr=log
-    ) as process:  # fmt: skip
-        try:
-            await_messages(endpoint)
-            yield process, endpoint, commands
-        finally:
-            process.terminate()
-            process.wait(timeout=30.0)
+    poses, scene, rig = folder / "held.csv", folder / "pressed.toml", folder / "rig.toml"
+    poses.write_text(POSES_CSV, "utf-8")
+    scene.write_text(SCENE, "utf-8")
+    rig.write_text(RIG.format(recording=poses), "utf-8")
+    words = ["run", "--rig", str(rig), "--scene", str(scene), "--endpoint", endpoint, "--commands", commands]
+    with source([sys.executable, "-m", "softfinger.server.cli", *words], endpoint) as process:
+        yield process, endpoint, commands
 
 
 def make_setter(control: Control) -> Callable[[], None]:
-    """Return a function that sets the next pair."""
     pairs = cycle(PAIRS[1:] + PAIRS[:1])
 
     def ask() -> None:
@@ -225,7 +209,6 @@ def alternate_scenes(listener: Listener, control: Control, pid: int, count: int)
 
 
 def count_missed(rows: Array) -> int:
-    """Return the number of deadlines missed in the rows."""
     return int(rows[-1, 4] - rows[0, 4])
 
 
@@ -236,6 +219,5 @@ def count_torn(rows: Array) -> int:
 
 
 def resident_mb(pid: int) -> float:
-    """Return the resident memory of a process, MB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

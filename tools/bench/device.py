@@ -12,7 +12,7 @@ from softfinger.config.schema.pairing import single_device
 from softfinger.drivers.registry import open_device
 from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, make_disarmed_guard
 from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
-from softfinger.tools.measure import Array, draw_exceedance, show
+from softfinger.tools.measure import Array, draw_exceedance, show_and_draw
 
 
 def run(args: argparse.Namespace) -> int:
@@ -36,10 +36,7 @@ def run(args: argparse.Namespace) -> int:
     if len(burst):
         lines.append(burst_line(result["without_pauses"]))
     lines.append("  real time: " + ", ".join(f"{k} {'yes' if v else 'no'}" for k, v in result["realtime"].items()))
-    show(result, args.json, lines)
-    if args.plot is not None:
-        draw(args.plot, rows, f"{name} at {rate:g} Hz")
-    return 0
+    return show_and_draw(args, result, lines, lambda path: draw(path, rows, f"{name} at {rate:g} Hz"))
 
 
 def draw(path: Path, rows: Array, title: str) -> None:

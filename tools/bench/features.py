@@ -131,21 +131,45 @@ def _carry_poses(first: schema.Scene, second: schema.Scene) -> tuple[Array, Arra
     return poses, np.hstack([position, *orientation])
 
 
-def all_features() -> list[Feature]:
-    """Return every feature, in the order of the tables of a scene file."""
-    return [
-        *_normal(),
-        *_rolling(),
-        *_friction(),
-        *_torsion(),
-        *_patch(),
-        *_forms(),
-        *_shapes(),
-        *_several(),
-        *_motions(),
-        *_textures(),
-        *_effects(),
-    ]
+def all_features() -> Iterator[Feature]:
+    """Yield every feature, in the order of the tables of a scene file."""
+    bare, full = _scene(), _scene(material=GRIP, **ROLLING)
+    on_bare, on_full = ("bare plane", bare), ("plane with friction, torsion, rolling", full)
+
+    yield from _each("normal force {}", NORMALS, *on_bare, lambda keys: {"material": MATERIAL | keys})
+    yield from _rolling()
+
+    spun = _scene(material=MATERIAL | {"torsion": TORSION})
+    yield Feature("friction static and kinetic", "plane with torsion", spun, _scene(material=GRIP))
+    yield from _each("friction {}", LAWS, *on_full, lambda keys: {"material": GRIP | {"friction": FRICTION | keys}})
+    paper = _scene(material=GRIP, rolling={"method": "euler_zxz", "state_machine": "paper"})
+    yield Feature("state machine paper, for default", *on_full, paper)
+
+    flat = "plane with friction, rolling", _scene(material=MATERIAL | {"friction": FRICTION}, **ROLLING)
+    yield from _each("torsion {}", TORSIONS, *flat, lambda keys: {"material": GRIP | {"torsion": TORSION | keys}})
+    yield from _each("patch {}", PATCHES, *on_full, lambda keys: {"fingertip": {"radius_m": 0.01, "patch": keys}})
+    yield from _forms()
+    yield from _shapes()
+    yield from _several()
+    yield from _each("motion {}", MOTIONS, *on_full, lambda keys: {"object_motion": keys})
+    yield from _textures()
+
+    yield from _each("effect {}, workspace", WORKSPACE, *on_bare, lambda keys: {"effect": [keys]})
+    oil = WORKSPACE["viscosity"]
+    oiled = "bare plane with viscosity", _scene(effect=[oil])
+    yield from _each(
+        "region {}", REGIONS, *oiled, lambda keys: {"effect": [oil | {"region": keys | {"edge_m": 0.005}}]}
+    )
+    yield from _each("effect {}, object", OF_OBJECTS, *on_bare, lambda keys: {"object_effect": [keys]})
+
+
+def _each(
+    name: str, table: Mapping[str, Table], base: str, without: schema.Scene, changes: Callable[[Table], Table]
+) -> Iterator[Feature]:
+    """Yield a feature for each entry of a table; a scene with friction also has torsion and rolling."""
+    rest = {"material": GRIP, **ROLLING} if "friction" in base else {}
+    for entry, keys in table.items():
+        yield Feature(name.format(entry), base, without, _scene(**rest | changes(keys)))
 
 
 def _scene(
@@ -162,11 +186,6 @@ def _scene(
     return build(schema.Scene, {"fingertip": {"radius_m": 0.01}, "object": objects, **tables}, f"bench, {shape}")
 
 
-def _normal() -> Iterator[Feature]:
-    for name, keys in NORMALS.items():
-        yield Feature(f"normal force {name}", "bare plane", _scene(), _scene(material=MATERIAL | keys))
-
-
 def _rolling() -> Iterator[Feature]:
     for shape, methods in {
         "plane": get_args(schema.RollingMethod),
@@ -177,30 +196,6 @@ def _rolling() -> Iterator[Feature]:
         for method in methods:
             without, having = _scene(shape, GRIP), _scene(shape, GRIP, rolling={"method": method})
             yield Feature(f"rolling {method}, {shape}", f"{shape} with friction and torsion", without, having)
-
-
-def _friction() -> Iterator[Feature]:
-    spun = _scene(material=MATERIAL | {"torsion": TORSION})
-    yield Feature("friction static and kinetic", "plane with torsion", spun, _scene(material=GRIP))
-    base, full = "plane with friction, torsion, rolling", _scene(material=GRIP, **ROLLING)
-    for name, keys in LAWS.items():
-        yield Feature(f"friction {name}", base, full, _scene(material=GRIP | {"friction": FRICTION | keys}, **ROLLING))
-    paper = _scene(material=GRIP, rolling={"method": "euler_zxz", "state_machine": "paper"})
-    yield Feature("state machine paper, for default", base, full, paper)
-
-
-def _torsion() -> Iterator[Feature]:
-    without = _scene(material=MATERIAL | {"friction": FRICTION}, **ROLLING)
-    for name, keys in TORSIONS.items():
-        having = _scene(material=GRIP | {"torsion": TORSION | keys}, **ROLLING)
-        yield Feature(f"torsion {name}", "plane with friction, rolling", without, having)
-
-
-def _patch() -> Iterator[Feature]:
-    base, without = "plane with friction, torsion, rolling", _scene(material=GRIP, **ROLLING)
-    for name, keys in PATCHES.items():
-        having = _scene(material=GRIP, fingertip={"radius_m": 0.01, "patch": keys}, **ROLLING)
-        yield Feature(f"patch {name}", base, without, having)
 
 
 def _forms() -> Iterator[Feature]:
@@ -238,12 +233,6 @@ def _several() -> Iterator[Feature]:
     yield Feature("third object, touched too", "two bare planes", two, three, lambda: (corner_poses(), corner_poses()))
 
 
-def _motions() -> Iterator[Feature]:
-    base, full = "plane with friction, torsion, rolling", _scene(material=GRIP, **ROLLING)
-    for name, keys in MOTIONS.items():
-        yield Feature(f"motion {name}", base, full, _scene(material=GRIP, object_motion=keys, **ROLLING))
-
-
 def _textures() -> Iterator[Feature]:
     for shape in ("plane", "cylinder", "box"):
         for name, keys in TEXTURES.items():
@@ -252,15 +241,3 @@ def _textures() -> Iterator[Feature]:
             yield Feature(
                 f"texture {name}, {shape}", base, _scene(shape, GRIP), _scene(shape, GRIP, object_texture=texture)
             )
-
-
-def _effects() -> Iterator[Feature]:
-    plane = _scene()
-    for name, keys in WORKSPACE.items():
-        yield Feature(f"effect {name}, workspace", "bare plane", plane, _scene(effect=[keys]))
-    oil = WORKSPACE["viscosity"]
-    for name, keys in REGIONS.items():
-        having = _scene(effect=[oil | {"region": keys | {"edge_m": 0.005}}])
-        yield Feature(f"region {name}", "bare plane with viscosity", _scene(effect=[oil]), having)
-    for name, keys in OF_OBJECTS.items():
-        yield Feature(f"effect {name}, object", "bare plane", plane, _scene(object_effect=[keys]))

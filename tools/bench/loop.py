@@ -8,7 +8,6 @@ hands of that rig; any other scene uses a recording.
 from __future__ import annotations
 
 import argparse
-import shutil
 import subprocess
 import tempfile
 import threading
@@ -31,7 +30,7 @@ from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.progress import progress
 from softfinger.tools.bench.geoms import scene_of_geoms
-from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show
+from softfinger.tools.measure import Array, compile_c, draw_exceedance, microseconds, quantiles, show_and_draw
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")
@@ -48,10 +47,7 @@ def run(args: argparse.Namespace) -> int:
         {name: np.concatenate(parts) for name, parts in runs.items()}, args.rate
     )
     result["realtime"] = {setting.name: setting.ok for setting in settings}
-    show(result, args.json, table(result))
-    if args.plot:
-        draw(args.plot, runs, args.rate)
-    return 0
+    return show_and_draw(args, result, table(result), lambda path: draw(path, runs, args.rate))
 
 
 def measure(
@@ -70,7 +66,7 @@ def measure(
         loops: dict[str, Callable[[], Array]] = {"servo": lambda: run_servo(rig, scene, ticks, settings)}
         if busy:
             loops["servo_busy"] = lambda: run_busy(rig, scene, ticks, settings)
-        program = compile_reference(Path(folder))
+        program = compile_c(SOURCE, Path(folder), "-pthread")
         if program is not None:
             loops = {"c": lambda: run_reference(program, rig, ticks), **loops}
         runs: dict[str, list[Array]] = {name: [] for name in loops}
@@ -150,16 +146,6 @@ def spin_python() -> Iterator[None]:
 def run_busy(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Setting]) -> Array:
     with spin_python():
         return run_servo(rig, scene, ticks, settings)
-
-
-def compile_reference(folder: Path) -> Path | None:
-    """Compile the C loop; returns None if there is no C compiler."""
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        return None
-    program = folder / "reference_loop"
-    subprocess.run([compiler, "-O2", "-pthread", "-o", str(program), str(SOURCE)], check=True)
-    return program
 
 
 def run_reference(program: Path, rig: Rig, ticks: int) -> Array:

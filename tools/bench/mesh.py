@@ -23,9 +23,9 @@ from softfinger.proxy.kernels.shapes.mesh.triangle import corners_of, foot_on
 from softfinger.proxy.scene import build_scene, start_state
 from softfinger.server.loop.clock import stopwatch
 from softfinger.server.offline.cost import time_steps
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
-from softfinger.tools.measure import Array, quantiles, show
+from softfinger.tools.bench.features import GRIP
+from softfinger.tools.measure import Array, draw_lines, quantiles, show_and_draw
 
 RADIUS_M: Final = 0.05
 """Radius of the ball."""
@@ -59,10 +59,7 @@ def run(args: argparse.Namespace) -> int:
         "rows": rows,
         "sphere": [{"fingertip_m": r} | row for r, row in zip(args.fingertip, spheres, strict=True)],
     }
-    show(result, args.json, list(table(result)))
-    if args.plot:
-        draw(result, args.plot)
-    return 0
+    return show_and_draw(args, result, table(result), lambda path: draw(result, path))
 
 
 def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
@@ -82,12 +79,7 @@ def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
 
 
 def scene_of(radius: float, **shape: Any) -> schema.Scene:
-    material = {
-        "stiffness_n_per_m": 1000.0,
-        "friction": {"static": 0.6, "kinetic": 0.5},
-        "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-    }
-    obj = {"name": "ball", "material": material, **shape}
+    obj = {"name": "ball", "material": GRIP, **shape}
     coupling = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0}
     tables = {"fingertip": {"radius_m": radius}, "rolling": {"method": "midpoint"}, "coupling": coupling}
     return build(schema.Scene, {**tables, "object": [obj]}, "bench mesh")
@@ -178,14 +170,10 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def draw(result: dict[str, Any], file: Path) -> None:
-    drawing = figure()
-    axes = drawing.subplots()
+    lines = {}
     for bumpy in (False, True):
+        rows = sorted((r for r in result["rows"] if r["bumpy"] == bumpy), key=lambda row: row["triangles"])
         for at in ("p50", "p99"):
-            rows = sorted((r for r in result["rows"] if r["bumpy"] == bumpy), key=lambda row: row["triangles"])
-            label = f"{'bumpy' if bumpy else 'smooth'}, {at}"
             costs = [row["touching_ns"][at] / 1000.0 for row in rows]
-            axes.loglog([row["triangles"] for row in rows], costs, "o-", label=label)
-    axes.set(xlabel="triangles", ylabel="us per tick, back to back")
-    axes.legend()
-    save(drawing, file)
+            lines[f"{'bumpy' if bumpy else 'smooth'}, {at}"] = [row["triangles"] for row in rows], costs
+    draw_lines(file, lines, "triangles", "us per tick, back to back", style="o-", log=True)

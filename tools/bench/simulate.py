@@ -16,10 +16,9 @@ import numpy as np
 from softfinger.config.errors import ConfigError
 from softfinger.drivers.poses import POSE_COLUMNS, load_poses
 from softfinger.drivers.resample import close_loop, resample
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.recording.results import SUFFIXES, write_csv_rows
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, draw_bars, show_and_draw
 
 RATE_HZ: Final = 1000.0
 TICKS_MIN: Final = 1000
@@ -49,14 +48,9 @@ def run(args: argparse.Namespace) -> int:
         f"processor {row['cpu_s']:.2f}: {row['times_real_time']:6.1f} x real time"
         for row in rows
     ]
-    show({"scene": args.scene, "ticks": ticks, "rate_hz": RATE_HZ, "formats": rows}, args.json, lines)
-    if args.plot:
-        drawing = figure(height=2.5)
-        axes = drawing.add_subplot()
-        axes.barh([row["format"] for row in rows][::-1], [row["times_real_time"] for row in rows][::-1])
-        axes.set_xlabel("times real time")
-        save(drawing, args.plot)
-    return 0
+    result = {"scene": args.scene, "ticks": ticks, "rate_hz": RATE_HZ, "formats": rows}
+    speeds = {row["format"]: row["times_real_time"] for row in rows}
+    return show_and_draw(args, result, lines, lambda path: draw_bars(path, speeds, "times real time"))
 
 
 def motion(recording: str, ticks: int) -> Array:

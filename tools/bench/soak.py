@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from urllib.parse import urlsplit
@@ -29,14 +30,13 @@ from softfinger.config.errors import ConfigError, Unfit
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.server import signals
-from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import progress
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import subscribe
-from softfinger.tools.bench.loop import compile_reference, run_reference
-from softfinger.tools.bench.telemetry import await_messages, source
+from softfinger.tools.bench.loop import SOURCE, run_reference
+from softfinger.tools.bench.telemetry import source
 from softfinger.tools.bench.view import viewer
-from softfinger.tools.measure import Array, show
+from softfinger.tools.measure import Array, compile_c, draw_lines, show_and_draw
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -99,9 +99,9 @@ def run(args: argparse.Namespace) -> int:
     rig = load_rig("simulated", {"servo.realtime": args.realtime})
     soaked = soak(rig, 60.0 * args.minutes)
     result = evaluate(soaked)
-    show(result, args.json, table(result))
-    if args.plot:
-        draw(args.plot, soaked)
+    lines = {name: (soaked.times / 60.0, values[:, 0]) for name, values in soaked.processes.items()}
+    draw = partial(draw_lines, lines=lines, x="time, minutes", y="resident memory, MB")
+    show_and_draw(args, result, table(result), draw)
     if result["faults"]:
         raise Unfit("; ".join(result["faults"]))
     return 0
@@ -111,22 +111,21 @@ def soak(rig: Rig, seconds: float) -> Soaked:
     """Run everything for `seconds` and sample it once a second."""
     with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
         folder = Path(folder_name)
-        commands, recording = f"ipc://{folder}/commands", str(folder / "soak.mcap")
-        words = ["run", "--rig", "simulated", "--realtime", rig.servo.realtime, "--record", recording]
-        daemon = [sys.executable, "-m", "softfinger.server.cli", *words, "--endpoint", "ENDPOINT"]
-        publisher = running.enter_context(source([*daemon, "--commands", commands], "ipc", folder))
-        await_messages(publisher.endpoint)
-        page, address = running.enter_context(viewer("--endpoint", publisher.endpoint, "--commands", commands))
+        endpoint, commands = (f"ipc://{folder}/{name}" for name in ("telemetry", "commands"))
+        words = ["run", "--rig", "simulated", "--realtime", rig.servo.realtime, "--record", str(folder / "soak.mcap")]
+        words += ["--endpoint", endpoint, "--commands", commands]
+        daemon = running.enter_context(source([sys.executable, "-m", "softfinger.server.cli", *words], endpoint))
+        page, address = running.enter_context(viewer("--endpoint", endpoint, "--commands", commands))
         running.enter_context(helper("--page", address))
-        readers = [running.enter_context(helper(publisher.endpoint)) for _ in range(SUBSCRIBERS)]
+        readers = [running.enter_context(helper(endpoint)) for _ in range(SUBSCRIBERS)]
         running.enter_context(end_after([sys.executable, "-c", BUSY]))
-        client = running.enter_context(Client(publisher.endpoint, commands, timeout_s=30.0))
+        client = running.enter_context(Client(endpoint, commands, timeout_s=30.0))
         c_loop = running.enter_context(run_c_loop(rig, folder))
-        trees = {"daemon": publisher.process.pid, "page": page.pid}
+        trees = {"daemon": daemon.pid, "page": page.pid}
         trees |= {f"subscriber {number}": reader.pid for number, reader in enumerate(readers, 1)}
-        first = newest(publisher.endpoint)
+        first = newest(endpoint)
         times, processes = watch_processes(trees, lambda number: change(client, number), seconds)
-        last = newest(publisher.endpoint)
+        last = newest(endpoint)
         for reader in readers:
             reader.send_signal(signal.SIGTERM)
         lost_ticks = sum(int(reader.communicate(timeout=30.0)[0]) for reader in readers)
@@ -223,7 +222,7 @@ def run_c_loop(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
 
     Yields a function that ends the loop and returns its missed deadlines, None without a compiler.
     """
-    program = compile_reference(folder)
+    program = compile_c(SOURCE, folder, "-pthread")
     if program is None:
         yield lambda: None
         return
@@ -297,17 +296,6 @@ def table(result: dict[str, Any]) -> list[str]:
     return lines + [f"  {fault}" for fault in result["faults"]]
 
 
-def draw(path: Path, soaked: Soaked) -> None:
-    drawing = figure()
-    axes = drawing.add_subplot()
-    for name, values in soaked.processes.items():
-        axes.plot(soaked.times / 60.0, values[:, 0], label=name)
-    axes.set(xlabel="time, minutes", ylabel="resident memory, MB")
-    axes.legend(fontsize="small")
-    axes.grid(True, alpha=0.3)
-    save(drawing, path)
-
-
 def stop_on_sigterm() -> threading.Event:
     """Return an event that SIGTERM sets, and print that the process is at work."""
     stopped = threading.Event()
@@ -351,9 +339,8 @@ def look_on(address: str) -> None:
 
 def repeat_in_c(program: str, rate_hz: str, realtime: str, priority: str) -> None:
     """Run the C loop in turns; print the deadlines that it missed on SIGTERM."""
-    rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.priority": int(priority)})
-    if realtime == "off":
-        rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), "servo.realtime": "off"})
+    setting = {"servo.realtime": "off"} if realtime == "off" else {"servo.priority": int(priority)}
+    rig = load_rig("simulated", {"servo.rate_hz": float(rate_hz), **setting})
     stopped, missed = stop_on_sigterm(), 0
     while not stopped.is_set():
         rows = run_reference(Path(program), rig, round(C_TURN_S * rig.servo.rate_hz))

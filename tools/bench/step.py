@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from fnmatch import fnmatch
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +21,7 @@ from softfinger.server.offline.cost import BLOCK, Cost, keep_contact, make_touch
 from softfinger.server.offline.figures import figure, save
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.bench.features import Feature, all_features, corner_poses
-from softfinger.tools.measure import show
+from softfinger.tools.measure import show_and_draw
 
 REFERENCE_OPERATIONS: Final = 100
 CORNER: Final = "corner"
@@ -50,7 +51,7 @@ def reference_ns() -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    chosen = [] if args.features is None else select(all_features(), args.features)
+    chosen = [] if args.features is None else select(list(all_features()), args.features)
     names = list_shipped(Scene) if args.all else args.scene
     blocks = max(args.blocks, 1)
     scenes = map_with_progress(
@@ -62,10 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if chosen:
         cost = partial(cost_of, blocks=blocks)
         result["features"] = map_with_progress("measuring features", cost, chosen)
-    show(result, args.json, table(result))
-    if args.plot:
-        draw(result, args)
-    return 0
+    return show_and_draw(args, result, table(result), lambda path: draw(result, path))
 
 
 def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]:
@@ -166,7 +164,7 @@ def table(result: dict[str, Any]) -> list[str]:
     return lines
 
 
-def draw(result: dict[str, Any], args: argparse.Namespace) -> None:
+def draw(result: dict[str, Any], path: Path) -> None:
     """Draw the variants of the scenes and, below them, the cost of each feature."""
     steps = [(f"{s['scene']}: {row['variant']}", row["ns_per_step"]) for s in result["scenes"] for row in s["variants"]]
     added = [(row["feature"], row["marginal_ns"]) for row in result.get("features", [])]
@@ -176,4 +174,4 @@ def draw(result: dict[str, Any], args: argparse.Namespace) -> None:
     for axes, (rows, axis) in zip(grid[:, 0], parts, strict=True):
         axes.barh([label for label, _ in rows][::-1], [cost for _, cost in rows][::-1])
         axes.set_xlabel(axis)
-    save(drawing, args.plot)
+    save(drawing, path)

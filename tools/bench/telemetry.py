@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import struct
 import subprocess
 import sys
@@ -31,7 +30,7 @@ from softfinger.server.socket_process.messages import Messages
 from softfinger.server.socket_process.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
-from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show
+from softfinger.tools.measure import Array, compile_c, draw_exceedance, microseconds, quantiles, show_and_draw
 
 START_S: Final = 180.0
 """Longest time for a cold daemon to compile."""
@@ -86,10 +85,8 @@ def run(args: argparse.Namespace) -> int:
         loss_text = f"lost {result[name]['lost']} of {result[name]['messages']}"
         lines.append(f"  {name:<10} {cells}   {loss_text}   processor {100.0 * result[name]['load']:4.1f} %")
     lines.append("  medians over blocks of a second; in brackets the ratio to the daemon")
-    show(result, args.json, lines)
-    if args.plot:
-        draw_exceedance(args.plot, latencies, 1.0, "tick to subscriber", "messages later than this", "")
-    return 0
+    texts = ("tick to subscriber", "messages later than this", "")
+    return show_and_draw(args, result, lines, lambda path: draw_exceedance(path, latencies, 1.0, *texts))
 
 
 def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
@@ -106,15 +103,13 @@ def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
 
 def compile_reference(folder: Path) -> list[str] | None:
     """Compile the C sender; returns it with the library that it has to load, None if there is no C compiler."""
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
+    program = compile_c(SOURCE, folder, "-ldl")
+    if program is None:
         return None
     maps = os.fsdecode(Path("/proc/self/maps").read_bytes()).splitlines()
     libraries = {line.split(maxsplit=5)[5] for line in maps if "libzmq" in line}  # pyzmq has loaded one
     if not libraries:
         raise ConfigError("pyzmq has its own libzmq here: install pyzmq from its wheel")
-    program = folder / "reference_sender"
-    subprocess.run([compiler, "-O2", "-o", str(program), str(SOURCE), "-ldl"], check=True)
     return [str(program), libraries.pop()]
 
 
@@ -136,9 +131,11 @@ def body(folder: Path) -> list[str]:
 
 def measure(name: str, words: list[str], args: argparse.Namespace, seconds: float) -> SourceResult:
     """Run a turn of a source; the share of a processor is that of the forwarding process if there is one."""
+    with zmq.Context() as context, context.socket(zmq.PUB) as probe:
+        endpoint = f"tcp://127.0.0.1:{probe.bind_to_random_port('tcp://127.0.0.1')}"
     with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
-        publisher = running.enter_context(source(words, "tcp", Path(folder_name)))
-        await_messages(publisher.endpoint)
+        started = [endpoint if word == "ENDPOINT" else word for word in words]
+        publisher = PublisherProcess(running.enter_context(source(started, endpoint)), endpoint)
         if name == FORWARD:
             publisher = running.enter_context(forward(publisher.endpoint, args.keys, Path(folder_name)))
         start_cpu_s, begun = processor_s(publisher.process.pid), time.monotonic()
@@ -157,20 +154,22 @@ def processor_s(pid: int) -> float:
 
 
 @contextmanager
-def source(words: list[str], transport: str, folder: Path) -> Iterator[PublisherProcess]:
-    """Run a process that publishes until the block ends."""
-    if transport == "ipc":
-        endpoint = f"ipc://{folder}/source.sock"
-    else:
-        with zmq.Context() as context, context.socket(zmq.PUB) as probe:
-            endpoint = f"tcp://127.0.0.1:{probe.bind_to_random_port('tcp://127.0.0.1')}"
-    started = [endpoint if word == "ENDPOINT" else word for word in words]
-    with subprocess.Popen(started, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C does not reach it
+def running_process(words: list[str], **options: Any) -> Iterator[subprocess.Popen[Any]]:
+    """Run a process until the block ends."""
+    with subprocess.Popen(words, **options) as process:
         try:
-            yield PublisherProcess(process, endpoint)
+            yield process
         finally:
             process.terminate()
-            process.wait(timeout=30.0)
+            process.communicate(timeout=30.0)
+
+
+@contextmanager
+def source(words: list[str], endpoint: str) -> Iterator[subprocess.Popen[Any]]:
+    """Run a process that publishes at an endpoint until the block ends; yields it after its first message."""
+    with running_process(words, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C does not reach it
+        await_messages(endpoint)
+        yield process
 
 
 @contextmanager
@@ -185,14 +184,10 @@ def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[PublisherProces
         (folder / "readers" / public.name).write_bytes(public.read_bytes())
         words += ["--keys", str(folder / "server.key_secret"), "--readers", str(folder / "readers")]
         pair = str(folder / "client.key_secret"), str(folder / "server.key")
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    with running_process(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        try:
-            line_with_endpoint = next((line for line in process.stderr if "forwarded on " in line), "")
-            yield PublisherProcess(process, line_with_endpoint.partition("forwarded on ")[2].partition(",")[0], pair)
-        finally:
-            process.terminate()
-            process.communicate(timeout=30.0)
+        line_with_endpoint = next((line for line in process.stderr if "forwarded on " in line), "")
+        yield PublisherProcess(process, line_with_endpoint.partition("forwarded on ")[2].partition(",")[0], pair)
 
 
 def await_messages(endpoint: str) -> None:

@@ -17,7 +17,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -25,8 +24,8 @@ import numpy as np
 from softfinger.config.errors import ConfigError
 from softfinger.server.progress import progress
 from softfinger.server.wire.client import subscribe
-from softfinger.tools.bench.telemetry import await_messages, processor_s, source
-from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show
+from softfinger.tools.bench.telemetry import processor_s, running_process, source
+from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show_and_draw
 
 TURN_S: Final = 10.0
 SETTLE_S: Final = 8.0
@@ -34,17 +33,10 @@ SETTLE_S: Final = 8.0
 SIZE: Final = (1100, 700)
 """Size of a page, pixels."""
 ARGUMENTS: Final = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
+    "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
     "--disable-sync",
-]
+]  # fmt: skip
 """Arguments for a Chromium that draws in software and makes no requests to the network."""
 
 COUNT: Final = """() => {
@@ -81,21 +73,19 @@ def run(args: argparse.Namespace) -> int:
     turns = max(1, round(args.seconds / TURN_S))
     parts: dict[str, list[TurnResult]] = {name: [] for name in page_counts}
     with tempfile.TemporaryDirectory() as folder:
-        commands = f"ipc://{folder}/commands"
+        endpoint, commands = (f"ipc://{folder}/{name}" for name in ("telemetry", "commands"))
         words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", args.rig]
-        with source([*words, "--endpoint", "ENDPOINT", "--commands", commands], "ipc", Path(folder)) as publisher:
-            await_messages(publisher.endpoint)
-            with progress("measuring", turns * len(page_counts)) as advance:
-                for number in range(turns * len(page_counts)):
-                    name = list(page_counts)[number % len(page_counts)]
-                    parts[name].append(measure(page_counts[name], publisher.endpoint, commands, args.seconds / turns))
-                    advance(number + 1)
+        words += ["--endpoint", endpoint, "--commands", commands]
+        with source(words, endpoint), progress("measuring", turns * len(page_counts)) as advance:
+            for number in range(turns * len(page_counts)):
+                name = list(page_counts)[number % len(page_counts)]
+                parts[name].append(measure(page_counts[name], endpoint, commands, args.seconds / turns))
+                advance(number + 1)
     result = {name: summary(rows) for name, rows in parts.items()}
-    show({"rig": args.rig, "seconds": args.seconds, "cases": result}, args.json, table(result))
-    if args.plot:
-        late = {name: np.concatenate([turn.ticks[:, 0] for turn in turns]) for name, turns in parts.items()}
-        draw_exceedance(args.plot, late, 1.0, "woken late", "ticks later than this", "")
-    return 0
+    late = {name: np.concatenate([turn.ticks[:, 0] for turn in turns]) for name, turns in parts.items()}
+    texts = ("woken late", "ticks later than this", "")
+    content = {"rig": args.rig, "seconds": args.seconds, "cases": result}
+    return show_and_draw(args, content, table(result), lambda path: draw_exceedance(path, late, 1.0, *texts))
 
 
 def cases(args: argparse.Namespace) -> dict[str, PageCounts]:
@@ -153,19 +143,15 @@ def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     Raises ConfigError with the output of the process if there is no page.
     """
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "--no-open", *words]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
+    with running_process(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
         assert process.stderr is not None
-        try:
-            output = ""
-            while (match := re.search(r"(?m)^(http\S+)\n", output)) is None:
-                line = process.stderr.readline()
-                if not line:
-                    raise ConfigError(f"no page was served: {output.strip() or 'it ended without a word'}")
-                output += line
-            yield process, match[1]
-        finally:
-            process.terminate()
-            process.communicate(timeout=30.0)
+        output = ""
+        while (match := re.search(r"(?m)^(http\S+)\n", output)) is None:
+            line = process.stderr.readline()
+            if not line:
+                raise ConfigError(f"no page was served: {output.strip() or 'it ended without a word'}")
+            output += line
+        yield process, match[1]
 
 
 @contextmanager
@@ -195,7 +181,6 @@ def open_pages(address: str, count: int) -> Iterator[list[Any]]:
 
 
 def summary(turns: list[TurnResult]) -> dict[str, Any]:
-    """Return the results of a case."""
     late, busy = (np.concatenate([turn.ticks[:, column] for turn in turns]) for column in (0, 1))
     missed = [float(turn.ticks[-1, 2] - turn.ticks[0, 2]) for turn in turns]
     frames = [rate for turn in turns for rate in turn.frames]

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Final
 
-from softfinger.tools.doctor.check import Check
+from softfinger.tools.doctor.check import Check, State
 
 ROOT: Final = Path("/")
 CPUS: Final = Path("sys/devices/system/cpu")
@@ -70,48 +70,34 @@ def packages() -> Check:
 
 
 def kernel(root: Path = ROOT) -> Check:
-    system, release, version = platform.system(), platform.release(), platform.version()
-    state = f"{system} {release}"
-    expected = "Linux with PREEMPT_RT, which bounds the worst tick"
-    if system != "Linux":
-        return Check(
-            "system", "could be better", state, expected, "run on Linux: real-time settings need its system calls"
-        )
-    if text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
-        return Check("system", "good", f"{state}, PREEMPT_RT", expected)
+    is_realtime = text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version()
     return Check(
         "system",
-        "could be better",
-        f"{state}, not PREEMPT_RT",
-        expected,
-        "apt install linux-image-rt-amd64, or your distribution's PREEMPT_RT kernel, and boot it",
+        "good" if is_realtime else "could be better",
+        f"{platform.system()} {platform.release()}, {'' if is_realtime else 'not '}PREEMPT_RT",
+        "Linux with PREEMPT_RT, which bounds the worst tick",
+        ""
+        if is_realtime
+        else "apt install linux-image-rt-amd64, or your distribution's PREEMPT_RT kernel, and boot it",
     )
 
 
 def virtual(root: Path = ROOT) -> Check:
     """Check for a virtual machine, which its host may stall, and for a container, which may lack rights and nodes."""
-    signs = []
+    remedies: dict[str, str] = {}
     machine = " ".join(filter(None, (text(root / "sys/class/dmi/id" / key) for key in ("sys_vendor", "product_name"))))
     if re.search(r"^flags\s*:.*\bhypervisor\b", text(root / "proc/cpuinfo"), re.MULTILINE):
-        signs.append(f"virtual machine{f' ({machine})' if machine else ''}, {stolen_share(root)}")
+        guest = f"virtual machine{f' ({machine})' if machine else ''}, {stolen_share(root)}"
+        remedies[guest] = "run on the machine itself: a host stalls its guests for milliseconds"
     if (
         (root / ".dockerenv").exists()
         or (root / "run/.containerenv").exists()
         or CONTAINER_WORDS.search(text(root / "proc/1/cgroup"))
     ):
-        signs.append("container")
-    advice = []
-    if any(sign.startswith("virtual") for sign in signs):
-        advice.append("run on the machine itself: a host stalls its guests for milliseconds")
-    if "container" in signs:
-        advice.append("give the container the options in docs/operate/docker.md")
-    return Check(
-        "bare machine",
-        "could be better" if signs else "good",
-        "; ".join(signs) or "neither virtual machine nor container",
-        "neither virtual machine nor container",
-        "; ".join(advice),
-    )
+        remedies["container"] = "give the container the options in docs/operate/docker.md"
+    expected = "neither virtual machine nor container"
+    state: State = "could be better" if remedies else "good"
+    return Check("bare machine", state, "; ".join(remedies) or expected, expected, "; ".join(remedies.values()))
 
 
 def stolen_share(root: Path = ROOT) -> str:
@@ -123,7 +109,7 @@ def stolen_share(root: Path = ROOT) -> str:
 
 
 def processors(root: Path = ROOT) -> Check:
-    usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
+    usable = os.sched_getaffinity(0)
     state = f"{len(usable)} of {os.cpu_count()} may be used"
     if text(root / CPUS / "smt" / "active") == "1":
         state += ", two threads to a core"
@@ -141,16 +127,11 @@ def processors(root: Path = ROOT) -> Check:
 def frequency(root: Path = ROOT) -> Check:
     """Check the governor of every processor; power saving makes a processor wake slowly and run at a low clock."""
     governors = {text(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
-    expected = "governor performance, or no scaling"
-    if not governors:
-        return Check("processor frequency", "good", "no frequency scaling found", expected)
-    good = governors == {"performance"}
-    state = f"governor {', '.join(sorted(governors))}"
     return Check(
         "processor frequency",
-        "good" if good else "could be better",
-        state,
-        expected,
+        "good" if governors <= {"performance"} else "could be better",
+        f"governor {', '.join(sorted(governors))}" if governors else "no frequency scaling found",
+        "governor performance, or no scaling",
         "sudo cpupower frequency-set -g performance",
     )
 

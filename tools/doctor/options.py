@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from softfinger.tools.options import add_output_options
+from softfinger.tools.options import add_option, add_output_options
 
 
 def configure_doctor(parser: argparse.ArgumentParser) -> None:
@@ -12,11 +12,9 @@ def configure_doctor(parser: argparse.ArgumentParser) -> None:
         "Check whether this machine can run the daemon: hardware, permissions, timing of the servo loop. Exit code 0 "
         "if no problem is found. With --device-report, write a report on the device of a rig for a bug report."
     )
-    parser.add_argument("--rig", default="replay", help="rig file or the name of a shipped one (default: %(default)s)")
-    parser.add_argument("--scene", default="paper-plane", help="scene whose step is timed (default: %(default)s)")
-    parser.add_argument(
-        "--seconds", type=float, default=3.0, help="duration of each measurement (default: %(default)s)"
-    )
+    add_option(parser, "--rig", "replay", "rig file or the name of a shipped one")
+    add_option(parser, "--scene", "paper-plane", "scene whose step is timed")
+    add_option(parser, "--seconds", 3.0, "duration of each measurement")
     add_output_options(parser)
     parser.add_argument(
         "--device-report",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -50,14 +50,9 @@ def _exchange(report: Report) -> str | None:
     )
 
 
-def _frame(report: Report) -> str | None:
-    moves = [move for move in report["moves"] if move["kind"] == "translation"]
+def _moves(kind: str, report: Report) -> str | None:
+    moves = [move for move in report["moves"] if move["kind"] == kind]
     return "; ".join(f"{move['asked']}: {move['seen']}" for move in moves) or None
-
-
-def _rotation(report: Report) -> str | None:
-    turns = [move for move in report["moves"] if move["kind"] == "rotation"]
-    return "; ".join(f"{move['asked']}: {move['seen']}" for move in turns) or None
 
 
 def _buttons(report: Report) -> str | None:
@@ -116,8 +111,8 @@ def _us(seconds: float) -> str:
 
 ANSWERS: Final[Mapping[str, Callable[[Report], str | None]]] = {
     "exchange-time": _exchange,
-    "frame": _frame,
-    "rotation": _rotation,
+    "frame": partial(_moves, "translation"),
+    "rotation": partial(_moves, "rotation"),
     "buttons": _buttons,
     "force-sign": _force_sign,
     "unplugged": _ask_unplugged,

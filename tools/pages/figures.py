@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from softfinger.config.load import build, describe, load_scene
+from softfinger.config.load import build
 from softfinger.config.materials import fingertips
 from softfinger.config.schema import Scene
 from softfinger.drivers.poses import load_poses
@@ -152,11 +152,7 @@ def bodies(axes: Any) -> None:
     hands = {name: resample(load_poses(f"lift-{name}"), 1000.0)[800:2600] for name in ("thumb", "index")}
     block = 10
     for name, torsion in (("with torsion", True), ("without torsion", False)):
-        mapping = describe(load_scene("lift-a-box"))
-        for table in (mapping["world"], *mapping["object"]):
-            if not torsion:
-                del table["material"]["torsion"]
-        engine = Engine(mapping)
+        engine = moving.make_lift(torsion)
         states = []
         for first in range(0, len(hands["thumb"]), block):
             engine.run({finger: poses[first : first + block] for finger, poses in hands.items()})
@@ -169,7 +165,9 @@ def bodies(axes: Any) -> None:
     axes[1].set(xlabel="time [s]", ylabel="turn of the box [deg]")
 
 
-FIGURES: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {
+Drawing = tuple[Callable[[Any], None], tuple[str, ...]]
+"""Function that draws a figure, and free place for a legend in each of its axes, empty without a legend."""
+FIGURES: Final[dict[str, Drawing]] = {
     "contact": (sketches.contact, ("",)),
     "conventions": (sketches.conventions, ("", "")),
     "normal": (normal, ("upper left",)),
@@ -185,36 +183,28 @@ FIGURES: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {
     "passivity": (passivity, ("lower left",)),
     "bodies": (bodies, ("upper left", "")),
 }
-"""Function that draws the figure of each page, and free place for a legend in each of its axes, empty without a legend.
-
-The page on several patches has a figure of the study.
-"""
+"""Drawing of each model page; the page on several patches has a figure of the study."""
 
 
-STATE_FIGURES: Final[dict[str, tuple[Callable[[Any], None], tuple[str, ...]]]] = {"states": (states.draw, ("",))}
-"""The same for pages that are not of a model."""
-
-
-def draw(name: str, path: Path) -> None:
-    draw, legends = (FIGURES | STATE_FIGURES)[name]
+def draw(drawing: Drawing, path: Path) -> None:
+    draw_axes, legends = drawing
     count = len(legends)
-    drawing = figure(3.6 * count + 1.8 * (count == 1), 2.8)
-    axes = np.atleast_1d(drawing.subplots(1, count))
-    draw(axes)
+    page = figure(3.6 * count + 1.8 * (count == 1), 2.8)
+    axes = np.atleast_1d(page.subplots(1, count))
+    draw_axes(axes)
     for panel, place in zip(axes, legends, strict=True):
         if place:
             panel.legend(loc=place, frameon=False, fontsize="small")
-    save(drawing, path)
+    save(page, path)
 
 
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="figures", description=__doc__)
     parser.add_argument("folder", type=Path, help="where the figures go")
     folder = parser.parse_args(argv).folder
-    for name in FIGURES:
-        draw(name, folder / f"model-{name}.svg")
-    for name in STATE_FIGURES:
-        draw(name, folder / f"{name}.svg")
+    for name, drawing in FIGURES.items():
+        draw(drawing, folder / f"model-{name}.svg")
+    draw((states.draw, ("",)), folder / "states.svg")
     moving.draw(folder / "lift-a-box.svg")
     return 0
 

@@ -35,16 +35,21 @@ TITLES: Final = (
 )
 
 
+def make_lift(torsion: bool) -> Engine:
+    """Return an engine of the scene `lift-a-box`, with or without the torsion of the contacts."""
+    mapping = describe(load_scene("lift-a-box"))
+    if not torsion:
+        for table in (mapping["world"], *mapping["object"]):
+            del table["material"]["torsion"]
+    return Engine(mapping, RATE_HZ)
+
+
 def simulate_lift(torsion: bool) -> tuple[Array, Array, Array]:
     """Return the states of all frames.
 
     They are the box's position in the plane (n, 2) m, its turn (n,) deg, and the fingers' position (n, 2) m.
     """
-    mapping = describe(load_scene("lift-a-box"))
-    if not torsion:
-        for table in (mapping["world"], *mapping["object"]):
-            del table["material"]["torsion"]
-    engine = Engine(mapping, RATE_HZ)
+    engine = make_lift(torsion)
     hands = {name: resample(load_poses(f"lift-{name}"), RATE_HZ) for name in engine.fingers}
     # A hand yields by as much as the contact: half of the depth in the recording.
     for poses in hands.values():

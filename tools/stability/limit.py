@@ -79,8 +79,6 @@ STIFFEST: Final = 1e12
 
 
 class WallCase(CaseOptions, frozen=True, kw_only=True):
-    """Wall, device and hand along one axis."""
-
     @property
     def period_s(self) -> float:
         """Length of a tick, in whole ns like the servo's."""

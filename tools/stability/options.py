@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.fields import unit
-from softfinger.tools.options import add_output_options, add_sweep_options
+from softfinger.tools.options import add_option, add_output_options, add_sweep_options
 
 MAPS: Final = ("zwidth", "rate", "delay")
 POINTS: Final = 24
@@ -29,7 +29,6 @@ FLAGS: Final = {
     "passivity-damping": "passivity_damping_ns_per_m",
 }
 """Command-line flag of each field of a case."""
-GARBAGE_TICKS: Final = 250_000
 
 
 class CaseOptions(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,17 +83,9 @@ def configure_stability(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--compare", action="store_true", help="with --map: also with hand, friction, encoder and filter"
     )
-    group.add_argument("--points", type=int, default=POINTS, metavar="N", help="points of a map (default: %(default)s)")
-    group.add_argument(
-        "--ticks", type=int, default=1000, metavar="M", help="ticks of each random case (default: %(default)s)"
-    )
-    group.add_argument("--seed", type=int, default=0, help="seed of the random cases and bytes (default: %(default)s)")
-    group.add_argument(
-        "--garbage",
-        type=int,
-        default=GARBAGE_TICKS,
-        metavar="M",
-        help="ticks of random bytes per scene (default: %(default)s)",
-    )
+    add_option(group, "--points", POINTS, "points of a map", metavar="N")
+    add_option(group, "--ticks", 1000, "ticks of each random case", metavar="M")
+    add_option(group, "--seed", 0, "seed of the random cases and bytes")
+    add_option(group, "--garbage", 250_000, "ticks of random bytes per scene", metavar="M")
     add_sweep_options(parser)
     add_output_options(parser)

@@ -21,7 +21,7 @@ from softfinger.config.load import FaultyConfig
 from softfinger.config.schema import unit
 from softfinger.config.validate import examine
 from softfinger.server.offline.figures import figure, save
-from softfinger.tools.measure import show
+from softfinger.tools.measure import show, show_and_draw
 from softfinger.tools.stability import bodies, bodies_table, extremes, hostile, runs
 from softfinger.tools.stability.limit import WallCase, compile_search, find_limits
 from softfinger.tools.stability.maps import MAPS, VARIANTS, cases_of, draw_maps
@@ -49,12 +49,9 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError("command line --plot: the extremes have no plot: remove --plot or --extremes")
         return run_extremes(args)
     rows = measure(case, args)
-    show({"cases": rows}, args.json, table(rows))
-    if args.plot and args.map is None:
-        draw_radius(args.plot, case, rows[0])
-    elif args.plot:
-        draw_maps(args.plot, rows, case)
-    return 0
+    if args.map is None:
+        return show_and_draw(args, {"cases": rows}, table(rows), lambda path: draw_radius(path, case, rows[0]))
+    return show_and_draw(args, {"cases": rows}, table(rows), lambda path: draw_maps(path, rows, case))
 
 
 def run_extremes(args: argparse.Namespace) -> int:
@@ -71,9 +68,8 @@ def run_bodies(args: argparse.Namespace) -> int:
     Returns exit code 1 if a body is unstable, gives energy to the hands, or has unbalanced forces.
     """
     cells = bodies.measure_all()
-    show({"bodies": [row._asdict() for row in cells]}, args.json, bodies_table.lines(cells))
-    if args.plot:
-        bodies_table.draw(args.plot, cells)
+    result = {"bodies": [row._asdict() for row in cells]}
+    show_and_draw(args, result, bodies_table.lines(cells), lambda path: bodies_table.draw(path, cells))
     return int(bool(bodies_table.wrong(cells)))
 
 

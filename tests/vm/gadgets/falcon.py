@@ -138,28 +138,21 @@ class Chip:
             except OSError:
                 time.sleep(0.01)
 
-    def answer(self, line: str) -> object:
-        word, _, rest = line.partition(" ")
-        if word == "displayed":
-            time.sleep(SETTLE_S)
-            with self.lock:
-                return to_world(self.falcon.displayed) if self.gadget.plugged else (0.0, 0.0, 0.0)
-        if word == "place":
-            with self.lock:
-                return self.falcon.at
-        if word == "seen":
-            time.sleep(SETTLE_S)
-            with self.lock:
-                return self.falcon.seen()
-        if word == "make":
-            self._make(rest)
-        elif word == "mend":
-            self._mend()
-        else:
-            raise ValueError("no word of this device")
-        return None
+    def displayed(self) -> tuple[float, ...]:
+        time.sleep(SETTLE_S)
+        with self.lock:
+            return to_world(self.falcon.displayed) if self.gadget.plugged else (0.0, 0.0, 0.0)
 
-    def _make(self, case: str) -> None:
+    def place(self) -> tuple[float, ...]:
+        with self.lock:
+            return self.falcon.at
+
+    def seen(self) -> dict:
+        time.sleep(SETTLE_S)
+        with self.lock:
+            return self.falcon.seen()
+
+    def make(self, case: str) -> None:
         node = self.gadget.node or ""
         if case in ("not_found", "lost"):
             self.gadget.unplug()
@@ -178,7 +171,7 @@ class Chip:
             with suppress(OSError):  # FunctionFS: the wrong direction, which halts the endpoint
                 os.read(self.end_in, PACKET)
 
-    def _mend(self) -> None:
+    def mend(self) -> None:
         with self.lock:
             self.made = ""
             self.lock.notify_all()
@@ -193,6 +186,6 @@ class Chip:
 
 if __name__ == "__main__":
     chip = Chip(json.loads(sys.argv[2]))
-    serve(sys.argv[1], chip.answer)
+    serve(sys.argv[1], chip)
     chip.gadget.unplug()
     os._exit(0)  # the threads wait for a host

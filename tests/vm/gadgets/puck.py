@@ -65,20 +65,20 @@ class Puck:
                 self.device.send(report)
             time.sleep(REPORT_PERIOD_S)
 
-    def answer(self, line: str) -> object:
-        if line == "seen":
-            return {"written": self.written}
-        if line == "make lost":
-            self.device.unplug()
-        elif line == "mend":
-            self.device.plug()
-        else:
-            raise ValueError("no word of this device")
-        return None
+    def seen(self) -> dict:
+        return {"written": self.written}
+
+    def make(self, case: str) -> None:
+        if case != "lost":
+            raise ValueError("no case of this device")
+        self.device.unplug()
+
+    def mend(self) -> None:
+        self.device.plug()
 
 
 if __name__ == "__main__":
     made = Puck(json.loads(sys.argv[2]))
-    serve(sys.argv[1], made.answer)
+    serve(sys.argv[1], made)
     made.device.unplug()
     os._exit(0)  # the threads wait for a host

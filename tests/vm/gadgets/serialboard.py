@@ -3,12 +3,11 @@
     python serialboard.py SOCKET '{"place": [0, 0, 0.01]}'
 
 Keys of the case: place (m), press (m: downward motion of the hand), drag (m: sideways motion). Lines over the socket:
-`displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`; the cases:
+`seen`, `make CASE`, `mend`, `quit`; the cases:
 
-not_found, lost   unplugged
-permission        its node is not accessible
-timeout           receives, but does not answer
-blocked           reads nothing
+lost      unplugged
+timeout   receives, but does not answer
+blocked   reads nothing
 """
 
 from __future__ import annotations
@@ -27,14 +26,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from emulators.hand import stroke
 from emulators.serialboard import Board
 
+from vm.gadgets import serving
 from vm.gadgets.configfs import PLUG_S, Gadget, settle
-from vm.gadgets.serving import serve
 
 IDS = (0x16C0, 0x0483)
 TTYS = Path("/sys/class/tty")
 POLL_MS = 100
-SETTLED_S, SETTLE_S = 0.05, 1.0
-"""Silence after which no frame is in flight, and the maximum time to wait for it."""
 
 
 class Port:
@@ -110,46 +107,29 @@ class Port:
                     with suppress(OSError):  # answers are lost if the buffer is full
                         os.write(end, answer)
 
-    def _settle(self) -> None:
-        started = time.monotonic()
-        while time.monotonic() < min(started + SETTLE_S, max(started, self.heard_at) + SETTLED_S):
-            time.sleep(0.005)
-
-    def answer(self, line: str) -> object:
-        word, _, rest = line.partition(" ")
-        if word in ("displayed", "seen"):
-            self._settle()
+    def seen(self) -> dict:
+        serving.settle(lambda: self.heard_at)
         board = self.board
-        if word == "displayed":
-            return board.force if self.gadget.plugged else (0.0, 0.0, 0.0)
-        if word == "place":
-            return board.place
-        if word == "seen":
-            with self.lock:
-                most = [max((abs(words[k]) for words in board.sent), default=0) for k in range(3)]
-                return {
-                    "frames": len(board.sent), "wakes": board.wakes, "force": board.force, "most": most,
-                    "faults": [fault.decode(errors="replace") for fault in board.faults],
-                }  # fmt: skip
-        if word == "make":
-            if rest in ("not_found", "lost"):
-                self.unplug()
-            elif rest == "permission":
-                os.chmod(self.node or "", 0)
-            self.made = rest
-        elif word == "mend":
-            self.made = ""
-            if not self.gadget.plugged:
-                self.plug()
-            else:
-                os.chmod(self.node or "", 0o660)
-        else:
-            raise ValueError("no word of this device")
-        return None
+        with self.lock:
+            most = [max((abs(words[k]) for words in board.sent), default=0) for k in range(3)]
+            return {
+                "frames": len(board.sent), "wakes": board.wakes, "force": board.force, "most": most,
+                "faults": [fault.decode(errors="replace") for fault in board.faults],
+            }  # fmt: skip
+
+    def make(self, case: str) -> None:
+        if case == "lost":
+            self.unplug()
+        self.made = case
+
+    def mend(self) -> None:
+        self.made = ""
+        if not self.gadget.plugged:
+            self.plug()
 
 
 if __name__ == "__main__":
     port = Port(json.loads(sys.argv[2]))
-    serve(sys.argv[1], port.answer)
+    serving.serve(sys.argv[1], port)
     port.unplug()
     os._exit(0)  # the thread waits for a host

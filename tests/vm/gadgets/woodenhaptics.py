@@ -3,8 +3,7 @@
     python woodenhaptics.py SOCKET '{"arm": "woody-2019", "bus": "usb", "place": [0, 0, 0.01]}'
 
 Keys of the case: arm (a row of the emulator's table), bus (usb or uhid), place (m), press (m: downward motion of the
-hand), drag (m: sideways motion). Lines over the socket: `displayed`, `place`, `seen`, `make CASE`, `mend`, `quit`; the
-cases:
+hand), drag (m: sideways motion). Lines over the socket: `displayed`, `seen`, `make CASE`, `mend`, `quit`; the cases:
 
 not_found, lost   unplugged
 busy              another program has locked its node
@@ -28,14 +27,12 @@ from emulators.hand import stroke
 from emulators.woodenhaptics import Woody
 
 from vm.gadgets.hid import HidDevice, Uhid, UsbHid
-from vm.gadgets.serving import serve
+from vm.gadgets.serving import serve, settle
 
 IDS = (0x16C0, 0x0486)
 REPORT_BYTES = 64
 # Vendor page, one input and one output report of 64 bytes, without ids.
 DESCRIPTOR = bytes.fromhex("06abff0a0002a1017508150026ff00954009018102954009029102c0")
-SETTLED_S, SETTLE_S = 0.05, 1.0
-"""Silence after which no report is in flight or queued in the kernel, and the maximum time to wait for it."""
 
 
 class Board:
@@ -62,37 +59,24 @@ class Board:
         if not self.mute:
             self.device.send(answer)
 
-    def _settle(self) -> None:
-        started = time.monotonic()
-        while time.monotonic() < min(started + SETTLE_S, max(started, self.taken_at) + SETTLED_S):
-            time.sleep(0.005)
+    def displayed(self) -> tuple[float, ...]:
+        settle(lambda: self.taken_at)
+        with self.lock:
+            a, b, c = (i / 1e3 for i in self.woody.milliamperes)
+            force = self.woody.arm.force(self.woody.place, (a, b, c))
+        return (0.0, 0.0, 0.0) if self.device.node is None else force
 
-    def answer(self, line: str) -> object:
-        word, _, rest = line.partition(" ")
-        if word in ("displayed", "seen"):
-            self._settle()
+    def seen(self) -> dict:
+        settle(lambda: self.taken_at)
         with self.lock:
             woody = self.woody
-            if word == "displayed":
-                a, b, c = (i / 1e3 for i in woody.milliamperes)
-                return (0.0, 0.0, 0.0) if self.device.node is None else woody.arm.force(woody.place, (a, b, c))
-            if word == "place":
-                return woody.place
-            if word == "seen":
-                most = [max((abs(words[k]) for words in woody.sent), default=0) for k in range(3)]
-                return {
-                    "reports": len(woody.sent), "last": list(woody.sent[-1][:3]) if woody.sent else [],
-                    "most": most, "place": woody.place, "motors": woody.milliamperes,
-                }  # fmt: skip
-        if word == "make":
-            self._make(rest)
-        elif word == "mend":
-            self._mend()
-        else:
-            raise ValueError("no word of this device")
-        return None
+            most = [max((abs(words[k]) for words in woody.sent), default=0) for k in range(3)]
+            return {
+                "reports": len(woody.sent), "last": list(woody.sent[-1][:3]) if woody.sent else [],
+                "most": most, "place": woody.place, "motors": woody.milliamperes,
+            }  # fmt: skip
 
-    def _make(self, case: str) -> None:
+    def make(self, case: str) -> None:
         node = self.device.node or ""
         if case in ("not_found", "lost"):
             self.device.unplug()
@@ -110,7 +94,7 @@ class Board:
         else:
             raise ValueError(f"no case of this device: {case}")
 
-    def _mend(self) -> None:
+    def mend(self) -> None:
         self.mute = self.device.blocked = False
         if self.rival is not None:
             os.close(self.rival)
@@ -123,6 +107,6 @@ class Board:
 
 if __name__ == "__main__":
     board = Board(json.loads(sys.argv[2]))
-    serve(sys.argv[1], board.answer)
+    serve(sys.argv[1], board)
     board.device.unplug()
     os._exit(0)  # the thread waits for a host
