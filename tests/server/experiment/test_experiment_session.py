@@ -31,8 +31,8 @@ from softfinger.server.experiment.experiment import Experiment, results
 from softfinger.server.experiment.folder import ParticipantFolder, load
 from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Journal, MemoryJournal, read
-from softfinger.server.experiment.report import _starts
 from softfinger.server.experiment.observer import SimulatedObserver
+from softfinger.server.experiment.report import _starts
 from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
