@@ -56,14 +56,25 @@ PUBLISHER_PRIORITY: Final = 1
 class Daemon:
     """Running server. Construct (opens everything), `start`, `wait`, `close`; also a context manager.
 
-    rig, scene  validated configuration
-    ticks       number of ticks to run; None: until stopped
-    report      called from the servo thread with the result of each real-time setting
-    sinks       receivers of all records, in addition to the publisher
-    scene_name  name of the scene
-    faults      faults to inject between the devices and the loop
+    Parameters
+    ----------
+    rig, scene
+        Validated configuration.
+    ticks
+        Number of ticks to run; None: until stopped.
+    report
+        Called from the servo thread with the result of each real-time setting.
+    sinks
+        Receivers of all records, in addition to the publisher.
+    scene_name
+        Name of the scene.
+    faults
+        Faults to inject between the devices and the loop.
 
-    Raises HapticError if a device cannot be opened or an endpoint cannot be bound; everything opened before is closed.
+    Raises
+    ------
+    HapticError
+        If a device cannot be opened or an endpoint cannot be bound; everything opened before is closed.
     """
 
     def __init__(
@@ -149,7 +160,17 @@ class Daemon:
 
         Subscribers stay connected and receive an event; the counts of ticks and misses and the time continue.
 
-        Returns the number of the first tick with the new configuration.
+        Parameters
+        ----------
+        scene, rig
+            New configuration; None: unchanged.
+        scene_name
+            Name of the new scene.
+
+        Returns
+        -------
+        int
+            Number of the first tick with the new configuration.
         """
         first = self.rendering.replace(scene, rig)
         self._publish_scene_info(self._scene_name if scene is None else scene_name)
@@ -169,10 +190,16 @@ class Daemon:
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait for the end of the servo; return False on timeout.
 
-        timeout_s  maximum time to wait; None: no limit
+        Parameters
+        ----------
+        timeout_s
+            Maximum time to wait; None: no limit.
 
-        Raises DeviceError, SafetyStop, RealtimeError if the cause was neither a stop, nor the last tick, nor the end of
-        a recording. Exceptions from defects of the program are raised unchanged.
+        Raises
+        ------
+        DeviceError, SafetyStop, RealtimeError
+            If the cause was neither a stop, nor the last tick, nor the end of a recording. Exceptions from
+            defects of the program are raised unchanged.
         """
         try:
             until = time.monotonic() + (math.inf if timeout_s is None else timeout_s)
@@ -201,7 +228,10 @@ class Daemon:
 
         Each step runs even if an earlier one failed. The first error is raised at the end, later ones are logged.
 
-        first  exception that is already propagating: all errors are logged and none is raised
+        Parameters
+        ----------
+        first
+            Exception that is already propagating: all errors are logged and none is raised.
         """
         failed = shutdown.run_all_steps(lambda: self.states.fire(Trigger.END, "by request, or complete"), first=first)
         failed = stop_all(self.services, failed)

@@ -100,10 +100,22 @@ def add_stream_options(parser: Parser) -> None:
 def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
     """Return the files of a repeatable option by finger name.
 
-    values   FILE, given once, or NAME=FILE for each of several fingers
-    returns  file by name; a FILE without a name has the key ""
+    Parameters
+    ----------
+    values
+        FILE, given once, or NAME=FILE for each of several fingers.
+    flag
+        Name of the option, for the message.
 
-    Raises ConfigError if a name is repeated, or if values with and without a name are mixed.
+    Returns
+    -------
+    dict
+        File by name; a FILE without a name has the key "".
+
+    Raises
+    ------
+    ConfigError
+        If a name is repeated, or if values with and without a name are mixed.
     """
     files: dict[str, str] = {}
     for value in values:

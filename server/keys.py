@@ -47,9 +47,17 @@ class ClientKeys(NamedTuple):
 
 
 def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
-    """Write a new key pair, the secret file with mode 600; return the public file and the secret file.
+    """Write a new key pair, the secret file with mode 600.
 
-    Raises ConfigError if the name is not allowed or one of the files exists.
+    Returns
+    -------
+    tuple
+        Public file, secret file.
+
+    Raises
+    ------
+    ConfigError
+        If the name is not allowed or one of the files exists.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(f"{format_value(name)} is not a name of a key: up to 64 letters, digits, dots, - and _")

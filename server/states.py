@@ -77,7 +77,10 @@ FAULTS: Final = frozenset({SILENT, FAST})
 class States:
     """State machine of a daemon; thread-safe.
 
-    report  called on each transition, in order, with the previous state, the new state and the cause
+    Parameters
+    ----------
+    report
+        Called on each transition, in order, with the previous state, the new state and the cause.
     """
 
     def __init__(

@@ -30,9 +30,14 @@ TRY_S = 2.0
 class Watcher:
     """Starts the process; call `dismiss` after the device is closed.
 
-    node  path of the device node
-    fd    descriptor of the open device
-    zero  bytes that command zero force when written to it
+    Parameters
+    ----------
+    node
+        Path of the device node.
+    fd
+        Descriptor of the open device.
+    zero
+        Bytes that command zero force when written to it.
     """
 
     def __init__(self, node: str, fd: int, zero: bytes) -> None:

@@ -40,10 +40,20 @@ def compare_models(
 ) -> list[Comparison]:
     """Compare the model of all conditions with the models in which a factor has no effect, for each factor.
 
-    rows      answered trials; practice and catch trials are ignored
-    excluded  participants to leave out
-    returns   one for each factor with an answer at two or more of its levels, in the order of the file
+    Parameters
+    ----------
+    rows
+        Answered trials; practice and catch trials are ignored.
+    excluded
+        Participants to leave out.
 
+    Returns
+    -------
+    list of Comparison
+        One for each factor with an answer at two or more of its levels, in the order of the file.
+
+    Notes
+    -----
     Each participant has a threshold in each condition and one slope; for numbers and durations, an intercept in each
     condition, one exponent and one noise. Without a factor, conditions that differ only in it share the threshold or
     intercept. Twice the difference of the log likelihoods is chi-squared distributed (Wilks, Annals of Mathematical

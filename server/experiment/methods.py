@@ -22,10 +22,16 @@ def write_methods(
 ) -> list[str]:
     """Return the paragraphs of a methods section.
 
-    rows      answered trials of all participants
-    excluded  reason by excluded participant
-    starts    contents of the files about each start of a session (`about.json`)
-    answers   rows of `surveys.survey_table`
+    Parameters
+    ----------
+    rows
+        Answered trials of all participants.
+    excluded
+        Reason by excluded participant.
+    starts
+        Contents of the files about each start of a session (`about.json`).
+    answers
+        Rows of `surveys.survey_table`.
     """
     paragraphs = [
         _participants(experiment, rows, excluded, starts),

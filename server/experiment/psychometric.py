@@ -61,13 +61,27 @@ class Fit(NamedTuple):
 def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> Fit:
     """Fit the Weibull function to answers (n,) at levels (n,) with a given lapse rate.
 
-    levels, right  (n,) level of each trial, and whether its answer was right
-    lapse          fraction of wrong answers at the highest levels
-    points         number of levels in the curve of the result
-    returns        medians, and central 95 % intervals, of the posterior on a grid of 300 thresholds by 40 slopes
+    Parameters
+    ----------
+    levels, right
+        (n,) level of each trial, and whether its answer was right.
+    lapse
+        Fraction of wrong answers at the highest levels.
+    points
+        Number of levels in the curve of the result.
 
-    Raises ValueError if there are no answers.
+    Returns
+    -------
+    Fit
+        Medians, and central 95 % intervals, of the posterior on a grid of 300 thresholds by 40 slopes.
 
+    Raises
+    ------
+    ValueError
+        If there are no answers.
+
+    Notes
+    -----
     The prior is uniform in the threshold's logarithm and normal in the slope's. Levels of an adaptive procedure are
     close together and carry little information on the slope: with only the most likely slope the interval of the
     threshold would be too short, and without a prior the threshold too low (Kaernbach, Perception and Psychophysics 63

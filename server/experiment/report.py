@@ -67,10 +67,18 @@ def write_report(
 ) -> str:
     """Return the report as HTML. All texts of the experiment and of participants are escaped.
 
-    rows     answered trials
-    surveys  rows of `surveys.survey_table`, and effects of `surveys.compare_scores`
-    root     folder of the experiment
-    figures  files of figures; the PNG ones are embedded
+    Parameters
+    ----------
+    rows
+        Answered trials.
+    groups
+        Fits by condition.
+    surveys
+        Rows of `surveys.survey_table`, and effects of `surveys.compare_scores`.
+    root
+        Folder of the experiment.
+    figures
+        Files of figures; the PNG ones are embedded.
     """
     excluded = find_excluded_participants(experiment, rows)
     sections: dict[str, Callable[[], str]] = {

@@ -31,7 +31,17 @@ DASHBOARD_PATH: Final = "/dashboard.json"
 
 
 class MetricsService(Worker):
-    """Worker that serves the metrics on a bound endpoint. Its failure does not end other services."""
+    """Worker that serves the metrics on a bound endpoint. Its failure does not end other services.
+
+    Parameters
+    ----------
+    bound
+        Endpoint.
+    counts
+        Source of the metrics.
+    event
+        Publishes an event.
+    """
 
     def __init__(self, bound: BoundSocket, counts: MetricsCollector, event: Callable[..., Any]) -> None:
         super().__init__("metrics")

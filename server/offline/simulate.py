@@ -56,11 +56,20 @@ def tick_many(
 def simulate(tuning: Tuning, poses: Array, rate_hz: float) -> Array:
     """Run the servo's tick over poses, and return the records that the daemon would produce.
 
-    tuning   scene and guard
-    poses    (n, 7) position, m, and orientation w, x, y, z, one per tick; (n, fingers, 7) with several fingers
-    rate_hz  ticks per second
-    returns  records (n, RECORD_SIZE), or (n, fingers, RECORD_SIZE). The timestamp is the tick times dt; the fields of
-             servo timing and device are 0
+    Parameters
+    ----------
+    tuning
+        Scene and guard.
+    poses
+        (n, 7) position, m, and orientation w, x, y, z, one per tick; (n, fingers, 7) with several fingers.
+    rate_hz
+        Ticks per second.
+
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), or (n, fingers, RECORD_SIZE). The timestamp is the tick times dt; the fields of servo
+        timing and device are 0.
     """
     finger_poses = poses[:, None] if poses.ndim < 3 else poses
     records, at = np.empty((*finger_poses.shape[:2], RECORD_SIZE)), 0
@@ -183,11 +192,27 @@ def simulate_recordings(
 def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_hz: float) -> Array:
     """Load and resample the poses of all fingers.
 
-    recordings  recording of each finger by name. The empty name refers to the recording of a single finger, or to an
-                MCAP recording of all fingers
-    returns     poses (n, fingers, 7), as long as the shortest recording
+    Parameters
+    ----------
+    fingers
+        Names of the scene's fingers.
+    recordings
+        Recording of each finger by name. The empty name refers to the recording of a single finger, or to an MCAP
+        recording of all fingers.
+    rate_hz
+        Ticks per second of the result.
 
-    Raises ConfigError unless each finger has a recording; RecordingError if a recording is unusable.
+    Returns
+    -------
+    Array
+        Poses (n, fingers, 7), as long as the shortest recording.
+
+    Raises
+    ------
+    ConfigError
+        Unless each finger has a recording.
+    RecordingError
+        If a recording is unusable.
     """
     has_fingers = len(fingers) > 1
     has_one_file = set(recordings) == {""} and (not has_fingers or Path(recordings[""]).suffix.lower() == ".mcap")

@@ -87,9 +87,14 @@ class LogBuffer(logging.Handler):
 class BlackBox:
     """Ring buffer of a run's latest ticks and events; `take` and `event` never wait for a disk, `write` does.
 
-    fingers  names of several fingers; one empty name for a single finger
-    guards   names of the guard's bits
-    rate_hz  rate of the ticks, which determines the size of the buffer
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    guards
+        Names of the guard's bits.
+    rate_hz
+        Rate of the ticks, which determines the size of the buffer.
     """
 
     def __init__(self, fingers: Sequence[str], guards: Sequence[str], rate_hz: float) -> None:
@@ -121,9 +126,17 @@ class BlackBox:
             self._events.append(event)
 
     def write(self, path: Path, about: Mapping[str, Any]) -> None:
-        """Write the stored data, with tables of metadata, to a new file, which appears only when it is complete.
+        """Write the stored data to a new file, which appears only when it is complete.
 
-        Raises OSError if the file cannot be written.
+        Parameters
+        ----------
+        about
+            Tables of metadata (`RecordingFile`).
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
         """
         with self._lock:
             order = (np.arange(self._next - self._count, self._next)) % len(self._rows)
@@ -159,7 +172,12 @@ class BlackBox:
 def prepare_folder(directory: Path) -> None:
     """Create the folder for this user only, and delete its oldest files to make room for one more.
 
-    Raises OSError if the folder cannot be created; ConfigError if other users may write to it.
+    Raises
+    ------
+    OSError
+        If the folder cannot be created.
+    ConfigError
+        If other users may write to it.
     """
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     check_owner(directory, directory.stat(), "could select the file that this program replaces")

@@ -272,9 +272,16 @@ def compare(
 ) -> ReplayComparison:
     """Compare a replay with the recorded or other values.
 
-    replayed   results of the run with today's code
-    against    values to compare with, (n,) or (n, size), by finger and key
-    tolerance  largest allowed difference of a component, N, N m or m; modes and objects must be equal
+    Parameters
+    ----------
+    run
+        Recording.
+    replayed
+        Its results with today's code.
+    against
+        Values to compare with, (n,) or (n, size), by finger and key.
+    tolerance
+        Largest allowed difference of a component, N, N m or m; modes and objects must be equal.
     """
     ticks = run.first["tick"].astype(np.int64)
     differs = np.zeros(len(ticks), dtype=bool)

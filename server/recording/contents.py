@@ -25,7 +25,10 @@ POSE_PARTS: Final = [
 def read_recording(recording: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     """Yield the contents of a recording as `read_contents` does; a table contains the ticks of one finger.
 
-    Raises RecordingError if `recording` is neither a file nor a shipped recording, or if the file cannot be read.
+    Raises
+    ------
+    RecordingError
+        If `recording` is neither a file nor a shipped recording, or if the file cannot be read.
     """
     path = find_recording(recording)
     if path.suffix.lower() in (".csv", ".npz"):

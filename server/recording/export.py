@@ -31,11 +31,19 @@ def export(recording: str | Path, out: Path, finger: str = "") -> int:
     Columns are those of the recording, named as in telemetry, with components as `force[0]`. Poses have those of the
     time, the tick, and the probe.
 
-    recording  file, or name of a shipped recording
-    finger     name of the finger; empty for a single finger
+    Parameters
+    ----------
+    recording
+        File, or name of a shipped recording.
+    finger
+        Name of the finger; empty for a single finger.
 
-    Raises RecordingError if the recording cannot be read, has no ticks of this finger, or the output cannot be written;
-    ConfigError if the suffix is unknown or its library is not installed.
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, has no ticks of this finger, or the output cannot be written.
+    ConfigError
+        If the suffix is unknown or its library is not installed.
     """
     if out.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"--out {out}: must end in {', '.join(SUFFIXES)}")

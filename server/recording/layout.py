@@ -38,9 +38,15 @@ class TickField(NamedTuple):
 class Layout:
     """Byte offset of each number in an encoded message.
 
-    message  instance whose repeated fields have the length common to all messages; its values are overwritten
+    Parameters
+    ----------
+    message
+        Instance whose repeated fields have the length common to all messages; its values are overwritten.
 
-    Raises ValueError if a field is not a number of eight bytes.
+    Raises
+    ------
+    ValueError
+        If a field is not a number of eight bytes.
     """
 
     def __init__(self, message: Any) -> None:

@@ -146,7 +146,10 @@ def translate_errors(path: str | Path, action: str = "written") -> Iterator[None
 def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     """Yield the contents of a recording in file order, followed by an End; report the progress.
 
-    Raises RecordingError if the file is not a readable recording.
+    Raises
+    ------
+    RecordingError
+        If the file is not a readable recording.
     """
     with (
         translate_errors(path, "read"),

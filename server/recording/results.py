@@ -90,11 +90,22 @@ def write_blocks(
 def read_results(path: str | Path, finger: str = "") -> Array:
     """Read the records of a file from `write_blocks`.
 
-    path     file with the ending .csv, .npz or .mcap
-    finger   name of the finger to read; empty for a file of a single finger
-    returns  records (n, RECORD_SIZE), equal bit for bit to the written ones
+    Parameters
+    ----------
+    path
+        File with the ending .csv, .npz or .mcap.
+    finger
+        Name of the finger to read; empty for a file of a single finger.
 
-    Raises RecordingError if the file cannot be read, or has more than RESULTS_MAX records.
+    Returns
+    -------
+    Array
+        Records (n, RECORD_SIZE), equal bit for bit to the written ones.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, or has more than RESULTS_MAX records.
     """
     source = Path(path)
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())

@@ -72,9 +72,14 @@ class MessageSink(Protocol):
 class Topics:
     """Writer of a run's messages to their topics.
 
-    fingers        names of several fingers; one empty name for a single finger
-    scene          scene to draw in addition to the fingers; None: no scene
-    with_pictures  whether to write the topics for viewers
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    scene
+        Scene to draw in addition to the fingers; None: no scene.
+    with_pictures
+        Whether to write the topics for viewers.
     """
 
     def __init__(
@@ -150,9 +155,16 @@ class Topics:
 class RecordingFile(Topics):
     """Recording in an unbuffered file, which `close` closes; errors of the file are raised unchanged.
 
-    about  tables of metadata by name; the scene in `scene` is drawn
-
-    Other parameters are as for `Topics`.
+    Parameters
+    ----------
+    file
+        Open, empty file.
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    about
+        Tables of metadata by name; the scene in `scene` is drawn.
+    with_pictures
+        Whether to write the topics for viewers.
     """
 
     def __init__(

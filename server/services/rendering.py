@@ -169,12 +169,24 @@ class Rendering:
 
         Parameters that act on the force reach their values at the end of the ramp of the rig's [commands].
 
-        changes  values by dotted key, as for `load_scene`
-        where    origin of the changes, for messages
-        returns  scene before and after, and a lower bound of the number of ticks started without the change
+        Parameters
+        ----------
+        changes
+            Values by dotted key, as for `load_scene`.
+        where
+            Origin of the changes, for messages.
 
-        Raises ConfigError if a value is out of its range, or would need another loop; Replacing if another change is in
-        progress.
+        Returns
+        -------
+        tuple[Scene, Scene, int]
+            Scene before and after, and a lower bound of the number of ticks started without the change.
+
+        Raises
+        ------
+        ConfigError
+            If a value is out of its range, or would need another loop.
+        Replacing
+            If another change is in progress.
         """
         with _acquire(self._parameters_lock):
             before, after = self.scene, apply_overrides(self.scene, changes, where)

@@ -300,10 +300,16 @@ def encode(message: dict[str, Any]) -> bytes:
 def decode(topic: bytes, body: bytes) -> Any:
     """Decode one message strictly; unknown keys are ignored.
 
-    returns  a struct for `contact`, `finger/...`, `health`, `state`, `world` and `deformation`; a dict for `schema` and
-             for `event`, which has further keys by kind
+    Returns
+    -------
+    Any
+        A struct for `contact`, `finger/...`, `health`, `state`, `world` and `deformation`; a dict for `schema` and for
+        `event`, which has further keys by kind.
 
-    Raises ProtocolError if the message does not follow docs/protocol.md.
+    Raises
+    ------
+    ProtocolError
+        If the message does not follow docs/protocol.md.
     """
     name = topic.decode("ascii", "replace")
     decoder = _DECODERS.get(CONTACT if name.startswith(FINGERS) else name)

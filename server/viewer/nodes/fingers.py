@@ -68,7 +68,13 @@ _PATCHES: Final = [
 
 
 class FingerNodes:
-    """Nodes `/fingers/NAME`; `ball` is the part that a mouse can drag. Traces on `bodies` are in their frames."""
+    """Nodes `/fingers/NAME`; `ball` is the part that a mouse can drag.
+
+    Parameters
+    ----------
+    bodies
+        Objects; the traces on them are in their frames.
+    """
 
     def __init__(self, api: Any, scene: schema.Scene, parts: schema.FingerParts, bodies: BodyNodes) -> None:
         self._api, self.scene, self._bodies = api, scene, bodies

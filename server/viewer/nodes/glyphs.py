@@ -98,8 +98,12 @@ def axis_angle_rotation(axis: Array, angle: float) -> Quaternion:
 class Trace:
     """Latest part of a trace as coloured segments, as few as possible because each costs drawing time.
 
-    min_distance  minimum distance between points; closer points are ignored
-    segments      maximum number of segments
+    Parameters
+    ----------
+    min_distance
+        Minimum distance between points; closer points are ignored.
+    segments
+        Maximum number of segments.
     """
 
     def __init__(self, min_distance: float, segments: int = 120) -> None:
