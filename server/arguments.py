@@ -31,15 +31,6 @@ class Parser(argparse.ArgumentParser):
         ):
             verbosity.add_argument(*flags, action="store_true", default=argparse.SUPPRESS, help=help)
 
-    def argument(self, name: str, metavar: str | None, help: str, **options: Any) -> None:
-        """Add a positional argument or an option with a value; the help text names the default."""
-        default = "" if options.get("default") in (None, "", []) else " (default: %(default)s)"
-        self.add_argument(name, metavar=metavar, help=help + default, **options)
-
-    def flag(self, name: str, help: str) -> None:
-        """Add an option without a value."""
-        self.add_argument(name, action="store_true", help=help)
-
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse unknown arguments here, where similar option names are known, and not in the parent parser."""
         self._add_options()
@@ -82,19 +73,42 @@ class Parser(argparse.ArgumentParser):
             raise
 
 
-def add_daemon_options(parser: Parser, commands: bool = False) -> None:
+def add_option(parser: argparse._ActionsContainer, name: str, help: str, default: Any = None, **settings: Any) -> None:
+    """Add a positional argument or an option. With a default, which the help text shows, values are of its type."""
+    if default not in (None, "", []):
+        settings = {"type": type(default)} | settings
+        help = f"{help} (default: %(default)s)"
+    parser.add_argument(name, help=help, default=default, **settings)
+
+
+def add_flag(parser: argparse._ActionsContainer, name: str, help: str) -> None:
+    """Add an option without a value."""
+    parser.add_argument(name, action="store_true", help=help)
+
+
+def add_daemon_options(parser: argparse._ActionsContainer, commands: bool = False) -> None:
     """Add the options of a client: endpoint of the daemon, `--commands` if requested, and keys."""
-    parser.argument("--endpoint", None, "telemetry or commands endpoint of the daemon", default=DEFAULT_ENDPOINT)
+    add_option(parser, "--endpoint", "telemetry or commands endpoint of the daemon", default=DEFAULT_ENDPOINT)
     if commands:
-        parser.argument("--commands", "URL", "commands endpoint of the daemon (default: derived from --endpoint)")
-    parser.argument("--keys", "FILE", "secret key of this client, if the server requires one")
-    parser.argument("--server-key", "FILE", "public key of the server")
+        add_option(
+            parser, "--commands", "commands endpoint of the daemon (default: derived from --endpoint)", metavar="URL"
+        )
+    add_option(parser, "--keys", "secret key of this client, if the server requires one", metavar="FILE")
+    add_option(parser, "--server-key", "public key of the server", metavar="FILE")
 
 
-def add_stream_options(parser: Parser) -> None:
+def add_stream_options(parser: argparse._ActionsContainer) -> None:
     """Add `--duration` and `--timeout` of a client of the telemetry."""
-    parser.argument("--duration", "S", "stop after S seconds (default: when the daemon ends, or Ctrl-C)", type=duration)
-    parser.argument("--timeout", "S", "stop if no telemetry arrives for S seconds", type=duration, default=3.0)
+    add_option(
+        parser,
+        "--duration",
+        "stop after S seconds (default: when the daemon ends, or Ctrl-C)",
+        metavar="S",
+        type=duration,
+    )
+    add_option(
+        parser, "--timeout", "stop if no telemetry arrives for S seconds", default=3.0, metavar="S", type=duration
+    )
 
 
 def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:

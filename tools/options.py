@@ -7,22 +7,17 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from softfinger.server.arguments import add_flag, add_option
 from softfinger.server.offline.figures import plot_file
 
 PUSH_N: Final = 0.2
 """Amplitude of the pushes: a tenth of the force of most devices, and more than the friction of a good one."""
 
 
-def add_option(parser: argparse._ActionsContainer, flag: str, default: Any, text: str, **settings: Any) -> None:
-    """Add an option whose default, which its help shows, is of the type of its values."""
-    settings = {"type": type(default), "default": default, "help": f"{text} (default: %(default)s)"} | settings
-    parser.add_argument(flag, **settings)
-
-
 def add_output_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    add_flag(parser, "--json", "print the result as JSON")
     parser.add_argument("--plot", type=plot_file, metavar="FILE.png", help="plot the result (.png, .svg; extra plots)")
 
 
@@ -41,8 +36,8 @@ def configure_devices(parser: argparse.ArgumentParser) -> None:
         "List attached devices with their driver. For a device that cannot be opened, show the reason and the command "
         "that fixes it. Devices are opened only with --ask or --probe."
     )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--ask", action="store_true", help="open each free device and read its data")
+    add_flag(parser, "--json", "print the result as JSON")
+    add_flag(parser, "--ask", "open each free device and read its data")
     parser.add_argument(
         "--rig",
         help="rig that names the library or firmware file of its driver; with --ask, the vendor's library or service "
@@ -56,10 +51,10 @@ def configure_devices(parser: argparse.ArgumentParser) -> None:
         help="open the rig's device (default: the first attached one) for ten seconds at zero force; show rate, range, "
         "noise, buttons and axes, and write a report (default: softfinger-DRIVER-report.json)",
     )
-    parser.add_argument(
+    add_flag(
+        parser,
         "--push",
-        action="store_true",
-        help=f"with --probe: then apply {PUSH_N:g} N in both directions of each axis and ask for the felt direction. "
+        f"with --probe: then apply {PUSH_N:g} N in both directions of each axis and ask for the felt direction. "
         "THE HANDLE MOVES: hold it lightly",
     )
 
@@ -70,15 +65,15 @@ def configure_report(parser: argparse.ArgumentParser) -> None:
         "with their log. Names of the user and the machine, folders and serial numbers are removed. Check the "
         "archive before you send it."
     )
-    add_option(parser, "--rig", "replay", "rig file or name")
-    add_option(parser, "--scene", "paper-plane", "scene file or name")
-    add_option(parser, "--out", Path("softfinger-report.tar.gz"), "archive", type=Path, metavar="FILE")
-    add_option(parser, "--boxes", 3, "number of black boxes, latest first", metavar="N")
-    add_option(parser, "--seconds", 1.0, "duration of each measurement of doctor")
+    add_option(parser, "--rig", "rig file or name", default="replay")
+    add_option(parser, "--scene", "scene file or name", default="paper-plane")
+    add_option(parser, "--out", "archive", default=Path("softfinger-report.tar.gz"), type=Path, metavar="FILE")
+    add_option(parser, "--boxes", "number of black boxes, latest first", default=3, metavar="N")
+    add_option(parser, "--seconds", "duration of each measurement of doctor", default=1.0)
 
 
 def configure_calibrate(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--rig", "falcon", "rig file of a Falcon, or the name of a shipped one", metavar="FILE")
+    add_option(parser, "--rig", "rig file of a Falcon, or the name of a shipped one", default="falcon", metavar="FILE")
     parser.add_argument("--mass", type=float, required=True, metavar="KG", help="mass of the weight, 0.02 to 0.4")
-    add_option(parser, "--hang", 60.0, "time to attach the weight", metavar="S")
+    add_option(parser, "--hang", "time to attach the weight", default=60.0, metavar="S")
     add_output_options(parser)

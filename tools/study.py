@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, HapticError
+from softfinger.server.arguments import add_flag
 from softfinger.server.verbs.schema import grid
 from softfinger.tools.accuracy import report
 from softfinger.tools.patches_figure import draw_patches
@@ -98,7 +99,7 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="study", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("docs", type=Path, help="folder of the pages")
-    parser.add_argument("--quick", action="store_true", help="few points, short drift: shows that all of it runs")
+    add_flag(parser, "--quick", "few points, short drift: shows that all of it runs")
     args = parser.parse_args(argv)
     try:
         pages = {path: path.read_text(encoding="utf-8") for path in sorted(args.docs.rglob("*.md"))}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from softfinger.server.arguments import Parser
+from softfinger.server.arguments import Parser, add_flag, add_option
 
 
 def configure_experiment(parser: Parser) -> None:
@@ -10,17 +10,19 @@ def configure_experiment(parser: Parser) -> None:
         "Run the trials of one participant in their order, starting at the first one without an answer. After a crash "
         "or Ctrl-C the same command continues the session."
     )
-    parser.argument("file", "FILE", "experiment file or the name of a shipped one")
-    parser.argument("--out", "FOLDER", "folder for all participants (default: name of the experiment)")
-    parser.argument("--participant", "N", "number of the participant, from 1", type=int, default=1)
-    parser.flag("--dry-run", "let a simulated observer answer and a simulated hand move")
-    parser.flag("--no-daemon", "with --dry-run: skip the rendering")
-    parser.flag("--no-doctor", "skip the check of the machine")
-    parser.flag("--view", "open a browser page for the participant")
-    parser.argument("--rig", "RIG", "rig that replaces the experiment's")
-    parser.argument("--endpoint", "URL", "endpoint for telemetry")
-    parser.argument("--commands", "URL", "endpoint for commands")
-    parser.argument("--set", "KEY=VALUE", "override a key of the file; repeatable", action="append", default=[])
+    add_option(parser, "file", "experiment file or the name of a shipped one", metavar="FILE")
+    add_option(parser, "--out", "folder for all participants (default: name of the experiment)", metavar="FOLDER")
+    add_option(parser, "--participant", "number of the participant, from 1", default=1, metavar="N")
+    add_flag(parser, "--dry-run", "let a simulated observer answer and a simulated hand move")
+    add_flag(parser, "--no-daemon", "with --dry-run: skip the rendering")
+    add_flag(parser, "--no-doctor", "skip the check of the machine")
+    add_flag(parser, "--view", "open a browser page for the participant")
+    add_option(parser, "--rig", "rig that replaces the experiment's", metavar="RIG")
+    add_option(parser, "--endpoint", "endpoint for telemetry", metavar="URL")
+    add_option(parser, "--commands", "endpoint for commands", metavar="URL")
+    add_option(
+        parser, "--set", "override a key of the file; repeatable", default=[], metavar="KEY=VALUE", action="append"
+    )
 
 
 def configure_figure(parser: Parser) -> None:
@@ -28,7 +30,7 @@ def configure_figure(parser: Parser) -> None:
         "Fit the answers of an experiment and write figures (PNG, SVG) and numbers (CSV, JSON). Existing figures are "
         "replaced."
     )
-    parser.argument("folder", "FOLDER", "folder written by `softfinger experiment`")
-    parser.argument("--out", "FOLDER", "output folder (default: FOLDER/figures)")
-    parser.flag("--report", "also write report.html, a page with all results")
-    parser.flag("--json", "print the numbers as JSON")
+    add_option(parser, "folder", "folder written by `softfinger experiment`", metavar="FOLDER")
+    add_option(parser, "--out", "output folder (default: FOLDER/figures)", metavar="FOLDER")
+    add_flag(parser, "--report", "also write report.html, a page with all results")
+    add_flag(parser, "--json", "print the numbers as JSON")

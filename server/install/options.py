@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from softfinger.server.arguments import Parser
+from softfinger.server.arguments import Parser, add_flag, add_option
 
 
 def configure_install(parser: Parser) -> None:
@@ -13,9 +13,9 @@ def configure_install(parser: Parser) -> None:
         "all users, with udev rules for every supported device and real-time limits. --remove removes the installed "
         "files. Files of other origin are not overwritten; edited files are not removed."
     )
-    parser.flag("--system", "install for all users, with udev rules and limits; requires root")
-    parser.flag("--remove", "remove the installed files")
-    parser.flag("--dry-run", "print the planned changes with the content of each file")
-    parser.argument("--rig", None, "rig of the service", default="replay")
-    parser.argument("--scene", None, "scene of the service", default="paper-plane")
-    parser.argument("--root", "DIR", "install below DIR and run no commands, for packagers", type=Path)
+    add_flag(parser, "--system", "install for all users, with udev rules and limits; requires root")
+    add_flag(parser, "--remove", "remove the installed files")
+    add_flag(parser, "--dry-run", "print the planned changes with the content of each file")
+    add_option(parser, "--rig", "rig of the service", default="replay")
+    add_option(parser, "--scene", "scene of the service", default="paper-plane")
+    add_option(parser, "--root", "install below DIR and run no commands, for packagers", metavar="DIR", type=Path)

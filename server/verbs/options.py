@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.server.arguments import Parser, add_daemon_options, add_stream_options, duration
+from softfinger.server.arguments import Parser, add_daemon_options, add_flag, add_option, add_stream_options, duration
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.viewer.roles import Role
 
@@ -34,25 +34,27 @@ OVERRIDES: Final[tuple[tuple[str, str, Any, str, str], ...]] = (
 
 
 def configure_run(parser: Parser) -> None:
-    parser.argument(
+    add_option(
+        parser,
         "--rig",
-        None,
         f"rig file or the name of a shipped one (default: simulated-SCENE if it exists, else {RIG}; with --view "
         f"{VIEW_RIG})",
     )
-    parser.argument("--scene", None, "scene file or name", default="paper-plane")
+    add_option(parser, "--scene", "scene file or name", default="paper-plane")
     for flag, _, kind, metavar, text in OVERRIDES:
-        parser.argument(flag, metavar, text, type=kind)
-    parser.flag("--once", "play a recording once instead of looping it")
-    parser.flag("--watcher", "start a second process that removes the force if this one is killed")
-    parser.argument("--record", "FILE", "record every tick and event to a new .mcap file")
-    parser.argument("--inject", "FILE", "inject faults between device and loop: a file or the name of a shipped one")
-    parser.flag("--view", "open a browser page on which the mouse moves the hand")
-    parser.argument("--duration", "S", "stop after S seconds of ticks", type=duration)
+        add_option(parser, flag, text, metavar=metavar, type=kind)
+    add_flag(parser, "--once", "play a recording once instead of looping it")
+    add_flag(parser, "--watcher", "start a second process that removes the force if this one is killed")
+    add_option(parser, "--record", "record every tick and event to a new .mcap file", metavar="FILE")
+    add_option(
+        parser, "--inject", "inject faults between device and loop: a file or the name of a shipped one", metavar="FILE"
+    )
+    add_flag(parser, "--view", "open a browser page on which the mouse moves the hand")
+    add_option(parser, "--duration", "stop after S seconds of ticks", metavar="S", type=duration)
 
 
 def configure_simulate(parser: Parser) -> None:
-    parser.argument("--scene", None, "scene file or name", default="paper-plane")
+    add_option(parser, "--scene", "scene file or name", default="paper-plane")
     poses_or_device = parser.add_mutually_exclusive_group(required=True)
     poses_or_device.add_argument(
         "--poses",
@@ -63,14 +65,14 @@ def configure_simulate(parser: Parser) -> None:
     poses_or_device.add_argument(
         "--device", metavar="D", help="driver of a device that responds to the force: simulated"
     )
-    parser.argument("--out", None, "output file: .csv, .npz or .mcap", required=True, type=Path)
-    parser.argument("--plot", "FILE.png", "plot depth, force, angles and modes (.png, .svg)", type=plot_file)
-    parser.argument("--duration", "S", "with --device: simulated time (default: 10)", type=duration)
-    parser.argument("--method", None, "rolling method that replaces the scene's")
-    parser.argument("--rate", "HZ", "tick rate that replaces the rig's (default: 1000)", type=float)
-    parser.argument(
+    add_option(parser, "--out", "output file: .csv, .npz or .mcap", required=True, type=Path)
+    add_option(parser, "--plot", "plot depth, force, angles and modes (.png, .svg)", metavar="FILE.png", type=plot_file)
+    add_option(parser, "--duration", "with --device: simulated time (default: 10)", metavar="S", type=duration)
+    add_option(parser, "--method", "rolling method that replaces the scene's")
+    add_option(parser, "--rate", "tick rate that replaces the rig's (default: 1000)", metavar="HZ", type=float)
+    add_option(
+        parser,
         "--rig",
-        None,
         "rig with the force limits and device options (default: replay; with --device simulated-SCENE if it "
         "exists, else simulated)",
     )
@@ -79,8 +81,8 @@ def configure_simulate(parser: Parser) -> None:
 def configure_monitor(parser: Parser) -> None:
     parser.description = "Show contact mode, forces, lateness and events of a running server."
     add_daemon_options(parser)
-    parser.flag("--once", "print one summary and exit")
-    parser.flag("--json", "print one JSON object per line")
+    add_flag(parser, "--once", "print one summary and exit")
+    add_flag(parser, "--json", "print one JSON object per line")
     add_stream_options(parser)
 
 
@@ -88,43 +90,49 @@ def configure_view(parser: Parser) -> None:
     parser.description = (
         "Open a browser page that shows a recording, or a running daemon whose simulated hand the mouse can move."
     )
-    parser.argument(
-        "recording", "RECORDING", "MCAP file, results, poses, or the name of a shipped recording", nargs="?"
+    add_option(
+        parser,
+        "recording",
+        "MCAP file, results, poses, or the name of a shipped recording",
+        metavar="RECORDING",
+        nargs="?",
     )
-    parser.argument("--scene", None, "scene for a recording; replaces the recorded one")
-    parser.argument("--tick", "N", "first tick of the recording to show", type=int, default=0)
+    add_option(parser, "--scene", "scene for a recording; replaces the recorded one")
+    add_option(parser, "--tick", "first tick of the recording to show", default=0, metavar="N")
     add_daemon_options(parser, commands=True)
-    parser.argument(
+    add_option(
+        parser,
         "--role",
-        None,
         "role of the user: a watcher changes nothing, a participant sees only prompts",
-        choices=[role.value for role in Role],
         default=Role.OPERATOR.value,
+        choices=[role.value for role in Role],
     )
-    parser.argument("--host", None, "address to serve the page on", default=PAGE_HOST)
-    parser.argument(
+    add_option(parser, "--host", "address to serve the page on", default=PAGE_HOST)
+    add_option(
+        parser,
         "--allow-host",
-        "NAME[:PORT]",
         "additional host name of the page, such as that of a tunnel or proxy; repeatable",
-        action="append",
         default=[],
+        metavar="NAME[:PORT]",
+        action="append",
     )
-    parser.argument("--port", None, "port of the page; the next free port if it is in use", type=int, default=PAGE_PORT)
-    parser.flag("--print-address", "print only the address, for use by programs")
+    add_option(parser, "--port", "port of the page; the next free port if it is in use", default=PAGE_PORT)
+    add_flag(parser, "--print-address", "print only the address, for use by programs")
     # For `run --view`. The first line of standard input is the token, or empty for a new one; end of input ends the
     # page.
-    parser.flag("--until-eof", argparse.SUPPRESS)
-    parser.flag("--no-open", "do not open a browser")
-    parser.argument("--duration", "S", "exit after S seconds (default: run until Ctrl-C)", type=duration)
+    add_flag(parser, "--until-eof", argparse.SUPPRESS)
+    add_flag(parser, "--no-open", "do not open a browser")
+    add_option(parser, "--duration", "exit after S seconds (default: run until Ctrl-C)", metavar="S", type=duration)
 
 
 def configure_record(parser: Parser) -> None:
     parser.description = "Record a running daemon: all telemetry to .mcap, or only poses to .csv."
-    parser.argument("file", "FILE", "new file: .mcap for ticks, events and scene; .csv for poses", nargs="?")
-    parser.argument(
+    add_option(parser, "file", "new file: .mcap for ticks, events and scene; .csv for poses", metavar="FILE", nargs="?")
+    add_option(
+        parser,
         "--poses",
-        "FILE",
         ".csv for poses, .mcap for all telemetry; NAME=FILE for each of several fingers",
+        metavar="FILE",
         action="append",
     )
     add_daemon_options(parser, commands=True)
@@ -148,17 +156,23 @@ def configure_ctl(parser: Parser) -> None:
         "  softfinger ctl set_scene scene=sphere          # or a file: scene=mine.toml\n"
         "  softfinger ctl drive object=lid 'position_m=[0, 0, 0.01]'"
     )
-    parser.argument("method", "METHOD", "one of the methods below")
-    parser.argument(
-        "params", "key=value", "parameters of the method; values in TOML or JSON, otherwise text", nargs="*"
+    add_option(parser, "method", "one of the methods below", metavar="METHOD")
+    add_option(
+        parser,
+        "params",
+        "parameters of the method; values in TOML or JSON, otherwise text",
+        metavar="key=value",
+        nargs="*",
     )
     add_daemon_options(parser)
-    parser.argument("--timeout", "S", "time limit for the answer (default: depends on the method)", type=duration)
-    parser.flag("--json", "print the result as JSON")
+    add_option(
+        parser, "--timeout", "time limit for the answer (default: depends on the method)", metavar="S", type=duration
+    )
+    add_flag(parser, "--json", "print the result as JSON")
 
 
 def configure_scenes(parser: Parser) -> None:
-    parser.flag("--json", "print names, files and descriptions as JSON")
+    add_flag(parser, "--json", "print names, files and descriptions as JSON")
 
 
 configure_rigs = configure_recordings = configure_faults = configure_experiments = configure_scenes
@@ -168,29 +182,35 @@ def configure_materials(parser: Parser) -> None:
     parser.description = (
         'List the materials (material = "rubber") and fingertips (fingertip = "human-index") that a scene can use.'
     )
-    parser.argument("name", "NAME", "show the values, ranges and sources of this one", nargs="?")
-    parser.argument("--plot", "FILE", "plot it with published measurements (.png, .svg)", type=plot_file)
-    parser.flag("--json", "print as JSON")
+    add_option(parser, "name", "show the values, ranges and sources of this one", metavar="NAME", nargs="?")
+    add_option(parser, "--plot", "plot it with published measurements (.png, .svg)", metavar="FILE", type=plot_file)
+    add_flag(parser, "--json", "print as JSON")
 
 
 def configure_check(parser: Parser) -> None:
     parser.description = "Validate scenes, rigs and experiments. Exit code 0: all are valid; 2: at least one is not."
-    parser.argument("files", "FILE", "scene, rig or experiment: a file or the name of a shipped one", nargs="+")
-    parser.flag("--explain", "compile each scene and measure the cost of a tick and of its parts")
-    parser.argument(
-        "--plot", "FILE.png", "plot the workspace limit of a rig with the objects of a scene", type=plot_file
+    add_option(
+        parser, "files", "scene, rig or experiment: a file or the name of a shipped one", metavar="FILE", nargs="+"
     )
-    parser.flag("--json", "print the findings as JSON")
+    add_flag(parser, "--explain", "compile each scene and measure the cost of a tick and of its parts")
+    add_option(
+        parser,
+        "--plot",
+        "plot the workspace limit of a rig with the objects of a scene",
+        metavar="FILE.png",
+        type=plot_file,
+    )
+    add_flag(parser, "--json", "print the findings as JSON")
 
 
 def configure_schema(parser: Parser) -> None:
     parser.description = (
         "Print the JSON Schema of scenes, rigs, experiments and commands, and the fields of telemetry records."
     )
-    parser.argument("kind", None, "schema to print (default: all, as one object)", nargs="?", choices=SCHEMAS)
-    parser.flag("--markdown", "print tables of the keys as Markdown")
+    add_option(parser, "kind", "schema to print (default: all, as one object)", nargs="?", choices=SCHEMAS)
+    add_flag(parser, "--markdown", "print tables of the keys as Markdown")
 
 
 def configure_warmup(parser: Parser) -> None:
-    parser.argument("scenes", "SCENE", "scenes to compile (default: all shipped ones)", nargs="*")
-    parser.flag("--prune", "first remove compiled kernels of other versions")
+    add_option(parser, "scenes", "scenes to compile (default: all shipped ones)", metavar="SCENE", nargs="*")
+    add_flag(parser, "--prune", "first remove compiled kernels of other versions")

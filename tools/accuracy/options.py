@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Final, Literal
 
-from softfinger.tools.options import add_option, add_output_options, add_sweep_options
+from softfinger.server.arguments import add_flag, add_option
+from softfinger.tools.options import add_output_options, add_sweep_options
 
 SURFACES: Final = (
     "plane", "sphere", "sphere-inside", "cylinder", "cylinder-inside", "capped-cylinder", "capsule", "capsule-inside",
@@ -33,20 +34,14 @@ def configure_accuracy(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (default: 4 to 8000)")
     targets = "errors (m) to recommend methods for"
-    add_option(parser, "--error-below", TARGETS_M, targets, nargs="+", type=float, metavar="M")
+    add_option(parser, "--error-below", targets, default=TARGETS_M, nargs="+", type=float, metavar="M")
     parser.add_argument(
         "--drift-steps", type=int, metavar="N", help=f"steps of the drift test (default: {DRIFT_STEPS})"
     )
     instead = parser.add_mutually_exclusive_group()
-    instead.add_argument(
-        "--meshes",
-        action="store_true",
-        help="compare meshes of a ball, a cylinder and a torus with the exact shapes instead",
-    )
-    instead.add_argument(
-        "--heightmap", action="store_true", help="compare a height map with a mesh of the same pixels instead"
-    )
-    parser.add_argument("--quick", action="store_true", help="four servo rates, no other sweep, short drift test")
+    add_flag(instead, "--meshes", "compare meshes of a ball, a cylinder and a torus with the exact shapes instead")
+    add_flag(instead, "--heightmap", "compare a height map with a mesh of the same pixels instead")
+    add_flag(parser, "--quick", "four servo rates, no other sweep, short drift test")
     add_sweep_options(parser)
     add_output_options(parser)
     parser.add_argument("--figures", type=Path, metavar="DIR", help=f"folder for accuracy-*.svg and {REPORT}")

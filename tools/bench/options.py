@@ -9,13 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
+from softfinger.server.arguments import add_flag, add_option
 from softfinger.tools.bench.geoms import GEOMS_MAX
-from softfinger.tools.options import add_option, add_output_options
+from softfinger.tools.options import add_output_options
 
 
 def configure_step(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--scene", ["paper-plane"], "scene files or names", type=str, nargs="*")
-    parser.add_argument("--all", action="store_true", help="measure all shipped scenes")
+    add_option(parser, "--scene", "scene files or names", default=["paper-plane"], type=str, nargs="*")
+    add_flag(parser, "--all", "measure all shipped scenes")
     parser.add_argument(
         "--features",
         nargs="*",
@@ -23,73 +24,73 @@ def configure_step(parser: argparse.ArgumentParser) -> None:
         help="also measure the added cost of each feature of the scene format, or of those that match PATTERN, such as "
         "'torsion*'. Each compiles one or two scenes (2 to 5 s); all take about three minutes the first time",
     )
-    add_option(parser, "--blocks", 2000, "timed blocks of steps")
+    add_option(parser, "--blocks", "timed blocks of steps", default=2000)
 
 
 def configure_closed_loop(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--scene", "frictionless-plane", "scene whose first surface is at z = 0")
-    add_option(parser, "--blocks", 1000, "timed blocks of ticks")
+    add_option(parser, "--scene", "scene whose first surface is at z = 0", default="frictionless-plane")
+    add_option(parser, "--blocks", "timed blocks of ticks", default=1000)
 
 
 def configure_simulate(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--scene", "paper-plane", "scene of one finger")
-    add_option(parser, "--poses", "press-roll-spin-drag", "recording to repeat", metavar="P")
-    add_option(parser, "--ticks", 600_000, "number of ticks; a file of 600000 has up to 0.9 GB")
-    add_option(parser, "--rounds", 5, "repetitions for each format")
+    add_option(parser, "--scene", "scene of one finger", default="paper-plane")
+    add_option(parser, "--poses", "recording to repeat", default="press-roll-spin-drag", metavar="P")
+    add_option(parser, "--ticks", "number of ticks; a file of 600000 has up to 0.9 GB", default=600_000)
+    add_option(parser, "--rounds", "repetitions for each format", default=5)
     parser.add_argument("--folder", type=Path, help="folder for temporary files (default: that of the system)")
 
 
 def configure_loop(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--seconds", 15.0, "duration of each loop")
-    add_option(parser, "--rate", 1000.0, "ticks per second", metavar="HZ")
+    add_option(parser, "--seconds", "duration of each loop", default=15.0)
+    add_option(parser, "--rate", "ticks per second", default=1000.0, metavar="HZ")
     scene = parser.add_mutually_exclusive_group()
-    add_option(scene, "--scene", "paper-plane", "scene file or name")
+    add_option(scene, "--scene", "scene file or name", default="paper-plane")
     scene.add_argument(
         "--geoms",
         type=int,
         metavar="N",
         help=f"use N bodies with one geom each on a floor and two fingers instead, up to {GEOMS_MAX}",
     )
-    add_option(parser, "--realtime", "auto", "real-time settings: auto, require or off")
+    add_option(parser, "--realtime", "real-time settings: auto, require or off", default="auto")
 
 
 def configure_device(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--rig", "replay", "rig file or the name of a shipped one")
-    add_option(parser, "--seconds", 5.0, "duration at the rate of the rig")
+    add_option(parser, "--rig", "rig file or the name of a shipped one", default="replay")
+    add_option(parser, "--seconds", "duration at the rate of the rig", default=5.0)
 
 
 def configure_commands(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--rate", 200.0, "set_params per second", metavar="HZ")
-    add_option(parser, "--seconds", 60.0, "duration with commands, and again without")
-    add_option(parser, "--swaps", 100, "number of set_scene commands")
+    add_option(parser, "--rate", "set_params per second", default=200.0, metavar="HZ")
+    add_option(parser, "--seconds", "duration with commands, and again without", default=60.0)
+    add_option(parser, "--swaps", "number of set_scene commands", default=100)
 
 
 def configure_mesh(parser: argparse.ArgumentParser) -> None:
     levels = "balls of 20 x 4^N triangles, N from 1 to 9 (4: 5 120, 7: 327 680, 9: 5.2 million; default: %(default)s)"
     parser.add_argument("--levels", type=int, nargs="+", default=[4, 6, 7], metavar="N", help=levels)
-    add_option(parser, "--fingertip", [0.01], "radii of the fingertip", type=float, nargs="+", metavar="M")
-    add_option(parser, "--ticks", 20_000, "ticks without a pause")
-    add_option(parser, "--paced", 2_000, "ticks at 1 kHz")
+    add_option(parser, "--fingertip", "radii of the fingertip", default=[0.01], type=float, nargs="+", metavar="M")
+    add_option(parser, "--ticks", "ticks without a pause", default=20_000)
+    add_option(parser, "--paced", "ticks at 1 kHz", default=2_000)
 
 
 def configure_view(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--viewers", 10, "number of simultaneous viewers", metavar="N")
-    add_option(parser, "--browsers", 0, "number of simultaneous pages in Chromium", metavar="N")
-    add_option(parser, "--seconds", 20.0, "duration of each measurement")
-    add_option(parser, "--rig", "simulated", "rig file or name")
+    add_option(parser, "--viewers", "number of simultaneous viewers", default=10, metavar="N")
+    add_option(parser, "--browsers", "number of simultaneous pages in Chromium", default=0, metavar="N")
+    add_option(parser, "--seconds", "duration of each measurement", default=20.0)
+    add_option(parser, "--rig", "rig file or name", default="simulated")
 
 
 def configure_soak(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--minutes", 10.0, "duration", metavar="N")
-    add_option(parser, "--realtime", "auto", "real-time settings: auto, require or off")
+    add_option(parser, "--minutes", "duration", default=10.0, metavar="N")
+    add_option(parser, "--realtime", "real-time settings: auto, require or off", default="auto")
 
 
 def configure_telemetry(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--subscribers", 8, "number of subscribing processes")
-    add_option(parser, "--seconds", 10.0, "duration of each measurement")
-    add_option(parser, "--rate", 1000.0, "ticks per second", metavar="HZ")
-    parser.add_argument("--forward", action="store_true", help="also measure through `softfinger forward`")
-    parser.add_argument("--keys", action="store_true", help="with --forward: use CURVE keys")
+    add_option(parser, "--subscribers", "number of subscribing processes", default=8)
+    add_option(parser, "--seconds", "duration of each measurement", default=10.0)
+    add_option(parser, "--rate", "ticks per second", default=1000.0, metavar="HZ")
+    add_flag(parser, "--forward", "also measure through `softfinger forward`")
+    add_flag(parser, "--keys", "with --forward: use CURVE keys")
 
 
 KINDS: Final = {

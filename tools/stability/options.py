@@ -10,7 +10,8 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.fields import unit
-from softfinger.tools.options import add_option, add_output_options, add_sweep_options
+from softfinger.server.arguments import add_flag, add_option
+from softfinger.tools.options import add_output_options, add_sweep_options
 
 MAPS: Final = ("zwidth", "rate", "delay")
 POINTS: Final = 24
@@ -75,17 +76,13 @@ def configure_stability(parser: argparse.ArgumentParser) -> None:
     kinds.add_argument(
         "--map", choices=[*MAPS, "all"], help="stiffness limit as a function of wall damping, rate or delay"
     )
-    kinds.add_argument(
-        "--extremes", action="store_true", help="run the tick at the extremes of all inputs and on random bytes"
-    )
-    kinds.add_argument("--bodies", action="store_true", help="drag, balance and hold bodies of a [world], 1 g to 1 kg")
+    add_flag(kinds, "--extremes", "run the tick at the extremes of all inputs and on random bytes")
+    add_flag(kinds, "--bodies", "drag, balance and hold bodies of a [world], 1 g to 1 kg")
     kinds.add_argument("--cases", type=int, metavar="N", help="run N random closed-loop cases and measure their speed")
-    group.add_argument(
-        "--compare", action="store_true", help="with --map: also with hand, friction, encoder and filter"
-    )
-    add_option(group, "--points", POINTS, "points of a map", metavar="N")
-    add_option(group, "--ticks", 1000, "ticks of each random case", metavar="M")
-    add_option(group, "--seed", 0, "seed of the random cases and bytes")
-    add_option(group, "--garbage", 250_000, "ticks of random bytes per scene", metavar="M")
+    add_flag(group, "--compare", "with --map: also with hand, friction, encoder and filter")
+    add_option(group, "--points", "points of a map", default=POINTS, metavar="N")
+    add_option(group, "--ticks", "ticks of each random case", default=1000, metavar="M")
+    add_option(group, "--seed", "seed of the random cases and bytes", default=0)
+    add_option(group, "--garbage", "ticks of random bytes per scene", default=250_000, metavar="M")
     add_sweep_options(parser)
     add_output_options(parser)
