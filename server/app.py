@@ -233,7 +233,9 @@ class Daemon:
         first
             Exception that is already propagating: all errors are logged and none is raised.
         """
-        failed = shutdown.run_all_steps(lambda: self.states.fire(Trigger.END, "by request, or complete"), first=first)
+        failed = shutdown.run_all_steps(
+            self.stop, lambda: self.states.fire(Trigger.END, "by request, or complete"), first=first
+        )
         failed = stop_all(self.services, failed)
         if failed is not None and failed is not first:
             raise failed

@@ -57,21 +57,21 @@ class Clients:
         self._burst_counts: Counter[bytes] = Counter()
         self._burst_s = 0.0
 
-    def take(self) -> bool:
-        """Pass on or refuse at most AT_ONCE requests, from all clients in turn; return whether there may be more."""
+    def take(self) -> int:
+        """Pass on or refuse at most AT_ONCE requests, from all clients in turn; return their number."""
         now = time.monotonic()
         if now - self._burst_s >= BURST_S:
             self._burst_s = now
             self._burst_counts.clear()
-        for _ in range(AT_ONCE):
+        for count in range(AT_ONCE):
             if not self.peers.has_message:
-                return False
+                return count
             client, *frames = self.peers.socket.recv_multipart(zmq.NOBLOCK)
             self._burst_counts[client] += 1
             body = frames[1] if len(frames) == 2 and not frames[0] else None
             if not self._on_request(client, body, self._burst_counts[client] > BURST):
                 self.answer(client, encode_busy(body))
-        return True
+        return AT_ONCE
 
     def answer(self, client: bytes, body: bytes) -> None:
         """Send an answer to a client; it is dropped if the client has disconnected or does not read."""

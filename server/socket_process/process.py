@@ -24,7 +24,7 @@ import zmq
 
 from softfinger.server.socket_process.brake import Brake, takes_force_off
 from softfinger.server.socket_process.channel import Channel, Message
-from softfinger.server.socket_process.clients import Clients
+from softfinger.server.socket_process.clients import AT_ONCE, Clients
 from softfinger.server.socket_process.messages import Messages
 from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.socket_process.readers import Readers
@@ -50,7 +50,7 @@ closes: after a flood of topics for up to a minute, in which no tick would be se
 EVENTS_IN_TURN: Final = 32
 """Connection events handled before ticks, messages and requests have their turn."""
 REST_MAX_S: Final = 0.002
-"""Longest pause after requests in a flood."""
+"""Longest pause after requests."""
 RETRY_S: Final = 0.005
 """Interval of retries while the daemon does not read."""
 
@@ -117,18 +117,20 @@ class Publishing:
         """Publish until the daemon requests the end or exits."""
         poll, bell = self._poll(), self._rows.bell
         renewals, report_s, keys_s = self._renewals(), 0.0, time.monotonic() + KEY_CHECK_S
-        has_events = has_more = False
+        has_events, requests = False, 0
         while not self._ended:
             limit_step()
-            timeout_s = 0.0 if has_events or has_more else RETRY_S if self._channel.has_queued else PERIOD_S
+            is_due = has_events or requests >= AT_ONCE
+            timeout_s = 0.0 if is_due else RETRY_S if self._channel.has_queued else PERIOD_S
             ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
+            start_s = time.monotonic()
             if bell in ready:
                 os.eventfd_read(bell)  # orders the loads of rows after the stores that precede the signal
             self._send_ticks()
             if self._channel.fileno() in ready:
                 self._receive()
             self._channel.flush()
-            has_more = self._handle_peers()
+            requests = self._handle_peers()
             if has_events or ready - {bell, self._channel.fileno()}:
                 # Soon: libzmq's thread blocks once a thousand events are unread. Few: they must not delay requests.
                 has_events = sum(peers.process_events(EVENTS_IN_TURN) for peers in self._peer_sockets) > 0
@@ -142,6 +144,8 @@ class Publishing:
                     peers.refresh_keys()
             if self._renewals() != renewals:
                 poll, renewals = self._poll(), self._renewals()
+            if requests:  # a flood uses at most half of a processor
+                time.sleep(min(time.monotonic() - start_s, REST_MAX_S))
 
     def _poll(self) -> select.poll:
         poll = select.poll()
@@ -168,19 +172,16 @@ class Publishing:
                     reader.send(topic, body)
             self._last_tick_s = time.monotonic()
 
-    def _handle_peers(self) -> bool:
-        """Handle messages from peers; return whether there may be more.
+    def _handle_peers(self) -> int:
+        """Handle messages from peers; return the number of requests.
 
         After a socket was used, its file descriptor does not signal messages that arrived earlier.
         """
-        start_s = time.monotonic()
         for readers in self._readers:
             readers.take()
-        has_more = sum(clients.take() for clients in self._clients) > 0
+        requests = sum(clients.take() for clients in self._clients)
         self._pass_on()
-        if has_more:  # A flood uses at most half of a processor.
-            time.sleep(min(time.monotonic() - start_s, REST_MAX_S))
-        return has_more
+        return requests
 
     def _send_latest(self, prefix: bytes) -> None:
         """Send the latest messages for a new subscription; libzmq sends them to all subscribers of the topic."""

@@ -22,7 +22,7 @@ from helpers.daemons import QUIET, make_daemon, subscribed
 from helpers.faulty_device import registered
 from helpers.processes import COMMAND
 from helpers.programs import Program, run_program
-from helpers.waits import eventually
+from helpers.waits import WAIT_S, eventually
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, RealtimeError, SafetyStop
 from softfinger.config.load import load_rig, load_scene
@@ -183,6 +183,22 @@ def test_a_hung_exchange_is_zeroed_by_the_supervisor(faulty, caplog):
     finally:
         faulty.device.release()  # the memory it reads must outlive the read
         assert eventually(lambda: not running.servo.is_running)
+
+
+def test_a_publisher_that_waits_does_not_delay_the_zero(faulty, monkeypatch):
+    released = threading.Event()
+    with Daemon(make_faulty_rig(), load_scene("paper-plane")) as running:
+        running.start()
+        assert eventually(lambda: running.servo.ticks > 10 and faulty.device.wrenches[-1].any())
+        monkeypatch.setattr(running.publisher, "send_event", lambda event: released.wait(WAIT_S))
+        closing = threading.Thread(target=running.close)
+        closing.start()
+        try:
+            assert eventually(lambda: not running.servo.is_running, WAIT_S / 4)
+            assert not faulty.device.wrenches[-1].any()
+        finally:
+            released.set()
+            closing.join()
 
 
 def test_a_failed_stop_is_reported_and_everything_is_closed(faulty, caplog):
