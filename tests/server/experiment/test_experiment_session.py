@@ -320,9 +320,13 @@ def test_damaged_files_of_a_folder_are_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"sub-01_run-01_about\.json: is damaged: .*: restore the file from a copy"):
         _starts(tmp_path)
     about.write_bytes(whole)
-    described.write_bytes(described.read_bytes()[:100])
-    with pytest.raises(ConfigError, match=r"experiment\.json: is damaged: .*: restore the file from a copy"):
-        experiment.run(tmp_path, 1, OFFLINE)
+    whole = described.read_bytes()
+    for damaged in (whole[:100], whole.replace(b"title", b"\xffitle"), b"[" * 100_000):
+        described.write_bytes(damaged)
+        with pytest.raises(ConfigError, match=r"experiment\.json: is damaged: .*: restore the file from a copy"):
+            experiment.run(tmp_path, 1, OFFLINE)
+        with pytest.raises(ConfigError, match=r"experiment\.json: cannot be read: "):
+            load(tmp_path)
     shutil.copytree(tmp_path / "sub-01", tmp_path / "sub-07")
     described.unlink()
     with pytest.raises(ConfigError, match=r"sub-01_journal\.jsonl: is in the folder sub-07 of another participant"):
