@@ -333,6 +333,23 @@ def test_damaged_files_of_a_folder_are_named(tmp_path: Path) -> None:
         experiment.run(tmp_path, 1, OFFLINE)
 
 
+def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
+    (tmp_path / "figures").write_text("a file")
+    assert cli.main(["figure", str(tmp_path)]) == ConfigError.exit_code
+    (tmp_path / "figures").unlink()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        assert cli.main(["figure", str(tmp_path)]) == ConfigError.exit_code
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    errors = capsys.readouterr().err
+    for reason in ("File exists", "File too large"):
+        fault = f"{tmp_path / 'figures'}: the figures cannot be written: {reason}: make room, or name another folder"
+        assert fault in errors
+
+
 def test_a_session_continues_without_a_lost_answer(tmp_path: Path) -> None:
     experiment = Experiment(make_tables())
     rows = experiment.run(tmp_path, 1, OFFLINE)
