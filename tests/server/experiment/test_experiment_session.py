@@ -333,6 +333,13 @@ def test_damaged_files_of_a_folder_are_named(tmp_path: Path) -> None:
         experiment.run(tmp_path, 1, OFFLINE)
 
 
+def test_a_title_of_any_characters_is_drawn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    Experiment(make_tables(title="Worth $\\bad{ or $5? \u6f22\u5b57\u6f22")).run(tmp_path, 1, OFFLINE)
+    assert cli.main(["figure", str(tmp_path)]) == 0
+    check_figure(tmp_path / "figures" / "fit")
+    assert caplog.text.count("the font of the figures lacks the characters \u6f22\u5b57: set font.family") == 1
+
+
 def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
     (tmp_path / "figures").write_text("a file")
