@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from softfinger.config.errors import ConfigError
 from softfinger.config.files import new_file
 from softfinger.server.experiment.analysis import find_excluded_participants, fit_groups, format_fit, table
 from softfinger.server.experiment.figures import draw, draw_session
@@ -18,32 +19,38 @@ from softfinger.server.progress import progress
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw, print and return 0. Raises ConfigError if the folder has no answers."""
+    """Draw, print and return 0. Raises ConfigError if the folder has no answers, or a file cannot be written."""
     root = Path(args.folder)
     experiment, rows = load(root)
     groups = fit_groups(experiment, rows)
     numbers = table(groups)
     out = Path(args.out) if args.out else root / "figures"
-    out.mkdir(parents=True, exist_ok=True)
     journals = list_journals(root)
     answers, excluded = read_surveys(journals), find_excluded_participants(experiment, rows)
     surveys = survey_table(experiment, answers, excluded)
-    with progress("drawing", 2 + args.report) as update:
-        paths = draw(experiment, groups, out)
-        update(1)
-        paths += draw_session(experiment, rows, surveys, groups, out)
-        update(2)
-        if args.report:
-            report, compared = out / "report.html", compare_scores(experiment, answers, excluded)
-            with new_file(report) as file:
-                file.write(write_report(experiment, rows, groups, (surveys, compared), root, paths).encode())
-            paths.append(report)
-    write_csv(out / "numbers.csv", numbers)
     text = json.dumps([replace_nan(row) for row in numbers], indent=1)
-    with new_file(out / "numbers.json") as file:
-        file.write(text.encode() + b"\n")
-    if surveys:
-        write_csv(out / "surveys.csv", surveys)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with progress("drawing", 2 + args.report) as update:
+            paths = draw(experiment, groups, out)
+            update(1)
+            paths += draw_session(experiment, rows, surveys, groups, out)
+            update(2)
+            if args.report:
+                report, compared = out / "report.html", compare_scores(experiment, answers, excluded)
+                with new_file(report) as file:
+                    file.write(write_report(experiment, rows, groups, (surveys, compared), root, paths).encode())
+                paths.append(report)
+        write_csv(out / "numbers.csv", numbers)
+        with new_file(out / "numbers.json") as file:
+            file.write(text.encode() + b"\n")
+        if surveys:
+            write_csv(out / "surveys.csv", surveys)
+    except OSError as error:
+        raise ConfigError(
+            f"{out}: the figures cannot be written: {error.strerror or error}: make room, or name another folder: "
+            "--out FOLDER"
+        ) from error
     if args.json:
         print(text)
         return 0

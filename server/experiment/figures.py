@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+import re
 import textwrap
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -24,6 +27,8 @@ from softfinger.server.progress import progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+log: Final = logging.getLogger(__name__)
 
 SUFFIXES: Final = ("png", "svg")
 LABELS: Final = {
@@ -166,7 +171,8 @@ def _draw_surveys(plt: Any, experiment: ExperimentFile, ratings: Sequence[Entry]
 
 
 def _wrap_title(experiment: ExperimentFile, participant: str) -> str:
-    return f"{textwrap.fill(experiment.title, 50)}\n{participant}"
+    title = textwrap.fill(experiment.title, 50).replace("$", r"\$")  # matplotlib: $ begins a formula
+    return f"{title}\n{participant}"
 
 
 def name_factors(experiment: ExperimentFile) -> str | None:
@@ -238,11 +244,30 @@ def _save(figures: Mapping[str, Any], out: Path) -> list[Path]:
     import matplotlib.pyplot as plt  # after `draw`, which has chosen the backend
 
     paths = []
-    with progress("drawing", len(SUFFIXES) * len(figures)) as update:
+    with (
+        progress("drawing", len(SUFFIXES) * len(figures)) as update,
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("always")
         for name, figure in figures.items():
             for suffix in SUFFIXES:
                 paths.append((out / name).with_suffix(f".{suffix}"))
                 figure.savefig(paths[-1], dpi=150, metadata={"Date": None} if suffix == "svg" else None)
                 update(len(paths))
             plt.close(figure)
+    _report_warnings(caught)
     return paths
+
+
+def _report_warnings(caught: Sequence[warnings.WarningMessage]) -> None:
+    """Report characters that the font lacks in one line; ignore that a legend takes long on a slow machine."""
+    missing = dict[str, None]()
+    for warning in caught:
+        text = str(warning.message)
+        if glyph := re.match(r"Glyph (\d+)", text):
+            missing[chr(int(glyph[1]))] = None
+        elif not text.startswith("Creating legend"):
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+    if missing:
+        remedy = "set font.family in matplotlibrc to a font that has them"
+        log.warning("the font of the figures lacks the characters %s: %s", "".join(missing)[:40], remedy)

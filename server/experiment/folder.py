@@ -30,7 +30,7 @@ from softfinger.config.files import new_file
 from softfinger.config.load import build, describe
 from softfinger.config.materials import flat
 from softfinger.config.words import format_value
-from softfinger.server.experiment.journal import RESTORE_REMEDY, Entry, make_write_error, read
+from softfinger.server.experiment.journal import JSON_ERRORS, RESTORE_REMEDY, Entry, make_write_error, read
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.trial_order import Condition, PlannedTrial, list_conditions, plan_trials
 
@@ -154,7 +154,7 @@ def _check_same(path: Path, text: bytes) -> None:
     if path.exists() and path.read_bytes() != text and not _is_same_experiment(path, text):
         try:
             msgspec.json.decode(path.read_bytes(), type=dict)
-        except msgspec.DecodeError as error:
+        except JSON_ERRORS as error:
             raise ConfigError(f"{path}: is damaged: {error}: {RESTORE_REMEDY}") from error
         raise ConfigError(
             f"{path}: belongs to an experiment with other values{_different_keys(path, text)}: name another folder "
@@ -170,7 +170,7 @@ def _is_same_experiment(path: Path, text: bytes) -> bool:
         existing, expected = (
             build(ExperimentFile, msgspec.json.decode(content), str(path)) for content in (path.read_bytes(), text)
         )
-    except (ConfigError, msgspec.DecodeError):
+    except (ConfigError, *JSON_ERRORS):
         return False
     return existing == expected
 
@@ -179,7 +179,7 @@ def _different_keys(path: Path, text: bytes) -> str:
     """Return the keys of a JSON file with other values than in `text`, for a message."""
     try:
         existing, expected = (dict(flat(msgspec.json.decode(content))) for content in (path.read_bytes(), text))
-    except (msgspec.DecodeError, AttributeError):
+    except (*JSON_ERRORS, AttributeError):
         return ""
     keys = [key for key in expected | existing if expected.get(key, msgspec.UNSET) != existing.get(key, msgspec.UNSET)]
     return f" ({', '.join(keys[:4])}{', ...' if len(keys) > 4 else ''})"
@@ -242,7 +242,7 @@ def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
     path = root / "experiment.json"
     try:
         values = msgspec.json.decode(path.read_bytes())
-    except (OSError, msgspec.DecodeError) as error:
+    except (OSError, *JSON_ERRORS) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(
             f"{path}: cannot be read: {reason}: check that `softfinger experiment` wrote this folder"

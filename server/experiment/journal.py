@@ -21,6 +21,8 @@ NUMBER: Final = "entry"
 """Key of the number of an entry in the file, from 1. Files of earlier versions have none."""
 RESTORE_REMEDY: Final = "restore the file from a copy"
 _DECODER: Final = msgspec.json.Decoder(dict)
+JSON_ERRORS: Final = msgspec.DecodeError, UnicodeDecodeError, RecursionError
+"""Errors of the decoder for damaged bytes."""
 _START: Final = b'{"kind"'
 
 
@@ -132,7 +134,7 @@ def read(path: Path) -> list[Entry]:
             continue
         try:
             entry = _DECODER.decode(line)
-        except (msgspec.DecodeError, UnicodeDecodeError):
+        except JSON_ERRORS:
             start = line.rstrip(b"\0")[: len(_START)]  # after a power failure a file may end with zeros
             if not _START.startswith(start):
                 raise ConfigError(f"{path}: line {number} is not an entry of a journal: {RESTORE_REMEDY}") from None

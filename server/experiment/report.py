@@ -21,7 +21,7 @@ from softfinger.server.experiment.analysis import (
 )
 from softfinger.server.experiment.comparison import Effect, compare_levels, compare_models, estimate_population
 from softfinger.server.experiment.figures import name_factors
-from softfinger.server.experiment.journal import RESTORE_REMEDY, Entry, read
+from softfinger.server.experiment.journal import JSON_ERRORS, RESTORE_REMEDY, Entry, read
 from softfinger.server.experiment.methods import count_trials, write_methods
 from softfinger.server.experiment.psychometric import probability
 from softfinger.server.experiment.schema import ExperimentFile
@@ -224,7 +224,7 @@ def _starts(root: Path) -> list[dict[str, Any]]:
         is_simulated = any(entry["kind"] == "started" and entry["dry_run"] for entry in journal)
         try:
             starts.append(msgspec.json.decode(path.read_bytes(), type=dict) | {"simulated": is_simulated})
-        except msgspec.DecodeError as error:
+        except JSON_ERRORS as error:
             raise ConfigError(f"{path}: is damaged: {error}: {RESTORE_REMEDY}") from error
     return starts
 

@@ -11,7 +11,7 @@ import numpy as np
 from softfinger.drivers.poses import find_recording, load_poses
 from softfinger.server.recording.layout import TickField, tick_layout
 from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, read_contents
-from softfinger.server.recording.results import NoResults, read_results
+from softfinger.server.recording.results import NoResults, list_fingers, read_results
 
 POSE_PARTS: Final = [
     TickField("timestamp", 1, False, 0),
@@ -23,7 +23,7 @@ POSE_PARTS: Final = [
 
 
 def read_recording(recording: str | Path) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
-    """Yield the contents of a recording as `read_contents` does; a table contains the ticks of one finger.
+    """Yield the contents of a recording as `read_contents` does; poses are those of one finger.
 
     Raises
     ------
@@ -32,7 +32,11 @@ def read_recording(recording: str | Path) -> Iterator[TickBlock | Event | Record
     """
     path = find_recording(recording)
     if path.suffix.lower() in (".csv", ".npz"):
-        yield _read_table(path)
+        if fingers := list_fingers(path):
+            parts = tick_layout().parts
+            yield from (TickBlock(finger, parts, read_results(path, finger)) for finger in fingers)
+        else:
+            yield _read_table(path)
         yield End([], "")
     else:
         yield from read_contents(path)

@@ -115,6 +115,26 @@ def read_results(path: str | Path, finger: str = "") -> Array:
         return reader(source, finger)
 
 
+def list_fingers(path: Path) -> list[str]:
+    """Return the names of several fingers in a .csv or .npz from `write_results`; empty for any other file.
+
+    Raises RecordingError if the file cannot be read.
+    """
+    first, others = columns()[0], (columns()[-1], "records")  # of a .csv, of an .npz
+    with translate_errors(path, "read"), open_input(path) as file:
+        if path.suffix.lower() == ".csv":
+            names = file.readline(LINE_MAX).decode("ascii", "replace").rstrip("\n").split(",")
+        else:
+            try:
+                names = list(open_npz(file).files)
+            except OSError:
+                raise
+            except Exception:  # not an archive: its reader reports that
+                return []
+    fingers = [name.removesuffix(f".{first}") for name in names if name.endswith(f".{first}")]
+    return [finger for finger in fingers if any(f"{finger}.{other}" in names for other in others)]
+
+
 class NoResults(RecordingError):
     """The file is not a table of results of this version; it may be one of poses."""
 

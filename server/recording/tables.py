@@ -118,7 +118,8 @@ def read_table(path: Path, layout: TableFormat) -> Poses:
     table = np.frombuffer(values).reshape(-1, len(layout.columns))
     columns_by_name = {name: table[:, at] for at, name in enumerate(layout.columns)}
     if layout.rate_hz is None:
-        t = layout.unit_s * (columns_by_name["t"] - columns_by_name["t"][:1])
+        with np.errstate(invalid="ignore", over="ignore"):
+            t = layout.unit_s * (columns_by_name["t"] - columns_by_name["t"][:1])
     else:
         t = np.arange(len(table)) / layout.rate_hz
     position = layout.unit_m * np.column_stack([columns_by_name[name] for name in "xyz"])

@@ -40,6 +40,13 @@ _TOKENS: Final = (
     b"[[", b"\x00", b"\xff" * 8, b"\x7f\xff\xff\xff", b"\xc3\x28", "é".encode(), b"\r\n", b"=", b".", b",",
     b"../../etc/passwd", b"\xdd\xff\xff\xff\xff", b"\xc1", b"\x80", b"\x93", b"name", b"[" * 50,
 )  # fmt: skip
+TABLES: Final = [
+    b"0,1,2,3,1,0,0,0\n10,1,2,3,1,0,0,0\n",
+    b"0;1,5;2,5;3,5;1;0;0;0\n10;1,5;2,5;3,5;1;0;0;0\n",
+    b'"0","1","2","3","1","0","0","0"\r\n"10","1","2","3","1","0","0","0"\r\n',
+    b"0\t1\t2\t3\t1\t0\t0\t0\n10\t1\t2\t3\t1\t0\t0\t0\n",
+]
+"""Tables of other programs, with commas, semicolons and decimal commas, quotation marks, and tabs."""
 _NUMBER: Final = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
 
 
@@ -126,6 +133,18 @@ def _run(path: Path) -> None:
     recorded(path, _records(), [event("user", "mark", 3, label="a")], **about())
 
 
+def _journal(path: Path) -> None:
+    from softfinger.server.experiment.journal import Journal
+
+    answer = {"trial": 1, "practice": False, "condition": "all", "level": 0.5, "answer": "first", "right": True}
+    with Journal(path) as journal:
+        journal.write("started", run=1, dry_run=True, time=0.0)
+        journal.write("begun", trial=1, attempt=1)
+        journal.write("done", **answer)
+        journal.write("survey", survey="a", block=0, condition=None, question="age", answer=30.0)
+        journal.write("finished", trials=1)
+
+
 def _poses(path: Path) -> None:
     import numpy as np
 
@@ -143,14 +162,17 @@ def targets() -> dict[str, Target]:
     from softfinger.config.mjcf import compile_model
     from softfinger.drivers.poses import load_poses
     from softfinger.proxy.meshes.reading import arrays_of
+    from softfinger.server.experiment import journal
     from softfinger.server.recording.compare import FIELDS
     from softfinger.server.recording.reader import read_contents
     from softfinger.server.recording.results import read_results
     from softfinger.server.recording.run import load_run
     from softfinger.server.recording.summary import summary
+    from softfinger.server.recording.tables import make_layout, read_table
     from softfinger.server.wire.envelope import Declined, parse
 
     config, recording = (ConfigError,), (RecordingError,)
+    layout = make_layout("t,x,y,z,qw,qx,qy,qz", 1e-3, 1e-3, None, 0)
 
     def every(path: Path, _: bytes) -> None:
         refusal = None
@@ -168,6 +190,8 @@ def targets() -> dict[str, Target]:
         "faults": Target(_shipped("config/faults/*.toml"), lambda path, _: load_faults(path), config, ".toml"),
         "poses-csv": Target(_shipped("config/recordings/*.csv"), lambda path, _: load_poses(path), recording, ".csv"),
         "poses-npz": Target(_written(_poses, ".npz"), lambda path, _: load_poses(path), recording, ".npz"),
+        "table": Target(lambda: TABLES, lambda path, _: read_table(path, layout), recording, ".txt"),
+        "journal": Target(_written(_journal, ".jsonl"), lambda path, _: journal.read(path), config, ".jsonl"),
         "results-csv": Target(_written(_results, ".csv"), lambda path, _: read_results(path), recording, ".csv"),
         "results-mcap": Target(_written(_results, ".mcap"), lambda path, _: read_results(path), recording, ".mcap"),
         "recording": Target(_written(_run, ".mcap"), every, recording, ".mcap"),

@@ -13,7 +13,9 @@ import pytest
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
+from softfinger.server.recording.export import export
 from softfinger.server.recording.results import SUFFIXES, McapResults, read_results, write_blocks
+from softfinger.server.recording.summary import summary
 
 
 def make_records(count: int, seed: int = 11) -> np.ndarray:
@@ -142,3 +144,23 @@ def test_a_link_still_points_at_its_file(tmp_path: Path) -> None:
     write_blocks(tmp_path / "link.csv", [""], [make_records(2)[:, None]])
     assert (tmp_path / "link.csv").is_symlink()
     assert len(read_results(tmp_path / "real.csv")) == 2
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz"])
+def test_results_of_several_fingers_are_summarised_and_exported(ending: str, tmp_path: Path) -> None:
+    path, out = tmp_path / f"two{ending}", tmp_path / "out.npz"
+    fingers = {"thumb": make_records(30), "index": make_records(30) + 1.0}
+    write_blocks(path, list(fingers), [np.stack(list(fingers.values()), axis=1)])
+    info = summary(path)
+    assert {name: finger["ticks"] for name, finger in info["fingers"].items()} == {"thumb": 30, "index": 30}
+    for name, records in fingers.items():
+        assert export(path, out, name) == 30
+        np.testing.assert_array_equal(read_results(out), records)
+    with pytest.raises(RecordingError, match="no ticks of a single finger: it has fingers index, thumb: --finger NAME"):
+        export(path, out)
+
+
+def test_poses_with_a_column_like_that_of_a_finger_are_poses(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text("t,x,y,z,qw,qx,qy,qz,hand.timestamp\n0,0,0,1,1,0,0,0,5\n1,0,0,1,1,0,0,0,6\n")
+    assert summary(path)["ticks"] == 2

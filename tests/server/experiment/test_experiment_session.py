@@ -319,13 +319,41 @@ def test_damaged_files_of_a_folder_are_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"sub-01_run-01_about\.json: is damaged: .*: restore the file from a copy"):
         _starts(tmp_path)
     about.write_bytes(whole)
-    described.write_bytes(described.read_bytes()[:100])
-    with pytest.raises(ConfigError, match=r"experiment\.json: is damaged: .*: restore the file from a copy"):
-        experiment.run(tmp_path, 1, OFFLINE)
+    whole = described.read_bytes()
+    for damaged in (whole[:100], whole.replace(b"title", b"\xffitle"), b"[" * 100_000):
+        described.write_bytes(damaged)
+        with pytest.raises(ConfigError, match=r"experiment\.json: is damaged: .*: restore the file from a copy"):
+            experiment.run(tmp_path, 1, OFFLINE)
+        with pytest.raises(ConfigError, match=r"experiment\.json: cannot be read: "):
+            load(tmp_path)
     shutil.copytree(tmp_path / "sub-01", tmp_path / "sub-07")
     described.unlink()
     with pytest.raises(ConfigError, match=r"sub-01_journal\.jsonl: is in the folder sub-07 of another participant"):
         experiment.run(tmp_path, 1, OFFLINE)
+
+
+def test_a_title_of_any_characters_is_drawn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    Experiment(make_tables(title="Worth $\\bad{ or $5? \u6f22\u5b57\u6f22")).run(tmp_path, 1, OFFLINE)
+    assert cli.main(["figure", str(tmp_path)]) == 0
+    check_figure(tmp_path / "figures" / "fit")
+    assert caplog.text.count("the font of the figures lacks the characters \u6f22\u5b57: set font.family") == 1
+
+
+def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
+    (tmp_path / "figures").write_text("a file")
+    assert cli.main(["figure", str(tmp_path)]) == ConfigError.exit_code
+    (tmp_path / "figures").unlink()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        assert cli.main(["figure", str(tmp_path)]) == ConfigError.exit_code
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    errors = capsys.readouterr().err
+    for reason in ("File exists", "File too large"):
+        fault = f"{tmp_path / 'figures'}: the figures cannot be written: {reason}: make room, or name another folder"
+        assert fault in errors
 
 
 def test_a_session_continues_without_a_lost_answer(tmp_path: Path) -> None:
