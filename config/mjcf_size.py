@@ -10,15 +10,16 @@ import math
 import os
 import re
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 from xml.parsers import expat
 
+from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
-from softfinger.config.mjcf_bounds import check_numbers, product
 from softfinger.config.mjcf_files import check_place
 
 COMMENT: Final = re.compile(r"""<!--(?:[^<>"']|(?<=\w)'(?=\w))*-->""")
@@ -37,6 +38,26 @@ DEPTH_MAX: Final = 8
 """Deepest nesting of models attached to models."""
 ROWS_PER_BYTE: Final = 1 / 50
 """Vertices per byte of a mesh file, at most, in the usual notation."""
+
+PIXELS: Final = 1 << 24
+ELEMENTS_WITH_USER_DATA: Final = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+BOUNDS: Final[Mapping[str, Mapping[tuple[str, ...], int]]] = {
+    "hfield": {("nrow", "ncol"): int(limits.GRID_VALUES.high)},
+    "texture": {("width", "height"): PIXELS, ("width", "width"): PIXELS},
+    "flexcomp": {("count",): 16_000, ("cellcount",): 1000},
+    "flex": {("cellcount",): 1000},
+    "user": {("dim",): 1_000_000},
+    "camera": {("resolution",): 1 << 22},  # a rangefinder has a value for each pixel
+    "size": {
+        ("nuserdata",): 1 << 20,
+        ("nkey",): 1000,
+        **{(f"nuser_{kind}",): 1000 for kind in ELEMENTS_WITH_USER_DATA},
+    },
+}
+"""Largest products of attributes that determine how much memory MuJoCo allocates, by element."""
+LISTS: Final = ("vertex", "normal", "texcoord", "face", "point", "element", "elevation")
+"""Attributes that are lists of numbers."""
+LIST_SIZE_MAX: Final = 1 << 20
 
 
 class Names(NamedTuple):
@@ -95,7 +116,7 @@ class _Model:
         while waiting:
             element, times, name, base = waiting.pop()
             self._check_paths(element, name)
-            check_numbers(element, name)
+            _check_numbers(element, name)
             file = element.get("file") or ""
             match element.tag:
                 case "include":
@@ -113,7 +134,7 @@ class _Model:
                 case "attach":
                     attached[element.get("model") or ""] += times
             self._count(element, times, folder, name)
-            copies = times * (product(element, ("count",)) if element.tag == "replicate" else 1)
+            copies = times * (_product(element, ("count",)) if element.tag == "replicate" else 1)
             waiting += [(child, copies, name, base) for child in element]
         unknown = sum(count for model, count in attached.items() if model not in models)
         for model, part in models.items():
@@ -208,7 +229,7 @@ class _Model:
                 return 0  # MuJoCo reports it
         if (points := element.get("point")) is not None:
             return len(points.split()) // 3
-        return product(element, ("count",)) if element.get("count") else 1000
+        return _product(element, ("count",)) if element.get("count") else 1000
 
     def _add(self, contents: str, count: int, most: int, why: str) -> None:
         self._counted[contents] += count
@@ -216,3 +237,31 @@ class _Model:
             raise ConfigError(
                 f"world.model {self._name}: has {self._counted[contents]:,} {contents} or more; at most {most:,} {why}"
             )
+
+
+def _check_numbers(element: Element, name: str) -> None:
+    """Raise ConfigError if a number of an element, or a list in it, is too large."""
+    for attributes, most in BOUNDS.get(element.tag, {}).items():
+        if (value := _product(element, attributes)) > most:
+            names = " x ".join(dict.fromkeys(attributes))
+            raise ConfigError(
+                f"world.model {name}: <{element.tag}> has {names} = {value:,}; at most {most:,} can be read"
+            )
+    for key in LISTS:
+        if len(element.get(key) or "") > LIST_SIZE_MAX:
+            raise ConfigError(
+                f"world.model {name}: <{element.tag} {key}> has more than {LIST_SIZE_MAX:,} characters: put it in a "
+                "file"
+            )
+
+
+def _product(element: Element, attributes: tuple[str, ...]) -> int:
+    """Return the product of the whole numbers in attributes, 1 if there are none; MuJoCo reports other values."""
+    result = 1
+    for attribute in attributes:
+        for word in (element.get(attribute) or "").split():
+            try:
+                result *= max(int(float(word)), 0)
+            except (ValueError, OverflowError):
+                continue
+    return result
