@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.recorded import run
+from helpers.waits import repeated
 from rosbags.typesys import Stores, get_typestore
 
 from softfinger.proxy.records import Records
@@ -73,41 +73,31 @@ def test_a_ros_subscriber_receives_the_telemetry(endpoints: tuple[str, str], mon
     monkeypatch.setenv("ROS_DOMAIN_ID", "87")
     from geometry_msgs.msg import PoseStamped, WrenchStamped
 
-    published: dict[int, Sample] = {}
     got: list[Any] = []
-    over = threading.Event()
-
-    def listen() -> None:
-        with subscribe(endpoints[0], timeout_s=60.0) as samples:
-            for sample in samples:
-                published[round(sample.timestamp * 1e9)] = sample
-                if over.is_set():
-                    return
-
-    listener = threading.Thread(target=listen)
-    listener.start()
-    process = subprocess.Popen([sys.executable, NODE, endpoints[0]], env=os.environ)
-    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-    try:
-        node = rclpy.create_node("listener")
-        received = [
-            node.create_subscription(kind, f"softfinger/{name}", got.append, 100)
-            for name, kind in (("pose", PoseStamped), ("wrench", WrenchStamped))
-        ]
-        until = time.monotonic() + WAIT_S
-        while len(got) < MESSAGES and time.monotonic() < until and process.poll() is None:
-            rclpy.spin_once(node, timeout_sec=0.1)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
-        assert received and {type(message).__name__ for message in got} == {"PoseStamped", "WrenchStamped"}
-    finally:
-        process.kill()
-        process.wait()
-        over.set()
-        listener.join()
-        rclpy.shutdown()
+    with subscribe(endpoints[0], timeout_s=60.0) as samples:
+        published = [next(samples)]
+        with repeated(lambda: published.append(next(samples)), every_s=0.0):
+            process = subprocess.Popen([sys.executable, NODE, endpoints[0]], env=os.environ)
+            rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+            try:
+                node = rclpy.create_node("listener")
+                received = [
+                    node.create_subscription(kind, f"softfinger/{name}", got.append, 100)
+                    for name, kind in (("pose", PoseStamped), ("wrench", WrenchStamped))
+                ]
+                until = time.monotonic() + WAIT_S
+                while len(got) < MESSAGES and time.monotonic() < until and process.poll() is None:
+                    rclpy.spin_once(node, timeout_sec=0.1)
+                process.send_signal(signal.SIGINT)
+                assert process.wait(60) == 0
+                assert received and {type(message).__name__ for message in got} == {"PoseStamped", "WrenchStamped"}
+            finally:
+                process.kill()
+                process.wait()
+                rclpy.shutdown()
+    by_time = {round(sample.timestamp * 1e9): sample for sample in published}
     for message in got:
-        sample = published[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
+        sample = by_time[message.header.stamp.sec * 10**9 + message.header.stamp.nanosec]
         if isinstance(message, WrenchStamped):
             assert xyz(message.wrench.force) == list(sample.force)
         else:

@@ -6,11 +6,11 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
 from helpers.programs import run_program
+from helpers.waits import repeated
 
 from softfinger.server.wire.client import subscribe
 
@@ -57,32 +57,19 @@ def octave(_: Path) -> list[str]:
 def test_a_program_prints_published_ticks(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:
     command = [*make(tmp_path), endpoints[0], *(["--changes"] if make is python else []), str(CHANGES)]
     apart = 5 if make is octave else 1  # it reads every state, at 200 Hz; the other programs read every tick
-    published: dict[int, tuple[str, list[float]]] = {}
-    listens, over = threading.Event(), threading.Event()
-
-    def listen() -> None:
-        with subscribe(endpoints[0], timeout_s=60.0) as samples:
-            for sample in samples:
-                published[sample.tick] = (MODES[sample.contact.mode], list(sample.force))
-                listens.set()
-                if over.is_set():
-                    return
-
-    listener = threading.Thread(target=listen)
-    listener.start()
-    try:
-        assert listens.wait(60.0)
-        process = run_program(command)
-    finally:
-        over.set()
-        listener.join()
+    with subscribe(endpoints[0], timeout_s=60.0) as samples:
+        published = [next(samples)]
+        with repeated(lambda: published.append(next(samples)), every_s=0.0):
+            process = run_program(command)
     assert process.returncode == 0, process.stderr
     lines = [line.split() for line in process.stdout.splitlines()]
+    ticks = {sample.tick: sample for sample in published}
     assert len(lines) == CHANGES and "-0.000" not in process.stdout
     for at, (tick, mode, *force) in enumerate(lines):
-        assert published[int(tick)][0] == mode
-        assert published[int(tick)][1] == pytest.approx([float(word) for word in force], abs=1e-3)  # three decimals
-        assert at == 0 or published[int(tick) - apart][0] != mode
+        sample = ticks[int(tick)]
+        assert MODES[sample.contact.mode] == mode
+        assert list(sample.force) == pytest.approx([float(word) for word in force], abs=1e-3)  # three decimals
+        assert at == 0 or MODES[ticks[int(tick) - apart].contact.mode] != mode
 
 
 def test_every_program_is_on_the_page() -> None:

@@ -8,7 +8,6 @@ import math
 import os
 import socket
 import struct
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from math import isfinite
@@ -20,6 +19,7 @@ import pytest
 from emulators.woodenhaptics import Arm, Woody
 from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, described, ends, rig_options, woody
 from helpers.stopping import stop_during_writes
+from helpers.waits import repeated
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.config.load import build
@@ -90,38 +90,34 @@ def test_a_board_that_sends_continuously() -> None:
     arm = Woody("woody-2015", 1, lambda _: (0.01, 0.0, 0.0))
     fd, end = ends()
     end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES)
-    over = threading.Event()
 
     def hear(report: bytes) -> None:
         arm.answer(report)
 
     def speak() -> None:
-        while not over.wait(0.001):
-            with contextlib.suppress(BlockingIOError):  # the system's queue is full: the last report is lost
-                end.send(arm.report(), socket.MSG_DONTWAIT)
+        with contextlib.suppress(OSError):  # the system's queue is full, or the driver has closed its end
+            end.send(arm.report(), socket.MSG_DONTWAIT)
 
-    speaker = threading.Thread(target=speak)
-    speaker.start()
-    with Answering(end, hear) as answering, HidDevice(rig_options("woodenhaptics-2015", timeout_s=0.5), fd) as device:
-        try:
-            time.sleep(1.0)
-            arm.place = (0.0, 0.02, 0.01)
-            device.arm()
-            servo = Servo(device)
-            status, sample = servo.read()
-            assert status >= 0
-            np.testing.assert_allclose(sample[:3], arm.place, atol=2e-3)  # a few steps of the pulled arm, and a count
-            for _ in range(50):
-                time.sleep(0.001)
-                servo.read()
-                servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-            answering.settle(device)
-            force = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.milliamperes))
-            np.testing.assert_allclose(force, (0.0, 0.0, 1.0), atol=0.012)
-            assert device.counts()["reports"] > 30
-        finally:
-            over.set()
-            speaker.join()
+    with (
+        Answering(end, hear) as answering,
+        repeated(speak, every_s=0.001),
+        HidDevice(rig_options("woodenhaptics-2015", timeout_s=0.5), fd) as device,
+    ):
+        time.sleep(1.0)
+        arm.place = (0.0, 0.02, 0.01)
+        device.arm()
+        servo = Servo(device)
+        status, sample = servo.read()
+        assert status >= 0
+        np.testing.assert_allclose(sample[:3], arm.place, atol=2e-3)  # a few steps of the pulled arm, and a count
+        for _ in range(50):
+            time.sleep(0.001)
+            servo.read()
+            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        answering.settle(device)
+        force = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.milliamperes))
+        np.testing.assert_allclose(force, (0.0, 0.0, 1.0), atol=0.012)
+        assert device.counts()["reports"] > 30
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:

@@ -8,12 +8,13 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
 from helpers.hid_devices import RIGS, Answering, Api, described, ends, rig_options
-from helpers.waits import WAIT_S, until
+from helpers.waits import WAIT_S, repeated, until
 
 from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.config.load import build
@@ -136,21 +137,12 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
 def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCaptureFixture) -> None:
     with ThreadedBoard() as linked:
         linked.hang()
-        stop = threading.Event()
-
-        def talk() -> None:
-            while not stop.wait(0.001):
-                linked.answering.end.send(GOOD)
-
-        speaker = threading.Thread(target=talk)
-        if talkative:
-            speaker.start()
-        while (status := linked.servo.read()[0]) >= 0:
-            linked.push(3.0)
-            time.sleep(0.001)
-        assert status == TIMEOUT
-        assert "a write has not returned for" in linked.device.reason()
-        stop.set()
+        with repeated(lambda: linked.answering.end.send(GOOD), 0.001) if talkative else nullcontext():
+            while (status := linked.servo.read()[0]) >= 0:
+                linked.push(3.0)
+                time.sleep(0.001)
+            assert status == TIMEOUT
+            assert "a write has not returned for" in linked.device.reason()
         linked.device.stop()
         linked.device.stop()
         linked.device.close()  # while the write still hangs
@@ -163,8 +155,6 @@ def test_a_write_that_hangs_is_a_time_out(talkative: bool, caplog: pytest.LogCap
         until(lambda: linked.api.closed)
         linked.answering.unplug()
         assert [linked.force(n)[0] for n in range(known, len(linked.received))] == [2000, 0, 0]
-        if talkative:
-            speaker.join()
 
 
 def test_old_reports_fit_into_one_tick() -> None:

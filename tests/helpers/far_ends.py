@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ from helpers.hd_stub import SOURCE as HD
 from helpers.hd_stub import HdStub, TouchBench
 from helpers.hid_devices import woody
 from helpers.serial_devices import at_rest, board, settle
+from helpers.waits import repeated
 from softfinger.config.load import build
 from softfinger.drivers.base import Device
 from softfinger.drivers.replay import device as replay
@@ -221,7 +221,6 @@ def two_diy(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
 def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
     """Hapkit with its sketch on a pseudo terminal, in the floor, with a trembling hand; its motor receives N m. Its log
     contains only changes."""
-    ended = threading.Event()
     with (
         Hapkit(sketch_library()) as sketch,
         described_boards.opened("hapkit", sketch.path, **{"timeout_s": 2.0, **keys}) as device,
@@ -229,21 +228,14 @@ def hapkit(tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         sketch.turn(0.094)
 
         def tremble() -> None:
-            while not ended.wait(0.002):
-                sketch.turn(0.094 + 0.004 * np.sin(12.0 * time.monotonic()))
-
-        hand = threading.Thread(target=tremble)
-        hand.start()
+            sketch.turn(0.094 + 0.004 * np.sin(12.0 * time.monotonic()))
 
         def received() -> NDArray[np.float64]:
             described_boards.settled(sketch.torque, lambda torque: torque == 0.0)
             return rows(*zip(*sketch.changes(), strict=True))
 
-        try:
+        with repeated(tremble, every_s=0.002):
             yield FarEnd(device, received, most=0.03, hush=sketch.hush)
-        finally:
-            ended.set()
-            hand.join()
 
 
 @cache

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 
-from helpers.waits import until
+from helpers.waits import repeated, until
 from softfinger.drivers.base import Device
 from softfinger.server.driver_contract import Servo
 
@@ -17,16 +16,13 @@ def stop_during_writes(device: Device, forces: Callable[[], Sequence[bool]], set
     forces  whether each command that the far end has processed so far had a force, in order
     settle  waits until the far end has processed all commands
     """
-    servo, over = Servo(device), threading.Event()
+    servo = Servo(device)
 
     def write() -> None:
-        while not over.is_set():
-            servo.read()
-            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        servo.read()
+        servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
-    thread = threading.Thread(target=write)
-    thread.start()
-    try:
+    with repeated(write, every_s=0.0):
         until(lambda: any(forces()))
         device.stop()
         settle()
@@ -34,6 +30,3 @@ def stop_during_writes(device: Device, forces: Callable[[], Sequence[bool]], set
         time.sleep(0.005)
         settle()
         assert not any(forces()[stopped - 1 :])
-    finally:
-        over.set()
-        thread.join()
