@@ -438,7 +438,8 @@ class _ChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
         chosen = context.resolve_value_type(kernel)
         signature = chosen.get_call_type(context, known, named)
         self._chosen[signature.args] = chosen
-        return signature
+        takes_any = any(each.kind == each.VAR_POSITIONAL for each in signature.pysig.parameters.values())
+        return signature.replace(pysig=None) if takes_any else signature  # numba would search for them in a tuple
 
     def get_call_signatures(self) -> tuple[list[Any], bool]:
         return [], True

@@ -281,11 +281,11 @@ def add_static_conditions(passes: PassManager) -> None:
 def make_passes(state: Any) -> UncheckedPasses:
     """Return the passes for a kernel, from numba's state of its compilation."""
     state.typingctx = ScalarSignatures(state.typingctx)
-    code, idle = state.func_id.code, IDLE
+    code, idle = state.func_id.code, set(IDLE)
     if not any(isinstance(each, CodeType) for each in code.co_consts):  # functions in it
-        idle = *idle, InlineClosureLikes
+        idle.add(InlineClosureLikes)
     if "len" not in code.co_names:  # numba evaluates that of a tuple
-        idle = *idle, RewriteSemanticConstants, DeadBranchPrune
+        idle |= {RewriteSemanticConstants, DeadBranchPrune}
     passes = UncheckedPasses("softfinger_inlined")
     passes.passes = [
         (REPLACED.get(each, each), text)
