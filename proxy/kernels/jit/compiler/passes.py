@@ -255,22 +255,7 @@ class KernelTypeInference(NopythonTypeInference):  # type: ignore[misc]
         return True
 
 
-@register_pass(mutates_CFG=False, analysis_only=False)
-class StripPhis(PreLowerStripPhis):  # type: ignore[misc]
-    """Pass that replaces phi nodes by assignments, without numba's analysis of the result."""
-
-    _name = "softfinger_strip_phis"
-
-    def run_pass(self, state: Any) -> bool:
-        state.func_ir = self._strip_phi_nodes(state.func_ir)
-        return True
-
-
-REPLACED: Final = {
-    NativeLowering: InlinedLowering,
-    NopythonTypeInference: KernelTypeInference,
-    PreLowerStripPhis: StripPhis,
-}
+REPLACED: Final = {NativeLowering: InlinedLowering, NopythonTypeInference: KernelTypeInference}
 
 
 def add_static_conditions(passes: PassManager) -> None:
