@@ -212,59 +212,35 @@ def shape_bodies(shape: Any) -> list[Body]:
     Most shapes are one body. The inside of a box or of a cylinder with ends consists of several walls that
     can support the fingertip simultaneously, one body each.
     """
+    match shape:
+        case schema.Plane():
+            return [Body(model.Plane((0.0, 0.0, 1.0), 0.0))]
+        case schema.Sphere():
+            return [Body(model.Sphere(shape.radius_m, _side(shape.inside)))]
+        case schema.Cylinder(length_m=None):
+            return [Body(model.Cylinder(shape.radius_m, _side(shape.inside)))]
+        case schema.Cylinder(length_m=float(length), inside=False):
+            return [Body(model.CappedCylinder(shape.radius_m, 0.5 * length))]
+        case schema.Cylinder(length_m=float(length)):
+            return [Body(model.Cylinder(shape.radius_m, -1.0)), *_walls(2, 0.5 * length)]
+        case schema.Capsule():
+            return [Body(model.Capsule(shape.radius_m, 0.5 * shape.length_m, _side(shape.inside)))]
+        case schema.Box():
+            x, y, z = (0.5 * edge for edge in shape.size_m)
+            return [*_walls(0, x), *_walls(1, y), *_walls(2, z)] if shape.inside else [Body(model.Box((x, y, z)))]
+        case schema.Ellipsoid():
+            return [Body(model.Ellipsoid(shape.semi_axes_m, _side(shape.inside)))]
+        case schema.Torus():
+            return [Body(model.Torus(shape.major_radius_m, shape.minor_radius_m, _side(shape.inside)))]
+        case schema.Heightmap():
+            from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
+
+            return [Body(kernel_heightmap(read_heights(shape), shape.pitch_m))]
+        case schema.Mesh():
+            return _mesh(shape)
     raise TypeError(f"{type(shape).__name__} is not a shape: it is not registered with shape_bodies")
 
 
-@shape_bodies.register
-def _plane(plane: schema.Plane) -> list[Body]:
-    return [Body(model.Plane((0.0, 0.0, 1.0), 0.0))]
-
-
-@shape_bodies.register
-def _sphere(sphere: schema.Sphere) -> list[Body]:
-    return [Body(model.Sphere(sphere.radius_m, _side(sphere.inside)))]
-
-
-@shape_bodies.register
-def _cylinder(cylinder: schema.Cylinder) -> list[Body]:
-    if cylinder.length_m is None:
-        return [Body(model.Cylinder(cylinder.radius_m, _side(cylinder.inside)))]
-    if not cylinder.inside:
-        return [Body(model.CappedCylinder(cylinder.radius_m, 0.5 * cylinder.length_m))]
-    return [Body(model.Cylinder(cylinder.radius_m, -1.0)), *_walls(2, 0.5 * cylinder.length_m)]
-
-
-@shape_bodies.register
-def _capsule(capsule: schema.Capsule) -> list[Body]:
-    return [Body(model.Capsule(capsule.radius_m, 0.5 * capsule.length_m, _side(capsule.inside)))]
-
-
-@shape_bodies.register
-def _box(box: schema.Box) -> list[Body]:
-    x, y, z = (0.5 * edge for edge in box.size_m)
-    if not box.inside:
-        return [Body(model.Box((x, y, z)))]
-    return [*_walls(0, x), *_walls(1, y), *_walls(2, z)]
-
-
-@shape_bodies.register
-def _ellipsoid(ellipsoid: schema.Ellipsoid) -> list[Body]:
-    return [Body(model.Ellipsoid(ellipsoid.semi_axes_m, _side(ellipsoid.inside)))]
-
-
-@shape_bodies.register
-def _torus(torus: schema.Torus) -> list[Body]:
-    return [Body(model.Torus(torus.major_radius_m, torus.minor_radius_m, _side(torus.inside)))]
-
-
-@shape_bodies.register
-def _heightmap(heightmap: schema.Heightmap) -> list[Body]:
-    from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
-
-    return [Body(kernel_heightmap(read_heights(heightmap), heightmap.pitch_m))]
-
-
-@shape_bodies.register
 def _mesh(mesh: schema.Mesh) -> list[Body]:
     from softfinger.proxy.meshes.prepared import tree_of
 

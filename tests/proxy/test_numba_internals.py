@@ -17,7 +17,6 @@ import numba
 import numpy as np
 import pytest
 from numba import types
-from numba.core import event
 from numba.core.compiler import run_frontend
 from numba.core.registry import cpu_target
 from numba.core.typeinfer import TypeInferer
@@ -297,7 +296,7 @@ def nested(x: float, n: int) -> Any:
 def test_values_before_their_uses_are_typed_in_one_round(
     monkeypatch: pytest.MonkeyPatch, empty_cache: None, function: Any, rounds: int
 ) -> None:
-    """`TypeInferer`, `_strip_phi_nodes`, `storevar`, `_blk_local_varmap`: types and results are those of numba's
+    """`TypeInferer`, `storevar`, `_blk_local_varmap`: types and results are those of numba's
     compilation, also of variables of several blocks; only loops need rounds."""
     ran: list[str] = []
     numba_propagate = TypeInferer.propagate
@@ -353,18 +352,6 @@ def test_an_error_of_type_inference_names_its_place() -> None:
     kernel: Any = decorators.jit(lambda x: x + None)
     with pytest.raises(numba.TypingError, match=r"test_numba_internals\.py"):
         numba.njit(**decorators.OPTIONS)(lambda x: kernel(x))(1.0)
-
-
-def test_a_compilation_sends_no_events_of_locks() -> None:
-    """`_lock`, `_cblist`: none while a kernel is compiled, and as before afterwards."""
-    kernel: Any = numba.njit(**decorators.OPTIONS)(lambda x: 3.0 * x)
-    with event.install_recorder("numba:llvm_lock") as of_lock, event.install_recorder("numba:compile") as of_compiler:
-        kernel.compile((types.float64,))
-        llvm.parse_assembly("")
-    (begin, _), (end, _) = of_compiler.buffer[0], of_compiler.buffer[-1]
-    times = [time for time, _ in of_lock.buffer]
-    assert times and not any(begin < time < end for time in times)
-    assert kernel(2.0) == 6.0
 
 
 def test_garbage_collection_skips_the_objects_of_a_compilation() -> None:
@@ -458,7 +445,7 @@ def test_overloads_are_chosen_at_compile_time() -> None:
 
 
 def test_conditions_on_types_are_evaluated_before_type_inference() -> None:
-    """`find_const`, `get_definition`: of arguments and their fields; code that is not reached need not compile."""
+    """`_definitions`, `simplify_CFG`: of arguments and their fields; code that is not reached need not compile."""
 
     @decorators.jit
     def total(numbers: Any) -> Any:

@@ -18,7 +18,6 @@ from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
 from softfinger.proxy.kernels.model import (
     Anchor,
     BoxBoundary,
-    BoxRegion,
     ConstantForce,
     Magnet,
     NormalVibration,
@@ -69,10 +68,6 @@ class Situation(NamedTuple):
 def effect_force(effect: Any, state: Any, situation: Situation) -> Any: ...
 
 
-@by_type
-def reach(region: Any, situation: Situation) -> Any: ...
-
-
 # --- regions -------------------------------------------------------------------------------------
 
 
@@ -86,29 +81,18 @@ def share_at(depth: float, edge: float) -> float:
     return 1.0
 
 
-@reach.of(None)
-def reach_of_workspace(region: None, situation: Situation) -> float:
-    return 1.0
-
-
-@reach.of(Touching)
-def reach_of_touch(region: Touching, situation: Situation) -> float:
-    if situation.touched == 0.0:
-        return 0.0
-    return region.share
-
-
-@reach.of(BoxRegion)
-def reach_of_box(region: BoxRegion, situation: Situation) -> float:
+@jit
+def reach(region: Any, situation: Situation) -> float:
+    if region is None:
+        return 1.0
+    if isinstance(region, Touching):
+        return 0.0 if situation.touched == 0.0 else region.share
     away = vec3.sub(situation.position, region.center)
+    if isinstance(region, SphereRegion):
+        return share_at(region.radius - vec3.norm(away), region.edge)
     half = region.half_extents
     depth = min(half[0] - abs(away[0]), half[1] - abs(away[1]), half[2] - abs(away[2]))
     return share_at(depth, region.edge)
-
-
-@reach.of(SphereRegion)
-def reach_of_sphere(region: SphereRegion, situation: Situation) -> float:
-    return share_at(region.radius - vec3.norm(vec3.sub(situation.position, region.center)), region.edge)
 
 
 # --- bounds --------------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ from softfinger.proxy.kernels.model import (
     HertzPatch,
     LimitSurface,
     PatchTorsion,
-    PowerPatch,
     PowerTorsion,
     SoftFingerProxy,
     Torsion,
@@ -52,11 +51,6 @@ NO_PATCH = ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_
 
 
 @by_type
-def contact_patch(patch: Any, radius: float, compliance: Any, normal_force: float) -> Any:
-    """Return the patch of a fingertip of `radius`, m, on an object of shear compliance 1/G, m^2/N; None: no patch."""
-
-
-@by_type
 def torsion_under(torsion: Any, contact_patch: ContactPatch) -> Any:
     """Return the torsion law with the coefficients of this tick."""
 
@@ -70,11 +64,6 @@ def winding_unit(torsion: Any, contact_patch: ContactPatch, share: float) -> Any
     wound-up finger generates no energy, and a trembling hand loses none. Nor does it grow if it is transferred along
     with the share.
     """
-
-
-@contact_patch.of(None)
-def point_contact(patch: None, radius: float, compliance: Any, normal_force: float) -> ContactPatch:
-    return NO_PATCH
 
 
 @jit
@@ -91,19 +80,21 @@ def contact_patch_of(a: float, lever: float, radius: float, compliance: float, n
     return ContactPatch(radius=a, torsional=k_z, lever=lever * a, bending=bending, bend_max=a / radius)
 
 
-@contact_patch.of(HertzPatch)
-def hertz_contact_patch(patch: HertzPatch, radius: float, compliance: float, normal_force: float) -> ContactPatch:
-    """a^3 = 3 f_N r / (4 E*), with 1/E* = (1/G_f + 1/G_o) / 4 of incompressible bodies (Hertz, 1882)."""
+@jit
+def contact_patch(patch: Any, radius: float, compliance: Any, normal_force: float) -> ContactPatch:
+    """Return the patch of a fingertip of `radius`, m, on an object of shear compliance 1/G, m^2/N; None: no patch.
+
+    HertzPatch  a^3 = 3 f_N r / (4 E*), with 1/E* = (1/G_f + 1/G_o) / 4 of incompressible bodies (Hertz, 1882)
+    PowerPatch  a = c (f_N / 1 N)^gamma (Xydas and Kao, 1999)
+    """
+    if patch is None:
+        return NO_PATCH
     both = patch.compliance + compliance
-    a = (3.0 / 16.0 * normal_force * radius * both) ** (1.0 / 3.0)
-    return contact_patch_of(a, HERTZ_LEVER, radius, both, normal_force)
-
-
-@contact_patch.of(PowerPatch)
-def power_contact_patch(patch: PowerPatch, radius: float, compliance: float, normal_force: float) -> ContactPatch:
-    """Return the patch with a = c (f_N / 1 N)^gamma (Xydas and Kao, 1999)."""
+    if isinstance(patch, HertzPatch):
+        a = (3.0 / 16.0 * normal_force * radius * both) ** (1.0 / 3.0)
+        return contact_patch_of(a, HERTZ_LEVER, radius, both, normal_force)
     a = patch.at_newton * normal_force**patch.exponent if normal_force > 0.0 else 0.0
-    return contact_patch_of(a, patch.lever, radius, patch.compliance + compliance, normal_force)
+    return contact_patch_of(a, patch.lever, radius, both, normal_force)
 
 
 @torsion_under.of(None, Torsion, PowerTorsion)

@@ -36,23 +36,6 @@ def viscosity(law: Any) -> Any:
 
 
 @by_type
-def scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Any: ...
-
-
-@by_type
-def load_size(law: Any, normal: Vec3, load: Vec3) -> Any: ...
-
-
-@by_type
-def cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Any: ...
-
-
-@by_type
-def rotate_law(law: Any, rotation: Quaternion) -> Any:
-    """Return the law with its directions rotated with the object."""
-
-
-@by_type
 def scale_law(law: Any, factor: float) -> Any:
     """Return the law with all its coefficients multiplied by `factor`."""
 
@@ -70,17 +53,29 @@ def coulomb_viscosity(law: Friction) -> None:
     return None
 
 
-@scales.of(Friction, SpeedFriction)
-def isotropic_scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales:
+@jit
+def scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales:
+    if isinstance(law, Anisotropic):
+        along = surface_direction(law.direction, normal)
+        across = vec3.cross(normal, along)
+        if breaking != 0.0:
+            return along, across, law.static_along, law.static_across
+        return along, across, law.kinetic_along, law.kinetic_across
     length = vec3.norm(v)
     if length > 0.0:
         return vec3.scale(1.0 / length, v), (0.0, 0.0, 0.0), 1.0, 1.0
     return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0, 1.0
 
 
-@cut.of(Friction, SpeedFriction)
-def isotropic_cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
-    """Project radially onto a circle, which is the nearest point; never extend, so friction only resists."""
+@jit
+def cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
+    """Project radially onto a circle, which is the nearest point; never extend, so friction only resists.
+
+    With an anisotropic law, project onto the nearest point of the ellipse: the slip is then along its normal (maximum
+    dissipation).
+    """
+    if isinstance(law, Anisotropic):
+        return anisotropic_cut(law, normal, longest, breaking, deflection)
     length = vec3.norm(deflection)
     slip = max(length - longest, 0.0)
     if slip > 0.0:
@@ -89,13 +84,20 @@ def isotropic_cut(law: Any, normal: Vec3, longest: float, breaking: float, defle
     return deflection, slip, length
 
 
-@load_size.of(Friction, SpeedFriction)
-def isotropic_load_size(law: Any, normal: Vec3, load: Vec3) -> float:
-    return vec3.norm(load)
+@jit
+def load_size(law: Any, normal: Vec3, load: Vec3) -> float:
+    if not isinstance(law, Anisotropic):
+        return vec3.norm(load)
+    along, across, s1, s2 = scales(law, normal, load, 1.0)
+    a, b = vec3.dot(load, along) / s1, vec3.dot(load, across) / s2
+    return sqrt(a * a + b * b)
 
 
-@rotate_law.of(None, Friction, SpeedFriction, PaperFriction)
-def rotate_isotropic(law: Any, rotation: Quaternion) -> Any:
+@jit
+def rotate_law(law: Any, rotation: Quaternion) -> Any:
+    """Return the law with its directions rotated with the object."""
+    if isinstance(law, Anisotropic):
+        return replace(law, "direction", rotations.rotate(rotation, law.direction))
     return law
 
 
@@ -174,28 +176,11 @@ def surface_direction(direction: Vec3, normal: Vec3) -> Vec3:
     return vec3.scale(1.0 / length, along)
 
 
-@scales.of(Anisotropic)
-def anisotropic_scales(law: Anisotropic, normal: Vec3, v: Vec3, breaking: float) -> Scales:
-    along = surface_direction(law.direction, normal)
-    across = vec3.cross(normal, along)
-    if breaking != 0.0:
-        return along, across, law.static_along, law.static_across
-    return along, across, law.kinetic_along, law.kinetic_across
-
-
-@load_size.of(Anisotropic)
-def anisotropic_load_size(law: Anisotropic, normal: Vec3, load: Vec3) -> float:
-    along, across, s1, s2 = anisotropic_scales(law, normal, load, 1.0)
-    a, b = vec3.dot(load, along) / s1, vec3.dot(load, across) / s2
-    return sqrt(a * a + b * b)
-
-
-@cut.of(Anisotropic)
+@jit
 def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
-    """Project onto the nearest point of the ellipse: the slip is then along its normal (maximum dissipation)."""
     if longest <= 0.0:
         return (0.0, 0.0, 0.0), vec3.norm(deflection), 0.0
-    along, across, s1, s2 = anisotropic_scales(law, normal, deflection, breaking)
+    along, across, s1, s2 = scales(law, normal, deflection, breaking)
     x, y = vec3.dot(deflection, along) / (s1 * longest), vec3.dot(deflection, across) / (s2 * longest)
     if x * x + y * y <= 1.0:
         return deflection, 0.0, vec3.norm(deflection)
@@ -204,11 +189,6 @@ def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: fl
     x, y, _ = shrink((x, y, 0.0), (a, b, 1.0), m)
     nearest = vec3.add_scaled(vec3.scale(s1 * longest * x, along), s2 * longest * y, across)
     return nearest, vec3.norm(vec3.sub(deflection, nearest)), vec3.norm(nearest)
-
-
-@rotate_law.of(Anisotropic)
-def rotate_anisotropic(law: Anisotropic, rotation: Quaternion) -> Anisotropic:
-    return replace(law, "direction", rotations.rotate(rotation, law.direction))
 
 
 @scale_law.of(Anisotropic)

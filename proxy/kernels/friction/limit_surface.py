@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.friction.laws import cut, scales
 from softfinger.proxy.kernels.friction.torsion import torsional_limit, torsional_stiffness
+from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import (
     FrictionInput,
@@ -42,18 +43,23 @@ class Slide(NamedTuple):
     length: float
 
 
-@by_type
-def room(torsion: Any, spin: float, normal_force: float) -> Any:
-    """Return the fraction of the static cone available to friction: 1, unless torsion and friction share one limit."""
+@jit
+def room(torsion: Any, spin: float, normal_force: float) -> float:
+    """Return the fraction of the static cone available to friction: 1, unless torsion and friction share one limit.
+
+    On a limit surface it is sqrt(1 - (tau_n / tau_max)^2): 1 without torsion, 0 at the torsional limit.
+    """
+    if not isinstance(torsion, LimitSurface):
+        return 1.0
+    limit = torsional_limit(torsion.law, normal_force)
+    if limit <= 0.0:
+        return 1.0
+    share = torsional_stiffness(torsion.law) * spin / limit
+    return sqrt(max(1.0 - share * share, 0.0))
 
 
 @by_type
 def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput) -> Any: ...
-
-
-@room.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
-def room_of_independent_laws(torsion: Any, spin: float, normal_force: float) -> float:
-    return 1.0
 
 
 @slide.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
@@ -63,16 +69,6 @@ def slide_independently(
     """Limit the tangential force to K |e| <= `limit`, independent of torsion."""
     deflection, slip, length = cut(law, inputs.normal, limit / stiffness, breaking, inputs.deflection)
     return Slide(deflection, inputs.spin, inputs.twist, slip, length)
-
-
-@room.of(LimitSurface)
-def room_on_limit_surface(torsion: LimitSurface, spin: float, normal_force: float) -> float:
-    """Return sqrt(1 - (tau_n / tau_max)^2): 1 without torsion, 0 at the torsional limit."""
-    limit = torsional_limit(torsion.law, normal_force)
-    if limit <= 0.0:
-        return 1.0
-    share = torsional_stiffness(torsion.law) * spin / limit
-    return sqrt(max(1.0 - share * share, 0.0))
 
 
 @slide.of(LimitSurface)

@@ -83,27 +83,15 @@ def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
     return force
 
 
-@by_type
-def limit_to_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Any:
-    """Limit `force` (3,) N to the friction cone of that normal force, N, and slip speed, m/s."""
-
-
-@limit_to_cone.of(None)
-def limit_to_nothing(law: None, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
-    return (0.0, 0.0, 0.0)
-
-
-@limit_to_cone.of(Friction, SpeedFriction, Anisotropic)
-def limit_to_static_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
+@jit
+def limit_to_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float) -> Vec3:
+    """Limit `force` (3,) N to the friction cone of that normal force, N, and slip speed, m/s; not that of the paper."""
+    if law is None:
+        return (0.0, 0.0, 0.0)
+    if isinstance(law, PaperFriction):
+        return force
     static_limit, kinetic_limit = cone(law, normal_force, slip_speed)
     return limit_force(law, normal, force, max(static_limit, kinetic_limit))
-
-
-@limit_to_cone.of(PaperFriction)
-def unlimited_as_in_the_paper(
-    law: PaperFriction, normal: Vec3, force: Vec3, normal_force: float, slip_speed: float
-) -> Vec3:
-    return force
 
 
 @jit

@@ -32,7 +32,6 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     CFunction,
     Inlined,
     KernelCache,
-    LockEvents,
     UnitCompiler,
 )
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
@@ -84,18 +83,15 @@ class _CompileListener(event.Listener):  # type: ignore[misc]
     The garbage collector is off until the end of the outermost compilation: numba creates millions of objects that live
     as long as it compiles, and scanning them repeatedly takes a seventh of the time. At the end they move to the oldest
     generation: the next collection of the youngest would scan them all, in a twentieth of the time.
-
-    Events of LLVM's lock are off, too.
     """
 
     def __init__(self) -> None:
-        self._depth, self._collects, self._lock_events = 0, False, LockEvents()
+        self._depth, self._collects = 0, False
 
     def on_start(self, event: Any) -> None:
         if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
-            self._lock_events.stop()
         self._depth += 1
         COMPILE_PROGRESS.begin()
 
@@ -104,7 +100,6 @@ class _CompileListener(event.Listener):  # type: ignore[misc]
         self._depth -= 1
         if self._depth > 0:
             return
-        self._lock_events.resume()
         if self._collects:
             if gc.get_freeze_count() == 0:  # else the caller has frozen objects, which have to stay frozen
                 gc.freeze()

@@ -16,8 +16,10 @@ from softfinger.proxy.kernels.model import (
     WORLD_PLANE,
     AnyShape,
     Entry,
+    Facet,
     Many,
     Material,
+    Mesh,
     MinkowskiSum,
     Object,
     Plane,
@@ -27,7 +29,6 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes.any_shape import plane_of
-from softfinger.proxy.kernels.shapes.composite import element_of_shape
 
 ENTRY_BITS: Final = 16
 ENTRIES: Final = 1 << ENTRY_BITS
@@ -48,7 +49,8 @@ def object_at(objects: Any, index: float) -> Any:
     Of many, the compiler loads only the fields that the caller uses.
     """
     if isinstance(objects, Single):
-        return replace(objects.body, "shape", element_of_shape(objects.body.shape, index))
+        body = objects.body
+        return replace(body, "shape", Facet(body.shape, index)) if isinstance(body.shape, Mesh) else body
     row, facet = row_of(index), facet_of(index)
     entry = objects.entries[row]
     pose, was = poses_of(objects.poses, entry, row)

@@ -4,7 +4,6 @@ Each triangle of a mesh counts as an object. Every other shape uses the defaults
 
     nearest_of_shape(shape, x, within, ...)  -> Deepest          nearest of its objects
     neighbour_of(shape, x)                   -> number           of the object across an edge, relative to this one
-    element_of_shape(shape, facet)           -> shape            one of its triangles
     raised_clear(shape, x, radius)           -> (3,) m           a point that is certainly outside
     shaded(shape, pose, normal, position)    -> (3,)             direction of the force
 """
@@ -46,12 +45,6 @@ def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: in
 def neighbour_of(shape: Any, x: Vec3) -> float:
     """Return the index, relative to this object, of the object across the edge closest to `x`; 0 for this object."""
     return 0.0
-
-
-@by_type_with_default
-def element_of_shape(shape: Any, facet: float) -> Any:
-    """Return the triangle of a mesh with that index, another shape itself."""
-    return shape
 
 
 @by_type_with_default

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_with_default
+from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import MinkowskiSum, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import BUDGET_OF_A_ROLL, closest, closest_from
@@ -73,50 +73,36 @@ def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3,
 # --- dependence on the form of the fingertip: an ellipsoid is part of the shape, a MinkowskiSum ---------------------
 
 
-@by_type_with_default
+@jit
 def shape_before(shape: Any, w: Vec3, remaining: float) -> Any:
     """Return the shape at the time when the fraction `remaining` of the tick's rotation vector `w` (3,) rad remains."""
-    return shape
-
-
-@by_type_with_default
-def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
-    """Return the velocity (3,) of the fingertip's centre in rolling without slip with the angular velocity `w`.
-
-    It is w x arm, with the arm from the contact point to the centre.
-    """
-    return vec3.scale(radius, vec3.cross(w, normal))
-
-
-@by_type_with_default
-def surface_part(shape: Any, displacement: Vec3, normal: Vec3) -> float:
-    """Return the length along the surface of a displacement (3,) m of the centre."""
-    return vec3.norm(displacement)
-
-
-@by_type_with_default
-def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> float:
-    """Return the roll angle, rad, of a step with that `motion` (3,) m and `tilted`, the mean of |w x n|, rad."""
-    return vec3.norm(motion) / radius
-
-
-@shape_before.of(MinkowskiSum)
-def reduce_turn(shape: MinkowskiSum, w: Vec3, remaining: float) -> MinkowskiSum:
+    if not isinstance(shape, MinkowskiSum):
+        return shape
     back = rotations.exp(vec3.scale(-remaining, w))
     return MinkowskiSum(shape.shape, shape.semi_axes, rotations.multiply(back, shape.orientation), shape.radius)
 
 
-@center_velocity.of(MinkowskiSum)
-def center_velocity_of_ellipsoid(shape: MinkowskiSum, radius: float, w: Vec3, normal: Vec3) -> Vec3:
-    """Return the velocity, which has a component along the normal, too: the centre rises and falls."""
-    return vec3.cross(w, support_vector(shape.semi_axes, shape.orientation, normal))
+@jit
+def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
+    """Return the velocity (3,) of the fingertip's centre in rolling without slip with the angular velocity `w`.
+
+    It is w x arm, with the arm from the contact point to the centre. That of an ellipsoid has a component along the
+    normal, too: the centre rises and falls.
+    """
+    if isinstance(shape, MinkowskiSum):
+        return vec3.cross(w, support_vector(shape.semi_axes, shape.orientation, normal))
+    return vec3.scale(radius, vec3.cross(w, normal))
 
 
-@surface_part.of(MinkowskiSum)
-def part_along_the_surface(shape: MinkowskiSum, displacement: Vec3, normal: Vec3) -> float:
-    return vec3.norm(vec3.reject(displacement, normal))
+@jit
+def surface_part(shape: Any, displacement: Vec3, normal: Vec3) -> float:
+    """Return the length along the surface of a displacement (3,) m of the centre."""
+    if isinstance(shape, MinkowskiSum):
+        return vec3.norm(vec3.reject(displacement, normal))
+    return vec3.norm(displacement)
 
 
-@roll_angle.of(MinkowskiSum)
-def roll_angle_of_ellipsoid(shape: MinkowskiSum, radius: float, motion: Vec3, tilted: float) -> float:
-    return tilted
+@jit
+def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> float:
+    """Return the roll angle, rad, of a step with that `motion` (3,) m and `tilted`, the mean of |w x n|, rad."""
+    return tilted if isinstance(shape, MinkowskiSum) else vec3.norm(motion) / radius

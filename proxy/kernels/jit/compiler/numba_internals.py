@@ -29,16 +29,14 @@ _find_singly_assigned_variable, _singly_assigned_vars, _blk_local_varmap, _cur_i
 RETCODE_OK (in `convention.py`), Compiler.define_pipelines, enable_object_caching
                          Variables are values, never deleted; kernels that cannot fail are not checked; machine code is
                          optimised once. Without all of these: a scene compiles for 1.2 times as long.
-FunctionPass, find_const, get_definition, guard, require, _definitions (in `passes.py`)
+FunctionPass, _definitions, build_definitions, compute_cfg_from_blocks, simplify_CFG (in `passes.py`)
                          `isinstance` of arguments is evaluated before type inference. Without: it does not compile.
-PassManager, _runPass, _analysis, DefaultPassBuilder and its passes, _strip_phi_nodes
-(in `passes.py`)
+PassManager, _runPass, _analysis, DefaultPassBuilder and its passes (in `passes.py`)
                          Such a kernel is compiled without timers and checks of each pass, and without those that have
                          no effect in it. Without: 11 % more calls.
 TypeInferer, constraints, callstack, WarningsFixer, resolve_function_type, typingctx (in `passes.py`), lower_binop
 (in `convention.py`)
                          Statements and functions of scalars are typed once. Without: 16 % more calls.
-ffi.lib._lock, _cblist   LLVM's lock sends no events during a compilation. Without: 4 % more calls.
 global_compiler_lock     Needed where no dispatcher compiles. Without: an assertion of numba fails.
 JITCodeLibrary, get_executable, compile_result, CompilerBase
                          Such a kernel has no machine code. Without: a scene takes 1.5 times the disk space.
@@ -98,19 +96,6 @@ UNIT: Final = "softfinger_unit_"
 """Prefix of the symbols of outlined kernels."""
 
 log: Final = logging.getLogger(__name__)
-
-
-class LockEvents:
-    """Events that numba sends at each of tens of thousands of calls of LLVM, for timers of its lock."""
-
-    def __init__(self) -> None:
-        self._lock, self._callbacks = llvm.ffi.lib._lock, list[Any]()
-
-    def stop(self) -> None:
-        self._callbacks, self._lock._cblist = self._lock._cblist, []
-
-    def resume(self) -> None:
-        self._lock._cblist = self._callbacks
 
 
 class KernelCache(NullCache):  # type: ignore[misc]
@@ -438,7 +423,8 @@ class _ChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
         chosen = context.resolve_value_type(kernel)
         signature = chosen.get_call_type(context, known, named)
         self._chosen[signature.args] = chosen
-        return signature
+        takes_any = any(each.kind == each.VAR_POSITIONAL for each in signature.pysig.parameters.values())
+        return signature.replace(pysig=None) if takes_any else signature  # numba would search for them in a tuple
 
     def get_call_signatures(self) -> tuple[list[Any], bool]:
         return [], True

@@ -255,22 +255,7 @@ class KernelTypeInference(NopythonTypeInference):  # type: ignore[misc]
         return True
 
 
-@register_pass(mutates_CFG=False, analysis_only=False)
-class StripPhis(PreLowerStripPhis):  # type: ignore[misc]
-    """Pass that replaces phi nodes by assignments, without numba's analysis of the result."""
-
-    _name = "softfinger_strip_phis"
-
-    def run_pass(self, state: Any) -> bool:
-        state.func_ir = self._strip_phi_nodes(state.func_ir)
-        return True
-
-
-REPLACED: Final = {
-    NativeLowering: InlinedLowering,
-    NopythonTypeInference: KernelTypeInference,
-    PreLowerStripPhis: StripPhis,
-}
+REPLACED: Final = {NativeLowering: InlinedLowering, NopythonTypeInference: KernelTypeInference}
 
 
 def add_static_conditions(passes: PassManager) -> None:
@@ -281,11 +266,11 @@ def add_static_conditions(passes: PassManager) -> None:
 def make_passes(state: Any) -> UncheckedPasses:
     """Return the passes for a kernel, from numba's state of its compilation."""
     state.typingctx = ScalarSignatures(state.typingctx)
-    code, idle = state.func_id.code, IDLE
+    code, idle = state.func_id.code, set(IDLE)
     if not any(isinstance(each, CodeType) for each in code.co_consts):  # functions in it
-        idle = *idle, InlineClosureLikes
+        idle.add(InlineClosureLikes)
     if "len" not in code.co_names:  # numba evaluates that of a tuple
-        idle = *idle, RewriteSemanticConstants, DeadBranchPrune
+        idle |= {RewriteSemanticConstants, DeadBranchPrune}
     passes = UncheckedPasses("softfinger_inlined")
     passes.passes = [
         (REPLACED.get(each, each), text)

@@ -16,7 +16,6 @@ from softfinger.proxy.kernels.shapes.composite import (
     ENOUGH,
     EVERYWHERE,
     Deepest,
-    element_of_shape,
     nearest_of_shape,
     neighbour_of,
     shade_normal,
@@ -160,11 +159,6 @@ def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, known: Vec3, budge
 @neighbour_of.of(Facet)
 def neighbour_of_facet(shape: Facet, x: Vec3) -> float:
     return nearer_neighbour(shape.mesh, shape.number, x) - shape.number
-
-
-@element_of_shape.of(Mesh)
-def facet_of_mesh(shape: Mesh, facet: float) -> Facet:
-    return Facet(shape, facet)
 
 
 @shade_normal.of(Facet)
