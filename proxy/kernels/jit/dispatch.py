@@ -54,9 +54,10 @@ def by_type(declaration: Callable[..., Any]) -> Any:
         """Cache of the kernel for each class: a scene in plain Python makes hundreds of choices a tick."""
 
         def __missing__(self, kind: type) -> Callable[..., Any]:
-            kernel = kernel_for(None if kind is NoneType else kind)
+            own = None if kind is NoneType else kind
+            kernel = kernel_for(own)
             if kernel is None:
-                raise TypeError(f"{declaration.__qualname__} is not defined for {kind}")
+                raise TypeError(f"{declaration.__qualname__} is not defined for {own}")
             self[kind] = kernel
             return kernel
 

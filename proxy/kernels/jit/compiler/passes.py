@@ -125,12 +125,16 @@ def _condition(code: Any, arguments: Any, expression: Any) -> bool | None:
             return None
         kind = _static_type(code, arguments, expression.lhs)
         return None if kind is None else isinstance(kind, types.NoneType) == (expression.fn is operator.is_)
-    if getattr(_only(code, expression.func), "value", None) is not isinstance:
+    function = _only(code, expression.func)
+    if not isinstance(function, ir.Global) or function.value is not isinstance:
         return None
     kind, classes = _static_type(code, arguments, expression.args[0]), _only(code, expression.args[1])
-    names = [_only(code, each) for each in classes.items] if isinstance(classes, ir.Expr) else [classes]
+    is_tuple = isinstance(classes, ir.Expr) and classes.op == "build_tuple"
+    names = [_only(code, each) for each in classes.items] if is_tuple else [classes]
+    if kind is None or not all(isinstance(each, ir.Global | ir.FreeVar) for each in names):
+        return None
     own = class_of(kind)
-    return None if kind is None else own is not None and issubclass(own, tuple(each.value for each in names))
+    return own is not None and issubclass(own, tuple(each.value for each in names))
 
 
 def _only(code: Any, variable: Any) -> Any:
