@@ -221,6 +221,10 @@ class Device(Closeable):
         """Return the means of another process to command zero; None if there are none."""
         return None
 
+    def thread_ids(self) -> list[int]:
+        """Return the native ids of threads that pass forces to the device; they get a real-time priority."""
+        return []
+
     def counts(self) -> dict[str, int]:
         """Return the driver's counters since the device was opened, by name; empty without counters.
 

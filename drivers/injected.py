@@ -265,6 +265,9 @@ class FaultInjector(Device):
     def last_word(self) -> LastWord | None:
         return self._device.last_word()
 
+    def thread_ids(self) -> list[int]:
+        return self._device.thread_ids()
+
     def counts(self) -> dict[str, int]:
         return self._device.counts() | self._block.counts()
 

@@ -344,7 +344,13 @@ class Daemon:
         if servo_config.realtime != "off":
             settings.settings += [
                 realtime.raise_priority("supervisor", self.supervisor.native_id, servo_config.priority + 1),
-                realtime.raise_priority("relay", self.publisher.native_id, servo_config.priority - 1),
+                *(
+                    realtime.raise_priority(name, thread, servo_config.priority - 1)
+                    for name, thread in [
+                        ("relay", self.publisher.native_id),
+                        *(("exchange", thread) for device in self.devices for thread in device.thread_ids()),
+                    ]
+                ),
             ]
         self.recordings.note_settings([setting._asdict() for setting in settings.settings])
         if self._report is not None:

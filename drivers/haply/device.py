@@ -56,6 +56,9 @@ class HaplyDevice(BlockDevice):
         word[AT.dropped_reported] = word[AT.dropped]
         word[AT.armed] = 1
 
+    def thread_ids(self) -> list[int]:
+        return [thread for thread in [self._thread.native_id] if thread is not None]
+
     def stop(self) -> None:
         word = self._block.word
         word[AT.armed] = 0  # from now on the thread sends only zeros

@@ -74,6 +74,10 @@ class ExchangeThread:
         self._thread.start()
 
     @property
+    def native_id(self) -> int | None:
+        return self._thread.native_id
+
+    @property
     def is_running(self) -> bool:
         return self._thread.is_alive()
 

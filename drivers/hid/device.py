@@ -111,6 +111,9 @@ class HidDevice(BlockDevice):
         hang_s = self.threads.hang_duration_s()
         return f"a write has not returned for {hang_s:.2g} s" if hang_s else self.threads.failure
 
+    def thread_ids(self) -> list[int]:
+        return [] if self.threads is None else self.threads.native_ids
+
     def warning(self) -> str:
         return SINGULAR_POSE if self._block.word[DESCRIBED.singular] else ""
 

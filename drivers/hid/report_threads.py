@@ -80,6 +80,10 @@ class ReportThreads:
         self._writer.start()
 
     @property
+    def native_ids(self) -> list[int]:
+        return [thread.native_id for thread in (self._reader, self._writer) if thread.native_id is not None]
+
+    @property
     def accepted(self) -> int:
         """Number of the driver's reports that the device has accepted."""
         return int(self._accepted[0])

@@ -145,6 +145,12 @@ def test_pose_and_force_in_the_world(service: Service) -> None:
         np.testing.assert_allclose(service.force(), (-0.25, -0.5, 1.0), atol=1e-12)
 
 
+def test_the_device_names_its_thread(service: Service) -> None:
+    with opened(service) as device:
+        threads = [thread.native_id for thread in threading.enumerate() if thread.name == "haply exchange"]
+        assert device.thread_ids() == threads and len(threads) == 1
+
+
 def test_without_a_grip_there_is_no_orientation() -> None:
     with Service() as alone, opened(alone) as device:
         assert device.info.sensed_dof == 3

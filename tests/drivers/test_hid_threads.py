@@ -280,3 +280,9 @@ def test_a_disconnected_device_is_lost(cause: str) -> None:
 
 def raise_read_error(*_: object) -> list[int]:
     raise OSError("read error")
+
+
+def test_the_device_names_its_threads() -> None:
+    with ThreadedBoard() as linked:
+        threads = {thread.native_id for thread in threading.enumerate() if thread.name in ("hid reader", "hid writer")}
+        assert set(linked.device.thread_ids()) == threads and len(threads) == 2

@@ -19,7 +19,7 @@ import msgpack
 import numpy as np
 import pytest
 from helpers.daemons import QUIET, make_daemon, subscribed
-from helpers.faulty_device import registered
+from helpers.faulty_device import FaultyDevice, registered
 from helpers.processes import COMMAND
 from helpers.programs import Program, run_program
 from helpers.waits import WAIT_S, eventually
@@ -265,6 +265,20 @@ def granted_fifo() -> bool:
     thread.start()
     thread.join()
     return granted[0]
+
+
+def test_threads_of_a_device_get_the_priority_of_the_relay(faulty, monkeypatch):
+    applied, over = [], threading.Event()
+    thread = threading.Thread(target=over.wait, args=(WAIT_S,))
+    thread.start()
+    monkeypatch.setattr(FaultyDevice, "thread_ids", lambda device: [thread.native_id])
+    with Daemon(make_faulty_rig(realtime="auto"), load_scene("paper-plane"), 10, applied.extend) as running:
+        running.start()
+        assert running.wait(60.0)
+    over.set()
+    thread.join()
+    settings = {setting.name: setting[1:] for setting in applied}
+    assert settings["sched_fifo_exchange"] == settings["sched_fifo_relay"]
 
 
 @pytest.mark.skipif(not granted_fifo(), reason="needs the right to SCHED_FIFO")
