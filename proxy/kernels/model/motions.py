@@ -49,5 +49,16 @@ class Motion(NamedTuple):
 
 NO_BLOCK = ReadOnly(np.zeros(1, np.int64))
 """Placeholder for the addresses of a simulation."""
-AT_REST = Motion(STILL, NO_BLOCK, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 0.0, 0.0)
+AT_REST = Motion(
+    kind=STILL,
+    block=NO_BLOCK,
+    body=0.0,
+    translation=ZERO,
+    axis=ZERO,
+    pivot=ZERO,
+    angle=0.0,
+    frequency=0.0,
+    phase=0.0,
+    rate=0.0,
+)
 """Motion of one of many objects that cannot move; that of a single one is None."""
