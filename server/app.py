@@ -308,7 +308,10 @@ class Daemon:
         telemetry = TelemetryService(self.publisher, self.servo)
         optional_services: list[CommandService | MetricsService] = []
         if self.commands_endpoint is not None:
-            replace = lambda scene, name: self.replace(scene, scene_name=name)  # noqa: E731
+
+            def replace(scene: schema.Scene, name: str) -> int:
+                return self.replace(scene, scene_name=name)
+
             interface = DaemonInterface(self.publisher, self.recordings, replace, self._event, self.stop, self.fail)
             optional_services.append(CommandService(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
