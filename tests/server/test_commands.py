@@ -463,6 +463,9 @@ def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
         assert control.arm().armed is True
 
 
+PUBLISHER = SimpleNamespace(set_preparing=None)
+
+
 def test_an_invalid_request_does_not_count_as_a_heartbeat():
     reasons: set[str] = set()
     rendering = SimpleNamespace(
@@ -473,8 +476,7 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
             is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
         ),
     )
-    publisher = SimpleNamespace(set_preparing=None)
-    actions = SimpleNamespace(replace=None, publisher=publisher, event=lambda *words, **fields: None)
+    actions = SimpleNamespace(replace=None, publisher=PUBLISHER, event=lambda *words, **fields: None)
     good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
     unknown = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     alive = []
@@ -494,7 +496,7 @@ def test_a_stop_whose_event_cannot_be_published_ends_the_run():
         raise MemoryError
 
     rendering = SimpleNamespace(force=SimpleNamespace(inhibit=acts.append))
-    daemon = SimpleNamespace(replace=None, report=None, event=event, stop=lambda: acts.append("stop"))
+    daemon = SimpleNamespace(replace=None, publisher=PUBLISHER, event=event, stop=lambda: acts.append("stop"))
     with pytest.raises(MemoryError):
         CommandHandlers("ipc:///nowhere", rendering, daemon, "none").stop(Request("a", "stop", None))
     assert acts == [COMMANDED, "stop"]
@@ -506,7 +508,7 @@ def test_a_queued_request_counts_as_a_sign_of_life_from_its_arrival():
         rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
         force=SimpleNamespace(is_inhibited_by=lambda why: False, end_at=deadlines_ns.append),
     )
-    commands = CommandService("ipc:///nowhere", rendering, SimpleNamespace(replace=None, report=None), "none")
+    commands = CommandService("ipc:///nowhere", rendering, SimpleNamespace(replace=None, publisher=PUBLISHER), "none")
     commands._note_alive(time.monotonic())
     body = msgpack.packb({"command_id": "a", "method": "mark", "params": {"label": "x", "data": {"a": "x" * SHORT}}})
     assert commands._receive(b"client", body) is None
