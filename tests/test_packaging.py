@@ -40,7 +40,7 @@ KERNEL_STANDARD_LIBRARY = {
     "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
     "dispatch.py": {"functools", "inspect"},
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets", "types"},
-    "passes.py": {"types"},
+    "passes.py": {"operator", "types"},
     "progress.py": {"contextlib"},
     "arrays.py": {"operator"},
     "rows.py": {"functools", "operator"},

@@ -36,6 +36,7 @@ from softfinger.proxy.kernels.model import (
     Plane,
     Scene,
     Single,
+    Smooth,
 )
 from softfinger.server.loop.clock import NS_PER_S, period_ns
 from softfinger.server.loop.guard import Guard
@@ -145,7 +146,12 @@ def wall_and_weight(
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
     finger = Finger(RADIUS_M, Coupling(1.0, 0.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)
     scene = Scene(
-        fingers=(finger,), objects=Single(wall, ()), rolling=None, effects=(weight,), bodies=None, elastic=None
+        fingers=(finger,),
+        objects=Single(wall, (), Smooth(0.0)),
+        rolling=None,
+        effects=(weight,),
+        bodies=None,
+        elastic=None,
     )
     # The observer is always present; with a largest damping of 0 it does not change the force.
     return Tuning(

@@ -501,7 +501,7 @@ def test_a_disk_without_room_for_the_index_loses_no_tick(tmp_path: Path) -> None
     path = tmp_path / "limited.mcap"
     rows = run()
     recorder = Recorder(open_recording(path), [""], about(), lambda text, _: None)
-    recorder.take(rows)
+    recorder.ticks(rows)
     assert eventually(lambda: recorder.recorded.ticks == len(rows))
     with file_size_limit(path.stat().st_size + 1000):  # room for the end of the data, not for the schemas of the index
         assert "File too large" in recorder.stop(WAIT_S).error
@@ -519,7 +519,7 @@ def test_a_recording_without_a_tick_leaves_no_file(limit: int, tmp_path: Path) -
     reports: list[str] = []
     with file_size_limit(limit):
         recorder = Recorder(open_recording(path), [""], about(), lambda text, _: reports.append(text))
-        recorder.take(rows)
+        recorder.ticks(rows)
         assert eventually(lambda: reports)
         assert recorder.stop(WAIT_S).ticks == 0
     assert reports == [f"the recording ends after 0 ticks: File too large: {NEW_RECORDING_REMEDY}"]
