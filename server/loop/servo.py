@@ -205,5 +205,6 @@ def servo_loop(
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
             break
 
-    map_each(write_zero_to, (ios, buffers))
+    map_each(write_zero_to, (ios, buffers), 0)
+    map_each(write_zero_to, (ios, buffers), 1)  # last, because a write to a failed device may hang
     return ending, status, finger
