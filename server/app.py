@@ -173,6 +173,7 @@ class Daemon:
             Number of the first tick with the new configuration.
         """
         first = self.rendering.replace(scene, rig)
+        self._raise_exchange_threads()  # of new devices
         self._publish_scene_info(self._scene_name if scene is None else scene_name)
         self._event("lifecycle", "replaced", device=base.names(self.devices), first=first)
         return first
@@ -347,18 +348,20 @@ class Daemon:
         if servo_config.realtime != "off":
             settings.settings += [
                 realtime.raise_priority("supervisor", self.supervisor.native_id, servo_config.priority + 1),
-                *(
-                    realtime.raise_priority(name, thread, servo_config.priority - 1)
-                    for name, thread in [
-                        ("relay", self.publisher.native_id),
-                        *(("exchange", thread) for device in self.devices for thread in device.thread_ids()),
-                    ]
-                ),
+                realtime.raise_priority("relay", self.publisher.native_id, servo_config.priority - 1),
             ]
+        settings.settings += self._raise_exchange_threads()
         self.recordings.note_settings([setting._asdict() for setting in settings.settings])
         if self._report is not None:
             self._report(settings.settings)
         return settings.undo
+
+    def _raise_exchange_threads(self) -> list[realtime.Setting]:
+        """Set the real-time priority of all threads that pass forces to the present devices."""
+        if self._rig.servo.realtime == "off":
+            return []
+        threads = [thread for device in self.devices for thread in device.thread_ids()]
+        return [realtime.raise_priority("exchange", thread, self._rig.servo.priority - 1) for thread in threads]
 
 
 def fault_name(error: Exception) -> str:

@@ -25,10 +25,14 @@ WRITES = 3
 PAUSE_S = 0.005
 TRY_S = 2.0
 """Time limit for a device that accepts no bytes."""
+EXIT_TIMEOUT_S = 2.0
+"""Time limit for the process to exit; a stopped process (SIGSTOP) does not."""
+RESTARTS = 3
+"""Maximum restarts of a process that ends unexpectedly."""
 
 
 class Watcher:
-    """Starts the process; call `dismiss` after the device is closed.
+    """Starts the process; call `supervise` repeatedly, and `dismiss` after the device is closed.
 
     Parameters
     ----------
@@ -41,13 +45,38 @@ class Watcher:
     """
 
     def __init__(self, node: str, fd: int, zero: bytes) -> None:
-        command = [sys.executable, "-I", "-S", __file__, node, str(fd), zero.hex()]
+        self._node, self._fd, self._restarts = node, fd, 0
+        self._command = [sys.executable, "-I", "-S", __file__, node, str(fd), zero.hex()]
+        self._process = self._spawn()
+
+    def _spawn(self) -> subprocess.Popen[bytes]:
         # A new session: Ctrl-C and the hangup of a terminal are meant for the daemon.
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=(fd,), start_new_session=True)
+        return subprocess.Popen(self._command, stdin=subprocess.PIPE, pass_fds=(self._fd,), start_new_session=True)
+
+    def supervise(self) -> str:
+        """Restart the process if it has ended; return a sentence about it, empty if the process runs."""
+        if self._restarts > RESTARTS or (code := self._process.poll()) is None:
+            return ""
+        self._restarts += 1
+        if self._restarts <= RESTARTS:
+            with self._process, contextlib.suppress(OSError):  # closes the pipe of the ended process
+                self._process = self._spawn()
+                return f"the watcher of {self._node} ended unexpectedly ({code}) and was restarted"
+        self._restarts = RESTARTS + 1
+        return (
+            f"the watcher of {self._node} ended unexpectedly ({code}) and is not restarted: if this program is killed, "
+            "the last force may remain"
+        )
 
     def dismiss(self) -> None:
         """End the process after the device was closed."""
-        self._process.communicate(CLOSED)
+        with self._process:  # closes the pipe and waits
+            if self._process.poll() is not None:
+                return
+            try:
+                self._process.communicate(CLOSED, EXIT_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
 
 
 def zero_force(node: str, fd: int, zero: bytes) -> str:

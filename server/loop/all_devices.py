@@ -52,6 +52,7 @@ class DeviceBuffers(NamedTuple):
     ignored_ticks  (2,)   number of successive ticks in which it ignored the wrench, and the largest number allowed
     pose_memory    memory of its poses (server.loop.inputs.poses)
     pose_fault     (1,)   the guard's bit for an implausible pose in this tick, otherwise 0
+    failed         (1,)   1 if it failed in this tick, otherwise 0
     """
 
     raw: NDArray[np.float64]
@@ -62,6 +63,7 @@ class DeviceBuffers(NamedTuple):
     ignored_ticks: NDArray[np.int64]
     pose_memory: NDArray[np.float64]
     pose_fault: NDArray[np.int64]
+    failed: NDArray[np.int64]
 
 
 class Stamp(NamedTuple):
@@ -89,6 +91,7 @@ def make_device_buffers(record: NDArray[np.float64], max_ignored_ticks: int) -> 
         record,
         ignored_ticks,
         make_pose_memory(),
+        np.zeros(1, np.int64),
         np.zeros(1, np.int64),
     )
 
@@ -119,6 +122,7 @@ def read_one(
     """
     # Not into the sample: a driver without new data may leave the buffer as it is.
     status = check_status(call_device(io.read, io.handle, device.raw))
+    device.failed[0] = int(status < 0)
     if status == WITHHELD:
         hand = reset_guard(start, hand)
     for i in range(SAMPLE_SIZE):
@@ -151,6 +155,7 @@ def write_one(
     device.ignored_ticks[0] = device.ignored_ticks[0] + 1 if status == HELD else 0
     if device.ignored_ticks[0] > device.ignored_ticks[1]:
         status = TIMEOUT
+    device.failed[0] = int(status < 0)
     if status in (WITHHELD, HELD):
         hand = reset_guard(start, hand) if status == WITHHELD else continue_from_wrench(before.guard_state, hand)
         record_wrench(tool, hand.guard_state, device.record)
@@ -205,6 +210,7 @@ def add_guard_bits(device: Any, later: tuple[int, int]) -> tuple[int, int]:
 
 
 @jit
-def write_zero_to(io: Io, device: Any) -> None:
-    """Write zero to a device, the last act of every loop; the status is ignored."""
-    shutdown.write_zero(io.write, io.handle, device.wrench)
+def write_zero_to(io: Io, device: Any, failed: int) -> None:
+    """Write zero to a device with this value of `failed`; the status is ignored."""
+    if device.failed[0] == failed:
+        shutdown.write_zero(io.write, io.handle, device.wrench)

@@ -51,13 +51,20 @@ def is_zero(guard_state: GuardState) -> bool:
 
 
 @jit
-def apply_switch(guard: Guard, guard_state: GuardState, on: bool) -> Guard:
-    """Return the guard; if off, one that brings the wrench `guard_state` to zero within MAX_OFF_S and then disarms."""
+def apply_switch(guard: Guard, guard_state: GuardState, ignored_ticks: Any, on: bool) -> Guard:
+    """Return the guard; if off, one that brings the wrench `guard_state` to zero within MAX_OFF_S and then disarms.
+
+    ignored_ticks  (1 or more,)  number of successive ticks in which the device has kept `guard_state`
+
+    The change of the ticks in which the device kept its wrench is made up for: its next answer may be far away, and a
+    driver sends a zero without waiting for it.
+    """
     if on:
         return guard
     armed = 0.0 if is_zero(guard_state) else guard.armed
-    force_slew = max(guard.force_slew, guard.force_max / MAX_OFF_S)
-    torque_slew = max(guard.torque_slew, guard.torque_max / MAX_OFF_S)
+    ticks = 1.0 + ignored_ticks[0]
+    force_slew = ticks * max(guard.force_slew, guard.force_max / MAX_OFF_S)
+    torque_slew = ticks * max(guard.torque_slew, guard.torque_max / MAX_OFF_S)
     return replace(
         guard, "force_max", 0.0, "torque_max", 0.0, "armed", armed, "force_slew", force_slew, "torque_slew", torque_slew
     )

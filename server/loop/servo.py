@@ -109,9 +109,10 @@ def update_parameters(
 
 
 @jit
-def with_switch(tuning: Tuning, hands: Any, on: bool) -> Tuning:
+def with_switch(tuning: Tuning, buffers: Any, hands: Any, on: bool) -> Tuning:
     """Return the parameters with `apply_switch` of each guard, for the last wrenches of the FingerMemories `hands`."""
-    guards = map_each(apply_switch, (tuning.guards, field_of_each(hands, "guard_state")), on)
+    fingers = tuning.guards, field_of_each(hands, "guard_state"), field_of_each(buffers, "ignored_ticks")
+    guards = map_each(apply_switch, fingers, on)
     return Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
 
 
@@ -181,7 +182,8 @@ def servo_loop(
             break
         memory = Memory(memory.world, fingers_after_read)
         on = is_on(shared.switch, woke)
-        memory = tick(with_switch(tuning, fingers_after_read, on), start, memory, samples, dt, nominal, number, records)
+        tuning_now = with_switch(tuning, buffers, fingers_after_read, on)
+        memory = tick(tuning_now, start, memory, samples, dt, nominal, number, records)
         writes = ios, buffers, tuning.tools, start.fingers, fingers_after_read, memory.fingers
         hands, statuses_out = unzip(map_each(write_one, writes))
         wrote = now_ns(timespec)
@@ -205,5 +207,6 @@ def servo_loop(
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
             break
 
-    map_each(write_zero_to, (ios, buffers))
+    map_each(write_zero_to, (ios, buffers), 0)
+    map_each(write_zero_to, (ios, buffers), 1)  # last, because a write to a failed device may hang
     return ending, status, finger

@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
             log.info("compiled in %.0f s; %s", time.monotonic() - start_s, cache_text)
         with signals.stop_on_signal(daemon.stop, daemon.pause):
             daemon.start()
-            show_progress(daemon, page)
+            show_progress(daemon, page, watchers)
             log.info("stopped after %d ticks; force is zero", daemon.servo.ticks)
     finally:
         with signals.defer_signals():
@@ -140,11 +141,16 @@ def start_watchers(daemon: Daemon) -> list[Watcher]:
     return [Watcher(*zero_command) for zero_command in zero_commands]
 
 
-def show_progress(daemon: Daemon, page: PageProcess | None) -> None:
-    """Show progress until the servo ends: a line updated in place on a terminal, otherwise a log line at intervals."""
+def show_progress(daemon: Daemon, page: PageProcess | None, watchers: Sequence[Watcher]) -> None:
+    """Show progress and supervise the other processes until the servo ends.
+
+    The progress is a line updated in place on a terminal, otherwise a log line at intervals.
+    """
     with counter() as show:
         shown_s = time.monotonic()
         while not daemon.wait(TERMINAL_PERIOD_S):
+            for text in filter(None, (watcher.supervise() for watcher in watchers)):
+                log.error("%s", text)
             if page is not None:
                 page.supervise()
             if show is None and time.monotonic() - shown_s < PLAIN_PERIOD_S:

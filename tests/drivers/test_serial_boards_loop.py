@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from helpers.waits import until
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
 from softfinger.server.app import Daemon
+from softfinger.server.states import COMMANDED
 
 pytestmark = pytest.mark.real_time
 
@@ -33,14 +35,14 @@ ZEROS = bytes.fromhex("5a0000a3") * 2
 """Two frames to a Hapkit, without torque."""
 
 
-def rig(name: str, path: str) -> Rig:
-    return load_rig_in_process(name, {"path": path, "quiet_s": 0.1, "timeout_s": 0.5})
+def rig(name: str, path: str, **changes: Any) -> Rig:
+    return load_rig_in_process(name, {"path": path, "quiet_s": 0.1, "timeout_s": 0.5}, changes)
 
 
 @contextmanager
-def pressing() -> Iterator[tuple[Daemon, Firmware, Port]]:
+def pressing(**changes: Any) -> Iterator[tuple[Daemon, Firmware, Port]]:
     board = Firmware()
-    with Port(board) as port, Daemon(rig("haply-2diy", port.path), load_scene("paper-plane")) as daemon:
+    with Port(board) as port, Daemon(rig("haply-2diy", port.path, **changes), load_scene("paper-plane")) as daemon:
         daemon.start()
         lower(board)
         assert settled(lambda: force_of(board)[2], lambda up: up > 0.2) > 0.2
@@ -67,6 +69,25 @@ def test_a_late_board_continues() -> None:
         daemon.stop()
         daemon.wait(20.0)
         assert settled(lambda: any(board.torques), lambda on: not on) is False
+
+
+def test_disarm_does_not_wait_for_the_answers_of_a_late_board() -> None:
+    """At this slew limit the force falls in six steps, and the board accepts one force for each of its answers."""
+    with pressing(**{"guard.force_slew_n_per_s": 100.0}) as (daemon, board, port):
+        assert settled(lambda: force_of(board)[2], lambda up: up > 1.9) > 1.9
+
+        def wait(answer: bytes) -> bytes:
+            time.sleep(0.02)
+            return answer
+
+        port.spoil = wait
+        answers = board.answers
+        until(lambda: board.answers > answers + 5)
+        count = len(board.log)
+        daemon.rendering.disarm(COMMANDED)
+        assert settled(lambda: any(board.torques), lambda on: not on) is False
+        forces = [torques for _, *torques in board.log[count:] if any(torques)]
+        assert len(forces) <= 2  # one under way at `disarm`, one for an answer in the 6 ms after it
 
 
 def words_of(name: str, path: str, folder: Path, *more: str) -> list[str]:

@@ -33,11 +33,11 @@ from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 Fault = Literal[
     "none", "lost", "timeout", "protocol", "write_lost", "nan", "zero_quaternion", "stall", "far",
     "withheld_read", "withheld_write", "stall_and_jump", "hang", "held", "unknown_read", "unknown_write",
-    "jump", "jumps", "frozen",
+    "jump", "jumps", "frozen", "lost_hang", "write_lost_hang",
 ]  # fmt: skip
 FAULTS: tuple[Fault, ...] = get_args(Fault)
 
-AT, FAULT, READS, WRITES, ARMED, KEPT, STALL_US, COUNT, FREE, JUMP_UM = range(10)
+AT, FAULT, READS, WRITES, ARMED, KEPT, STALL_US, COUNT, FREE, JUMP_UM, WRITE_LOST = range(11)
 ROOM = 100_000
 UNKNOWN = HELD + 1
 """A status that no driver uses."""
@@ -59,7 +59,7 @@ def _read(handle: int, sample: Any) -> int:
     sample[7] = number * 0.001
     if not word[AT] <= number < word[AT] + word[COUNT]:
         return OK
-    if fault == 1:
+    if fault in (1, 19):
         return LOST
     if fault == 2:
         return TIMEOUT
@@ -91,6 +91,13 @@ def _read(handle: int, sample: Any) -> int:
 def _write(handle: int, wrench: Any) -> int:
     word = int64_at(handle)
     if word[ARMED] == 0 or word[WRITES] >= ROOM:
+        return OK
+    if word[FAULT] in (19, 20) and word[READS] > word[AT]:  # every write hangs after the failure
+        if word[FAULT] == 20 and word[WRITE_LOST] == 0:
+            word[WRITE_LOST] = 1
+            return LOST
+        while word[FREE] == 0:
+            usleep(1000)
         return OK
     wrenches = float64_at(word[KEPT] + 48 * word[WRITES])
     for i in range(6):

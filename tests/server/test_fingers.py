@@ -5,20 +5,22 @@ from __future__ import annotations
 import os
 import re
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.compiled_code import called_in, functions
-from helpers.faulty_device import FaultyDevice, Options
+from helpers.faulty_device import FaultyDevice, Options, acts
 from helpers.programs import run_program
 from helpers.two_fingers import NAMES, SCENE, two_fingers
+from helpers.waits import until
 
 from softfinger.config.errors import RecordingError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Scene
-from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, WITHHELD
+from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.replay.device import Options as ReplayOptions
 from softfinger.drivers.replay.device import Replay
@@ -99,6 +101,23 @@ def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, 
         assert [act for act, *_ in device.acts] == ["arm", "stop"]
     failure = shutdown.device_failure(devices[ended.finger], ended, NAMES[ended.finger])
     assert failure is not None and f"faulty, finger '{NAMES[place]}'" in str(failure)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.parametrize("fault", ["lost_hang", "write_lost_hang"])
+def test_a_failed_device_whose_write_hangs_does_not_delay_the_zero_of_the_other(place: int, fault: Any) -> None:
+    """The other device gets zero from the loop itself, not only from a supervisor, which this servo does not have."""
+    devices = [FaultyDevice(Options(fault=fault if k == place else "none", at=300)) for k in range(2)]
+    other = devices[1 - place]
+    with ThreadPoolExecutor() as pool:
+        run = pool.submit(run_servo, *devices)
+        try:
+            until(lambda: len(other.wrenches) > 290 and not other.wrenches[-1].any())
+            assert "stop" not in acts(other) and other.wrenches[-2].any()
+        finally:
+            devices[place].release()
+        ended, _ = run.result()
+    assert (ended.status, ended.finger) == (LOST, place)
 
 
 def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
@@ -272,7 +291,7 @@ def test_simulate_refuses_recordings_that_do_not_match(
 
 AUDIT = """
 import sys
-from helpers.faulty_device import FaultyDevice, Options
+from helpers.faulty_device import FaultyDevice, Options, acts
 from helpers.two_fingers import two_fingers
 from softfinger.config.load import load_rig
 from softfinger.server.loop.servo import servo_loop

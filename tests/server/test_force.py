@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import ceil
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,6 +18,7 @@ from softfinger.server.states import FAST, UNARMED, States
 pytestmark = pytest.mark.plain
 
 TICKS = st.integers(0, 10_000)
+NONE_IGNORED = np.zeros(2, np.int64)
 
 
 class Loop:
@@ -86,11 +88,29 @@ def test_no_rig_delays_the_end_of_the_force(
     guard = Guard(force, torque, force_slew, torque_slew, 0.5, 1.0)
     guarded = GuardState((0.0, 0.0, force), (0.0, torque, 0.0), 1.0)
     for _ in range(ceil(MAX_OFF_S * rate_hz * (1.0 + 1e-12))):  # rounding of the product
-        now = apply_switch(guard, guarded, False)
+        now = apply_switch(guard, guarded, NONE_IGNORED, False)
         guarded, _bits = guard_wrench(now, guarded, (0.0, 0.0, 99.0), (0.0, 9.0, 0.0), 1.0 / rate_hz, 1.0 / rate_hz)
     assert max(map(abs, guarded.force + guarded.torque)) <= 1e-12 * (force + torque)  # rounding of the steps
     if not is_zero(guarded):
         guarded, _bits = guard_wrench(
-            apply_switch(guard, guarded, False), guarded, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0 / rate_hz, 1.0 / rate_hz
+            apply_switch(guard, guarded, NONE_IGNORED, False),
+            guarded,
+            (1.0, 0.0, 0.0),
+            (0.0, 0.0, 0.0),
+            1.0 / rate_hz,
+            1.0 / rate_hz,
         )
     assert is_zero(guarded)
+
+
+@given(floats_within(limits.FORCE_MAX_N), floats_within(limits.TORQUE_MAX_NM), floats_within(limits.RATE_HZ))
+def test_a_device_that_ignores_wrenches_gets_the_zero_in_time(force: float, torque: float, rate_hz: float) -> None:
+    """A device that is busy keeps its wrench, but accepts a zero: it must not wait for an answer for each step."""
+    guard, ignored_ticks = Guard(force, torque, 1.0, 1.0, 0.5, 1.0), NONE_IGNORED.copy()
+    kept = GuardState((0.0, 0.0, force), (0.0, torque, 0.0), 1.0)
+    commanded = kept
+    for _ in range(ceil(MAX_OFF_S * rate_hz * (1.0 + 1e-12))):  # rounding of the product
+        now = apply_switch(guard, kept, ignored_ticks, False)
+        commanded, _bits = guard_wrench(now, kept, (0.0, 0.0, 99.0), (0.0, 9.0, 0.0), 1.0 / rate_hz, 1.0 / rate_hz)
+        ignored_ticks[0] += 1
+    assert max(map(abs, commanded.force + commanded.torque)) <= 1e-12 * (force + torque)  # rounding of the steps

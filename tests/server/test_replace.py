@@ -12,13 +12,14 @@ import msgpack
 import numpy as np
 import pytest
 from helpers.daemons import RecordSink, subscribed
-from helpers.faulty_device import acts, registered
+from helpers.faulty_device import FaultyDevice, acts, registered
 from helpers.waits import WAIT_S, eventually
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound, SafetyStop
 from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
+from softfinger.server.loop import realtime
 from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.services import rendering
 from softfinger.server.services.records import Sink
@@ -190,6 +191,20 @@ def test_another_device_is_opened_after_the_old_one_is_zeroed_and_closed(driver)
         assert rises.max() <= SLEW / rate * (1.0 + 1e-9)
         assert not device.wrenches[-1].any()
     assert recorder.all[:, AT.tick].tolist() == list(range(running.servo.ticks))
+
+
+def test_threads_of_a_new_device_get_their_priority(driver, monkeypatch):
+    raised: list[tuple[str, int | None]] = []
+
+    def raise_priority(name: str, thread: int | None, priority: int) -> realtime.Setting:
+        raised.append((name, thread))
+        return realtime.Setting(name, True, f"priority {priority}", "")
+
+    monkeypatch.setattr(realtime, "raise_priority", raise_priority)
+    monkeypatch.setattr(FaultyDevice, "thread_ids", lambda device: [1000 + driver.devices.index(device)])
+    with started(make_faulty_rig(**{"servo.realtime": "auto"}), load_scene("paper-plane")) as running:
+        running.replace(rig=make_faulty_rig(**{"servo.realtime": "auto", "device.at": 7}))
+    assert [thread for name, thread in raised if name == "exchange"] == [1000, 1001]
 
 
 def test_a_device_that_stays_keeps_arming_and_offset_but_a_new_one_does_not(driver):

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from emulators.serialboard import Board, Cable
 from helpers.called import called
-from helpers.processes import COMMAND, find_child
+from helpers.processes import COMMAND, find_child, list_children
 from helpers.programs import Program, run_program
 from helpers.rig_files import write_rig
 from helpers.serial_devices import PLACE, RIG
@@ -125,6 +125,17 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
         assert first < 0.1 * 1e3 * FORCE_N  # start of a ramp
         end_by_signal(process, board, signal.SIGHUP)
         assert not Path(f"/proc/{watcher}").exists()
+
+
+def test_a_killed_watcher_is_restarted(tmp_path: Path) -> None:
+    with pressing(tmp_path, "--watcher") as (board, process):
+        killed = find_watcher(process)
+        os.kill(killed, signal.SIGKILL)
+        until(lambda: list_children(process.pid, b"watcher.py\0") not in ([], [killed]), END_S, "another watcher")
+        process.kill()
+        stderr = process.communicate(timeout=END_S)[1]
+        assert "ended unexpectedly (-9) and was restarted" in stderr
+        until(lambda: board.force == ZERO, END_S, "the zero")
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])

@@ -6,14 +6,17 @@ import ctypes
 import errno
 import fcntl
 import os
+import signal
 import struct
 import subprocess
 import sys
 import termios
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from helpers.waits import ends_within
 
 from softfinger.server import watcher
 
@@ -75,3 +78,31 @@ def test_a_failed_zero_is_reported() -> None:
     os.close(near)
     why = f"zero force could not be written to {name}: {os.strerror(errno.EIO)}"
     assert stderr == f"softfinger watcher: the daemon has died: {why}\n"
+
+
+def test_a_stopped_watcher_does_not_delay_the_end(port: tuple[int, int]) -> None:
+    _, near = port
+    watching = watcher.Watcher(os.ttyname(near), near, ZERO)
+    pid = watching._process.pid
+    os.kill(pid, signal.SIGSTOP)
+    with ends_within(60):
+        watching.dismiss()
+    assert not Path(f"/proc/{pid}").exists()
+
+
+def test_a_watcher_that_ends_repeatedly_is_reported_once(port: tuple[int, int]) -> None:
+    _, near = port
+    watching = watcher.Watcher(os.ttyname(near), near, ZERO)
+    reports = [watching.supervise()]
+    for _ in range(watcher.RESTARTS + 1):
+        watching._process.kill()
+        watching._process.wait()
+        reports.append(watching.supervise())
+    reports.append(watching.supervise())
+    watching.dismiss()
+    assert [report.rpartition("(-9) and ")[2].partition(":")[0] for report in reports] == [
+        "",
+        *["was restarted"] * watcher.RESTARTS,
+        "is not restarted",
+        "",
+    ]
