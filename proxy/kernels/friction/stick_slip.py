@@ -9,7 +9,7 @@ last tick.
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.laws import cone, load_size, viscosity
+from softfinger.proxy.kernels.friction.laws import cone, isotropic, load_size, viscosity
 from softfinger.proxy.kernels.friction.limit_surface import room
 from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_by_equations
 from softfinger.proxy.kernels.friction.torsion import damp_moment, wind_up
@@ -90,7 +90,7 @@ def limit_to_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip
         return (0.0, 0.0, 0.0)
     if isinstance(law, PaperFriction):
         return force
-    static_limit, kinetic_limit = cone(law, normal_force, slip_speed)
+    static_limit, kinetic_limit = cone(isotropic(law), normal_force, slip_speed)
     return limit_force(law, normal, force, max(static_limit, kinetic_limit))
 
 
@@ -159,7 +159,7 @@ def stick_slip_by_law(
     Source: Salvietti et al. (2013), section 3.2, changed by docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
-    whole_limit, kinetic_limit = cone(law, inputs.normal_force, inputs.slip_speed)
+    whole_limit, kinetic_limit = cone(isotropic(law), inputs.normal_force, inputs.slip_speed)
     static_limit = whole_limit * room(torsion, inputs.spin + inputs.twist, inputs.normal_force)
     mode, cause, deflection, spin, twist = inputs.mode, float(CAUSE_NONE), inputs.deflection, inputs.spin, inputs.twist
     slip_speed, slip_deflection = inputs.slip_speed, inputs.slip_deflection
@@ -174,7 +174,7 @@ def stick_slip_by_law(
         limit = kinetic_limit
 
     if limit >= 0.0:
-        result = slide_by_viscosity(viscosity(law), torsion, law, stiffness, limit, breaking, inputs)
+        result = slide_by_viscosity(viscosity(isotropic(law)), torsion, law, stiffness, limit, breaking, inputs)
         deflection, spin, twist, length = result.deflection, result.spin, result.twist, result.length
         rolled_part = (0.0, 0.0, 0.0)
         slips = result.slip > ROUNDING * length
