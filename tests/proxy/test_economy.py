@@ -44,6 +44,7 @@ STAND_INS = {
     "friction.contact_patch.spring_under",
     "friction.contact_patch.winding_unit",
     "friction.torsion.spring_of",
+    "friction.stick_slip.stick_slip",
     "friction.stick_slip.slide_freely",
     "friction.laws.rotate_law",
     "friction.torsion.wind_up",
