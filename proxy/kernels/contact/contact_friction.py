@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.contact.texture import texture_depth, texture_fric
 from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
-from softfinger.proxy.kernels.friction.torsion import share_of
+from softfinger.proxy.kernels.friction.torsion import share_of, spring_of
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
@@ -138,7 +138,7 @@ def apply_friction(
     load = load_on(finger, objects, ground, constraint, motion, predicted.touches).size
     round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, contact.normal)
     area = contact_patch(finger.patch, round_by, material.compliance, load)
-    unit = winding_unit(material.torsion, area, share)
+    unit = winding_unit(spring_of(material.torsion), area, share)
     result = stick_slip(
         rotate_law(material.friction, ground.orientation),
         torsion_under(share_of(material.torsion, share), area),

@@ -9,7 +9,7 @@ continuous, and the energy of the springs does not increase, because it is conve
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.rest.active_set import spring_load
-from softfinger.proxy.kernels.friction.torsion import torsional_stiffness
+from softfinger.proxy.kernels.friction.torsion import spring_of, torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
@@ -60,7 +60,7 @@ def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
 @jit
 def winding_stiffness(contact: ContactState, objects: Any) -> float:
     """Return the stiffness of the torsional spring of a contact, that of the first object for NO_CONTACT."""
-    return torsional_stiffness(object_at(objects, contact.body).material.torsion)
+    return torsional_stiffness(spring_of(object_at(objects, contact.body).material.torsion))
 
 
 class LostWindUp(NamedTuple):
@@ -118,7 +118,7 @@ def contact_after_hand_over(
         deflection = vec3.add_scaled(deflection, gain, vec3.reject(lost.deflection, normal))
         rolled_part = vec3.add_scaled(rolled_part, gain, vec3.reject(lost.rolled_part, normal))
         bend = vec3.add_scaled(bend, gain, vec3.reject(lost.bend, normal))
-        stiffness = torsional_stiffness(object_at(objects, body).material.torsion)
+        stiffness = torsional_stiffness(spring_of(object_at(objects, body).material.torsion))
         spins = map_each(lost_spin, (contacts, losses, stiffnesses), normal, stiffness)
         spin += gain * (spins[0] + spins[1] + spins[2])
     return ContactState(

@@ -24,6 +24,7 @@ from softfinger.proxy.kernels.contact.several_rest import Equilibrium
 from softfinger.proxy.kernels.friction.contact_patch import contact_patch, winding_unit
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import limit_to_cone
+from softfinger.proxy.kernels.friction.torsion import spring_of
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import field_of_each, map_each
 from softfinger.proxy.kernels.model import (
@@ -168,7 +169,7 @@ def share_of_wrench(
             normal=normal,
             force=vec3.add(pressing, tangential),
             mode=contact.mode,
-            spin=contact.spin / winding_unit(ground.material.torsion, area, contact.share),
+            spin=contact.spin / winding_unit(spring_of(ground.material.torsion), area, contact.share),
             torque=torque,
         ),
     )

@@ -2,7 +2,7 @@
 
     contact_patch(patch, radius, compliance, normal_force) -> ContactPatch
     torsion_under(torsion, area) -> torsion law of this tick
-    winding_unit(torsion, area, share) -> sqrt(N m/rad)
+    winding_unit(spring, area, share) -> sqrt(N m/rad)
 
 Assumptions: fingertip and object are incompressible, with separate shear moduli, and the object is flat compared with
 the fingertip.
@@ -12,15 +12,8 @@ from math import pi, sqrt
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import (
-    HertzPatch,
-    LimitSurface,
-    PatchTorsion,
-    PowerTorsion,
-    SoftFingerProxy,
-    Torsion,
-)
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import HertzPatch, LimitSurface, PatchTorsion, SoftFingerProxy, Torsion
 
 HERTZ_LEVER = 3.0 * pi / 16.0
 """Mean distance of Hertz's pressure from the centre, over the patch's radius."""
@@ -48,22 +41,6 @@ class ContactPatch(NamedTuple):
 
 
 NO_PATCH = ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_max=0.0)
-
-
-@by_type
-def torsion_under(torsion: Any, contact_patch: ContactPatch) -> Any:
-    """Return the torsion law with the coefficients of this tick."""
-
-
-@by_type
-def winding_unit(torsion: Any, contact_patch: ContactPatch, share: float) -> Any:
-    """Return the factor from a wind-up to its stored form: 1, or sqrt(k_z / w) if k_z changes with the load.
-
-    w is the patch's share of the load, 1 with one object. The stored energy is w / 2 times the square of phi sqrt(k_z /
-    w). It is constant while the load changes, and the moment is proportional to sqrt(k_z): pressing harder on a
-    wound-up finger generates no energy, and a trembling hand loses none. Nor does it grow if it is transferred along
-    with the share.
-    """
 
 
 @jit
@@ -97,36 +74,28 @@ def contact_patch(patch: Any, radius: float, compliance: Any, normal_force: floa
     return contact_patch_of(a, patch.lever, radius, both, normal_force)
 
 
-@torsion_under.of(None, Torsion, PowerTorsion)
-def constant_torsion(torsion: Any, contact_patch: ContactPatch) -> Any:
-    return torsion
+@jit
+def torsion_under(torsion: Any, contact_patch: ContactPatch) -> Any:
+    """Return the torsion law with the coefficients of this tick."""
+    if isinstance(torsion, (LimitSurface, SoftFingerProxy)):
+        return replace(torsion, "law", spring_under(torsion.law, contact_patch))
+    return spring_under(torsion, contact_patch)
 
 
-@torsion_under.of(PatchTorsion)
-def torsion_of_patch(torsion: PatchTorsion, contact_patch: ContactPatch) -> Torsion:
-    return Torsion(contact_patch.torsional, torsion.friction * contact_patch.lever)
+@jit
+def spring_under(spring: Any, contact_patch: ContactPatch) -> Any:
+    if isinstance(spring, PatchTorsion):
+        return Torsion(contact_patch.torsional, spring.friction * contact_patch.lever)
+    return spring
 
 
-@torsion_under.of(LimitSurface)
-def limit_surface_under(torsion: LimitSurface, contact_patch: ContactPatch) -> LimitSurface:
-    return LimitSurface(torsion_under(torsion.law, contact_patch))
+@jit
+def winding_unit(spring: Any, contact_patch: ContactPatch, share: float) -> float:
+    """Return the factor from a wind-up to its stored form: 1, or sqrt(k_z / w) if k_z changes with the load.
 
-
-@torsion_under.of(SoftFingerProxy)
-def soft_finger_under(torsion: SoftFingerProxy, contact_patch: ContactPatch) -> SoftFingerProxy:
-    return SoftFingerProxy(torsion_under(torsion.law, contact_patch), torsion.kinetic_share)
-
-
-@winding_unit.of(None, Torsion, PowerTorsion)
-def unit_of_constant(torsion: Any, contact_patch: ContactPatch, share: float) -> float:
-    return 1.0
-
-
-@winding_unit.of(PatchTorsion)
-def unit_of_patch(torsion: PatchTorsion, contact_patch: ContactPatch, share: float) -> float:
-    return sqrt(contact_patch.torsional / max(share, LEAST_SHARE))
-
-
-@winding_unit.of(LimitSurface, SoftFingerProxy)
-def unit_of_law(torsion: Any, contact_patch: ContactPatch, share: float) -> Any:
-    return winding_unit(torsion.law, contact_patch, share)
+    w is the patch's share of the load, 1 with one object. The stored energy is w / 2 times the square of phi sqrt(k_z /
+    w). It is constant while the load changes, and the moment is proportional to sqrt(k_z): pressing harder on a
+    wound-up finger generates no energy, and a trembling hand loses none. Nor does it grow if it is transferred along
+    with the share.
+    """
+    return sqrt(contact_patch.torsional / max(share, LEAST_SHARE)) if isinstance(spring, PatchTorsion) else 1.0

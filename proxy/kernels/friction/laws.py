@@ -1,7 +1,8 @@
 """Friction laws: limits of the tangential force, and their dependence on the direction.
 
-    cone(law, normal_force, slip_speed) -> static, kinetic     largest forces, N, in a direction of scale 1
-    viscosity(law) -> s/m or None                              slope of the kinetic coefficient with the speed
+    isotropic(law) -> law                                      without the directions of an anisotropic law
+    cone(law, normal_force, slip_speed) -> static, kinetic     largest forces of an isotropic law, N
+    viscosity(law) -> s/m or None                              slope of its kinetic coefficient with the speed
     scales(law, normal, v, breaking) -> d1, d2, s1, s2         principal directions and their scales
     load_size(law, normal, load) -> N                          magnitude to compare with the static cone
     cut(law, normal, longest, breaking, deflection) -> deflection, slip, length
@@ -13,9 +14,8 @@ from math import exp, sqrt
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import Anisotropic, Friction, PaperFriction, Quaternion, SpeedFriction, Vec3
+from softfinger.proxy.kernels.model import Anisotropic, Quaternion, SpeedFriction, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, shrink
 
@@ -26,31 +26,39 @@ ALONG_NORMAL = 1e-6
 """Length of a direction's tangential part below which it is considered parallel to the normal."""
 
 
-@by_type
-def cone(law: Any, normal_force: float, slip_speed: float) -> Any: ...
+@jit
+def isotropic(law: Any) -> Any:
+    """Return the law in a direction of scale 1."""
+    return law.law if isinstance(law, Anisotropic) else law
 
 
-@by_type
+@jit
+def cone(law: Any, normal_force: float, slip_speed: float) -> tuple[float, float]:
+    """Return the limits of an isotropic law.
+
+    SpeedFriction: mu(v) = mu_d + (mu_s - mu_d) exp(-(v / v_s)^2) + c v. Source: the general kinetic model in
+    Armstrong-Helouvry, Dupont, Canudas de Wit (1994), exponent 2.
+    """
+    kinetic: float = law.kinetic
+    if isinstance(law, SpeedFriction):
+        drop = (law.static - law.kinetic) * remaining_drop(law.stribeck, slip_speed)
+        kinetic = law.kinetic + drop + law.viscous * slip_speed
+    return law.static * normal_force, kinetic * normal_force
+
+
+@jit
+def remaining_drop(stribeck: Any, slip_speed: float) -> float:
+    """Return the fraction of the drop from static to kinetic friction that remains at a slip speed."""
+    if stribeck is None or stribeck.speed <= 0.0:
+        return 0.0
+    ratio = slip_speed / stribeck.speed
+    return exp(-ratio * ratio)
+
+
+@jit
 def viscosity(law: Any) -> Any:
-    """Return the increase of the kinetic coefficient with the slip speed, s/m, None if it does not depend on it."""
-
-
-@by_type
-def scale_law(law: Any, factor: float) -> Any:
-    """Return the law with all its coefficients multiplied by `factor`."""
-
-
-# --- Coulomb ---------------------------------------------------------------------------------------
-
-
-@cone.of(Friction)
-def coulomb_cone(law: Friction, normal_force: float, slip_speed: float) -> tuple[float, float]:
-    return law.static * normal_force, law.kinetic * normal_force
-
-
-@viscosity.of(Friction)
-def coulomb_viscosity(law: Friction) -> None:
-    return None
+    """Return the increase of an isotropic law's kinetic coefficient with the slip speed, s/m, None without one."""
+    return law.viscous if isinstance(law, SpeedFriction) else None
 
 
 @jit
@@ -101,59 +109,23 @@ def rotate_law(law: Any, rotation: Quaternion) -> Any:
     return law
 
 
-@scale_law.of(None)
-def scale_no_law(law: None, factor: float) -> None:
-    return law
-
-
-@scale_law.of(Friction, PaperFriction)
-def scale_coulomb(law: Any, factor: float) -> Any:
-    return replace(law, "static", factor * law.static, "kinetic", factor * law.kinetic)
-
-
-# --- with the speed --------------------------------------------------------------------------------
+@jit
+def scale_law(law: Any, factor: float) -> Any:
+    """Return the law with all its coefficients multiplied by `factor`."""
+    if law is None:
+        return law
+    if isinstance(law, Anisotropic):
+        return replace(law, "law", scale_isotropic(law.law, factor))
+    return scale_isotropic(law, factor)
 
 
 @jit
-def remaining_drop(stribeck: Any, slip_speed: float) -> float:
-    """Return the fraction of the drop from static to kinetic friction that remains at a slip speed."""
-    if stribeck is None or stribeck.speed <= 0.0:
-        return 0.0
-    ratio = slip_speed / stribeck.speed
-    return exp(-ratio * ratio)
-
-
-@cone.of(SpeedFriction)
-def speed_cone(law: SpeedFriction, normal_force: float, slip_speed: float) -> tuple[float, float]:
-    """mu(v) = mu_d + (mu_s - mu_d) exp(-(v / v_s)^2) + c v.
-
-    Source: the general kinetic model in Armstrong-Helouvry, Dupont, Canudas de Wit (1994), exponent 2.
-    """
-    drop = (law.static - law.kinetic) * remaining_drop(law.stribeck, slip_speed)
-    return law.static * normal_force, (law.kinetic + drop + law.viscous * slip_speed) * normal_force
-
-
-@viscosity.of(SpeedFriction)
-def speed_viscosity(law: SpeedFriction) -> float:
-    return law.viscous
-
-
-@scale_law.of(SpeedFriction)
-def scale_speed_law(law: SpeedFriction, factor: float) -> SpeedFriction:
-    return replace(scale_coulomb(law, factor), "viscous", factor * law.viscous)
+def scale_isotropic(law: Any, factor: float) -> Any:
+    scaled = replace(law, "static", factor * law.static, "kinetic", factor * law.kinetic)
+    return replace(scaled, "viscous", factor * law.viscous) if isinstance(law, SpeedFriction) else scaled
 
 
 # --- anisotropic -----------------------------------------------------------------------------------
-
-
-@cone.of(Anisotropic)
-def anisotropic_cone(law: Anisotropic, normal_force: float, slip_speed: float) -> tuple[float, float]:
-    return cone(law.law, normal_force, slip_speed)
-
-
-@viscosity.of(Anisotropic)
-def anisotropic_viscosity(law: Anisotropic) -> Any:
-    return viscosity(law.law)
 
 
 @jit
@@ -189,8 +161,3 @@ def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: fl
     x, y, _ = shrink((x, y, 0.0), (a, b, 1.0), m)
     nearest = vec3.add_scaled(vec3.scale(s1 * longest * x, along), s2 * longest * y, across)
     return nearest, vec3.norm(vec3.sub(deflection, nearest)), vec3.norm(nearest)
-
-
-@scale_law.of(Anisotropic)
-def scale_anisotropic(law: Anisotropic, factor: float) -> Anisotropic:
-    return replace(law, "law", scale_law(law.law, factor))

@@ -10,16 +10,7 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.friction.laws import cut, scales
 from softfinger.proxy.kernels.friction.torsion import torsional_limit, torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import (
-    FrictionInput,
-    LimitSurface,
-    PatchTorsion,
-    PowerTorsion,
-    SoftFingerProxy,
-    Torsion,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import FrictionInput, LimitSurface, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import limit_distance, multiplier, shrink
 
@@ -58,20 +49,21 @@ def room(torsion: Any, spin: float, normal_force: float) -> float:
     return sqrt(max(1.0 - share * share, 0.0))
 
 
-@by_type
-def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput) -> Any: ...
+@jit
+def slide(torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput) -> Slide:
+    if isinstance(torsion, LimitSurface):
+        return slide_on_limit_surface(torsion, law, stiffness, limit, breaking, inputs)
+    return slide_independently(law, stiffness, limit, breaking, inputs)
 
 
-@slide.of(None, Torsion, PowerTorsion, PatchTorsion, SoftFingerProxy)
-def slide_independently(
-    torsion: Any, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput
-) -> Slide:
+@jit
+def slide_independently(law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput) -> Slide:
     """Limit the tangential force to K |e| <= `limit`, independent of torsion."""
     deflection, slip, length = cut(law, inputs.normal, limit / stiffness, breaking, inputs.deflection)
     return Slide(deflection, inputs.spin, inputs.twist, slip, length)
 
 
-@slide.of(LimitSurface)
+@jit
 def slide_on_limit_surface(
     torsion: LimitSurface, law: Any, stiffness: float, limit: float, breaking: float, inputs: FrictionInput
 ) -> Slide:
@@ -88,7 +80,7 @@ def slide_on_limit_surface(
     spin = inputs.spin + inputs.twist
     if longest <= 0.0 or widest <= 0.0:
         # A degenerate surface: two separate limits, one of them zero.
-        return slide_independently(torsion, law, stiffness, limit, breaking, inputs)
+        return slide_independently(law, stiffness, limit, breaking, inputs)
 
     d1, d2, s1, s2 = scales(law, inputs.normal, inputs.deflection, breaking)
     a1, a2 = s1 * longest, s2 * longest

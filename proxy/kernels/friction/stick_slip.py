@@ -9,23 +9,13 @@ last tick.
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.laws import cone, load_size, viscosity
+from softfinger.proxy.kernels.friction.laws import cone, isotropic, load_size, viscosity
 from softfinger.proxy.kernels.friction.limit_surface import room
 from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_by_equations
 from softfinger.proxy.kernels.friction.torsion import damp_moment, wind_up
 from softfinger.proxy.kernels.friction.viscous_slip import SLIP_TIME_CONSTANT_S, slide_by_viscosity
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.model import (
-    Anisotropic,
-    Coupling,
-    Friction,
-    FrictionInput,
-    FrictionResult,
-    PaperFriction,
-    SpeedFriction,
-    Vec3,
-)
+from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResult, PaperFriction, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_REVERSE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
 
@@ -40,14 +30,19 @@ ROUNDING = 1e-9
 radius."""
 
 
-@by_type
-def stick_slip(law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput) -> Any: ...
-
-
-@stick_slip.of(None)
-def slide_freely(
-    law: None, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput
+@jit
+def stick_slip(
+    law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput
 ) -> FrictionResult:
+    if law is None:
+        return slide_freely(torsion, coupling, inputs)
+    if isinstance(law, PaperFriction):
+        return stick_slip_by_equations(law, torsion, coupling, torque_stiffness, inputs)
+    return stick_slip_by_law(law, torsion, coupling, torque_stiffness, inputs)
+
+
+@jit
+def slide_freely(torsion: Any, coupling: Coupling, inputs: FrictionInput) -> FrictionResult:
     """Resolve only torsion: without friction the proxy has no deflection from the probe and does not stick."""
     zero = (0.0, 0.0, 0.0)
     wind = wind_up(torsion, inputs.spin, inputs.twist, inputs)
@@ -90,7 +85,7 @@ def limit_to_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip
         return (0.0, 0.0, 0.0)
     if isinstance(law, PaperFriction):
         return force
-    static_limit, kinetic_limit = cone(law, normal_force, slip_speed)
+    static_limit, kinetic_limit = cone(isotropic(law), normal_force, slip_speed)
     return limit_force(law, normal, force, max(static_limit, kinetic_limit))
 
 
@@ -143,7 +138,7 @@ def end_of_sliding(
     return float(CAUSE_STOP) if has_stopped else float(CAUSE_REVERSE)
 
 
-@stick_slip.of(Friction, SpeedFriction, Anisotropic)
+@jit
 def stick_slip_by_law(
     law: Any, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput
 ) -> FrictionResult:
@@ -159,7 +154,7 @@ def stick_slip_by_law(
     Source: Salvietti et al. (2013), section 3.2, changed by docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
-    whole_limit, kinetic_limit = cone(law, inputs.normal_force, inputs.slip_speed)
+    whole_limit, kinetic_limit = cone(isotropic(law), inputs.normal_force, inputs.slip_speed)
     static_limit = whole_limit * room(torsion, inputs.spin + inputs.twist, inputs.normal_force)
     mode, cause, deflection, spin, twist = inputs.mode, float(CAUSE_NONE), inputs.deflection, inputs.spin, inputs.twist
     slip_speed, slip_deflection = inputs.slip_speed, inputs.slip_deflection
@@ -174,7 +169,7 @@ def stick_slip_by_law(
         limit = kinetic_limit
 
     if limit >= 0.0:
-        result = slide_by_viscosity(viscosity(law), torsion, law, stiffness, limit, breaking, inputs)
+        result = slide_by_viscosity(viscosity(isotropic(law)), torsion, law, stiffness, limit, breaking, inputs)
         deflection, spin, twist, length = result.deflection, result.spin, result.twist, result.length
         rolled_part = (0.0, 0.0, 0.0)
         slips = result.slip > ROUNDING * length
@@ -204,10 +199,3 @@ def stick_slip_by_law(
         spin_slip_angle=wind.slip_angle, force=force,
         moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - inputs.spin, inputs),
     )  # fmt: skip
-
-
-@stick_slip.of(PaperFriction)
-def stick_slip_as_in_the_paper(
-    law: PaperFriction, torsion: Any, coupling: Coupling, torque_stiffness: float, inputs: FrictionInput
-) -> FrictionResult:
-    return stick_slip_by_equations(law, torsion, coupling, torque_stiffness, inputs)

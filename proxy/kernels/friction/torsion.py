@@ -8,16 +8,8 @@ Positive spin is right-handed about the normal; the moment on the hand opposes i
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import (
-    FrictionInput,
-    LimitSurface,
-    PatchTorsion,
-    PowerTorsion,
-    SoftFingerProxy,
-    Torsion,
-)
+from softfinger.proxy.kernels.model import FrictionInput, LimitSurface, PatchTorsion, PowerTorsion, SoftFingerProxy
 
 SPIN_SLIP_TIME_CONSTANT_S = 0.010
 """Time constant of the low-pass of the anchor's slip, equal to that of the tangential slip."""
@@ -41,101 +33,65 @@ class TorsionResult(NamedTuple):
     slip_angle: float
 
 
-@by_type
-def torsional_limit(torsion: Any, normal_force: float) -> Any:
-    """Return the largest moment about the normal, N m, under a normal force."""
+@jit
+def spring_of(torsion: Any) -> Any:
+    """Return the law of the torsional spring, without the limit surface or the proxy that contains it."""
+    return torsion.law if isinstance(torsion, (LimitSurface, SoftFingerProxy)) else torsion
 
 
-@torsional_limit.of(Torsion)
-def linear_limit(torsion: Torsion, normal_force: float) -> float:
-    return torsion.friction_length * normal_force
+@jit
+def torsional_limit(spring: Any, normal_force: float) -> float:
+    """Return the largest moment about the normal, N m, under a normal force.
 
-
-@torsional_limit.of(PowerTorsion)
-def power_limit(torsion: PowerTorsion, normal_force: float) -> float:
-    """Return the limit of a contact patch that grows with the load.
-
-    Radius ~ f_N^gamma (Xydas and Kao, 1999; gamma = 1/3 is Hertz's).
+    PowerTorsion is for a contact patch with a radius ~ f_N^gamma (Xydas and Kao, 1999; gamma = 1/3 is Hertz's).
     """
-    return torsion.friction_length * normal_force * normal_force**torsion.exponent
+    limit: float = spring.friction_length * normal_force
+    return limit * normal_force**spring.exponent if isinstance(spring, PowerTorsion) else limit
 
 
-@torsional_limit.of(LimitSurface, SoftFingerProxy)
-def limit_of_law(torsion: Any, normal_force: float) -> Any:
-    return torsional_limit(torsion.law, normal_force)
-
-
-@by_type
-def torsional_stiffness(torsion: Any) -> Any:
+@jit
+def torsional_stiffness(spring: Any) -> float:
     """Return k_z, N m/rad.
 
     1 without torsion, for comparisons, and for a patch: its wind-up includes the root of its stiffness, see
     `contact_patch.winding_unit`.
     """
+    return 1.0 if spring is None or isinstance(spring, PatchTorsion) else spring.stiffness
 
 
-@torsional_stiffness.of(Torsion, PowerTorsion)
-def stiffness_of_spring(torsion: Any) -> float:
-    stiffness: float = torsion.stiffness
-    return stiffness
-
-
-@torsional_stiffness.of(None, PatchTorsion)
-def unit_stiffness(torsion: Any) -> float:
-    return 1.0
-
-
-@torsional_stiffness.of(LimitSurface, SoftFingerProxy)
-def stiffness_of_law(torsion: Any) -> float:
-    return torsional_stiffness(torsion.law)
-
-
-@by_type
+@jit
 def with_scaled_friction(torsion: Any, factor: float) -> Any:
     """Return the law for friction multiplied by `factor`: the torsional limit is due to friction."""
+    if isinstance(torsion, (LimitSurface, SoftFingerProxy)):
+        return replace(torsion, "law", scale_limit_of_spring(torsion.law, factor))
+    return scale_limit_of_spring(torsion, factor)
 
 
-@with_scaled_friction.of(None)
-def scale_no_torsion(torsion: None, factor: float) -> None:
-    return torsion
+@jit
+def scale_limit_of_spring(spring: Any, factor: float) -> Any:
+    if spring is None:
+        return spring
+    if isinstance(spring, PatchTorsion):
+        return PatchTorsion(factor * spring.friction)
+    return replace(spring, "friction_length", factor * spring.friction_length)
 
 
-@with_scaled_friction.of(Torsion, PowerTorsion)
-def scale_spring(torsion: Any, factor: float) -> Any:
-    return replace(torsion, "friction_length", factor * torsion.friction_length)
-
-
-@with_scaled_friction.of(PatchTorsion)
-def scale_patch(torsion: PatchTorsion, factor: float) -> PatchTorsion:
-    return PatchTorsion(factor * torsion.friction)
-
-
-@with_scaled_friction.of(LimitSurface, SoftFingerProxy)
-def scale_law_of(torsion: Any, factor: float) -> Any:
-    return replace(torsion, "law", with_scaled_friction(torsion.law, factor))
-
-
-@by_type
+@jit
 def share_of(torsion: Any, share: float) -> Any:
     """Return the law with this share of the spring.
 
     The limit of every law, and the spring of a patch, follow from the normal force of the contact.
     """
+    if isinstance(torsion, (LimitSurface, SoftFingerProxy)):
+        return replace(torsion, "law", share_of_spring(torsion.law, share))
+    return share_of_spring(torsion, share)
 
 
-@share_of.of(Torsion, PowerTorsion)
-def share_of_spring(torsion: Any, share: float) -> Any:
-    return replace(torsion, "stiffness", share * torsion.stiffness)
-
-
-@share_of.of(None, PatchTorsion)
-def share_of_patch(torsion: Any, share: float) -> Any:
-    return torsion
-
-
-@share_of.of(LimitSurface, SoftFingerProxy)
-def share_of_law(torsion: Any, share: float) -> Any:
-    return replace(torsion, "law", share_of(torsion.law, share))
+@jit
+def share_of_spring(spring: Any, share: float) -> Any:
+    if spring is None or isinstance(spring, PatchTorsion):
+        return spring
+    return replace(spring, "stiffness", share * spring.stiffness)
 
 
 @jit
@@ -147,41 +103,38 @@ def damp_moment(torsion: Any, damping: float, moment: float, wound: float, input
     """
     if torsion is None or damping == 0.0 or inputs.dt <= 0.0:
         return moment
-    limit = torsional_limit(torsion, inputs.normal_force)
+    limit = torsional_limit(spring_of(torsion), inputs.normal_force)
     both: float = min(max(moment - damping * wound / inputs.dt, -limit), limit)
     return both
 
 
-@by_type
-def wind_up(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> Any:
-    """Return the state of the spring after a rotation of `turn` rad about the normal."""
+@jit
+def wind_up(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
+    """Return the state of the spring after a rotation of `turn` rad about the normal.
+
+    On a limit surface, `slide` has already limited phi: the limit here is the one without a tangential force.
+    """
+    if torsion is None:
+        return TorsionResult(0.0, 0.0, 0.0, 0.0)
+    if isinstance(torsion, SoftFingerProxy):
+        return wind_soft_finger(torsion, spin, turn, inputs)
+    return wind_spring(spring_of(torsion), spin, turn, inputs)
 
 
-@wind_up.of(None)
-def wind_nothing(torsion: None, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
-    return TorsionResult(0.0, 0.0, 0.0, 0.0)
-
-
-@wind_up.of(Torsion, PowerTorsion)
-def wind_spring(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
+@jit
+def wind_spring(spring: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
     """Compute tau_n = k_z phi, its magnitude at most the torsional limit; the anchor slips by the excess.
 
     Source: Salvietti et al. (2013), eq. 1; the paper has no limit.
     """
-    stiffness = torsional_stiffness(torsion)
-    limit = torsional_limit(torsion, inputs.normal_force) / stiffness
+    stiffness = torsional_stiffness(spring)
+    limit = torsional_limit(spring, inputs.normal_force) / stiffness
     angle = min(max(spin + turn, -limit), limit)
     return TorsionResult(angle, -stiffness * angle, 0.0, 0.0)
 
 
-@wind_up.of(LimitSurface)
-def wind_limit_surface(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
-    """Apply the limit surface without a tangential load; with one, `slide` has already limited phi."""
-    return wind_spring(torsion.law, spin, turn, inputs)
-
-
-@wind_up.of(SoftFingerProxy)
-def wind_soft_finger(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
+@jit
+def wind_soft_finger(torsion: SoftFingerProxy, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
     """Compute the proxy's fourth degree of freedom: its angle about the normal sticks, or slips behind the probe's.
 
     phi is the probe's angle minus the proxy's. The proxy sticks while k_z |phi| is within the static torsional cone;
