@@ -38,7 +38,7 @@ KERNEL_STANDARD_LIBRARY = {
     "foreign.py": {"ctypes"},
     "rescue.py": {"ctypes"},
     "cache.py": {"contextlib", "functools", "hashlib", "logging", "os", "pathlib", "secrets", "stat", "sys"},
-    "dispatch.py": {"functools", "inspect"},
+    "dispatch.py": {"functools", "inspect", "types"},
     "numba_internals.py": {"functools", "hashlib", "logging", "pathlib", "pickle", "secrets", "types"},
     "passes.py": {"operator", "types"},
     "progress.py": {"contextlib"},
