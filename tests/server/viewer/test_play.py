@@ -183,6 +183,7 @@ def test_a_press_in_deep_contact_and_the_display_without_force(screen: Screen, d
 
 def test_the_slider_follows_a_gesture(screen: Screen, client: Client) -> None:
     screen.tab("Hand")
+    assert eventually(lambda: _is_resting(client))  # the gesture of another test may still lead the hand
     client.hand((0.0, 0.0, 0.012), (1.0, 0.0, 0.0, 0.0))
     assert eventually(lambda: abs(client.get_state().position[2] - 0.012) < 3e-4)
     screen.page.get_by_role("button", name="press", exact=True).click()
