@@ -19,7 +19,7 @@ WAITING_MAX: Final = 64
 BURST_S: Final = 0.1
 BURST: Final = 100
 """Most requests of a client in BURST_S: a thousand per second, one in each tick of the usual loop. More are busy."""
-AT_ONCE: Final = 64
+REQUESTS_PER_TURN: Final = 64
 """Requests read in one turn."""
 BUSY: Final = "busy: too many requests from this client: send them more slowly"
 
@@ -58,12 +58,12 @@ class Clients:
         self._burst_s = 0.0
 
     def take(self) -> int:
-        """Pass on or refuse at most AT_ONCE requests, from all clients in turn; return their number."""
+        """Pass on or refuse at most REQUESTS_PER_TURN requests, from all clients in turn; return their number."""
         now = time.monotonic()
         if now - self._burst_s >= BURST_S:
             self._burst_s = now
             self._burst_counts.clear()
-        for count in range(AT_ONCE):
+        for count in range(REQUESTS_PER_TURN):
             if not self.peers.has_message:
                 return count
             client, *frames = self.peers.socket.recv_multipart(zmq.NOBLOCK)
@@ -71,7 +71,7 @@ class Clients:
             body = frames[1] if len(frames) == 2 and not frames[0] else None
             if not self._on_request(client, body, self._burst_counts[client] > BURST):
                 self.answer(client, encode_busy(body))
-        return AT_ONCE
+        return REQUESTS_PER_TURN
 
     def answer(self, client: bytes, body: bytes) -> None:
         """Send an answer to a client; it is dropped if the client has disconnected or does not read."""

@@ -24,12 +24,20 @@ import zmq
 
 from softfinger.server.socket_process.brake import Brake, takes_force_off
 from softfinger.server.socket_process.channel import Channel, Message
-from softfinger.server.socket_process.clients import AT_ONCE, Clients
+from softfinger.server.socket_process.clients import REQUESTS_PER_TURN, Clients
 from softfinger.server.socket_process.messages import Messages
 from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.socket_process.readers import Readers
 from softfinger.server.socket_process.request_queue import RequestQueue
-from softfinger.server.socket_process.setup import PERIOD_S, Figures, Kind, ListeningSocket, ProcessSetup, StateInfo
+from softfinger.server.socket_process.setup import (
+    PERIOD_S,
+    REST_MAX_S,
+    Figures,
+    Kind,
+    ListeningSocket,
+    ProcessSetup,
+    StateInfo,
+)
 from softfinger.server.socket_process.ticks import RowReader
 
 log: Final = logging.getLogger(__name__)
@@ -49,8 +57,6 @@ STUCK_S: Final = 0.5
 closes: after a flood of topics for up to a minute, in which no tick would be sent."""
 EVENTS_IN_TURN: Final = 32
 """Connection events handled before ticks, messages and requests have their turn."""
-REST_MAX_S: Final = 0.002
-"""Longest pause after requests."""
 RETRY_S: Final = 0.005
 """Interval of retries while the daemon does not read."""
 
@@ -120,7 +126,7 @@ class Publishing:
         has_events, requests = False, 0
         while not self._ended:
             limit_step()
-            is_due = has_events or requests >= AT_ONCE
+            is_due = has_events or requests >= REQUESTS_PER_TURN
             timeout_s = 0.0 if is_due else RETRY_S if self._channel.has_queued else PERIOD_S
             ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
             start_s = time.monotonic()

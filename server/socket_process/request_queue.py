@@ -7,8 +7,8 @@ from typing import Final
 
 from softfinger.server.socket_process.brake import takes_force_off
 
-WAITING_MAX: Final = 1024
-WAITING_BYTES_MAX: Final = 1 << 22
+QUEUED_MAX: Final = 1024
+QUEUED_BYTES_MAX: Final = 1 << 22
 """Largest number of requests that wait, and of their bytes. Beyond them, requests that turn the force off are accepted
 up to twice this number, and others from clients without a request that waits."""
 CLIENTS_MAX: Final = 512
@@ -32,9 +32,9 @@ class RequestQueue:
         too_much  the client sends too many; a request that turns the force off is accepted nevertheless
         """
         if body is not None and takes_force_off(body):
-            is_full, too_much = self._count >= 2 * WAITING_MAX, False
+            is_full, too_much = self._count >= 2 * QUEUED_MAX, False
         else:
-            is_full = self._count >= WAITING_MAX or self._bytes >= WAITING_BYTES_MAX
+            is_full = self._count >= QUEUED_MAX or self._bytes >= QUEUED_BYTES_MAX
         if too_much or (is_full and (client in self._requests or len(self._requests) >= CLIENTS_MAX)):
             return False
         self._requests.setdefault(client, deque()).append(body)

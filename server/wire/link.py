@@ -24,14 +24,12 @@ from typing import Final, NamedTuple
 import msgspec
 
 from softfinger.server.socket_process.channel import Channel, Message
-from softfinger.server.socket_process.setup import Figures, Kind
+from softfinger.server.socket_process.setup import REST_MAX_S, Figures, Kind
 
 log: Final = logging.getLogger(__name__)
 
 PERIOD_S: Final = 0.02
 """Interval of calls of `each_period` without requests."""
-REST_MAX_S: Final = 0.002
-"""Longest pause after requests were received; slow requests are queued for another thread."""
 STABLE_S: Final = 10.0
 """A process that has run for this long is restarted without a pause."""
 PAUSE_S: Final = 0.1

@@ -6,7 +6,7 @@ import msgpack
 import pytest
 
 from softfinger.server.socket_process.clients import BUSY, encode_busy
-from softfinger.server.socket_process.request_queue import CLIENTS_MAX, WAITING_BYTES_MAX, WAITING_MAX, RequestQueue
+from softfinger.server.socket_process.request_queue import CLIENTS_MAX, QUEUED_BYTES_MAX, QUEUED_MAX, RequestQueue
 
 pytestmark = pytest.mark.plain
 
@@ -21,7 +21,7 @@ def test_clients_take_turns() -> None:
     assert not queue
 
 
-@pytest.mark.parametrize(("count", "body"), [(WAITING_MAX, b""), (1, bytes(WAITING_BYTES_MAX))])
+@pytest.mark.parametrize(("count", "body"), [(QUEUED_MAX, b""), (1, bytes(QUEUED_BYTES_MAX))])
 def test_a_full_queue_refuses_only_clients_that_have_requests_in_it(count: int, body: bytes) -> None:
     queue = RequestQueue()
     assert all(queue.add(b"a", body, False) for _ in range(count))
@@ -37,8 +37,8 @@ def test_a_full_queue_refuses_only_clients_that_have_requests_in_it(count: int, 
 
 def test_a_request_that_turns_the_force_off_is_accepted_despite_a_flood() -> None:
     queue = RequestQueue()
-    assert all(queue.add(b"a", b"", False) for _ in range(WAITING_MAX))
-    assert all(queue.add(b"a", DISARM, True) for _ in range(WAITING_MAX))
+    assert all(queue.add(b"a", b"", False) for _ in range(QUEUED_MAX))
+    assert all(queue.add(b"a", DISARM, True) for _ in range(QUEUED_MAX))
     assert not queue.add(b"a", DISARM, False)
     assert queue.add(b"b", DISARM, True)
 

@@ -21,7 +21,7 @@ from softfinger.server.app import Daemon
 from softfinger.server.loop.switch_fields import STOPS_RECEIVED
 from softfinger.server.socket_process.clients import BUSY
 from softfinger.server.socket_process.process import UNANSWERED_MAX
-from softfinger.server.socket_process.request_queue import WAITING_MAX
+from softfinger.server.socket_process.request_queue import QUEUED_MAX
 from softfinger.server.wire.client_requests import encode_request
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.link import RequestHandlers
@@ -115,7 +115,7 @@ def test_a_flood_does_not_delay_a_disarm(monkeypatch: pytest.MonkeyPatch, tmp_pa
     """Nothing is answered before the start, so the flood remains in the process that receives it."""
     registered(monkeypatch)
     with connected(tmp_path) as (daemon, flood), Control(daemon.commands_endpoint) as second:
-        for _ in range(WAITING_MAX + UNANSWERED_MAX):
+        for _ in range(QUEUED_MAX + UNANSWERED_MAX):
             flood.send_multipart([b"", msgpack.packb({"command_id": "x", "method": "get_state"})])
         second.post("disarm")
         assert eventually(lambda: daemon.servo.switch[STOPS_RECEIVED] == 1)
