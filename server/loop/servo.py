@@ -109,11 +109,22 @@ def update_parameters(
 
 
 @jit
-def with_switch(tuning: Tuning, buffers: Any, hands: Any, on: bool) -> Tuning:
-    """Return the parameters with `apply_switch` of each guard, for the last wrenches of the FingerMemories `hands`."""
+def with_switch(tuning: Tuning, buffers: Any, hands: Any, switch: NDArray[np.int64], now: int) -> tuple[bool, Tuning]:
+    """Return whether the force is on, and the parameters with `apply_switch` of each guard.
+
+    hands  FingerMemory of each finger, with its last wrench
+    """
+    on = is_on(switch, now)
     fingers = tuning.guards, field_of_each(hands, "guard_state"), field_of_each(buffers, "ignored_ticks")
     guards = map_each(apply_switch, fingers, on)
-    return Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
+    return on, Tuning(tuning.scene, guards, tuning.passivity, tuning.tools, tuning.offsets)
+
+
+@jit
+def write_last_zeros(ios: Any, buffers: Any) -> None:
+    """Write zero to all devices, the last act of every loop: first to healthy ones, because a failed one may hang."""
+    map_each(write_zero_to, (ios, buffers), 0)
+    map_each(write_zero_to, (ios, buffers), 1)
 
 
 @jit
@@ -181,8 +192,7 @@ def servo_loop(
             ending, finger = FINISHED if status == END else READ_FAILED, index
             break
         memory = Memory(memory.world, fingers_after_read)
-        on = is_on(shared.switch, woke)
-        tuning_now = with_switch(tuning, buffers, fingers_after_read, on)
+        on, tuning_now = with_switch(tuning, buffers, fingers_after_read, shared.switch, woke)
         memory = tick(tuning_now, start, memory, samples, dt, nominal, number, records)
         writes = ios, buffers, tuning.tools, start.fingers, fingers_after_read, memory.fingers
         hands, statuses_out = unzip(map_each(write_one, writes))
@@ -207,6 +217,5 @@ def servo_loop(
             store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
             break
 
-    map_each(write_zero_to, (ios, buffers), 0)
-    map_each(write_zero_to, (ios, buffers), 1)  # last, because a write to a failed device may hang
+    write_last_zeros(ios, buffers)
     return ending, status, finger
