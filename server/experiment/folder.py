@@ -255,10 +255,8 @@ def load(root: Path) -> tuple[ExperimentFile, list[Entry]]:
 
 def _check_answers(root: Path, experiment: ExperimentFile, rows: Sequence[Entry]) -> None:
     """Raise ConfigError if an answer is not of the experiment: the analysis would fail, or leave it out."""
-    names, is_comparison = (
-        [condition.name for condition in list_conditions(experiment)],
-        experiment.task.kind == "compare",
-    )
+    names = [condition.name for condition in list_conditions(experiment)]
+    is_comparison = experiment.task.kind == "compare"
     for row in rows:
         fault = ""
         if row["condition"] not in names:

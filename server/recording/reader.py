@@ -131,6 +131,18 @@ class _Channel:
             rows = np.array([layout.row(self.message_type.FromString(message)) for message in messages])
         return TickBlock(self.finger or "", layout.parts, rows)
 
+    def contents(self, messages: list[bytes]) -> Iterator[TickBlock | Event | RecordedWorld]:
+        """Decode messages of the channel; those of topics that this program does not read are only counted."""
+        self.messages += len(messages)
+        if self.finger is not None:
+            yield self.ticks(messages)
+        elif self.topic in (EVENT_TOPIC, MARK_TOPIC):
+            for message in messages:
+                yield Event(decode_event(self.message_type.FromString(message)))
+        elif self.topic == WORLD:
+            for message in messages:
+                yield RecordedWorld(decode_world(self.message_type.FromString(message)))
+
 
 @contextmanager
 def translate_errors(path: str | Path, action: str = "written") -> Iterator[None]:
@@ -204,18 +216,8 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
                 elif isinstance(record, Footer) and record.summary_start:
                     cut = ""
             for channel_id, messages in messages_by_channel.items():
-                if damage and channel_id not in channels:
-                    continue
-                channel = channels[channel_id]
-                channel.messages += len(messages)
-                if channel.finger is not None:
-                    yield channel.ticks(messages)
-                elif channel.topic in (EVENT_TOPIC, MARK_TOPIC):
-                    for message in messages:
-                        yield Event(decode_event(channel.message_type.FromString(message)))
-                elif channel.topic == WORLD:
-                    for message in messages:
-                        yield RecordedWorld(decode_world(channel.message_type.FromString(message)))
+                if channel_id in channels or not damage:  # a damaged part may have declared it
+                    yield from channels[channel_id].contents(messages)
     except (GeneratorExit, OSError, RecordingError):
         raise
     except Exception as error:  # the decoders raise exceptions of many types on damaged bytes
