@@ -33,9 +33,7 @@ def slide_by_viscosity(
     friction the slip is a convex function of the limit, with a slope of at most the largest scale over the stiffness,
     so all steps approach the solution from below. With a limit surface, the error of 3000 random cases is below 3e-6.
     """
-    if viscosity is None:
-        return slide(torsion, law, stiffness, limit, breaking, inputs)
-    if breaking != 0.0 or inputs.dt <= 0.0:
+    if viscosity is None or breaking != 0.0 or inputs.dt <= 0.0:
         return slide(torsion, law, stiffness, limit, breaking, inputs)
     slope = viscosity * inputs.normal_force / (SLIP_TIME_CONSTANT_S + inputs.dt)
     without_slip = limit - slope * inputs.slip_speed * inputs.dt
