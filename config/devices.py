@@ -29,6 +29,6 @@ class Preset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 @lru_cache(maxsize=1)
-def presets() -> dict[str, Preset]:
+def load_presets() -> dict[str, Preset]:
     """Return all presets by name; the file is read when a simulated device is first opened."""
     return msgspec.toml.decode(FILE.read_bytes(), type=dict[str, Preset])

@@ -27,7 +27,7 @@ class _TableTag:
         return table_type.__struct_config__.tag or msgspec.UNSET
 
 
-def table_tag() -> Any:
+def make_tag_attribute() -> Any:
     """Return a class attribute with the tag of each table; UNSET for a class without a tag."""
     return _TableTag()
 
@@ -96,7 +96,7 @@ _UNITS: Final = {
 }
 
 
-def unit(key: str) -> str:
+def find_unit(key: str) -> str:
     """Return the unit in the suffix of a key, longest suffix first; empty for a plain number or a text."""
     return next((name for suffix, name in _UNITS.items() if key.endswith(suffix)), "")
 
@@ -137,13 +137,13 @@ def normalise_orientation(table: Struct) -> None:
         msgspec.structs.force_setattr(table, "orientation_wxyz", tuple(part / norm for part in orientation))
 
 
-def orientation_faults(orientation: tuple[float, float, float, float] | None) -> Iterator[Complaint]:
+def check_orientation(orientation: tuple[float, float, float, float] | None) -> Iterator[Complaint]:
     """Yield a fault for a quaternion of all zeros at `orientation_wxyz`; a missing one is not a fault."""
     if is_usable(orientation) and orientation is not None and not any(orientation):
         yield "orientation_wxyz", orientation, "all zero is not an orientation: [1, 0, 0, 0] turns nothing"
 
 
-def direction_faults(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:
+def check_direction(key: str, direction: tuple[float, float, float] | None) -> Iterator[Complaint]:
     """Yield a fault for a direction of all zeros; a missing direction is not a fault."""
     if is_usable(direction) and direction is not None and not any(direction):
         yield key, direction, "all zero is not a direction: [0, 0, 1] is the z axis"

@@ -22,7 +22,7 @@ LINKS_MAX: Final = 40
 _KINDS: Final = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a disk"}
 
 
-def home_folder() -> Path | None:
+def find_home_folder() -> Path | None:
     """Return the home folder of this user; None if neither HOME nor passwd has one, as for the user of a container."""
     try:
         return Path.home()
@@ -59,7 +59,7 @@ def read_input(path: str | Path, size_max: int) -> bytes:
 
 
 @contextmanager
-def new_file(path: str | Path) -> Iterator[IO[bytes]]:
+def write_new_file(path: str | Path) -> Iterator[IO[bytes]]:
     """Open a file that appears under its name only when the block ends without an error, and then complete.
 
     Until then it has an unpredictable name. If the path is a link, its target is replaced and the link remains.

@@ -19,7 +19,7 @@ from softfinger.config.fields import is_usable
 from softfinger.config.overrides import change_values
 from softfinger.config.scalars import Fault
 from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
-from softfinger.config.sources import FOLDERS, find, printable, read_toml
+from softfinger.config.sources import FOLDERS, find, format_path, read_toml
 from softfinger.config.validate import examine
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -27,7 +27,7 @@ R = TypeVar("R")
 SceneSource = str | Path | Mapping[str, Any] | Scene
 """Accepted forms of a scene: file, name of a shipped scene, mapping, or `Scene`."""
 
-_LISTED: Final = 12
+_FAULTS_SHOWN: Final = 12
 """Faults listed in a message. A file with more usually repeats one mistake, and the first ones remain on the screen."""
 
 
@@ -40,7 +40,7 @@ class FaultyConfig(ConfigError):
 
     def __init__(self, faults: Sequence[Fault | str], config: Any = None) -> None:
         self.faults, self.config = tuple(faults), config
-        lines = [str(fault) for fault in faults[:_LISTED]]
+        lines = [str(fault) for fault in faults[:_FAULTS_SHOWN]]
         if more := len(faults) - len(lines):
             lines.append(f"and {more} more: correct these first")
         super().__init__(lines[0] if len(faults) == 1 else "\n  ".join([f"{len(faults)} faults:", *lines]))
@@ -155,14 +155,14 @@ def apply_overrides(config: T, changes: Mapping[str, Any], where: str) -> T:
 
 def describe(config: msgspec.Struct) -> dict[str, Any]:
     """Return a scene or rig as the mapping in its file; `build` is the inverse."""
-    return _plain(msgspec.to_builtins(config))  # type: ignore[no-any-return]
+    return _to_plain(msgspec.to_builtins(config))  # type: ignore[no-any-return]
 
 
 def _load(
     struct_type: type[T], path_or_name: str | Path, overrides: Mapping[str, Any], sources: Mapping[str, str]
 ) -> T:
     path = find(path_or_name, struct_type)
-    name = path.name if path.parent == FOLDERS[struct_type] else printable(path)
+    name = path.name if path.parent == FOLDERS[struct_type] else format_path(path)
     return build_changed(struct_type, read_toml(path, name), name, overrides, sources)
 
 
@@ -209,8 +209,8 @@ def _check_scene(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T
     return value
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if isinstance(value, dict):
-        plain = {key: _plain(item) for key, item in value.items() if item is not None}
+        plain = {key: _to_plain(item) for key, item in value.items() if item is not None}
         return {**plain.pop("options"), **plain} if {"driver", "options"} <= plain.keys() else plain
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+    return [_to_plain(item) for item in value] if isinstance(value, list | tuple) else value

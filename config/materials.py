@@ -92,39 +92,39 @@ class Library(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def materials() -> Mapping[str, LibraryEntry]:
+def load_materials() -> Mapping[str, LibraryEntry]:
     """Return all materials by name; the file is read when a scene first names one."""
-    return _entries("materials.toml")
+    return _load_entries("materials.toml")
 
 
 @lru_cache(maxsize=1)
-def fingertips() -> Mapping[str, LibraryEntry]:
-    return _entries("fingertips.toml")
+def load_fingertips() -> Mapping[str, LibraryEntry]:
+    return _load_entries("fingertips.toml")
 
 
 @lru_cache(maxsize=1)
-def papers() -> Mapping[str, Paper]:
+def load_papers() -> Mapping[str, Paper]:
     """Return all sources by name."""
-    return MappingProxyType(msgspec.convert(_tables("papers.toml"), dict[str, Paper]))
+    return MappingProxyType(msgspec.convert(_load_tables("papers.toml"), dict[str, Paper]))
 
 
-MATERIALS: Final = Library("name", materials)
-FINGERTIPS: Final = Library("pad", fingertips, MappingProxyType({"radii_m": "radius_m"}))
+MATERIALS: Final = Library("name", load_materials)
+FINGERTIPS: Final = Library("pad", load_fingertips, MappingProxyType({"radii_m": "radius_m"}))
 
 
-def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+def flatten_entry(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in table.items():
         if isinstance(value, Mapping):
-            yield from flat(value, f"{before}{key}.")
+            yield from flatten_entry(value, f"{before}{key}.")
         else:
             yield before + key, value
 
 
-def _entries(file: str) -> Mapping[str, LibraryEntry]:
-    return MappingProxyType(msgspec.convert(_tables(file), dict[str, LibraryEntry]))
+def _load_entries(file: str) -> Mapping[str, LibraryEntry]:
+    return MappingProxyType(msgspec.convert(_load_tables(file), dict[str, LibraryEntry]))
 
 
-def _tables(file: str) -> dict[str, Any]:
+def _load_tables(file: str) -> dict[str, Any]:
     return tomllib.loads((FOLDER / file).read_text(encoding="utf-8"))
 
 

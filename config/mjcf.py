@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf_files import check_flexes, check_place, place_files
+from softfinger.config.mjcf_files import check_flexes, check_place, resolve_files
 from softfinger.config.mjcf_size import check_files, read_text
 from softfinger.config.urdf import complete
 
@@ -43,7 +43,7 @@ _compiled: Final = OrderedDict[tuple[str, str | None], CompiledModel]()
 _lock: Final = threading.Lock()
 
 
-def mujoco_module() -> Any:
+def import_mujoco() -> Any:
     """Return the package, needed only for a scene with [world]. Raises ConfigError if it is not installed."""
     try:
         import mujoco
@@ -61,13 +61,13 @@ def read_model(world: schema.World) -> mujoco.MjModel:
     model = copy.copy(shared)
     try:
         _set_masses(spec, model, world.mass_kg)
-    except (ValueError, mujoco_module().FatalError) as error:
-        raise ConfigError(f"world.model {world.model}: {_line(error)}") from error
-    key_number(model, world)
+    except (ValueError, import_mujoco().FatalError) as error:
+        raise ConfigError(f"world.model {world.model}: {_format_line(error)}") from error
+    find_key_number(model, world)
     return model
 
 
-def key_number(model: mujoco.MjModel, world: schema.World) -> int | None:
+def find_key_number(model: mujoco.MjModel, world: schema.World) -> int | None:
     """Return the number of the keyframe at which a world begins, None for none. Raises ConfigError if it is unknown."""
     if world.keyframe is None:
         return None
@@ -78,12 +78,12 @@ def key_number(model: mujoco.MjModel, world: schema.World) -> int | None:
     return names.index(world.keyframe)
 
 
-def body_number(model: mujoco.MjModel, world: schema.World, body: str) -> int:
+def find_body_number(model: mujoco.MjModel, world: schema.World, body: str) -> int:
     """Return the number of a body from its name or, for an unnamed body, its number in text form.
 
     Raises ConfigError if the model has no such body.
     """
-    package = mujoco_module()
+    package = import_mujoco()
     number = package.mj_name2id(model, package.mjtObj.mjOBJ_BODY, body)
     if number < 0 and body.isdecimal() and int(body) < model.nbody:
         number = int(body)
@@ -110,7 +110,7 @@ def compile_model(path: str, root: str | None = None) -> CompiledModel:
     """
     with _lock:
         cached = _compiled.get((path, root))
-    if cached is not None and all(_state(file) == state for file, state in cached.files.items()):
+    if cached is not None and all(_stat_file(file) == state for file, state in cached.files.items()):
         return cached
     model = _compile(path, root)
     with _lock:
@@ -122,7 +122,7 @@ def compile_model(path: str, root: str | None = None) -> CompiledModel:
 
 
 def _compile(path: str, root: str | None) -> CompiledModel:
-    package, name = mujoco_module(), repr(path)[1:-1]
+    package, name = import_mujoco(), repr(path)[1:-1]
     text = read_text(path, name)
     home = Path(os.path.realpath(Path(path).parent if root is None else root))
     names = check_files(text, Path(path), name, home)
@@ -140,12 +140,12 @@ def _compile(path: str, root: str | None) -> CompiledModel:
             if path.lower().endswith(".urdf"):
                 complete(spec, Path(folder), home, name)
             _remove_pictures(spec)
-            files = [*parts, *place_files(spec, listed, bool(names.attaches), home, name)]
-            states = {file: _state(file) for file in files}
+            files = [*parts, *resolve_files(spec, listed, bool(names.attaches), home, name)]
+            states = {file: _stat_file(file) for file in files}
             package.mj_clearCache(package.mj_getCache())  # the cache does not notice changes within a second
             model = spec.compile()
     except (ValueError, package.FatalError) as error:
-        raise ConfigError(f"world.model {name}: {_line(error)}") from error
+        raise ConfigError(f"world.model {name}: {_format_line(error)}") from error
     return CompiledModel(spec, model, states)
 
 
@@ -153,14 +153,14 @@ def _remove_pictures(spec: mujoco.MjSpec) -> None:
     """Replace textures by one pixel, and remove skins: contacts need neither."""
     for texture in spec.textures:
         texture.file, texture.width, texture.height, texture.gridsize = "", 1, 1, [1, 1]
-        texture.builtin = mujoco_module().mjtBuiltin.mjBUILTIN_FLAT
+        texture.builtin = import_mujoco().mjtBuiltin.mjBUILTIN_FLAT
         for side in range(len(texture.cubefiles)):
             texture.cubefiles[side] = ""
     for skin in list(spec.skins):
         spec.delete(skin)
 
 
-def _state(file: str) -> Any:
+def _stat_file(file: str) -> Any:
     """Return device, inode, size and modification time of a file, None if it is missing."""
     try:
         status = os.stat(file)
@@ -169,7 +169,7 @@ def _state(file: str) -> Any:
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
-def _line(error: Exception) -> str:
+def _format_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
@@ -179,7 +179,7 @@ def _set_masses(spec: mujoco.MjSpec, model: mujoco.MjModel, mass_kg: Mapping[str
     The inertia is scaled as if the density had changed. MuJoCo then computes the quantities that depend on both, except
     the damping of actuators with `dampratio`: a drive stays tuned to the model's own mass.
     """
-    package = mujoco_module()
+    package = import_mujoco()
     for name, mass in mass_kg.items():
         body = package.mj_name2id(model, package.mjtObj.mjOBJ_BODY, name)
         if body <= 0 or not model.body_mass[body] > 0.0:
@@ -205,7 +205,7 @@ def read_mesh(path: str, root: str | None, name: str) -> tuple[NDArray[np.float6
             vertices = model.mesh_vert[first : first + model.mesh_vertnum[number]]
             faces = model.mesh_face[face : face + model.mesh_facenum[number]]
             return vertices.astype(np.float64), faces.astype(np.int32)
-    raise ConfigError(f"{path}: has no mesh {name!r}; it has: {_names(model.mesh, model.nmesh)}")
+    raise ConfigError(f"{path}: has no mesh {name!r}; it has: {_list_names(model.mesh, model.nmesh)}")
 
 
 def read_hfield(path: str, root: str | None, name: str) -> Grid:
@@ -219,8 +219,8 @@ def read_hfield(path: str, root: str | None, name: str) -> Grid:
             rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
             first = int(model.hfield_adr[number])
             return np.array(model.hfield_data[first : first + rows * columns], np.float64).reshape(rows, columns)
-    raise ConfigError(f"{path}: has no height field {name!r}; it has: {_names(model.hfield, model.nhfield)}")
+    raise ConfigError(f"{path}: has no height field {name!r}; it has: {_list_names(model.hfield, model.nhfield)}")
 
 
-def _names(elements: Any, count: int) -> str:
+def _list_names(elements: Any, count: int) -> str:
     return ", ".join(elements(number).name for number in range(count)) or "none"

@@ -38,7 +38,7 @@ def check_flexes(folder: str, folders: Iterable[str], flexes: Iterable[str], hom
             check_place(os.path.join(folder, below, file), home, f"{model}: <flexcomp file={file!r}>")
 
 
-def place_files(spec: mujoco.MjSpec, files: list[str], attaches: bool, home: Path, model: str) -> Iterator[str]:
+def resolve_files(spec: mujoco.MjSpec, files: list[str], attaches: bool, home: Path, model: str) -> Iterator[str]:
     """Give every mesh and height field of a model that has a file its absolute path, and yield the paths.
 
     `files` are those that MuJoCo reports as dependencies of the model; files of attached models are found in their

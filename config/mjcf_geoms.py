@@ -15,16 +15,16 @@ import numpy as np
 
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf import body_number, compile_model, mujoco_module, read_model
+from softfinger.config.mjcf import compile_model, find_body_number, import_mujoco, read_model
 from softfinger.config.mjcf_files import has_groups
 from softfinger.config.schema.world import GeomMaterial
 from softfinger.config.words import format_value
 
-SQUARE: Final = 1e-6
+SQUARE_TOLERANCE: Final = 1e-6
 """Relative difference of the sides of a pixel that counts as rounding of sizes in a file: 1 pixel in a million."""
 NAMES_MAX: Final = 8
 """Names of geoms listed in a message."""
-CONVEX: Final = 0.01
+CONVEX_TOLERANCE: Final = 0.01
 """Relative volume by which a convex hull exceeds a mesh that counts as convex."""
 
 
@@ -48,7 +48,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
     model = read_model(scene.world)  # checks masses and keyframe
     for obj in scene.object:
         if isinstance(obj.motion, schema.Body):
-            body_number(model, scene.world, obj.motion.body)
+            find_body_number(model, scene.world, obj.motion.body)
     names = {obj.name for obj in scene.object}
     geoms = list(convert_geoms(scene.world))
     added = [geom.object for geom in geoms if geom.object is not None and geom.name not in names]
@@ -60,7 +60,7 @@ def with_geoms(scene: schema.Scene) -> schema.Scene:
 
 def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
     """Convert each geom of the model, in their order, then its flexes. Raises ConfigError for an unusable model."""
-    package = mujoco_module()
+    package = import_mujoco()
     spec, model, _ = compile_model(world.model, world.root)
     _check_rules(world, spec.geoms)
     data = package.MjData(model)
@@ -71,7 +71,7 @@ def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
         if not geom.contype and not geom.conaffinity and geom.id not in paired:
             yield ConvertedGeom(name, None, "does not collide (contype and conaffinity are 0, and it is in no <pair>)")
             continue
-        material = _material(world, geom)
+        material = _choose_material(world, geom)
         if material is None:
             yield ConvertedGeom(
                 name, None, "has no material: add [world.material], or a [[world.geom]] that matches it"
@@ -79,7 +79,7 @@ def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
             continue
         if geom.meshname and model.geom_type[geom.id] == package.mjtGeom.mjGEOM_MESH:
             _check_groups(name, spec, int(model.geom_dataid[geom.id]))
-        yield _object(name, geom.id, world, material, model, data)
+        yield _make_object(name, geom.id, world, material, model, data)
     for number in range(model.nflex):
         if model.flex_contype[number] or model.flex_conaffinity[number]:
             name = package.mj_id2name(model, package.mjtObj.mjOBJ_FLEX, number) or f"flex-{number}"
@@ -97,7 +97,7 @@ def find_ignored(scene: schema.Scene) -> list[ConvertedGeom]:
 def _check_rules(world: schema.World, geoms: Sequence[Any]) -> None:
     """Raise ConfigError for an entry of world.geom that fits no geom: its material would be ignored."""
     for index, rule in enumerate(world.geom):
-        if not any(_fits(rule, geom) for geom in geoms):
+        if not any(_matches_rule(rule, geom) for geom in geoms):
             keys = [(key, getattr(rule, key)) for key in ("name", "group", "default")]
             given = ", ".join(f"{key} = {format_value(value)}" for key, value in keys if value is not None)
             names = [geom.name for geom in geoms if geom.name]
@@ -107,29 +107,29 @@ def _check_rules(world: schema.World, geoms: Sequence[Any]) -> None:
             )
 
 
-def _fits(rule: GeomMaterial, geom: Any) -> bool:
+def _matches_rule(rule: GeomMaterial, geom: Any) -> bool:
     default = None if geom.classname is None else geom.classname.name
     keys = (rule.name, geom.name), (rule.group, geom.group), (rule.default, default)
     return all(required is None or required == actual for required, actual in keys)
 
 
-def _material(world: schema.World, geom: Any) -> schema.Material | None:
-    return next((rule.material for rule in reversed(world.geom) if _fits(rule, geom)), world.material)
+def _choose_material(world: schema.World, geom: Any) -> schema.Material | None:
+    return next((rule.material for rule in reversed(world.geom) if _matches_rule(rule, geom)), world.material)
 
 
-def _object(
+def _make_object(
     name: str, geom: int, world: schema.World, material: schema.Material, model: Any, data: Any
 ) -> ConvertedGeom:
-    kinds = mujoco_module().mjtGeom
+    kinds = import_mujoco().mjtGeom
     x, y, z = (float(size) for size in model.geom_size[geom])
     body, number = int(model.geom_bodyid[geom]), int(model.geom_dataid[geom])
     place: dict[str, Any] = {"name": name, "material": material}
     pose = model.geom_pos[geom], model.geom_quat[geom]
-    if moves(model, body):
+    if can_move(model, body):
         place["motion"] = schema.Body(body=model.body(body).name or str(body))
     else:
         pose = _on((data.xpos[body], data.xquat[body]), pose)
-    place["position_m"], place["orientation_wxyz"] = map(_numbers, pose)
+    place["position_m"], place["orientation_wxyz"] = map(_list_numbers, pose)
     match model.geom_type[geom]:
         case kinds.mjGEOM_PLANE:
             return ConvertedGeom(name, schema.Plane(**place), "without an end" if x or y else "")
@@ -144,7 +144,7 @@ def _object(
         case kinds.mjGEOM_BOX:
             return ConvertedGeom(name, schema.Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z), **place), "")
         case kinds.mjGEOM_HFIELD:
-            source = _hfield(world, model, number)
+            source = _read_hfield(world, model, number)
             if isinstance(source, str):
                 return ConvertedGeom(name, None, source, is_lost=True)
             return ConvertedGeom(
@@ -152,7 +152,7 @@ def _object(
             )
         case kinds.mjGEOM_MESH:
             source = {"file": world.model, "root": world.root, "mesh": model.mesh(number).name}
-            return ConvertedGeom(name, schema.Mesh(**source, **place), _hull_note(model, number))
+            return ConvertedGeom(name, schema.Mesh(**source, **place), _describe_hull(model, number))
     kind = kinds(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
     return ConvertedGeom(name, None, f"is of type {kind}, which fingers cannot touch", is_lost=True)
 
@@ -166,33 +166,33 @@ def _check_groups(name: str, spec: Any, number: int) -> None:
         )
 
 
-def _hull_note(model: Any, number: int) -> str:
+def _describe_hull(model: Any, number: int) -> str:
     """Return how a mesh differs from its convex hull, with which other geoms collide; empty if it is convex."""
     first, graph = int(model.mesh_vertadr[number]), int(model.mesh_graphadr[number])
     face = int(model.mesh_faceadr[number])
     vertices = model.mesh_vert[first : first + model.mesh_vertnum[number]].astype(np.float64)
-    mesh = _volume(vertices, model.mesh_face[face : face + model.mesh_facenum[number]])
+    mesh = _compute_volume(vertices, model.mesh_face[face : face + model.mesh_facenum[number]])
     if graph < 0:  # no other geom collides with it
         return ""
     corners, faces = (int(count) for count in model.mesh_graph[graph : graph + 2])
     start = graph + 2 + 3 * corners + 3 * faces  # after numbers of vertices and faces, vertices, edges
-    hull = _volume(vertices, model.mesh_graph[start : start + 3 * faces].reshape(-1, 3))
-    if hull <= (1.0 + CONVEX) * mesh:
+    hull = _compute_volume(vertices, model.mesh_graph[start : start + 3 * faces].reshape(-1, 3))
+    if hull <= (1.0 + CONVEX_TOLERANCE) * mesh:
         return ""
     larger = f", which has {hull / mesh:.3g} times its volume" if mesh > 0.0 else ""
     return f"has its own shape for fingers; other geoms collide with its convex hull{larger}"
 
 
-def _volume(vertices: Any, faces: Any) -> float:
+def _compute_volume(vertices: Any, faces: Any) -> float:
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
-def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | str:
+def _read_hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | str:
     rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
     x, y, z = (float(size) for size in model.hfield_size[number][:3])
     across, along = 2.0 * x / (columns - 1), 2.0 * y / (rows - 1)
-    if abs(across - along) > SQUARE * along:
+    if abs(across - along) > SQUARE_TOLERANCE * along:
         sides = f"{across:.6g} m along x and {along:.6g} m along y"
         return f"is a height field with pixels of {sides}: must be square; change its size, or resample it"
     if rows * columns > limits.GRID_VALUES.high:
@@ -201,7 +201,7 @@ def _hfield(world: schema.World, model: Any, number: int) -> dict[str, Any] | st
     return source | {"pitch_m": across, "level_m": z}
 
 
-def moves(model: Any, body: int) -> bool:
+def can_move(model: Any, body: int) -> bool:
     """Return whether a body can leave the pose that the model gives it."""
     at = body
     while at != 0:
@@ -211,12 +211,12 @@ def moves(model: Any, body: int) -> bool:
     return False
 
 
-def _numbers(values: Any) -> Any:
+def _list_numbers(values: Any) -> Any:
     return tuple(float(value) for value in values)
 
 
 def _on(outer: Any, inner: Any) -> Any:
     """Return the pose `inner`, given in the frame `outer`, in the parent frame of `outer`."""
-    package, place, turn = mujoco_module(), np.zeros(3), np.zeros(4)
+    package, place, turn = import_mujoco(), np.zeros(3), np.zeros(4)
     package.mju_mulPose(place, turn, outer[0], outer[1], inner[0], inner[1])
     return place, turn

@@ -112,7 +112,7 @@ class _Model:
     def read(self, text: str, path: Path, name: str, times: int, depth: int) -> None:
         """Count a file `times` times, including the files that it includes and attaches."""
         models, attached, included = dict[str, Path](), Counter[str](), {path}
-        folder, waiting = path.parent, [(self._root(text, name), times, name, path.parent)]
+        folder, waiting = path.parent, [(self._parse_xml(text, name), times, name, path.parent)]
         while waiting:
             element, times, name, base = waiting.pop()
             self._check_paths(element, name)
@@ -126,23 +126,23 @@ class _Model:
                             f"world.model {name}: includes {file} twice, but MuJoCo reads each file once: remove one"
                         )
                     included.add(part)
-                    if (inner := self._text(part)) is not None:
+                    if (inner := self._read_text(part)) is not None:
                         within = f"{self._name}, {file}"
-                        waiting.append((self._root(inner, within), times, within, part.parent))
+                        waiting.append((self._parse_xml(inner, within), times, within, part.parent))
                 case "model":
                     models[element.get("name") or Path(file).stem] = self._find_file(element, (folder, base), name)
                 case "attach":
                     attached[element.get("model") or ""] += times
             self._count(element, times, folder, name)
-            copies = times * (_product(element, ("count",)) if element.tag == "replicate" else 1)
+            copies = times * (_multiply_attributes(element, ("count",)) if element.tag == "replicate" else 1)
             waiting += [(child, copies, name, base) for child in element]
         unknown = sum(count for model, count in attached.items() if model not in models)
         for model, part in models.items():
-            inner = self._text(part) if depth < DEPTH_MAX else None
+            inner = self._read_text(part) if depth < DEPTH_MAX else None
             if inner is not None:
                 self.read(inner, part, f"{self._name}, {part.name}", max(attached[model] + unknown, 1), depth + 1)
 
-    def _root(self, text: str, name: str) -> Element:
+    def _parse_xml(self, text: str, name: str) -> Element:
         """Parse XML as MuJoCo does, which knows no namespaces and no document types."""
         self._bytes += len(text) + FILE_BYTES
         if self._bytes > SIZE_MAX:
@@ -190,7 +190,7 @@ class _Model:
         check_place(model_file, self._home, f"{name}: <{element.tag} file={file!r}>")
         return model_file
 
-    def _text(self, path: Path) -> str | None:
+    def _read_text(self, path: Path) -> str | None:
         """Return the text of a part; None if it cannot be opened, which MuJoCo reports.
 
         Raises ConfigError if it is not a regular file or too large.
@@ -215,13 +215,13 @@ class _Model:
     def _count(self, element: Element, times: int, folder: Path, name: str) -> None:
         bodies = int(element.tag in ("body", "link"))
         if element.tag == "flexcomp" and (element.get("dof") or "full") in ("full", "2d"):
-            bodies = self._vertices(element, folder)
+            bodies = self._count_vertices(element, folder)
         self._add("bodies", times * bodies, BODIES_MAX, "can be stepped in time")
         self._add("elements", times, ELEMENTS_MAX, "can be read")
         if times > 1:
             self._add("copies of elements", times, COPIES_MAX, "can be made")
 
-    def _vertices(self, element: Element, folder: Path) -> int:
+    def _count_vertices(self, element: Element, folder: Path) -> int:
         if file := element.get("file"):
             try:
                 return math.ceil(ROWS_PER_BYTE * (folder / file).stat().st_size)
@@ -229,7 +229,7 @@ class _Model:
                 return 0  # MuJoCo reports it
         if (points := element.get("point")) is not None:
             return len(points.split()) // 3
-        return _product(element, ("count",)) if element.get("count") else 1000
+        return _multiply_attributes(element, ("count",)) if element.get("count") else 1000
 
     def _add(self, contents: str, count: int, most: int, why: str) -> None:
         self._counted[contents] += count
@@ -242,7 +242,7 @@ class _Model:
 def _check_numbers(element: Element, name: str) -> None:
     """Raise ConfigError if a number of an element, or a list in it, is too large."""
     for attributes, most in BOUNDS.get(element.tag, {}).items():
-        if (value := _product(element, attributes)) > most:
+        if (value := _multiply_attributes(element, attributes)) > most:
             names = " x ".join(dict.fromkeys(attributes))
             raise ConfigError(
                 f"world.model {name}: <{element.tag}> has {names} = {value:,}; at most {most:,} can be read"
@@ -255,7 +255,7 @@ def _check_numbers(element: Element, name: str) -> None:
             )
 
 
-def _product(element: Element, attributes: tuple[str, ...]) -> int:
+def _multiply_attributes(element: Element, attributes: tuple[str, ...]) -> int:
     """Return the product of the whole numbers in attributes, 1 if there are none; MuJoCo reports other values."""
     result = 1
     for attribute in attributes:

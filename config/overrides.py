@@ -39,21 +39,21 @@ def change_values(
     Raises ConfigError for a value that is set twice.
     """
     mapping, origins, override_faults = copy.deepcopy(dict(original)), dict[str, str](), list[Fault]()
-    indexed_keys = {dotted: index_entries(mapping, dotted) for dotted in overrides}
+    indexed_keys = {dotted: to_indexed_key(mapping, dotted) for dotted in overrides}
     if len(set(indexed_keys.values())) < len(indexed_keys):
         source = sources.get(next(iter(indexed_keys)), "override")
         raise ConfigError(f"{source}: a value is set twice, by name and by index")
     for dotted in sorted(overrides, key=lambda key: key != "device.driver"):
         source = sources.get(dotted, "override")
         try:
-            for key in _for_each_device(mapping, indexed_keys[dotted]):
+            for key in _expand_device_keys(mapping, indexed_keys[dotted]):
                 _override(mapping, key, overrides[dotted], source, origins)
         except LookupError as error:
             override_faults.append(Fault(source, dotted, f"{dotted}: {error.args[0]}"))
     return OverriddenMapping(mapping, origins, override_faults)
 
 
-def index_entries(mapping: Mapping[str, Any], dotted: str) -> str:
+def to_indexed_key(mapping: Mapping[str, Any], dotted: str) -> str:
     """Return a key of `load_scene` with the index of an entry in place of its name: `object.0` for `object.table`."""
     head, _, remaining_path = dotted.partition(".")
     entries = mapping.get(head)
@@ -67,7 +67,7 @@ def index_entries(mapping: Mapping[str, Any], dotted: str) -> str:
     return dotted
 
 
-def value_at(mapping: Any, dotted: str) -> Any:
+def find_value(mapping: Any, dotted: str) -> Any:
     """Return the value of a mapping at a key of `load_scene`, with entries by index; None if it has no value."""
     for name in _ENTRY.sub(r".\1", dotted).split("."):
         if isinstance(mapping, list):
@@ -77,7 +77,7 @@ def value_at(mapping: Any, dotted: str) -> Any:
     return mapping
 
 
-def _for_each_device(mapping: dict[str, Any], dotted: str) -> list[str]:
+def _expand_device_keys(mapping: dict[str, Any], dotted: str) -> list[str]:
     """Return the keys to override; in a file with [devices.NAME], a key of `device` applies to each of them."""
     first, _, remaining_path = dotted.partition(".")
     if first == "device" and "device" not in mapping and isinstance(mapping.get("devices"), dict):
@@ -97,7 +97,7 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
         place: Any = name
         if isinstance(at, list):
             if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
-                entries = f"entries go from 0 to {len(at) - 1}{_names(at)}" if at else "the list is empty"
+                entries = f"entries go from 0 to {len(at) - 1}{_list_names(at)}" if at else "the list is empty"
                 raise LookupError(
                     f"there is no {key}: {entries}; to add an entry, set the complete list {path[depth - 2]}"
                 )
@@ -130,6 +130,6 @@ def _forget_entry(at: Any, path: list[str], value: Any) -> None:
             at.pop(key, None)
 
 
-def _names(entries: list[Any]) -> str:
+def _list_names(entries: list[Any]) -> str:
     names = [str(entry["name"]) for entry in entries if isinstance(entry, dict) and "name" in entry]
     return f", or by name {', '.join(names)}" if names else ""

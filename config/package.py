@@ -86,9 +86,9 @@ def __getattr__(name: str) -> Any:
 
         return version("softfinger")
     if name not in __all__:
-        from softfinger.config.words import near
+        from softfinger.config.words import suggest
 
-        hint = near(name, __all__)
+        hint = suggest(name, __all__)
         raise AttributeError(f"module 'softfinger' has no attribute {name!r}{hint}: it offers {', '.join(__all__)}")
     import gc
     from importlib import import_module

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from msgspec import UNSET, inspect
 
-from softfinger.config.words import describe_allowed, format_value, near
+from softfinger.config.words import describe_allowed, format_value, suggest
 
 
 class Fault(NamedTuple):
@@ -82,5 +82,5 @@ def check_text(kind: inspect.StrType, value: object, key: str, report: FaultColl
 def check_literal(kind: inspect.LiteralType, value: object, key: str, report: FaultCollector) -> Any:
     if any(value == allowed and type(value) is type(allowed) for allowed in kind.values):
         return value
-    hint = near(value, kind.values)
+    hint = suggest(value, kind.values)
     return report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}{hint}")

@@ -13,7 +13,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
 from softfinger.config.schema import Faults, Rig, Scene
 from softfinger.config.toml import parse_toml
-from softfinger.config.words import format_value, near
+from softfinger.config.words import format_value, suggest
 
 _CONFIG_FOLDER: Final = Path(__file__).resolve().parent
 FOLDERS: Final[Mapping[type[msgspec.Struct], Path]] = {
@@ -27,10 +27,10 @@ _SIZE_MAX: Final = 1 << 20
 
 
 def list_shipped(struct_type: type[msgspec.Struct]) -> list[str]:
-    return names_in(FOLDERS[struct_type])
+    return list_names(FOLDERS[struct_type])
 
 
-def names_in(folder: Path) -> list[str]:
+def list_names(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
@@ -48,7 +48,7 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
     path = Path(path_or_name)
     if isinstance(path_or_name, Path) or path.name != path_or_name or path.suffix == ".toml":
         return path
-    names = names_in(folder)
+    names = list_names(folder)
     if path_or_name in names:
         return folder / f"{path_or_name}.toml"
     try:
@@ -58,18 +58,18 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
         pass
     example = f"my-{kind.split()[-1]}.toml"
     raise ConfigError(
-        f"no {kind} is called {format_value(path_or_name)}{near(path_or_name, names)}; "
+        f"no {kind} is called {format_value(path_or_name)}{suggest(path_or_name, names)}; "
         f"shipped are {', '.join(names)}; name another file by its path with suffix, such as {example}"
     )
 
 
 def read_toml(path: str | Path, where: str | None = None) -> dict[str, Any]:
     """Read the tables of a TOML file; raises ConfigError with the file, and line and column of a syntax error."""
-    name = printable(path) if where is None else where
+    name = format_path(path) if where is None else where
     try:
         data = read_input(path, _SIZE_MAX)
     except FileNotFoundError as error:
-        raise ConfigError(f"{name}: no such file{_sibling(Path(path))}") from error
+        raise ConfigError(f"{name}: no such file{_suggest_sibling(Path(path))}") from error
     except IsADirectoryError as error:
         raise ConfigError(f"{name}: is a folder: name a .toml file in it") from error
     except (OSError, ValueError) as error:
@@ -87,20 +87,20 @@ def read_toml(path: str | Path, where: str | None = None) -> dict[str, Any]:
     return parse_toml(text, name)
 
 
-def printable(path: str | Path) -> str:
+def format_path(path: str | Path) -> str:
     """Return a path for messages: complete, and on one line even with control characters."""
     return repr(str(path))[1:-1]
 
 
-def _sibling(path: Path) -> str:
+def _suggest_sibling(path: Path) -> str:
     """Return a hint for a missing file: a similar name in its folder, or a shipped name."""
     try:
         siblings = [file.name for file in path.parent.glob("*.toml")]
     except (OSError, ValueError):
         siblings = []
-    hint = near(path.name, siblings)
+    hint = suggest(path.name, siblings)
     names = [name for kind in FOLDERS for name in list_shipped(kind)]
     if not hint and path.suffix == ".toml":
-        hint = near(path.stem, names)
+        hint = suggest(path.stem, names)
         hint += " (shipped: named without folder and suffix)" if hint else ""
     return hint

@@ -32,7 +32,7 @@ _LONG_KEY: Final = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{PARTS_M
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
     """Parse a text; raises ConfigError with its name if it is not TOML or exceeds a limit."""
-    long = _LONG_KEY.search(_STRINGS.sub(_blank, text))
+    long = _LONG_KEY.search(_STRINGS.sub(_blank_out, text))
     if long is not None:
         line = text.count("\n", 0, long.start()) + 1
         raise ConfigError(f"{name}, line {line}: a key of more than {PARTS_MAX} parts, the limit")
@@ -52,7 +52,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     return tables
 
 
-def _blank(match: re.Match[str]) -> str:
+def _blank_out(match: re.Match[str]) -> str:
     """Return spaces in as many lines and columns; a string on one line may be part of a key and becomes a letter."""
     spaces = re.sub(r"[^\n]", " ", match[0])
     return spaces if match["blank"] else f"s{spaces[1:]}"

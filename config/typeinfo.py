@@ -26,7 +26,7 @@ def unwrap(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
     return info, extra
 
 
-def options(info: inspect.Type) -> list[inspect.Type]:
+def list_given_types(info: inspect.Type) -> list[inspect.Type]:
     """Return the types of a field that is given: the members of a union without None, or the type itself.
 
     If the base class of the structs in a union has a list `added`, the structs in that list are members, too.

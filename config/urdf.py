@@ -25,7 +25,7 @@ def locate(uri: str, folder: Path, home: Path) -> Path:
     """
     if not uri.startswith(PACKAGES):
         return folder / uri.removeprefix("file://")
-    candidates = list(_candidates(uri, folder))
+    candidates = list(_iter_candidates(uri, folder))
     inside = (
         candidate
         for _, candidate in candidates
@@ -34,7 +34,7 @@ def locate(uri: str, folder: Path, home: Path) -> Path:
     return next(inside, candidates[0][1])
 
 
-def _candidates(file_name: str, folder: Path) -> Iterator[tuple[Path, Path]]:
+def _iter_candidates(file_name: str, folder: Path) -> Iterator[tuple[Path, Path]]:
     """Yield folders that may have the package of a file, upwards from `folder`, and the path of the file in each."""
     within = file_name.partition("://")[2].lstrip("/")
     start = Path(os.path.abspath(folder))
@@ -63,7 +63,8 @@ def complete(spec: Any, folder: Path, home: Path, model: str) -> None:
         check_place(path, home, f"{model}: the file {mesh.file}")
         if not path.is_file():
             higher = next(
-                (above for above, candidate in _candidates(mesh.file, folder) if candidate.is_file()), folder.parent
+                (above for above, candidate in _iter_candidates(mesh.file, folder) if candidate.is_file()),
+                folder.parent,
             )
             raise ConfigError(
                 f"world.model {model}: {mesh.file} is in no folder from that of the model up to {home}: set one that "

@@ -16,8 +16,8 @@ from msgspec import UNSET, Struct, inspect
 
 from softfinger.config.materials import Library
 from softfinger.config.scalars import Fault, FaultCollector, check_literal, check_number, check_text
-from softfinger.config.typeinfo import describe_struct, options, unwrap
-from softfinger.config.words import describe_allowed, either, format_value, join_key, missing, near
+from softfinger.config.typeinfo import describe_struct, list_given_types, unwrap
+from softfinger.config.words import describe_allowed, describe_missing, format_choice, format_value, join_key, suggest
 
 UNKNOWN_SHOWN: Final = 8
 """Unknown keys named per table. Fewer than a message lists, so that the message also shows how many more there are."""
@@ -28,19 +28,19 @@ def examine(
 ) -> tuple[Any, list[Fault]]:
     """Convert `mapping` to the struct and return it with all faults; unusable fields are UNSET."""
     report = FaultCollector(where, sources or {})
-    value = _struct(describe_struct(struct_type), mapping, "", report)
+    value = _read_struct(describe_struct(struct_type), mapping, "", report)
     return value, report.faults
 
 
-def _value(info: inspect.Type, value: Any, key: str, report: FaultCollector) -> Any:
+def _read_value(info: inspect.Type, value: Any, key: str, report: FaultCollector) -> Any:
     if hasattr(value, "tolist"):  # an array or a number of NumPy
         value = value.tolist()
     kind, extra = unwrap(info)
     match kind:
         case inspect.UnionType():
-            return _one_of(kind, value, key, report)
+            return _read_one_of(kind, value, key, report)
         case inspect.StructType():
-            return _struct(kind, value, key, report)
+            return _read_struct(kind, value, key, report)
         case inspect.FloatType() | inspect.IntType():
             return check_number(kind, extra, value, key, report)
         case inspect.TupleType() | inspect.VarTupleType() | inspect.ListType():
@@ -62,19 +62,19 @@ def _value(info: inspect.Type, value: Any, key: str, report: FaultCollector) -> 
     return value if usable else report.add(key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}")
 
 
-def _one_of(kind: inspect.UnionType, value: object, key: str, report: FaultCollector) -> Any:
+def _read_one_of(kind: inspect.UnionType, value: object, key: str, report: FaultCollector) -> Any:
     """Read an optional value, a struct selected by its tag, or the first member of a union that fits."""
-    members = options(kind)
+    members = list_given_types(kind)
     if value is None and len(members) < len(kind.types):
         return None
     if len(members) == 1:
-        return _value(members[0], value, key, report)
+        return _read_value(members[0], value, key, report)
     structs = [bare for bare, _ in map(unwrap, members) if isinstance(bare, inspect.StructType) and bare.tag_field]
     if len(structs) == len(members):
         return _read_tagged(structs, value, key, report)
     for option in members:
         attempt = FaultCollector("", {})
-        result = _value(option, value, key, attempt)
+        result = _read_value(option, value, key, attempt)
         if not attempt.faults:
             return result
     choices = " or ".join(describe_allowed(option, key) for option in members)
@@ -98,7 +98,7 @@ def _list(
             key, f"{key} = {format_value(value)}: must be {describe_allowed(kind, key)}, this has {len(value)}"
         )
     before = len(report.faults)
-    items = [_value(t, item, f"{key}[{i}]", report) for i, (t, item) in enumerate(zip(types, value, strict=True))]
+    items = [_read_value(t, item, f"{key}[{i}]", report) for i, (t, item) in enumerate(zip(types, value, strict=True))]
     # Usable tables of a list are needed for the checks across tables; a vector with an unusable component is useless.
     if isinstance(kind, inspect.TupleType) and len(report.faults) > before:
         return UNSET
@@ -112,8 +112,8 @@ def _read_named(kind: inspect.DictType, value: object, key: str, report: FaultCo
     items = {}
     for name, item in value.items():
         dotted = join_key(key, name)
-        item_key = _value(kind.key_type, name, dotted, report)
-        items[item_key] = _value(kind.value_type, item, dotted, report)
+        item_key = _read_value(kind.key_type, name, dotted, report)
+        items[item_key] = _read_value(kind.value_type, item, dotted, report)
     return items if len(report.faults) == before else UNSET
 
 
@@ -122,15 +122,15 @@ def _read_tagged(structs: list[inspect.StructType], value: object, key: str, rep
     if not isinstance(value, Mapping):
         return report.add(key, f"{key} = {format_value(value)}: must be a table")
     dotted, tags = join_key(key, tag_field), [struct.tag for struct in structs]
-    allowed = either(tags)
+    allowed = format_choice(tags)
     if tag_field not in value:
         report.add(dotted, f"{dotted} is missing: give {allowed}, such as {tag_field} = {format_value(tags[0])}")
         return _read_untagged(structs, structs, value, key, report)
     tag = value[tag_field]
     for struct in structs:
         if type(tag) is type(struct.tag) and tag == struct.tag:
-            return _fields(struct, value, key, report)
-    hint = near(tag, tags)
+            return _read_fields(struct, value, key, report)
+    hint = suggest(tag, tags)
     report.add(dotted, f"{dotted} = {format_value(tag)}: must be {allowed}{hint}")
     matching = [struct for struct in structs if hint and repr(struct.tag) in hint]
     return _read_untagged(structs, matching or structs, value, key, report)
@@ -166,7 +166,7 @@ def _check_untagged(
     for name in table:
         if name != kinds[0].tag_field and name not in keys and not has_further_keys:
             dotted = join_key(key, name)
-            report.add(dotted, f"{dotted} is not a key here{near(name, sorted(keys))}")
+            report.add(dotted, f"{dotted} is not a key here{suggest(name, sorted(keys))}")
     values: dict[str, Any] = {}
     for field in (field for kind in likely for field in kind.fields):
         name, dotted = field.encode_name, join_key(key, field.encode_name)
@@ -177,9 +177,9 @@ def _check_untagged(
             values[field.name] = _read_as_one(types, table[name], dotted, report)
         elif field.required:
             values[field.name] = UNSET
-            if len(kinds) > 1 and all(_requires(kind, name) for kind in kinds):
-                report.add(dotted, missing(field.type, dotted, name))
-    cls = likely[0].cls if len(likely) == 1 else _shared_base(kinds)
+            if len(kinds) > 1 and all(_is_required(kind, name) for kind in kinds):
+                report.add(dotted, describe_missing(field.type, dotted, name))
+    cls = likely[0].cls if len(likely) == 1 else _find_shared_base(kinds)
     shared = () if cls is None else cls.__struct_fields__
     return cls, {name: value for name, value in values.items() if name in shared}
 
@@ -189,7 +189,7 @@ def _read_as_one(types: list[inspect.Type], value: object, key: str, report: Fau
     attempts = []
     for candidate in types:
         attempt = FaultCollector("", {})
-        result = _value(candidate, value, key, attempt)
+        result = _read_value(candidate, value, key, attempt)
         if not attempt.faults:
             return result
         attempts.append((attempt, result))
@@ -199,11 +199,11 @@ def _read_as_one(types: list[inspect.Type], value: object, key: str, report: Fau
     return result
 
 
-def _requires(kind: inspect.StructType, name: str) -> bool:
+def _is_required(kind: inspect.StructType, name: str) -> bool:
     return any(field.encode_name == name and field.required for field in kind.fields)
 
 
-def _shared_base(kinds: list[inspect.StructType]) -> type[Struct] | None:
+def _find_shared_base(kinds: list[inspect.StructType]) -> type[Struct] | None:
     """Return the base class of all kinds that has fields, None if there is none."""
     shared = (
         base
@@ -213,7 +213,7 @@ def _shared_base(kinds: list[inspect.StructType]) -> type[Struct] | None:
     return next((base for base in shared if base.__struct_fields__), None)
 
 
-def _struct(info: inspect.StructType, value: object, key: str, report: FaultCollector) -> Any:
+def _read_struct(info: inspect.StructType, value: object, key: str, report: FaultCollector) -> Any:
     if info.tag_field:
         return _read_tagged([info], value, key, report)
     library = getattr(info.cls, "library", None)
@@ -223,7 +223,7 @@ def _struct(info: inspect.StructType, value: object, key: str, report: FaultColl
             return UNSET
     if not isinstance(value, Mapping):
         return report.add(key, f"{key or 'the whole'} = {format_value(value)}: must be a table")
-    return _fields(info, value, key, report)
+    return _read_fields(info, value, key, report)
 
 
 def _from_library(info: inspect.StructType, library: Library, value: object, key: str, report: FaultCollector) -> Any:
@@ -245,13 +245,14 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
     choices = ", ".join(entries)
     report.add(
         dotted,
-        f"{dotted} = {format_value(name)}: not in the library{near(name, entries)}; it has {choices}; or give numbers",
+        f"{dotted} = {format_value(name)}: not in the library{suggest(name, entries)}; it has {choices}; "
+        "or give numbers",
     )
     _check_untagged([info], [info], mapping, key, report)
     return UNSET  # its keys would have the values of the library
 
 
-def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: FaultCollector) -> Any:
+def _read_fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report: FaultCollector) -> Any:
     start = len(report.faults)
     gathers = getattr(info.cls, "gathers", None)
     names = [f.encode_name for f in info.fields if f.encode_name != gathers]
@@ -263,7 +264,7 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
         extra = {k: v for k, v in extra.items() if not isinstance(k, str)}
     for name in islice(extra, UNKNOWN_SHOWN):
         dotted = join_key(key, name)
-        report.add(dotted, f"{dotted} is not a key here{near(name, allowed)}; keys are {', '.join(allowed)}")
+        report.add(dotted, f"{dotted} is not a key here{suggest(name, allowed)}; keys are {', '.join(allowed)}")
     if len(extra) > UNKNOWN_SHOWN:
         report.add(key, f"{key or 'the whole'}: {len(extra) - UNKNOWN_SHOWN} more keys that have no meaning here")
     for f in info.fields:
@@ -271,9 +272,9 @@ def _fields(info: inspect.StructType, value: Mapping[Any, Any], key: str, report
         if f.encode_name == gathers:
             continue
         if f.encode_name in value:
-            values[f.name] = _value(f.type, value[f.encode_name], dotted, report)
+            values[f.name] = _read_value(f.type, value[f.encode_name], dotted, report)
         elif f.required:
-            values[f.name] = report.add(dotted, missing(f.type, dotted, f.encode_name))
+            values[f.name] = report.add(dotted, describe_missing(f.type, dotted, f.encode_name))
     return _create(info.cls, values, key, report, start)
 
 

@@ -10,8 +10,8 @@ from typing import Final
 
 from msgspec import inspect
 
-from softfinger.config.fields import unit
-from softfinger.config.typeinfo import options, unwrap
+from softfinger.config.fields import find_unit
+from softfinger.config.typeinfo import list_given_types, unwrap
 
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _INDEX: Final = re.compile(r"\[\d+\]")
@@ -24,46 +24,46 @@ def describe_allowed(info: inspect.Type, key: str) -> str:
     match kind:
         case inspect.FloatType() | inspect.IntType():
             noun = "an integer" if isinstance(kind, inspect.IntType) else "a number"
-            return f"{noun}{_span(kind)}{_unit(key)}"
+            return f"{noun}{_span(kind)}{_format_unit(key)}"
         case inspect.StrType():
-            return "text" + _length(kind, "characters") + (f" like {kind.pattern}" if kind.pattern else "")
+            return "text" + _describe_length(kind, "characters") + (f" like {kind.pattern}" if kind.pattern else "")
         case inspect.LiteralType():
-            return either(kind.values)
+            return format_choice(kind.values)
         case inspect.BoolType():
             return "true or false"
         case inspect.TupleType():
-            return f"a list of {len(kind.item_types)} {_items(kind.item_types, key)}"
+            return f"a list of {len(kind.item_types)} {_describe_items(kind.item_types, key)}"
         case inspect.VarTupleType() | inspect.ListType():
-            items = _items((kind.item_type,), key)
-            return "a list" + (_length(kind, items) or f" of {items}")
+            items = _describe_items((kind.item_type,), key)
+            return "a list" + (_describe_length(kind, items) or f" of {items}")
         case inspect.UnionType():
-            return " or ".join(dict.fromkeys(describe_allowed(option, key) for option in options(kind)))
+            return " or ".join(dict.fromkeys(describe_allowed(option, key) for option in list_given_types(kind)))
         case inspect.NoneType():
             return "left out"
         case _:
             return "a table"
 
 
-def _items(types: Sequence[inspect.Type], key: str) -> str:
+def _describe_items(types: Sequence[inspect.Type], key: str) -> str:
     """Describe the entries of a list, such as `numbers from 0 to 1 m`; only their noun if their ranges differ."""
     kinds = [unwrap(member)[0] for member in types]
     kind = kinds[0] if all(member == kinds[0] for member in kinds) else None
     match kind:
         case inspect.FloatType() | inspect.IntType():
             noun = "integers" if isinstance(kind, inspect.IntType) else "numbers"
-            return f"{noun}{_span(kind)}{_unit(key)}"
+            return f"{noun}{_span(kind)}{_format_unit(key)}"
         case inspect.StrType():
-            return "texts" + _length(kind, "characters")
+            return "texts" + _describe_length(kind, "characters")
         case inspect.LiteralType():
-            return f"values, each {either(kind.values)}"
+            return f"values, each {format_choice(kind.values)}"
         case inspect.BoolType():
             return "truth values"
     if all(isinstance(member, inspect.FloatType | inspect.IntType) for member in kinds):
-        return f"numbers{_unit(key)}"
+        return f"numbers{_format_unit(key)}"
     return "tables" if all(map(_is_table, types)) else "values"
 
 
-def missing(info: inspect.Type, dotted: str, name: str) -> str:
+def describe_missing(info: inspect.Type, dotted: str, name: str) -> str:
     kind, extra = unwrap(info)
     if not isinstance(kind, inspect.VarTupleType) and _is_table(kind):
         return f"{dotted} is missing: add the table [{_INDEX.sub('', dotted)}]"
@@ -71,7 +71,7 @@ def missing(info: inspect.Type, dotted: str, name: str) -> str:
         return f"{dotted} is missing: add at least one table [[{_INDEX.sub('', dotted)}]]"
     text = f"{dotted} is missing: give {describe_allowed(info, name)}"
     meaning = f" ({extra['description']})" if "description" in extra else ""
-    example = f", such as {name} = {toml(extra['examples'][0])}" if extra.get("examples") else ""
+    example = f", such as {name} = {format_toml(extra['examples'][0])}" if extra.get("examples") else ""
     return text + meaning + example
 
 
@@ -81,7 +81,7 @@ def _is_table(info: inspect.Type) -> bool:
     return all(isinstance(unwrap(member)[0], inspect.StructType) for member in members)
 
 
-def _length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, unit: str) -> str:
+def _describe_length(kind: inspect.StrType | inspect.VarTupleType | inspect.ListType, unit: str) -> str:
     """Return ` of 1 to 64 characters`, or an empty text if any length is allowed."""
     low, high = kind.min_length or 0, kind.max_length
     return f" of {low} to {high} {unit}" if high is not None else f" of at least {low} {unit}" if low else ""
@@ -114,12 +114,12 @@ def format_value(value: object) -> str:
     return "nothing" if value is None else f"a {type(value).__name__}"
 
 
-def toml(value: object) -> str:
+def format_toml(value: object) -> str:
     """Format an example as it is written in a file."""
     return json.dumps(value)
 
 
-def near(entered: object, allowed: Iterable[object]) -> str:
+def suggest(entered: object, allowed: Iterable[object]) -> str:
     """Return ` (did you mean 'plane'?)` for a similar name, or for up to three names that start with `entered`."""
     # difflib is slow for very long keys, and no allowed name is similar to one.
     if not isinstance(entered, str) or len(entered) > 64:
@@ -135,12 +135,12 @@ def join_key(key: str, name: object) -> str:
     return f"{key}.{part}" if key else part
 
 
-def either(names: Iterable[object]) -> str:
+def format_choice(names: Iterable[object]) -> str:
     """Return `one of 'a', 'b'`, or the only name."""
     texts = [format_value(name) for name in names]
     return texts[0] if len(texts) == 1 else f"one of {', '.join(texts)}"
 
 
-def _unit(key: str) -> str:
-    name = unit(_INDEX.sub("", key))
+def _format_unit(key: str) -> str:
+    name = find_unit(_INDEX.sub("", key))
     return f" {name}" if name else ""

@@ -155,7 +155,7 @@ def make_info(
     )
 
 
-def names(devices: Iterable[Device]) -> str:
+def list_names(devices: Iterable[Device]) -> str:
     return ", ".join(device.info.name for device in devices)
 
 

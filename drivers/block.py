@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.drivers.base import Device, DeviceIO
-from softfinger.drivers.system.makers_library import address as address_of
+from softfinger.drivers.system.makers_library import find_address as address_of
 
 CALL_PERIOD_S: Final = 1e-4
 

@@ -6,8 +6,8 @@ wakes the board every `kick`, and reports a failure after `timeout_after`. After
 discards queued samples and waits for a current one. WITHHELD reports that zero replaced the force, so that the guard
 fades the force in again. HELD reports that a force was not sent, because the device keeps the previous one.
 
-A driver implements six kernels, dispatched by the type of a named tuple that it defines: `drain`, `pose`, `busy`,
-`send_zero`, `command` and `wake`. `serial.exchange` is the shortest example.
+A driver implements six kernels, dispatched by the type of a named tuple that it defines: `drain`, `convert_sample`,
+`must_withhold`, `send_zero`, `send_wrench` and `wake`. `serial.exchange` is the shortest example.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from softfinger.drivers.block import Block, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, shift_sample_time
 from softfinger.drivers.samples import copy_sample, is_finite, is_zero
-from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, poll_fd
+from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, poll_fd, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
@@ -75,7 +75,7 @@ class Fields(NamedTuple):
 BOARD: Final = lay_out(Fields)
 
 
-class Times(NamedTuple):
+class BoardTimes(NamedTuple):
     """Time spans of an exchange, s; see `Fields`."""
 
     quiet: float
@@ -84,7 +84,7 @@ class Times(NamedTuple):
     timeout: float
 
 
-def init_exchange(block: Block, fd: int, times: Times, misread_max: int = 1) -> None:
+def init_exchange(block: Block, fd: int, times: BoardTimes, misread_max: int = 1) -> None:
     """Initialize the fields of an exchange on `fd`; `misread_max` as in `Fields`."""
     at = block.word
     at[BOARD.fd], at[BOARD.armed], at[BOARD.misread_max] = fd, 1, misread_max
@@ -110,12 +110,12 @@ def drain(driver: Any, handle: int) -> Any:
 
 
 @by_type
-def pose(driver: Any, handle: int) -> Any:
+def convert_sample(driver: Any, handle: int) -> Any:
     """Convert the latest sample into BOARD.sample, except its time. Return False if it contains no pose."""
 
 
 @by_type
-def busy(driver: Any, handle: int, has_no_sample: bool) -> Any:
+def must_withhold(driver: Any, handle: int, has_no_sample: bool) -> Any:
     """Return True if only a zero that ends a force may be sent now; `has_no_sample`: there is no current sample."""
 
 
@@ -125,7 +125,7 @@ def send_zero(driver: Any, handle: int) -> Any:
 
 
 @by_type
-def command(driver: Any, handle: int, wrench: Any) -> Any:
+def send_wrench(driver: Any, handle: int, wrench: Any) -> Any:
     """Send a wrench. Return like `send_zero`, or STALE if the driver limited it."""
 
 
@@ -138,8 +138,8 @@ def wake(driver: Any, handle: int) -> Any:
 
 
 @jit
-def _now(handle: int) -> int:
-    return monotonic_ns(handle + 8 * BOARD.timespec)
+def _read_clock(handle: int) -> int:
+    return read_monotonic_ns(handle + 8 * BOARD.timespec)
 
 
 @jit
@@ -148,7 +148,7 @@ def _kick(driver: Any, handle: int) -> int:
     if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
         return STALE
     status: int = wake(driver, handle)
-    int64_at(handle)[BOARD.kicked_at] = _now(handle)
+    int64_at(handle)[BOARD.kicked_at] = _read_clock(handle)
     exchange_int64(handle + 8 * BOARD.lock, 0)
     return status
 
@@ -178,7 +178,7 @@ def _await(driver: Any, handle: int) -> int:
     if count >= 0:
         _wait_ready(handle, 0)  # poll makes a terminal deliver bytes in transit before it reports that there are none
         count = drain(driver, handle)
-    start = now = _now(handle)
+    start = now = _read_clock(handle)
     misread_bytes = at[BOARD.misread_bytes]
     is_running = at[BOARD.has_sample] != 0
     at[BOARD.kicked_at] = start - at[BOARD.kick_awaiting]
@@ -191,7 +191,7 @@ def _await(driver: Any, handle: int) -> int:
         count = drain(driver, handle)
         if count != 0:
             break
-        now = _now(handle)
+        now = _read_clock(handle)
         if is_running and now - start > RESUME_WAIT_NS:
             break
         if not is_running and now - start > at[BOARD.timeout_after]:
@@ -204,7 +204,7 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
     at = int64_at(handle)
     if at[BOARD.fd] < 0:
         return LOST
-    now = _now(handle)
+    now = _read_clock(handle)
     had_force = at[BOARD.has_force] != 0
     was_paused = now - at[BOARD.read_at] > RESUME_NS or at[BOARD.has_sample] == 0
     if was_paused:
@@ -216,8 +216,8 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
     last_sample = float64_at(handle + 8 * BOARD.sample)
     status = STALE
     if count > 0:
-        at[BOARD.sampled_at] = _now(handle)
-        if not pose(driver, handle):
+        at[BOARD.sampled_at] = _read_clock(handle)
+        if not convert_sample(driver, handle):
             return PROTOCOL
         last_sample[SAMPLE_TIME] = (at[BOARD.sampled_at] - at[BOARD.opened_at]) * 1e-9
         at[BOARD.has_sample] = 1
@@ -231,7 +231,7 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
             if wake_status < 0:
                 return wake_status
     if was_paused:
-        at[BOARD.read_at] = _now(handle)  # waiting for the device is not a pause of the loop
+        at[BOARD.read_at] = _read_clock(handle)  # waiting for the device is not a pause of the loop
     if had_force and at[BOARD.has_force] == 0:
         status = WITHHELD  # waking has removed the force, and the answer to it must not restore the force at once
     copy_sample(last_sample, sample)
@@ -249,14 +249,14 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
     if at[BOARD.fd] < 0:
         status = OK if zero else WITHHELD
     else:
-        has_no_sample = _now(handle) - at[BOARD.sampled_at] > at[BOARD.quiet] or at[BOARD.has_sample] == 0
+        has_no_sample = _read_clock(handle) - at[BOARD.sampled_at] > at[BOARD.quiet] or at[BOARD.has_sample] == 0
         if zero or not is_finite(wrench, 3) or not at[BOARD.armed] or has_no_sample:
-            if at[BOARD.has_force] != 0 or not busy(driver, handle, has_no_sample):
+            if at[BOARD.has_force] != 0 or not must_withhold(driver, handle, has_no_sample):
                 status = send_zero(driver, handle)
             if status >= 0 and not zero:
                 status = WITHHELD
         else:
-            status = command(driver, handle, wrench)
+            status = send_wrench(driver, handle, wrench)
     exchange_int64(handle + 8 * BOARD.lock, 0)
     return status
 

@@ -9,7 +9,7 @@ RECORD_BYTES_MAX: Final = 16 << 20
 """Maximum bytes of a record, and of an unpacked chunk; the library has no limit. Chunks of this program have 64 KiB."""
 
 
-def mcap_messages(file: IO[bytes], topic: str | None) -> Iterator[tuple[Any, Any, Any]]:
+def iter_mcap_messages(file: IO[bytes], topic: str | None) -> Iterator[tuple[Any, Any, Any]]:
     """Yield schema (None without one), channel and message of each message of a topic (None: all), in file order.
 
     Raises ValueError if a size exceeds the limit, and any error of the library for damaged bytes.
@@ -19,7 +19,7 @@ def mcap_messages(file: IO[bytes], topic: str | None) -> Iterator[tuple[Any, Any
 
     schemas: dict[int, Any] = {}
     channels: dict[int, Any] = {}
-    for outer in mcap_records(file):
+    for outer in iter_mcap_records(file):
         for record in breakup_chunk(outer) if isinstance(outer, Chunk) else (outer,):
             if isinstance(record, Schema):
                 schemas[record.id] = record
@@ -29,8 +29,8 @@ def mcap_messages(file: IO[bytes], topic: str | None) -> Iterator[tuple[Any, Any
                 yield schemas[channel.schema_id] if channel.schema_id else None, channel, record
 
 
-def mcap_records(file: IO[bytes], on_damage: Callable[[Exception], None] | None = None) -> Iterator[Any]:
-    """Yield every record in file order, chunks unpacked; raises like `mcap_messages`.
+def iter_mcap_records(file: IO[bytes], on_damage: Callable[[Exception], None] | None = None) -> Iterator[Any]:
+    """Yield every record in file order, chunks unpacked; raises like `iter_mcap_messages`.
 
     on_damage  receives the error of each chunk that cannot be unpacked, which is then skipped
     """

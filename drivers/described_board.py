@@ -18,8 +18,8 @@ from softfinger.drivers.fields.table import (
     GRIPPER,
     SENSED_SIZE,
     encode,
-    input_table,
-    output_table,
+    make_input_table,
+    make_output_table,
 )
 from softfinger.drivers.kinematics.mechanism import (
     FULL,
@@ -28,9 +28,9 @@ from softfinger.drivers.kinematics.mechanism import (
     NO_MECHANISM,
     SINGULAR,
     Mechanism,
-    force_to_command,
+    compute_command,
+    find_kind,
     forward_kinematics,
-    kind_of,
     make_mechanism,
 )
 from softfinger.drivers.kinematics.options import Kinematics
@@ -96,10 +96,10 @@ def init_described(
     at = block.word
     has_wrist = getattr(kinematics, "wrist_counts_per_turn", None) is not None
     has_orientation = has_wrist or any(field.meaning == "qw" for field in read)
-    at[DESCRIBED.kind], at[DESCRIBED.has_orientation] = kind_of(kinematics, has_orientation), has_orientation
+    at[DESCRIBED.kind], at[DESCRIBED.has_orientation] = find_kind(kinematics, has_orientation), has_orientation
     at[DESCRIBED.in_rows], at[DESCRIBED.out_rows] = len(read), len(written)
-    block.set_address(DESCRIBED.in_table, input_table(read, big_endian))
-    block.set_address(DESCRIBED.out_table, output_table(written, big_endian))
+    block.set_address(DESCRIBED.in_table, make_input_table(read, big_endian))
+    block.set_address(DESCRIBED.out_table, make_output_table(written, big_endian))
     mechanism = make_mechanism(kinematics, board.force_max_n)
     block.numbers(DESCRIBED.last_position, 3)[:] = mechanism.delta.home
     set_model(block, mechanism, board.mounting)
@@ -142,7 +142,7 @@ def store_in_world(handle: int, model: FrameConversion, position: Vec3, rotation
 
 
 @jit
-def force_in_device(handle: int, wrench: Any) -> Vec3:
+def rotate_force_into_device(handle: int, wrench: Any) -> Vec3:
     """Return the force (3,) N of a wrench in the device's frame."""
     model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * DESCRIBED.model)
     return rotate(conjugate(model.orientation), (wrench[0], wrench[1], wrench[2]))
@@ -160,7 +160,7 @@ def encode_force(handle: int, force: Vec3, packet: int) -> int:
         model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * DESCRIBED.model)
         values = float64_at(handle + 8 * DESCRIBED.values)
         last_position = float64_at(handle + 8 * DESCRIBED.last_position)
-        outcome = force_to_command(at[DESCRIBED.kind], model.mechanism, values, last_position, force, command_values)
+        outcome = compute_command(at[DESCRIBED.kind], model.mechanism, values, last_position, force, command_values)
     scratch_word = handle + 8 * DESCRIBED.scratch_word
     is_limited = encode(command_values, at[DESCRIBED.out_table], at[DESCRIBED.out_rows], scratch_word, packet)
     return LIMITED if is_limited and outcome == FULL else outcome

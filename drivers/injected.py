@@ -104,7 +104,7 @@ def _record(word: Any, index: int, tick: int) -> None:
 
 
 @jit
-def _block_for(microseconds: float) -> None:
+def _make_block(microseconds: float) -> None:
     remaining_us = int(microseconds)
     while remaining_us > 0:
         _usleep(min(remaining_us, BLOCK_US))
@@ -130,7 +130,7 @@ def _replace_read(handle: int, tick: int) -> tuple[int, bool]:
         elif action == UNPLUG:
             status = LOST
         elif action == BLOCK_READ:
-            _block_for(row[A])
+            _make_block(row[A])
         if action != HOLD_FORCE and action != BLOCK_WRITE and action != FAIL_WRITE:
             _record(word, index, tick)
     return status, is_repeated
@@ -198,7 +198,7 @@ def _write(handle: int, wrench: Any) -> int:
             continue
         action = int(row[ACTION])
         if action == BLOCK_WRITE:
-            _block_for(row[A])
+            _make_block(row[A])
         elif action == ZERO_FORCE:
             status = WITHHELD
             for i in range(WRENCH_SIZE):
@@ -232,7 +232,7 @@ class FaultInjector(Device):
         at[AT.last_fault] = -1
         at[AT.random] = next((fault.seed for fault in self._faults if isinstance(fault, faults.Corrupt)), 1)
         at[AT.length] = len(self._faults)
-        block.set_address(AT.faults, table(self._faults, rate_hz))
+        block.set_address(AT.faults, make_fault_table(self._faults, rate_hz))
 
     def io(self) -> DeviceIO:
         return DeviceIO(_read.address, _write.address, self._block.handle)
@@ -272,7 +272,7 @@ class FaultInjector(Device):
         return self._device.counts() | self._block.counts()
 
 
-def table(injections: list[Injection], rate_hz: float) -> NDArray[np.float64]:
+def make_fault_table(injections: list[Injection], rate_hz: float) -> NDArray[np.float64]:
     """Return the fault table for the kernels (count, ROW)."""
     rows = np.zeros((len(injections), ROW))
     for row, fault in zip(rows, injections, strict=True):

@@ -10,9 +10,9 @@ from softfinger.config.fields import (
     Orientation,
     Point,
     Table,
+    check_orientation,
     doc,
     normalise_orientation,
-    orientation_faults,
 )
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics.rotations import normalize
@@ -30,7 +30,7 @@ class Mounting(Table, frozen=True, kw_only=True):
         normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
-        yield from orientation_faults(self.orientation_wxyz)
+        yield from check_orientation(self.orientation_wxyz)
 
     def frame(self) -> tuple[Vec3, Quaternion]:
         """Return the device's origin in the world (m), and the unit quaternion from device to world."""

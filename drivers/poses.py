@@ -23,8 +23,8 @@ from softfinger.config.arrays import Array
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
-from softfinger.config.words import near
-from softfinger.drivers.containers import mcap_messages
+from softfinger.config.words import suggest
+from softfinger.drivers.containers import iter_mcap_messages
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "config" / "recordings"
 """Folder of the shipped recordings."""
@@ -128,7 +128,7 @@ def find_recording(recording: str | Path) -> Path:
     if name in names:
         return SHIPPED / f"{name}.csv"
     raise RecordingError(
-        f"recording '{recording}' is neither a file nor a shipped recording{near(name, names)}; "
+        f"recording '{recording}' is neither a file nor a shipped recording{suggest(name, names)}; "
         f"shipped are {', '.join(names)}"
     )
 
@@ -180,11 +180,11 @@ def check_poses(t: Array, position: Array, orientation: Array, locate: Callable[
 
 def _read_csv(path: Path) -> Poses:
     with open_input(path) as file:
-        first = next(_lines(path, file, 1), "")
+        first = next(_iter_lines(path, file, 1), "")
         return _read_rows(path, first, file)
 
 
-def _lines(path: Path, file: IO[bytes], number: int) -> Iterator[str]:
+def _iter_lines(path: Path, file: IO[bytes], number: int) -> Iterator[str]:
     """Yield the text of each line; `number` is that of the first one, for messages."""
     while line := file.readline(LINE_MAX):
         if len(line) == LINE_MAX:
@@ -215,7 +215,7 @@ def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
             values.frombytes(rows[:, index].tobytes())
             number += len(rows)
             continue
-        for line in _lines(path, BytesIO(block), number):
+        for line in _iter_lines(path, BytesIO(block), number):
             if line.strip():
                 _check_count(path, len(numbers))
                 numbers.append(number)
@@ -223,7 +223,9 @@ def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
             number += 1
     table = np.frombuffer(values).reshape(-1, len(columns))
     locate = _make_locator(path, numbers)
-    return check_poses(_relative_times(table[:, 0], columns is RESULT_COLUMNS), table[:, 1:4], table[:, 4:8], locate)
+    return check_poses(
+        _subtract_first_time(table[:, 0], columns is RESULT_COLUMNS), table[:, 1:4], table[:, 4:8], locate
+    )
 
 
 def _parse_block(lines: bytes, width: int) -> Array | None:
@@ -284,7 +286,7 @@ def _read_npz(path: Path) -> Poses:
     t, position, orientation = columns
     if not len(t) == len(position) == len(orientation):
         raise RecordingError(f"{path}: arrays of {len(t)}, {len(position)} and {len(orientation)} rows, must be equal")
-    return check_poses(_relative_times(t, True), position, orientation, _make_locator(path))
+    return check_poses(_subtract_first_time(t, True), position, orientation, _make_locator(path))
 
 
 def _read_mcap(path: Path, finger: str) -> Poses:
@@ -311,11 +313,11 @@ def _read_mcap(path: Path, finger: str) -> Poses:
             ) from error
     table = np.frombuffer(values).reshape(-1, 10)
     return check_poses(
-        _times_from_ticks(table[:, 0], table[:, 1], table[:, 2]), table[:, 3:6], table[:, 6:10], _make_locator(path)
+        _compute_times(table[:, 0], table[:, 1], table[:, 2]), table[:, 3:6], table[:, 6:10], _make_locator(path)
     )
 
 
-def _times_from_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
+def _compute_times(timestamp: Array, tick: Array, dt: Array) -> Array:
     """Return times (n,) s of ticks, from the first: each step in whole periods of the loop, plus one per missing tick.
 
     Return times relative to the first timestamp if ticks or steps cannot be from a loop.
@@ -324,14 +326,14 @@ def _times_from_ticks(timestamp: Array, tick: Array, dt: Array) -> Array:
         tick_steps = np.diff(tick)
         is_usable = len(dt) > 1 and bool(np.all((dt > DT_MIN_S) & (dt < DT_MAX_S)) and np.all(tick_steps >= 1))
     if not is_usable:
-        return _relative_times(timestamp, True)
+        return _subtract_first_time(timestamp, True)
     period = float(dt.min())
     periods = tick_steps - 1.0 + np.maximum(1.0, np.rint(dt[1:] / period))
-    return np.concatenate(([0.0], np.cumsum(periods))) / rate_from_period(period)
+    return np.concatenate(([0.0], np.cumsum(periods))) / find_rate(period)
 
 
 @cache
-def rate_from_period(period_s: float) -> float:
+def find_rate(period_s: float) -> float:
     """Return the roundest rate (Hz) with this period to the nanosecond, as in the loop: the rate in its rig."""
     nanoseconds = round(period_s * 1e9)
     for digits in range(7):
@@ -352,7 +354,7 @@ def decode_messages(path: Path, topic: str = TOPIC) -> Iterator[Any]:
     factory = DecoderFactory()
     with open_input(path) as file:
         try:
-            for schema, channel, message in mcap_messages(file, topic):
+            for schema, channel, message in iter_mcap_messages(file, topic):
                 decode = factory.decoder_for(channel.message_encoding, schema)
                 if decode is None:
                     raise ValueError(f"messages are encoded as {channel.message_encoding[:20]!r}, must be protobuf")
@@ -383,7 +385,7 @@ def _make_locator(path: Path, line_numbers: Sequence[int] | None = None) -> Call
     return locate
 
 
-def _relative_times(t: Array, relative: bool) -> Array:
+def _subtract_first_time(t: Array, relative: bool) -> Array:
     """Return times from the first row if `relative`, because results have times since the epoch."""
     with np.errstate(invalid="ignore", over="ignore"):
         return t - t[0] if relative and len(t) else t

@@ -27,9 +27,9 @@ BUILT_IN: Final = (
 _registered: Final[dict[str, ModuleType]] = {}
 
 
-def names() -> list[str]:
+def list_names() -> list[str]:
     """Return the names of all drivers: built in, then added by this program and by installed packages."""
-    return [*BUILT_IN, *sorted({*_registered, *_entry_points()} - set(BUILT_IN))]
+    return [*BUILT_IN, *sorted({*_registered, *_list_entry_points()} - set(BUILT_IN))]
 
 
 def add(name: str, module: ModuleType) -> None:
@@ -51,9 +51,9 @@ def load(name: str) -> ModuleType:
         return importlib.import_module(f"softfinger.drivers.{name}.device")
     if name in _registered:
         return _registered[name]
-    entry = _entry_points().get(name)
+    entry = _list_entry_points().get(name)
     if entry is None:
-        driver_names = names()
+        driver_names = list_names()
         close = difflib.get_close_matches(name, driver_names, n=1)
         hint = f"did you mean '{close[0]}'? " if close else ""
         raise DeviceNotFound(f"no driver is called '{name}': {hint}Drivers are {', '.join(driver_names)}")
@@ -67,14 +67,14 @@ def load(name: str) -> ModuleType:
     return _check_driver(name, module, f"{entry.value}, an entry point in group '{ENTRY_POINT_GROUP}'")
 
 
-def options(config: DeviceConfig, where: str = "[device]") -> Any:
+def read_options(config: DeviceConfig, where: str = "[device]") -> Any:
     """Return a rig's [device] table as the Options of its driver; raises ConfigError for an invalid key or value."""
     return build(load(config.driver).Options, config.options, where)
 
 
 def check(config: DeviceConfig, rate_hz: float, where: str = "[device]") -> Any:
     """Return the Options of a [device] table; raises ConfigError if the driver rejects them or the rate (Hz)."""
-    driver_options = options(config, where)
+    driver_options = read_options(config, where)
     check_options = getattr(load(config.driver), "check", None)
     if check_options is not None:
         check_options(driver_options, rate_hz, where)
@@ -102,5 +102,5 @@ def _check_driver(name: str, module: Any, source: str) -> ModuleType:
     return module
 
 
-def _entry_points() -> dict[str, metadata.EntryPoint]:
+def _list_entry_points() -> dict[str, metadata.EntryPoint]:
     return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT_GROUP)}

@@ -45,20 +45,20 @@ def resample(poses: Poses, rate_hz: float) -> Array:
     on_sample = (near < len(t)) & (np.abs(t[np.minimum(near, len(t) - 1)] - at) <= SAME_TIME_S)
     if on_sample.all():  # recorded at this rate
         return np.concatenate((poses.position[near], poses.orientation[near]), axis=1)
-    samples, slopes = np.empty((len(at), 7)), _slopes(t, poses.position)
+    samples, slopes = np.empty((len(at), 7)), _compute_slopes(t, poses.position)
     for first in range(0, len(at), BLOCK):
         chunk = slice(first, first + BLOCK)
         segment = np.clip(np.searchsorted(t, at[chunk], side="right") - 1, 0, len(t) - 2)
         width = t[segment + 1] - t[segment]
         u = np.clip((at[chunk] - t[segment]) / width, 0.0, 1.0)[:, None]
-        samples[chunk, :3] = _hermite(poses.position, slopes, segment, width[:, None], u)
+        samples[chunk, :3] = _interpolate_hermite(poses.position, slopes, segment, width[:, None], u)
         samples[chunk, 3:] = slerp(poses.orientation[segment], poses.orientation[segment + 1], u)
     samples[on_sample, :3] = poses.position[near[on_sample]]
     samples[on_sample, 3:] = poses.orientation[near[on_sample]]
     return samples
 
 
-def _slopes(t: Array, x: Array) -> Array:
+def _compute_slopes(t: Array, x: Array) -> Array:
     """Return velocities (N, 3) at the samples that make the interpolant monotone wherever the samples are.
 
     Source: Fritsch, Carlson (1980), with the weighted harmonic mean of Fritsch, Butland (1984) and their one-sided
@@ -88,7 +88,7 @@ def _end_slope(h0: Array, h1: Array, secant0: Array, secant1: Array) -> Array:
     return np.where(turns & (np.abs(slope) > 3.0 * np.abs(secant0)), 3.0 * secant0, slope)
 
 
-def _hermite(x: Array, slope: Array, segment: NDArray[np.intp], width: Array, u: Array) -> Array:
+def _interpolate_hermite(x: Array, slope: Array, segment: NDArray[np.intp], width: Array, u: Array) -> Array:
     a, b = x[segment], x[segment + 1]
     rise = u * u * (3.0 - 2.0 * u)
     value: Array = a + rise * (b - a) + width * u * (1.0 - u) * ((1.0 - u) * slope[segment] - u * slope[segment + 1])
@@ -120,14 +120,14 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
     instead. Sample L of the motion is sample 0.
     """
     end, start = samples[-1], samples[0]
-    travel, rotation_vector = start[:3] - end[:3], quaternions.log(_relative(end[3:], start[3:]))
+    travel, rotation_vector = start[:3] - end[:3], quaternions.log(_rotate_relative(end[3:], start[3:]))
     distance, angle = float(np.linalg.norm(travel)), float(np.linalg.norm(rotation_vector))
     if distance <= SEAM_TOLERANCE and angle <= SEAM_TOLERANCE and _is_continuous(samples, rate_hz):
         return np.ascontiguousarray(samples[:-1])
 
     start_velocity, end_velocity = (samples[-1, :3] - samples[-2, :3]) * rate_hz, (samples[1, :3] - start[:3]) * rate_hz
-    start_spin = quaternions.log(_relative(samples[-2, 3:], end[3:])) * rate_hz
-    end_spin = quaternions.log(_relative(start[3:], samples[1, 3:])) * rate_hz
+    start_spin = quaternions.log(_rotate_relative(samples[-2, 3:], end[3:])) * rate_hz
+    end_spin = quaternions.log(_rotate_relative(start[3:], samples[1, 3:])) * rate_hz
     seconds = max(
         RETURN_MIN_S,
         MINIMUM_JERK_PEAK * distance / RETURN_SPEED_M_PER_S,
@@ -137,10 +137,12 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
     u = (np.arange(1, count) / count)[:, None]
     seconds = count / rate_hz
     path = np.empty((count - 1, 7))
-    path[:, :3] = end[:3] + _quintic(travel, start_velocity, end_velocity, seconds, u)
+    path[:, :3] = end[:3] + _interpolate_quintic(travel, start_velocity, end_velocity, seconds, u)
     # Turn in the body frame at the end: there the rate of the rotation vector is the angular velocity. At the start it
     # is so only through the inverse Jacobian of the rotation vector.
-    rotation = _quintic(rotation_vector, start_spin, _inverse_jacobian(rotation_vector) @ end_spin, seconds, u)
+    rotation = _interpolate_quintic(
+        rotation_vector, start_spin, _compute_inverse_jacobian(rotation_vector) @ end_spin, seconds, u
+    )
     path[:, 3:] = quaternions.multiply(end[3:], quaternions.exp(rotation))
     return np.concatenate((samples, path))
 
@@ -148,7 +150,7 @@ def close_loop(samples: Array, rate_hz: float) -> Array:
 def _is_continuous(samples: Array, rate_hz: float) -> bool:
     """Return True if the velocity step from the end to the start is no larger than the steps within the motion."""
     velocity = np.diff(samples[:, :3], axis=0) * rate_hz
-    spin = quaternions.log(_relative(samples[:-1, 3:], samples[1:, 3:])) * rate_hz
+    spin = quaternions.log(_rotate_relative(samples[:-1, 3:], samples[1:, 3:])) * rate_hz
     for rates, negligible in ((velocity, SEAM_SPEED_M_PER_S), (spin, SEAM_SPEED_RAD_PER_S)):
         within = np.linalg.norm(np.diff(rates, axis=0), axis=1)
         if np.linalg.norm(rates[0] - rates[-1]) > max(negligible, float(within.max(initial=0.0))):
@@ -156,7 +158,7 @@ def _is_continuous(samples: Array, rate_hz: float) -> bool:
     return True
 
 
-def _quintic(travel: Array, start_velocity: Array, end_velocity: Array, seconds: float, u: Array) -> Array:
+def _interpolate_quintic(travel: Array, start_velocity: Array, end_velocity: Array, seconds: float, u: Array) -> Array:
     """Return the minimum-jerk path from 0 to `travel` with the given velocities and zero acceleration at both ends."""
     rise = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     out = u - u**3 * (6.0 - 8.0 * u + 3.0 * u**2)
@@ -165,12 +167,12 @@ def _quintic(travel: Array, start_velocity: Array, end_velocity: Array, seconds:
     return path
 
 
-def _relative(a: Array, b: Array) -> Array:
+def _rotate_relative(a: Array, b: Array) -> Array:
     """Return a^-1 b: the rotation from a to b in the body frame."""
     return quaternions.multiply(quaternions.conjugate(a), b)
 
 
-def _inverse_jacobian(rotation: Array) -> Array:
+def _compute_inverse_jacobian(rotation: Array) -> Array:
     """Return the (3, 3) inverse right Jacobian, from body angular velocity to the rate of the rotation vector."""
     angle = float(np.linalg.norm(rotation))
     x, y, z = rotation

@@ -31,7 +31,7 @@ def store_pose(sample: Any, position: Vec3, orientation: Quaternion) -> None:
 
 
 @jit
-def orientation_of_rows(rows: tuple[Vec3, Vec3, Vec3]) -> Quaternion:
+def convert_matrix(rows: tuple[Vec3, Vec3, Vec3]) -> Quaternion:
     """Return the orientation of a matrix (3, 3); NaN if it is not a rotation."""
     is_rotation = abs(vec3.dot(rows[0], vec3.cross(rows[1], rows[2])) - 1.0) < NOT_A_ROTATION
     for i in range(3):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
-from softfinger.config.files import new_file
+from softfinger.config.files import write_new_file
 from softfinger.drivers.base import OK, WITHHELD
 from softfinger.drivers.block import Block, BlockDevice, address, counter, lay_out, word
 from softfinger.drivers.samples import is_zero
@@ -164,7 +164,7 @@ class LoggedDevice(BlockDevice):
                 "%s has the last %d wrenches; %d earlier ones were overwritten", path, len(read), self.overwritten_count
             )
         try:
-            with new_file(path) as file:
+            with write_new_file(path) as file:
                 if path.suffix.lower() == ".csv":
                     file.write((",".join(FORCE_COLUMNS) + "\n").encode())
                     for n, row in zip(read.tolist(), wrench.tolist(), strict=True):

@@ -7,25 +7,25 @@ from math import hypot
 from typing import Any
 
 from softfinger.config import schema
-from softfinger.config.mjcf import body_number
+from softfinger.config.mjcf import find_body_number
 from softfinger.proxy.bodies import RigidBodies
 from softfinger.proxy.kernels import model
 
 
-def kernel_effects(effects: Iterable[schema.Effect | schema.ObjectEffect]) -> tuple[Any, ...]:
+def compile_effects(effects: Iterable[schema.Effect | schema.ObjectEffect]) -> tuple[Any, ...]:
     """Return the kernel effects of the workspace or of one object, in the order of the file."""
-    return tuple(_effect(effect) for effect in effects)
+    return tuple(_compile_effect(effect) for effect in effects)
 
 
-def _effect(effect: schema.Effect | schema.ObjectEffect) -> Any:
-    touching = model.Touching(1.0)
+def _compile_effect(effect: schema.Effect | schema.ObjectEffect) -> Any:
+    touching = model.TouchCondition(1.0)
     match effect:
         case schema.Viscosity():
-            return model.Viscosity(effect.damping_ns_per_m, _region(effect.region))
+            return model.Viscosity(effect.damping_ns_per_m, _compile_region(effect.region))
         case schema.ObjectViscosity():
             return model.Viscosity(effect.damping_ns_per_m, touching)
         case schema.ConstantForce():
-            return model.ConstantForce(effect.force_n, _region(effect.region))
+            return model.ConstantForce(effect.force_n, _compile_region(effect.region))
         case schema.ObjectForce():
             return model.ConstantForce(effect.force_n, touching)
         case schema.Spring():
@@ -34,15 +34,15 @@ def _effect(effect: schema.Effect | schema.ObjectEffect) -> Any:
                 effect.stiffness_n_per_m,
                 effect.rest_length_m,
                 effect.force_max_n,
-                _region(effect.region),
+                _compile_region(effect.region),
             )
         case schema.Vibration():
-            direction, region = _unit(effect.direction), _region(effect.region)
+            direction, region = _to_unit(effect.direction), _compile_region(effect.region)
             return model.Vibration(effect.amplitude_n, effect.frequency_hz, direction, region)
         case schema.ObjectVibration():
             if effect.direction is None:
                 return model.NormalVibration(effect.amplitude_n, effect.frequency_hz)
-            return model.Vibration(effect.amplitude_n, effect.frequency_hz, _unit(effect.direction), touching)
+            return model.Vibration(effect.amplitude_n, effect.frequency_hz, _to_unit(effect.direction), touching)
         case schema.Boundary():
             spring = effect.stiffness_n_per_m, effect.damping_ns_per_m, effect.force_max_n
             if effect.size_m is not None:
@@ -56,7 +56,7 @@ def _effect(effect: schema.Effect | schema.ObjectEffect) -> Any:
     raise TypeError(f"{type(effect).__name__} is not an effect of config.schema")
 
 
-def _region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegion | None:
+def _compile_region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegion | None:
     if region is None:
         return None
     if region.size_m is not None:
@@ -65,29 +65,29 @@ def _region(region: schema.Region | None) -> model.BoxRegion | model.SphereRegio
     return model.SphereRegion(region.position_m, region.radius_m, region.edge_m)
 
 
-def kernel_motion(motion: schema.Motion | None, bodies: RigidBodies | None = None) -> model.Motion | None:
+def compile_motion(motion: schema.Motion | None, bodies: RigidBodies | None = None) -> model.Motion | None:
     """Return the kernel motion of an object; None if it does not move.
 
     An object attached to a body needs the `bodies`.
     """
     match motion:
         case schema.Sinusoid():
-            return model.AT_REST._replace(
-                kind=model.SINUSOID, translation=motion.translation_m, axis=_unit(motion.axis),
+            return model.NO_MOTION._replace(
+                kind=model.SINUSOID, translation=motion.translation_m, axis=_to_unit(motion.axis),
                 angle=motion.rotation_rad, frequency=motion.frequency_hz, phase=motion.phase_rad,
             )  # fmt: skip
         case schema.Turntable():
-            axis, rate, pivot = _unit(motion.axis), motion.rate_rad_per_s, motion.pivot_m
-            return model.AT_REST._replace(kind=model.TURNTABLE, axis=axis, rate=rate, pivot=pivot)
+            axis, rate, pivot = _to_unit(motion.axis), motion.rate_rad_per_s, motion.pivot_m
+            return model.NO_MOTION._replace(kind=model.TURNTABLE, axis=axis, rate=rate, pivot=pivot)
         case schema.Driven():
-            return model.AT_REST._replace(kind=model.DRIVEN)
+            return model.NO_MOTION._replace(kind=model.DRIVEN)
         case schema.Body() if bodies is not None:
-            body = float(body_number(bodies.model, bodies.world, motion.body))
-            return model.AT_REST._replace(kind=model.SIMULATED, block=bodies.block, body=body)
+            body = float(find_body_number(bodies.model, bodies.world, motion.body))
+            return model.NO_MOTION._replace(kind=model.SIMULATED, block=bodies.block, body=body)
     return None
 
 
-def _unit(v: model.Vec3) -> model.Vec3:
+def _to_unit(v: model.Vec3) -> model.Vec3:
     length = hypot(*v)
     return (v[0] / length, v[1] / length, v[2] / length)
 

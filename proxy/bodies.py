@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, SafetyStop
-from softfinger.config.mjcf import key_number, mujoco_module, read_model
-from softfinger.config.mjcf_geoms import moves
+from softfinger.config.mjcf import find_key_number, import_mujoco, read_model
+from softfinger.config.mjcf_geoms import can_move
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
@@ -57,13 +57,13 @@ class RigidBodies:
 
     def __init__(self, world: schema.World) -> None:
         self.world: Final = world
-        package = mujoco_module()
+        package = import_mujoco()
         self.model = read_model(world)
         # A divergence must be reported, not hidden by an automatic reset to the initial state.
         self.model.opt.disableflags |= package.mjtDisableBit.mjDSBL_AUTORESET
-        self._key: Final = key_number(self.model, world)
+        self._key: Final = find_key_number(self.model, world)
         self.data: Final = package.MjData(self.model)
-        self.moving: Final = [body for body in range(1, self.model.nbody) if moves(self.model, body)]
+        self.moving: Final = [body for body in range(1, self.model.nbody) if can_move(self.model, body)]
         """Numbers of the bodies that can move; `names` are their names, or numbers of unnamed bodies."""
         self.names: Final = [self.model.body(body).name or str(body) for body in self.moving]
         self._fault: Final = np.zeros(2, np.int64)
@@ -82,16 +82,16 @@ class RigidBodies:
 
     def _connect(self) -> None:
         """Look up MuJoCo's functions, route its errors to `rescue`, and collect the addresses for the kernels."""
-        self._library = _library(mujoco_module())
+        self._library = _load_library(import_mujoco())
         self._library.mju_setLogConfig(_LogConfig())  # warnings are counted: a servo thread must not write files
         if not PLAIN:  # calls of MuJoCo from Python still raise exceptions
             self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
             self._library.mju_setLogHandler(jump_on_error.address)
         self._memory = np.zeros(RESCUE_BYTES + RESCUE_ALIGNMENT, np.uint8)
         self._rescue = -(-self._memory.ctypes.data // RESCUE_ALIGNMENT) * RESCUE_ALIGNMENT
-        self.block = SimulationAddresses(self._words(self._library), self)
+        self.block = SimulationAddresses(self._make_words(self._library), self)
 
-    def _words(self, library: ctypes.CDLL) -> Any:
+    def _make_words(self, library: ctypes.CDLL) -> Any:
         data, words = self.data, np.zeros(at.BLOCK_SIZE, np.int64)
         counters = data.warning.number
         words[at.MODEL], words[at.DATA] = self.model._address, data._address
@@ -121,7 +121,7 @@ class RigidBodies:
 
     def step_half(self, half: int) -> bool:
         """Run half a step with MuJoCo's Python package, for kernels in plain Python. Return whether it failed."""
-        package = mujoco_module()
+        package = import_mujoco()
         try:
             (package.mj_step1 if half == at.FIRST_HALF else package.mj_step2)(self.model, self.data)
         except package.FatalError as error:
@@ -148,7 +148,7 @@ class RigidBodies:
         if fault == at.WARNED:
             counted = self.data.warning
             kind = int(np.flatnonzero(counted.number)[0])
-            message = mujoco_module().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
+            message = import_mujoco().mju_warningText(kind, counted.lastinfo[kind]).rstrip(". ")
         else:
             message = self._message or words_in(self._rescue)
         return SafetyStop(f"{text}: MuJoCo said: {message}: {remedy}")
@@ -164,7 +164,7 @@ class RigidBodies:
 
         Raises ConfigError if the model has another fixed time step, or if its initial state has no finite acceleration.
         """
-        package = mujoco_module()
+        package = import_mujoco()
         step = self.model.opt.timestep * self.world.substeps
         fits = abs(step - period_s) <= TIMESTEP_TOLERANCE * period_s
         if not fits and self.world.timestep == "tick":
@@ -197,7 +197,7 @@ class RigidBodies:
 _WARNINGS: Final = ("inertia", "contacts full", "constraints full", "bad qpos", "bad qvel", "bad qacc", "bad ctrl")
 
 
-def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> RigidBodies | None:
+def compile_bodies(scene: schema.Scene, before: kernels.Scene | None = None) -> RigidBodies | None:
     """Return the world of a scene, None without one; reuse the one of a scene `before`, if given.
 
     Raises ConfigError if the world differs from the one of `before`.
@@ -216,13 +216,13 @@ def bodies_of(scene: schema.Scene, before: kernels.Scene | None = None) -> Rigid
     return owner
 
 
-def motion_size(scene: kernels.Scene) -> int:
+def count_motion_values(scene: kernels.Scene) -> int:
     """Return the size of the array that describes the motion of a scene's bodies: `query.bodies.write_motion`."""
     moving = 0 if scene.bodies is None else len(scene.bodies.block.owner.moving)
     return 1 + at.MOTION_SIZE * moving
 
 
-def body_maps(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
+def decode_motion(names: list[str], values: NDArray[np.float64]) -> list[dict[str, Any]]:
     """Return the bodies of a message, from the array that `query.bodies.write_motion` writes."""
     return [
         {"name": name, "position": row[:3], "orientation": row[3:7], "velocity": row[7:10], "rate": row[10:13]}
@@ -245,7 +245,7 @@ def check_bodies(scene: kernels.Scene) -> None:
         raise failure
 
 
-def _library(package: Any) -> ctypes.CDLL:
+def _load_library(package: Any) -> ctypes.CDLL:
     folder = Path(package.__file__).parent
     libraries = sorted(folder.glob("libmujoco.so*")) + sorted(folder.glob("libmujoco*.dylib"))
     if not libraries:

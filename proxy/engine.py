@@ -22,9 +22,9 @@ from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.jit.tuples import map_each, rows_of
 from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.query.bodies import step_bodies
-from softfinger.proxy.kernels.record_writer import poses_in, write_surfaces, write_timed_contact
+from softfinger.proxy.kernels.record_writer import read_poses, write_surfaces, write_timed_contact
 from softfinger.proxy.kernels.step import step
-from softfinger.proxy.pose_checks import PoseError, check_poses, poses_together
+from softfinger.proxy.pose_checks import PoseError, check_poses, stack_poses
 from softfinger.proxy.record import POSITION_MAX_M, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.proxy.step_result import Step
@@ -61,7 +61,7 @@ def step_many(
     parameters = unpack(scene, values)
     state = unpack(start, state_values)
     for i in range(poses.shape[0]):
-        probes = poses_in(rows_of(parameters.fingers, poses[i], 0))
+        probes = read_poses(rows_of(parameters.fingers, poses[i], 0))
         state, contacts = step(parameters, state, probes, dt)
         rows = rows_of(parameters.fingers, records[i], 0)
         map_each(write_timed_contact, (contacts, rows, probes), first_tick + i, dt)
@@ -70,7 +70,7 @@ def step_many(
     pack(state_values, state)
 
 
-def compiled(scene: Scene, begin: State) -> Callable[..., None]:
+def compile_steps(scene: Scene, begin: State) -> Callable[..., None]:
     """Return `step_many` compiled for scenes and states of these types; it ignores the arguments `scene` and `start`.
 
     numba's dispatcher would determine the types of both trees number by number on each call, in a hundred microseconds.
@@ -219,11 +219,11 @@ class Engine:
             If a value is out of range, a path does not exist, or a change requires another compiled model.
         """
         from softfinger.config.load import apply_overrides
-        from softfinger.proxy.scene import other_model
+        from softfinger.proxy.scene import describe_model_change
 
         values = {changes: value} if isinstance(changes, str) else changes
         if not self._take(apply_overrides(self.config, values, "set")):
-            raise ConfigError(f"set: {other_model(self.config, values)}: create another Engine")
+            raise ConfigError(f"set: {describe_model_change(self.config, values)}: create another Engine")
 
     def get(self, path: str) -> Any:
         """Return the present value of a parameter.
@@ -239,13 +239,13 @@ class Engine:
             If the scene has no value there.
         """
         from softfinger.config.load import describe
-        from softfinger.config.overrides import index_entries, value_at
+        from softfinger.config.overrides import find_value, to_indexed_key
 
         mapping = describe(self.config)
-        key = index_entries(mapping, path)
+        key = to_indexed_key(mapping, path)
         try:
-            table = value_at(mapping, key.rpartition(".")[0]) if "." in key else mapping
-            value = value_at(mapping, key) if isinstance(table, dict | list) else None
+            table = find_value(mapping, key.rpartition(".")[0]) if "." in key else mapping
+            value = find_value(mapping, key) if isinstance(table, dict | list) else None
         except (IndexError, ValueError):
             value = None
         if value is None:
@@ -265,10 +265,10 @@ class Engine:
 
     def _take(self, config: schema.Scene) -> bool:
         """Take the parameters of a scene; return False if it has other parts than the compiled one."""
-        from softfinger.proxy.scene import build_scene, same_model
+        from softfinger.proxy.scene import build_scene, has_same_model
 
         tree = build_scene(config, self.scene)
-        if not same_model(tree, self.scene):
+        if not has_same_model(tree, self.scene):
             return False
         self.config, self.scene, self._values = config, tree, flatten(tree)
         if PLAIN:  # it refers to the arrays of its scene; compiled code reads their addresses from the values
@@ -295,7 +295,7 @@ class Engine:
             If the bodies of a [world] have failed.
         """
         if self._has_several:
-            raise self._several()
+            raise self._make_several_error()
         try:
             # Numbers are written in a third of the time that assignments to arrays take.
             centre: Any = position.tolist() if isinstance(position, ndarray) else position
@@ -351,9 +351,9 @@ class Engine:
         """
         is_by_finger = isinstance(poses, Mapping)
         if not is_by_finger and len(self.fingers) > 1:
-            raise self._several()
+            raise self._make_several_error()
         poses_by_finger: Mapping[str, Any] = poses if isinstance(poses, Mapping) else {self.fingers[0]: poses}
-        together = poses_together(poses_by_finger, self.fingers)
+        together = stack_poses(poses_by_finger, self.fingers)
         records = np.zeros((*together.shape[:2], RECORD_SIZE))
         dt = self.dt if dt is None else self._check_dt(dt)
         advance = self._advance or self._compile()
@@ -369,10 +369,10 @@ class Engine:
             raise failure
 
     def _compile(self) -> Callable[..., None]:
-        self._advance = compiled(self.scene, self._begin)
+        self._advance = compile_steps(self.scene, self._begin)
         return self._advance
 
-    def _several(self) -> PoseError:
+    def _make_several_error(self) -> PoseError:
         return PoseError(
             f"the scene has the fingers {', '.join(self.fingers)}: pass `run` the poses of each by its name"
         )

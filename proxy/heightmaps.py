@@ -18,9 +18,9 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.shapes import heightmap  # noqa: F401 - its kernels
 
-RIM: Final = 4
+RIM_COEFFICIENTS: Final = 4
 """Coefficients beyond each side of the map: one for zero curvature at the rim, and three copies of it."""
-SLACK: Final = 1e-13
+THICKNESS_MARGIN: Final = 1e-13
 """Increase of a tile's thickness for rounding, relative to the largest coefficient of the map."""
 
 
@@ -45,7 +45,7 @@ class Facets(NamedTuple):
 def read_heights(obj: schema.Heightmap) -> Grid:
     """Return the heights (rows, columns), m, from the object's file. Raises ConfigError if it cannot be used."""
     try:
-        heights = _levels(obj) * obj.level_m
+        heights = _count_levels(obj) * obj.level_m
         most, worst = limits.COORDINATE_M.high, float(heights.flat[np.abs(heights).argmax()])
         if abs(worst) > most:
             raise ConfigError(
@@ -57,7 +57,7 @@ def read_heights(obj: schema.Heightmap) -> Grid:
     return heights
 
 
-def _levels(obj: schema.Heightmap) -> Grid:
+def _count_levels(obj: schema.Heightmap) -> Grid:
     if obj.hfield is None:
         return read_grid(obj.file, even=True)
     from softfinger.config.mjcf import read_hfield  # requires MuJoCo
@@ -65,13 +65,13 @@ def _levels(obj: schema.Heightmap) -> Grid:
     return read_hfield(obj.file, obj.root, obj.hfield)
 
 
-def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:
+def compile_heightmap(heights: Grid, pitch: float) -> model.Heightmap:
     """Return the map of heights (rows, columns), m, `pitch` m apart, columns along x and rows along y."""
-    spline = coefficients(heights / pitch)
-    facets = [facets_of_cells(spline)]
+    spline = fit_spline(heights / pitch)
+    facets = [make_cell_facets(spline)]
     while facets[-1].a.size > 1:
-        facets.append(facets_of_four(facets[-1], 2.0 ** (len(facets) - 1)))
-    slack = SLACK * float(np.abs(spline).max())
+        facets.append(merge_facets(facets[-1], 2.0 ** (len(facets) - 1)))
+    slack = THICKNESS_MARGIN * float(np.abs(spline).max())
     tiles = [np.stack(level._replace(thick=level.thick + slack), axis=-1).reshape(-1, len(level)) for level in facets]
     rows, columns = facets[0].a.shape
     return model.Heightmap(
@@ -85,21 +85,21 @@ def kernel_heightmap(heights: Grid, pitch: float) -> model.Heightmap:
     )
 
 
-def tightest(heights: Grid, pitch: float) -> float:
+def bound_curvature(heights: Grid, pitch: float) -> float:
     """Return an upper bound of the upward curvature of the map within its pixels, 1/m."""
-    valley, _ = sharpest_bends(coefficients(heights / pitch))
-    first, (rows, columns) = RIM - 1, heights.shape
+    valley, _ = bound_bends(fit_spline(heights / pitch))
+    first, (rows, columns) = RIM_COEFFICIENTS - 1, heights.shape
     return float(valley[first : first + max(rows - 1, 1), first : first + max(columns - 1, 1)].max()) / pitch
 
 
-def overshoot(heights: Grid) -> float:
+def measure_overshoot(heights: Grid) -> float:
     """Return by how much the surface rises above or falls below the four pixels around it, m, at fifths of a cell."""
     rows, columns = heights.shape
     if min(rows, columns) < 2:
         heights = np.repeat(np.repeat(heights, 1 + (rows < 2), 0), 1 + (columns < 2), 1)
         rows, columns = heights.shape
-    first = RIM - 1
-    net = _bezier(coefficients(heights)[first : first + rows + 2, first : first + columns + 2])
+    first = RIM_COEFFICIENTS - 1
+    net = _compute_bezier_net(fit_spline(heights)[first : first + rows + 2, first : first + columns + 2])
     corners = [heights[j : rows - 1 + j, i : columns - 1 + i] for j in (0, 1) for i in (0, 1)]
     low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
     weights = [
@@ -123,12 +123,12 @@ def thin_map(heights: Grid, pitch: float, most: int) -> tuple[Grid, Grid, Grid]:
     return x, y, heights[np.ix_(rows, columns)]
 
 
-def coefficients(values: Grid) -> Grid:
-    """Return the coefficients of the spline through the values (rows, columns), with RIM more on each side."""
-    return _along_rows(_along_rows(values).T).T
+def fit_spline(values: Grid) -> Grid:
+    """Return the coefficients of the spline through values (rows, columns), RIM_COEFFICIENTS more on each side."""
+    return _fit_along_rows(_fit_along_rows(values).T).T
 
 
-def _along_rows(values: Grid) -> Grid:
+def _fit_along_rows(values: Grid) -> Grid:
     """Fit a spline along the first axis, for each column: Thomas' algorithm for (1, 4, 1) of the inner rows."""
     count = len(values)
     result = values.copy()
@@ -146,24 +146,26 @@ def _along_rows(values: Grid) -> Grid:
         result[1:-1] = right
     inner = result[[1, -2]] if count > 1 else result[[0, 0]]
     before, behind = 2.0 * result[0] - inner[0], 2.0 * result[-1] - inner[1]
-    return np.concatenate([np.repeat(before[None], RIM, 0), result, np.repeat(behind[None], RIM, 0)])
+    return np.concatenate(
+        [np.repeat(before[None], RIM_COEFFICIENTS, 0), result, np.repeat(behind[None], RIM_COEFFICIENTS, 0)]
+    )
 
 
-def facets_of_cells(spline: Grid) -> Facets:
+def make_cell_facets(spline: Grid) -> Facets:
     """Return the facets of the cells.
 
     The surface of a cell is between the 16 heights of its Bezier net. The net of a plane is coplanar, so it has zero
     thickness.
     """
-    net = _bezier(spline)
+    net = _compute_bezier_net(spline)
     b1 = 0.5 * (net[0][3] - net[0][0] + net[3][3] - net[3][0])
     b2 = 0.5 * (net[3][0] - net[0][0] + net[3][3] - net[0][3])
     off = [net[j][i] - (i / 3.0 - 0.5) * b1 - (j / 3.0 - 0.5) * b2 for j in range(4) for i in range(4)]
     low, high = np.minimum.reduce(off), np.maximum.reduce(off)
-    return Facets(0.5 * (low + high), b1, b2, 0.5 * (high - low), *sharpest_bends(spline))
+    return Facets(0.5 * (low + high), b1, b2, 0.5 * (high - low), *bound_bends(spline))
 
 
-def _bezier(spline: Grid) -> list[list[Grid]]:
+def _compute_bezier_net(spline: Grid) -> list[list[Grid]]:
     """Return the heights of the Bezier net of every cell: [j][i] along rows and columns, (rows, columns) each."""
 
     def split(c: Grid) -> list[Grid]:
@@ -174,7 +176,7 @@ def _bezier(spline: Grid) -> list[list[Grid]]:
     return [[patch.T for patch in split(row.T)] for row in split(spline)]
 
 
-def facets_of_four(small: Facets, size: float) -> Facets:
+def merge_facets(small: Facets, size: float) -> Facets:
     """Return the facets of the tiles that combine four tiles of `size` cells, fewer at the rim.
 
     A tile has the mean slope of its parts, and a thickness that includes theirs.
@@ -199,19 +201,19 @@ def facets_of_four(small: Facets, size: float) -> Facets:
     return Facets(0.5 * (low + high), slope1, slope2, 0.5 * (high - low), *bends)
 
 
-def sharpest_bends(spline: Grid) -> tuple[Grid, Grid]:
+def bound_bends(spline: Grid) -> tuple[Grid, Grid]:
     """Return upper bounds of the largest eigenvalues of h'' and of -h'' in each cell, not negative.
 
     Derivatives of a B-spline are B-splines of differences of its coefficients, and in a cell between the differences
     there.
     """
     ss, tt = np.diff(spline, 2, axis=1), np.diff(spline, 2, axis=0)
-    mixed = _most(np.abs(np.diff(np.diff(spline, axis=0), axis=1)), 3, 3)
-    up = np.maximum(_most(ss, 4, 2), _most(tt, 2, 4)) + mixed
-    down = np.maximum(_most(-ss, 4, 2), _most(-tt, 2, 4)) + mixed
+    mixed = _find_block_maxima(np.abs(np.diff(np.diff(spline, axis=0), axis=1)), 3, 3)
+    up = np.maximum(_find_block_maxima(ss, 4, 2), _find_block_maxima(tt, 2, 4)) + mixed
+    down = np.maximum(_find_block_maxima(-ss, 4, 2), _find_block_maxima(-tt, 2, 4)) + mixed
     return np.maximum(up, 0.0), np.maximum(down, 0.0)
 
 
-def _most(values: Grid, rows: int, columns: int) -> Grid:
+def _find_block_maxima(values: Grid, rows: int, columns: int) -> Grid:
     """Return the maximum of every block of rows x columns."""
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, (rows, columns)).max(axis=(2, 3)))

@@ -11,14 +11,14 @@ from softfinger.config import schema
 from softfinger.proxy.kernels import model
 
 NormalLaw = model.LinearNormal | model.PowerNormal | model.HuntCrossley
-FrictionLaw = model.Friction | model.SpeedFriction | model.Anisotropic | model.PaperFriction | None
+FrictionLaw = model.Friction | model.SpeedFriction | model.AnisotropicFriction | model.PaperFriction | None
 TorsionLaw = model.Torsion | model.PowerTorsion | model.PatchTorsion | model.LimitSurface | model.SoftFingerProxy | None
 
-_SMOOTH = schema.Friction(static=0.0, kinetic=0.0)
-_LIMP = schema.Torsion(stiffness_nm_per_rad=1.0, friction_length_m=0.0)
+_NO_FRICTION = schema.Friction(static=0.0, kinetic=0.0)
+_NO_TORSION = schema.Torsion(stiffness_nm_per_rad=1.0, friction_length_m=0.0)
 
 
-def normal_laws(scene: schema.Scene) -> list[NormalLaw]:
+def compile_normal_laws(scene: schema.Scene) -> list[NormalLaw]:
     """Return a law for each object, of the most general type needed: a linear spring has the exponent 1."""
     pairs = [(obj.material, obj.material.normal or schema.Normal()) for obj in scene.object]
     curved = any(normal.exponent != 1.0 for _, normal in pairs)
@@ -34,7 +34,7 @@ def normal_laws(scene: schema.Scene) -> list[NormalLaw]:
     return laws
 
 
-def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
+def compile_friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
     """Return a law for each object; None for all if none has friction.
 
     All are of the most general type needed. The unused parameters of an object are neutral: coefficient 0 without
@@ -50,7 +50,7 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
     directed = any(friction.direction_x is not None for friction in present)
     laws: list[FrictionLaw] = []
     for friction in parameters:
-        f = friction or _SMOOTH
+        f = friction or _NO_FRICTION
         if literal:
             laws.append(model.PaperFriction(f.static, f.kinetic))
             continue
@@ -62,8 +62,8 @@ def friction_laws(scene: schema.Scene) -> list[FrictionLaw]:
     return laws
 
 
-def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
-    """Return a law for each object, all of one type, as in `friction_laws`; None for all if none has torsion."""
+def compile_torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
+    """Return a law for each object, all of one type; None for all if none has torsion."""
     parameters = [obj.material.torsion for obj in scene.object]
     present = [torsion for torsion in parameters if torsion is not None]
     if not present:
@@ -72,7 +72,7 @@ def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
     models = {torsion.model for torsion in present}
     laws: list[TorsionLaw] = []
     for obj in scene.object:
-        t, friction = obj.material.torsion or _LIMP, obj.material.friction or _SMOOTH
+        t, friction = obj.material.torsion or _NO_TORSION, obj.material.friction or _NO_FRICTION
         length = t.friction_length_m or 0.0
         kinetic = length if t.kinetic_friction_length_m is None else t.kinetic_friction_length_m
         share = kinetic / length if length > 0.0 else 1.0
@@ -95,7 +95,7 @@ def torsion_laws(scene: schema.Scene) -> list[TorsionLaw]:
     return laws
 
 
-def shear_compliances(scene: schema.Scene) -> list[float | None]:
+def compute_shear_compliances(scene: schema.Scene) -> list[float | None]:
     """Return 1/G of each object, m^2/N, 0 for a rigid one; None for all if no fingertip has a patch."""
     moduli = [obj.material.shear_modulus_pa for obj in scene.object]
     if not scene.soft:
@@ -103,7 +103,7 @@ def shear_compliances(scene: schema.Scene) -> list[float | None]:
     return [0.0 if modulus is None else 1.0 / modulus for modulus in moduli]
 
 
-def kernel_patch(patch: schema.Patch | None) -> model.HertzPatch | model.PowerPatch | None:
+def compile_patch(patch: schema.Patch | None) -> model.HertzPatch | model.PowerPatch | None:
     """Return the fingertip's patch for the kernels."""
     if patch is None:
         return None
@@ -114,13 +114,13 @@ def kernel_patch(patch: schema.Patch | None) -> model.HertzPatch | model.PowerPa
     return model.PowerPatch(
         at_newton=patch.radius_m,
         exponent=1.0 / 3.0 if patch.exponent is None else patch.exponent,
-        lever=lever_of(2.0 if patch.pressure_exponent is None else patch.pressure_exponent),
+        lever=compute_lever(2.0 if patch.pressure_exponent is None else patch.pressure_exponent),
         compliance=compliance,
         rolling=rolling,
     )
 
 
-def lever_of(k: float) -> float:
+def compute_lever(k: float) -> float:
     """Return the mean distance from the centre, over the radius, of the pressure (1 - x^k)^(1/k): 3 pi/16 for k = 2.
 
     B(3/k, 1 + 1/k) / B(2/k, 1 + 1/k), the integrals of x^2 and of x times the pressure. Source of the family: Xydas and
@@ -129,13 +129,15 @@ def lever_of(k: float) -> float:
     return exp(lgamma(3.0 / k) + lgamma(1.0 + 3.0 / k) - lgamma(1.0 + 4.0 / k) - lgamma(2.0 / k))
 
 
-def _make_anisotropic(law: model.Friction | model.SpeedFriction, friction: schema.Friction) -> model.Anisotropic:
+def _make_anisotropic(
+    law: model.Friction | model.SpeedFriction, friction: schema.Friction
+) -> model.AnisotropicFriction:
     direction = friction.direction_x or (1.0, 0.0, 0.0)
     static, kinetic = friction.static_scale or (1.0, 1.0), friction.kinetic_scale or (1.0, 1.0)
-    return model.Anisotropic(law, _unit(direction), *static, *kinetic)
+    return model.AnisotropicFriction(law, _to_unit(direction), *static, *kinetic)
 
 
-def _unit(v: model.Vec3) -> model.Vec3:
+def _to_unit(v: model.Vec3) -> model.Vec3:
     largest = max(abs(c) for c in v)
     if largest == 0.0:
         return (1.0, 0.0, 0.0)

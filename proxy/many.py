@@ -12,24 +12,24 @@ from softfinger.proxy.kernels.contact import rolling as _rolling  # noqa: F401  
 from softfinger.proxy.kernels.contact.rest import one_object as _one_object  # noqa: F401
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
-from softfinger.proxy.kernels.query.container import ENTRIES
+from softfinger.proxy.kernels.query.container import MAX_ENTRIES
 from softfinger.proxy.kernels.shapes import kernel_table as kinds
 from softfinger.proxy.kernels.shapes.any_shape import any_shape
 
 NO_VALUES: Final = ReadOnly(np.zeros(1))
 
 
-def many_objects(
+def make_many(
     objects: list[model.Object], effects: tuple[model.Carrier, ...], fingers: tuple[model.Finger, ...], rolling: Any
 ) -> model.Many:
     """Return the objects as arrays; `effects` are the carriers of effects.
 
     Raises ConfigError for more than ENTRIES objects.
     """
-    if len(objects) > ENTRIES:
-        raise ConfigError(f"{len(objects)} walls and objects: at most {ENTRIES} are possible; remove some")
-    needs = _needs(objects, fingers, rolling)
-    entries = [_entry(obj, needs) for obj in objects]
+    if len(objects) > MAX_ENTRIES:
+        raise ConfigError(f"{len(objects)} walls and objects: at most {MAX_ENTRIES} are possible; remove some")
+    needs = _list_needed_kernels(objects, fingers, rolling)
+    entries = [_make_entry(obj, needs) for obj in objects]
     movers = [row for row, obj in enumerate(entries) if obj.motion.kind != model.STILL]
     return model.Many(
         entries=Rows(entries),
@@ -38,20 +38,22 @@ def many_objects(
         moving=float(len(movers)),
         search=search_for(objects),
         materials=Rows([obj.material._replace(normal=None) for obj in objects]),
-        textures=_textures([obj.texture for obj in objects]),
+        textures=_make_textures([obj.texture for obj in objects]),
         effects=effects,
     )
 
 
-def search_for(objects: list[model.Object]) -> model.Smooth | model.Faceted | model.Creased:
+def search_for(objects: list[model.Object]) -> model.SmoothSearch | model.FacetedSearch | model.CreasedSearch:
     """Return the type of the search, and the number of meshes."""
     meshes = float(sum(isinstance(obj.shape, model.Mesh) for obj in objects))
     if any(isinstance(obj.shape, model.Heightmap) for obj in objects):
-        return model.Creased(meshes)
-    return model.Faceted(meshes) if meshes else model.Smooth(meshes)
+        return model.CreasedSearch(meshes)
+    return model.FacetedSearch(meshes) if meshes else model.SmoothSearch(meshes)
 
 
-def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolling: Any) -> frozenset[int]:
+def _list_needed_kernels(
+    objects: list[model.Object], fingers: tuple[model.Finger, ...], rolling: Any
+) -> frozenset[int]:
     """Return the kernels of shapes that only some scenes call."""
     return frozenset(
         kernel
@@ -65,12 +67,12 @@ def _needs(objects: list[model.Object], fingers: tuple[model.Finger, ...], rolli
     )
 
 
-def _entry(obj: model.Object, needs: frozenset[int]) -> model.Entry:
+def _make_entry(obj: model.Object, needs: frozenset[int]) -> model.Entry:
     shape = any_shape(obj.shape, obj.pose, needs)
-    return model.Entry(shape, _pose(obj.pose), obj.motion or model.AT_REST, obj.material.normal, obj.number)
+    return model.Entry(shape, _make_pose(obj.pose), obj.motion or model.NO_MOTION, obj.material.normal, obj.scene_index)
 
 
-def _pose(pose: Any) -> model.Pose:
+def _make_pose(pose: Any) -> model.Pose:
     match pose:
         case None:
             return model.Pose(model.ZERO, (1.0, 0.0, 0.0, 0.0))
@@ -79,7 +81,7 @@ def _pose(pose: Any) -> model.Pose:
     return model.Pose(*pose)
 
 
-def _textures(textures: list[model.Texture | None]) -> Rows | None:
+def _make_textures(textures: list[model.Texture | None]) -> Rows | None:
     """Return a texture for each object, all with the same parts; a missing texture has 0 columns."""
     present = [texture for texture in textures if texture is not None]
     if not present:

@@ -9,7 +9,7 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.proxy.heightmaps import read_heights, thin_map
-from softfinger.proxy.meshes.prepared import latest_picture
+from softfinger.proxy.meshes.prepared import load_latest_picture
 from softfinger.proxy.meshes.reading import Arrays
 
 MAP_PIXELS: Final = 158
@@ -26,17 +26,17 @@ class Picture(NamedTuple):
     of: int
 
 
-def picture_of(obj: Filed) -> Picture:
+def make_picture(obj: Filed) -> Picture:
     """Return the picture of an object. Raises ConfigError, with its name, if its file cannot be used any more."""
     if isinstance(obj, schema.Mesh):
-        report, arrays = latest_picture(obj)
+        report, arrays = load_latest_picture(obj)
         return Picture(arrays, report.triangles)
     heights = read_heights(obj)
     rows, columns = (max(count - 1, 1) for count in heights.shape)
-    return Picture(relief(*thin_map(heights, obj.pitch_m, MAP_PIXELS)), 2 * rows * columns)
+    return Picture(make_relief(*thin_map(heights, obj.pitch_m, MAP_PIXELS)), 2 * rows * columns)
 
 
-def relief(x: Grid, y: Grid, z: Grid) -> Arrays:
+def make_relief(x: Grid, y: Grid, z: Grid) -> Arrays:
     """Return two triangles for each cell between heights `z` (rows, columns) at x (columns,) and y (rows,).
 
     A map of one row or one column, an infinite profile, is drawn as deep as it is wide. They face upwards. Lengths in

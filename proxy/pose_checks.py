@@ -18,7 +18,7 @@ class PoseError(HapticError):
     """Pose or time step that is not possible for a probe."""
 
 
-def poses_together(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
+def stack_poses(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
     """Stack the poses (n, 7) of each finger, given by name, to (n, fingers, 7).
 
     Raises PoseError if a pose cannot be used, or the names or lengths do not match.

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
 
-def silent(operation: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+def show_nothing(operation: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
     """Show nothing. During the block of a display, calls of its result report the number done, out of `total`."""
     return nullcontext(lambda number: None)
 
 
-display: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = silent
+display: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = show_nothing
 """Present display, called as a module attribute; the command line replaces it."""

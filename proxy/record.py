@@ -180,6 +180,6 @@ RECORD_SIZE: Final = sum(field.size for field in FIELDS)
 """Number of columns of a record."""
 
 
-def columns() -> list[str]:
+def list_columns() -> list[str]:
     """Return the names of the record's columns in order, components as `name[i]`; the header of a results file."""
     return [f"{f.name}[{i}]" if f.size > 1 else f.name for f in FIELDS for i in range(f.size)]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError
-from softfinger.proxy.record import FIELDS, NAMED, RECORD_SIZE, columns
+from softfinger.proxy.record import FIELDS, NAMED, RECORD_SIZE, list_columns
 
 if TYPE_CHECKING:
     import pandas
@@ -50,17 +50,19 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
 
     def __getitem__(self, key: Any) -> Any:
         if isinstance(key, str):
-            return self._field(key)
+            return self._find_field(key)
         item = super().__getitem__(key)
         whole = not isinstance(item, Records) or item.shape[-1:] == (RECORD_SIZE,)
         return item if whole else item.view(np.ndarray)
 
-    def _field(self, name: str) -> NDArray[Any]:
+    def _find_field(self, name: str) -> NDArray[Any]:
         field = NAMED.get(name)
         if field is None:
-            from softfinger.config.words import near
+            from softfinger.config.words import suggest
 
-            raise NoField(f"no field of a record is called {name!r}{near(name, NAMED)}: choose from {', '.join(NAMED)}")
+            raise NoField(
+                f"no field of a record is called {name!r}{suggest(name, NAMED)}: choose from {', '.join(NAMED)}"
+            )
         rows = self.view(np.ndarray)
         if field.size > 1:
             return rows[..., field.at : field.at + field.size]
@@ -104,4 +106,4 @@ class Records(np.ndarray[Any, np.dtype[np.float64]]):
         except ImportError:
             raise HapticError("to_pandas needs pandas: pip install pandas") from None
         whole = {field.name: np.int64 for field in FIELDS if field.kind == "int"}
-        return pandas.DataFrame(self.view(np.ndarray), columns=columns()).astype(whole)
+        return pandas.DataFrame(self.view(np.ndarray), columns=list_columns()).astype(whole)

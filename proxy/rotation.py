@@ -5,7 +5,7 @@ from __future__ import annotations
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 
-def matrix_of(q: Quaternion) -> tuple[Vec3, Vec3, Vec3]:
+def make_matrix(q: Quaternion) -> tuple[Vec3, Vec3, Vec3]:
     """Return the rows (3, 3) of the rotation matrix of the unit quaternion `q` (w, x, y, z)."""
     w, x, y, z = q
     return (

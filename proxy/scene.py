@@ -12,19 +12,25 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import apply_overrides
-from softfinger.proxy.actions import kernel_effects, kernel_motion
-from softfinger.proxy.bodies import bodies_of
+from softfinger.proxy.actions import compile_effects, compile_motion
+from softfinger.proxy.bodies import compile_bodies
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.effects.forces import start_states
 from softfinger.proxy.kernels.jit.arrays import Mutable, ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.numerics import mat3
-from softfinger.proxy.kernels.query.container import MEMORY
-from softfinger.proxy.laws import friction_laws, kernel_patch, normal_laws, shear_compliances, torsion_laws
-from softfinger.proxy.many import many_objects, search_for
+from softfinger.proxy.kernels.query.container import POSE_MEMORY_SIZE
+from softfinger.proxy.laws import (
+    compile_friction_laws,
+    compile_normal_laws,
+    compile_patch,
+    compile_torsion_laws,
+    compute_shear_compliances,
+)
+from softfinger.proxy.many import make_many, search_for
 from softfinger.proxy.record import FREE
-from softfinger.proxy.rotation import matrix_of
-from softfinger.proxy.textures import kernel_texture
+from softfinger.proxy.rotation import make_matrix
+from softfinger.proxy.textures import compile_texture
 
 
 class Body(NamedTuple):
@@ -50,14 +56,14 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
     ConfigError
         If the file of a texture or a height map cannot be used.
     """
-    materials, rigid = _materials(scene), bodies_of(scene, before)
+    materials, rigid = _compile_materials(scene), compile_bodies(scene, before)
     bodies = list[model.Object]()
     carriers = list[model.Carrier]()
     riders = list[float]()
     for number, (obj, material) in enumerate(zip(scene.object, materials, strict=True)):
-        motion, effects = kernel_motion(obj.motion, rigid), kernel_effects(obj.effect)
+        motion, effects = compile_motion(obj.motion, rigid), compile_effects(obj.effect)
         riders.append(0.0 if motion is None else motion.body)
-        texture = kernel_texture(obj)
+        texture = compile_texture(obj)
         for part, (shape, position, orientation) in enumerate(shape_bodies(obj)):
             fixed = motion is None and texture is None
             shape, pose = _place_shape(shape, obj, position, orientation, fixed)
@@ -65,51 +71,54 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
                 carriers.append(model.Carrier(float(len(bodies)), effects))
             world_material = material if isinstance(pose, model.Pose) else _to_world(material, obj.orientation_wxyz)
             bodies.append(model.Object(shape, pose, motion, world_material, float(number), texture=texture))
-    fingers, rolling = tuple(_finger(finger, scene.rolling) for finger in scene.fingers), _rolling(scene)
+    fingers, rolling = (
+        tuple(_compile_finger(finger, scene.rolling) for finger in scene.fingers),
+        _compile_rolling(scene),
+    )
     return model.Scene(
         fingers=fingers,
-        objects=many_objects(bodies, tuple(carriers), fingers, rolling)
+        objects=make_many(bodies, tuple(carriers), fingers, rolling)
         if len(bodies) > 1 or rigid is not None
         else model.Single(bodies[0], tuple(carriers), search_for(bodies)),
         rolling=rolling,
-        effects=kernel_effects(scene.effect),
+        effects=compile_effects(scene.effect),
         bodies=None if rigid is None else rigid.kernel(tuple(riders)),
-        elastic=_elastic(scene, bodies),
+        elastic=_compile_elastic(scene, bodies),
     )
 
 
-def _elastic(scene: schema.Scene, bodies: list[model.Object]) -> Any:
+def _compile_elastic(scene: schema.Scene, bodies: list[model.Object]) -> Any:
     """Return the compliance of the only object if it is elastic, otherwise None."""
     obj = scene.elastic_object
     if obj is None or obj.elastic is None:
         return None
-    from softfinger.proxy.elastic.prepared import kernel_elastic
+    from softfinger.proxy.elastic.prepared import compile_elastic
 
-    return kernel_elastic(obj, obj.elastic, bodies[0].shape.row[0])
+    return compile_elastic(obj, obj.elastic, bodies[0].shape.row[0])
 
 
-def same_model(first: Any, second: Any) -> bool:
+def has_same_model(first: Any, second: Any) -> bool:
     """Return whether two scenes have the same compiled code and, of many objects, room for as many."""
     counts = (getattr(scene.objects, "size", 1.0) for scene in (first, second))
     return bool(numba.typeof(first) == numba.typeof(second)) and len(set(counts)) == 1
 
 
-def other_model(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
+def describe_model_change(scene: schema.Scene, changes: Mapping[str, Any]) -> str:
     """Return a message that names the changes to a scene that require another compiled model."""
     built = build_scene(scene)
-    alone = [key for key, value in changes.items() if not _same_with(scene, built, {key: value})]
+    alone = [key for key, value in changes.items() if not _keeps_model(scene, built, {key: value})]
     return f"{', '.join(alone or changes)}: that is another model, which must be compiled"
 
 
-def _same_with(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
+def _keeps_model(scene: schema.Scene, built: model.Scene, changes: Mapping[str, Any]) -> bool:
     """Return True if `changes` leave the model the same; False if the changed scene is invalid."""
     try:
-        return same_model(build_scene(apply_overrides(scene, changes, "")), built)
+        return has_same_model(build_scene(apply_overrides(scene, changes, "")), built)
     except ConfigError:
         return False
 
 
-def _finger(parts: schema.FingerParts, rolling: schema.Rolling | None) -> model.Finger:
+def _compile_finger(parts: schema.FingerParts, rolling: schema.Rolling | None) -> model.Finger:
     coupling, probe = parts.coupling, parts.probe
     k_tau = None if rolling is None else rolling.torque_stiffness_n_per_m
     return model.Finger(
@@ -120,7 +129,7 @@ def _finger(parts: schema.FingerParts, rolling: schema.Rolling | None) -> model.
         torque_stiffness=coupling.stiffness_n_per_m if k_tau is None else k_tau,
         velocity_time_constant=probe.velocity_time_constant_s,
         position_resolution=probe.position_resolution_m,
-        patch=kernel_patch(parts.patch),
+        patch=compile_patch(parts.patch),
         form=None if parts.radii_m is None else model.EllipsoidTip(parts.radii_m, parts.orientation_wxyz),
     )
 
@@ -133,25 +142,25 @@ def start_state(scene: model.Scene) -> model.State:
         probe=model.Probe(position=model.ZERO, orientation=(1.0, 0.0, 0.0, 0.0), velocity=model.ZERO),
         mode=float(FREE),
         center=model.ZERO,
-        contacts=(model.NO_CONTACT,) * patches_of(scene.objects),
+        contacts=(model.NO_CONTACT,) * count_contacts(scene.objects),
         rolled=0.0,
         stuck=0.0,
         effects=effects,
     )
-    poses = _memory(scene.objects)
+    poses = _make_memory(scene.objects)
     was = None if isinstance(scene.objects, model.Many) else poses
-    world = model.World(started=0.0, time=0.0, poses=poses, was=was, surfaces=_surfaces(scene))
+    world = model.World(started=0.0, time=0.0, poses=poses, was=was, surfaces=_make_surfaces(scene))
     return model.State(world=world, fingers=(finger,) * len(scene.fingers))
 
 
-def _memory(objects: model.Single | model.Many) -> Any:
+def _make_memory(objects: model.Single | model.Many) -> Any:
     """Room for the poses of objects that can move."""
     if isinstance(objects, model.Many):
-        return Mutable(np.zeros(MEMORY * int(objects.size)))
+        return Mutable(np.zeros(POSE_MEMORY_SIZE * int(objects.size)))
     return None if objects.body.motion is None else objects.body.pose
 
 
-def _surfaces(scene: model.Scene) -> Any:
+def _make_surfaces(scene: model.Scene) -> Any:
     """Return the displacement under each finger before the first pose, None without an elastic object."""
     if scene.elastic is None:
         return None
@@ -159,7 +168,7 @@ def _surfaces(scene: model.Scene) -> Any:
     return tuple(surface._replace(inverse=tuple(mat3.IDENTITY if i == j else mat3.ZEROS for j in count)) for i in count)
 
 
-def patches_of(objects: model.Single | model.Many) -> int:
+def count_contacts(objects: model.Single | model.Many) -> int:
     """Return the largest number of contacts of a fingertip: 1 with one object that is not a mesh, otherwise 3."""
     return 1 if isinstance(objects, model.Single) and not isinstance(objects.body.shape, model.Mesh) else 3
 
@@ -183,24 +192,28 @@ def _place_shape(
 
 def _rotate(q: model.Quaternion, v: model.Vec3) -> model.Vec3:
     """Rotate `v` (3,) by the unit quaternion `q`."""
-    a, b, c = (sum(r * e for r, e in zip(row, v, strict=True)) for row in matrix_of(q))
+    a, b, c = (sum(r * e for r, e in zip(row, v, strict=True)) for row in make_matrix(q))
     return (a, b, c)
 
 
 def _to_world(material: model.Material, turn: model.Quaternion) -> model.Material:
     """Return the material of a shape expressed in the world frame, with its directions rotated there, too."""
     law = material.friction
-    if not isinstance(law, model.Anisotropic):
+    if not isinstance(law, model.AnisotropicFriction):
         return material
     return material._replace(friction=law._replace(direction=_rotate(turn, law.direction)))
 
 
-def _materials(scene: schema.Scene) -> list[model.Material]:
+def _compile_materials(scene: schema.Scene) -> list[model.Material]:
     """Return a material for each object, all with the same types of laws."""
     return [
         model.Material(*laws)
         for laws in zip(
-            normal_laws(scene), friction_laws(scene), torsion_laws(scene), shear_compliances(scene), strict=True
+            compile_normal_laws(scene),
+            compile_friction_laws(scene),
+            compile_torsion_laws(scene),
+            compute_shear_compliances(scene),
+            strict=True,
         )
     ]
 
@@ -216,37 +229,41 @@ def shape_bodies(shape: Any) -> list[Body]:
         case schema.Plane():
             return [Body(model.Plane((0.0, 0.0, 1.0), 0.0))]
         case schema.Sphere():
-            return [Body(model.Sphere(shape.radius_m, _side(shape.inside)))]
+            return [Body(model.Sphere(shape.radius_m, _find_side(shape.inside)))]
         case schema.Cylinder(length_m=None):
-            return [Body(model.Cylinder(shape.radius_m, _side(shape.inside)))]
+            return [Body(model.Cylinder(shape.radius_m, _find_side(shape.inside)))]
         case schema.Cylinder(length_m=float(length), inside=False):
             return [Body(model.CappedCylinder(shape.radius_m, 0.5 * length))]
         case schema.Cylinder(length_m=float(length)):
-            return [Body(model.Cylinder(shape.radius_m, -1.0)), *_walls(2, 0.5 * length)]
+            return [Body(model.Cylinder(shape.radius_m, -1.0)), *_make_walls(2, 0.5 * length)]
         case schema.Capsule():
-            return [Body(model.Capsule(shape.radius_m, 0.5 * shape.length_m, _side(shape.inside)))]
+            return [Body(model.Capsule(shape.radius_m, 0.5 * shape.length_m, _find_side(shape.inside)))]
         case schema.Box():
             x, y, z = (0.5 * edge for edge in shape.size_m)
-            return [*_walls(0, x), *_walls(1, y), *_walls(2, z)] if shape.inside else [Body(model.Box((x, y, z)))]
+            return (
+                [*_make_walls(0, x), *_make_walls(1, y), *_make_walls(2, z)]
+                if shape.inside
+                else [Body(model.Box((x, y, z)))]
+            )
         case schema.Ellipsoid():
-            return [Body(model.Ellipsoid(shape.semi_axes_m, _side(shape.inside)))]
+            return [Body(model.Ellipsoid(shape.semi_axes_m, _find_side(shape.inside)))]
         case schema.Torus():
-            return [Body(model.Torus(shape.major_radius_m, shape.minor_radius_m, _side(shape.inside)))]
+            return [Body(model.Torus(shape.major_radius_m, shape.minor_radius_m, _find_side(shape.inside)))]
         case schema.Heightmap():
-            from softfinger.proxy.heightmaps import kernel_heightmap, read_heights
+            from softfinger.proxy.heightmaps import compile_heightmap, read_heights
 
-            return [Body(kernel_heightmap(read_heights(shape), shape.pitch_m))]
+            return [Body(compile_heightmap(read_heights(shape), shape.pitch_m))]
         case schema.Mesh():
-            return _mesh(shape)
+            return _compile_mesh(shape)
     raise TypeError(f"{type(shape).__name__} is not a shape: it is not registered with shape_bodies")
 
 
-def _mesh(mesh: schema.Mesh) -> list[Body]:
-    from softfinger.proxy.meshes.prepared import tree_of
+def _compile_mesh(mesh: schema.Mesh) -> list[Body]:
+    from softfinger.proxy.meshes.prepared import prepare_tree
 
-    tree = tree_of(mesh)
+    tree = prepare_tree(mesh)
     x, y, z = tree.center.tolist()
-    side = _side(mesh.inside) if tree.closed else 0.0
+    side = _find_side(mesh.inside) if tree.closed else 0.0
     triangles = model.Triangles(
         nodes=ReadOnly(tree.nodes),
         first=ReadOnly(tree.first),
@@ -263,17 +280,17 @@ def _mesh(mesh: schema.Mesh) -> list[Body]:
     return [Body(model.Mesh(Rows([triangles])))]
 
 
-def _side(inside: bool) -> float:
+def _find_side(inside: bool) -> float:
     return -1.0 if inside else 1.0
 
 
-def _walls(axis: int, half: float) -> list[Body]:
+def _make_walls(axis: int, half: float) -> list[Body]:
     """Return two planes at +-half along an axis, facing each other."""
     normals = [[toward if i == axis else 0.0 for i in range(3)] for toward in (-1.0, 1.0)]
     return [Body(model.Plane((x, y, z), -half)) for x, y, z in normals]
 
 
-def _rolling(scene: schema.Scene) -> Any:
+def _compile_rolling(scene: schema.Scene) -> Any:
     rolling = scene.rolling
     if rolling is None:
         return None

@@ -35,15 +35,15 @@ class Part(Generic[T]):
         return self if step is None else self._read(step.record[self._at])
 
 
-def _vector(values: Array) -> Array:
+def _read_vector(values: Array) -> Array:
     return values
 
 
-def _mode(number: float) -> ContactMode:
+def _read_mode(number: float) -> ContactMode:
     return ContactMode(int(number))
 
 
-def _cause(number: float) -> str:
+def _read_cause(number: float) -> str:
     return CAUSE_NAMES[int(number)]
 
 
@@ -56,27 +56,27 @@ class Step:
 
     __slots__ = ("record",)
 
-    mode = Part(_mode, "contact.mode")
+    mode = Part(_read_mode, "contact.mode")
     object = Part(int, "contact.object")
-    cause = Part(_cause, "contact.cause")
-    velocity = Part(_vector, "probe.velocity")
-    proxy_position = Part(_vector, "proxy.position")
+    cause = Part(_read_cause, "contact.cause")
+    velocity = Part(_read_vector, "probe.velocity")
+    proxy_position = Part(_read_vector, "proxy.position")
     penetration = Part(float, "contact.penetration")
-    point = Part(_vector, "contact.point")
-    normal = Part(_vector, "contact.normal")
-    finger_point = Part(_vector, "contact.finger_point")
+    point = Part(_read_vector, "contact.point")
+    normal = Part(_read_vector, "contact.normal")
+    finger_point = Part(_read_vector, "contact.finger_point")
     rolled = Part(float, "contact.rolled")
     spin = Part(float, "contact.spin")
     normal_force = Part(float, "contact.normal_force")
     tangential_force = Part(float, "contact.tangential_force")
-    force = Part(_vector, "force")
-    torque = Part(_vector, "torque")
+    force = Part(_read_vector, "force")
+    torque = Part(_read_vector, "torque")
     torsion = Part(float, "contact.torsion")
     patch_radius = Part(float, "contact.patch_radius")
-    patch_normal = Part(_vector, "contact.patch_normal")
-    patch_stretch = Part(_vector, "contact.patch_stretch")
+    patch_normal = Part(_read_vector, "contact.patch_normal")
+    patch_stretch = Part(_read_vector, "contact.patch_stretch")
     budget = Part(int, "contact.budget")
-    displacement = Part(_vector, "contact.displacement")
+    displacement = Part(_read_vector, "contact.displacement")
     nonlinear = Part(int, "contact.nonlinear")
 
     def __init__(self, record: Array) -> None:

@@ -4,9 +4,9 @@ A hand that strokes at the speed v feels the wavelength L as the frequency v / L
 rate would alias to lower ones, so a filter removes them from the array in advance.
 
 The filter is an isotropic Gaussian in the frequency domain: the amplitude of a wavelength L is multiplied by
-REST^((CUTOFF / L)^2); at the cutoff v / (tick rate / 2) that is REST. A Gaussian has no side lobes, so the result does
-not overshoot: heights remain in the range of the file, and factors of friction in the range of the scene. The same is
-true of the spline between the filtered numbers.
+REMAINING_SHARE^((CUTOFF / L)^2); at the cutoff v / (tick rate / 2) that is REMAINING_SHARE. A Gaussian has no side
+lobes, so the result does not overshoot: heights remain in the range of the file, and factors of friction in the range
+of the scene. The same is true of the spline between the filtered numbers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from softfinger.proxy.kernels.jit.arrays import ReadOnly
 
 FREQUENCY_MAX_HZ: Final = limits.FREQUENCY_HZ.high
 """Half of the usual 1 kHz."""
-REST: Final = 0.01
+REMAINING_SHARE: Final = 0.01
 """Fraction of an amplitude that remains at the cutoff."""
 
 
@@ -41,7 +41,7 @@ class RenderedTexture(NamedTuple):
     around: bool
 
 
-def cutoff_m(texture: schema.Texture) -> float:
+def compute_cutoff_m(texture: schema.Texture) -> float:
     """Return the cutoff wavelength, m."""
     return texture.speed_m_per_s / FREQUENCY_MAX_HZ
 
@@ -63,11 +63,11 @@ def make(obj: schema.Textured) -> RenderedTexture:
     repeats = texture.border == "period"
     rows, columns = grid.shape
     pitch = width / columns, depth / rows
-    values = filter_texture((grid - low) / (high - low), pitch, cutoff_m(texture), (around or repeats, repeats))
+    values = filter_texture((grid - low) / (high - low), pitch, compute_cutoff_m(texture), (around or repeats, repeats))
     return RenderedTexture(values, (width, depth), around)
 
 
-def bounds(obj: schema.Textured) -> tuple[float, float, float]:
+def compute_bounds(obj: schema.Textured) -> tuple[float, float, float]:
     """Return bounds of the heights as rendered: range, m; largest slope, 1; largest curvature, 1/m.
 
     Derivatives of a B-spline are B-splines of differences of its coefficients, and bounded by their range. The
@@ -102,13 +102,13 @@ def filter_texture(grid: Grid, pitch: tuple[float, float], cutoff: float, repeat
     wide = np.pad(grid, pads, mode="symmetric")
     u = np.fft.rfftfreq(wide.shape[1], pitch[0])
     v = np.fft.fftfreq(wide.shape[0], pitch[1])[:, None]
-    spectrum = np.fft.rfft2(wide) * REST ** (cutoff**2 * (u**2 + v**2))
+    spectrum = np.fft.rfft2(wide) * REMAINING_SHARE ** (cutoff**2 * (u**2 + v**2))
     smooth = np.fft.irfft2(spectrum, s=wide.shape)[:rows, :columns]
     # If the array is too coarse for the filter, the array's resolution is the cutoff, with a little ringing.
     return np.clip(smooth, grid.min(), grid.max())
 
 
-def kernel_texture(obj: schema.Object) -> model.Texture | None:
+def compile_texture(obj: schema.Object) -> model.Texture | None:
     """Return the texture of an object for its kernels; None without one. Raises ConfigError as `make` does."""
     texture = getattr(obj, "texture", None)
     if texture is None:
@@ -124,7 +124,7 @@ def kernel_texture(obj: schema.Object) -> model.Texture | None:
         per_v=rows / depth,
         period_u=float(around or repeats),
         period_v=float(repeats),
-        fade=cutoff_m(texture),
+        fade=compute_cutoff_m(texture),
         relief=None if texture.height_m is None else model.Relief(texture.height_m),
         grip=None if texture.friction_scale is None else model.Grip(*texture.friction_scale),
     )

@@ -25,23 +25,23 @@ from softfinger.server.services.commands import CommandService
 from softfinger.server.services.deformation import Deformation
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.hotplug import Hotplug, HotplugWatch
-from softfinger.server.services.notify import Notify
+from softfinger.server.services.notify import ServiceNotifier
 from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import RecordService, Sink
 from softfinger.server.services.rendering import Rendering
 from softfinger.server.services.supervisor import Supervisor
 from softfinger.server.services.telemetry import TelemetryService
-from softfinger.server.services.watches import DeviceWarnings, Swapping
+from softfinger.server.services.watches import DeviceWarnings, SwapWatch
 from softfinger.server.services.world import WorldState
 from softfinger.server.socket_process.setup import StateInfo
 from softfinger.server.states import DaemonState, States, Trigger
 from softfinger.server.wire.endpoint import listen
-from softfinger.server.wire.events import event_map
+from softfinger.server.wire.events import make_event
 from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.protocol import DEFORMATION, SCHEMA, WORLD
 from softfinger.server.wire.publisher import Publisher
 from softfinger.server.wire.rig_endpoints import Endpoints, bind_rig
-from softfinger.server.wire.stamps import now_s
+from softfinger.server.wire.stamps import read_clock_s
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
     from softfinger.server.metrics.service import MetricsService
@@ -117,18 +117,18 @@ class Daemon:
         """Endpoints reachable from other machines, by table of the rig."""
         self.servo: Final = self.rendering.servo
         self._publish_scene_info(scene_name)
-        self.recordings: Final = Recordings(self.rendering, fingers, self._event)
+        self.recordings: Final = Recordings(self.rendering, fingers, self._publish_event)
         self.deformation: Final = Deformation(self.rendering, fingers, self._send_message)
         self.blackbox: Final = BlackBoxes(
             self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
         )
-        self.publisher.report_event = self._event
-        self.supervisor: Final = Supervisor(self.servo, self.fail, self._event)
+        self.publisher.report_event = self._publish_event
+        self.supervisor: Final = Supervisor(self.servo, self.fail, self._publish_event)
         self.commands_endpoint: Final = endpoints.commands
         """Endpoint of the commands; None if they are off."""
         self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
         """Endpoint of the metrics for Prometheus; None if they are off."""
-        self.services: Final = self._services(scene_name, hotplug, metrics, sinks)
+        self.services: Final = self._make_services(scene_name, hotplug, metrics, sinks)
         """In order of start; the servo is started last and stopped first."""
 
     @property
@@ -175,7 +175,7 @@ class Daemon:
         first = self.rendering.replace(scene, rig)
         self._raise_exchange_threads()  # of new devices
         self._publish_scene_info(self._scene_name if scene is None else scene_name)
-        self._event("lifecycle", "replaced", device=base.names(self.devices), first=first)
+        self._publish_event("lifecycle", "replaced", device=base.list_names(self.devices), first=first)
         return first
 
     def _publish_scene_info(self, scene_name: str) -> None:
@@ -213,7 +213,7 @@ class Daemon:
                 raise self._failure
             if end.error is not None:
                 raise end.error
-            failed = shutdown.device_failure(self.devices[end.finger], end, self._fingers[end.finger])
+            failed = shutdown.describe_failure(self.devices[end.finger], end, self._fingers[end.finger])
             failed = failed or shutdown.loop_failure(end, self.servo.ticks, self.servo.missed, self.servo.woken_late)
             if failed is not None:
                 raise failed
@@ -221,7 +221,7 @@ class Daemon:
         except Exception as error:
             self.states.fail(str(error))
             if str(error) not in self._published_faults:
-                self._event("fault", fault_name(error), message=str(error))
+                self._publish_event("fault", name_fault(error), message=str(error))
             raise
 
     def close(self, first: BaseException | None = None) -> None:
@@ -249,7 +249,7 @@ class Daemon:
     ) -> None:
         self.close(error)
 
-    def _event(self, kind: str, name: str, **fields: Any) -> None:
+    def _publish_event(self, kind: str, name: str, **fields: Any) -> None:
         """Publish and record an event; a fault also gets the file name of its black box."""
         if kind == "fault":
             self._published_faults.add(str(fields.get("message", "")))
@@ -257,11 +257,11 @@ class Daemon:
         self._send(kind, name, fields)
 
     def publish_page_exit(self, text: str) -> None:
-        self._event("fault", "page", message=text)
+        self._publish_event("fault", "page", message=text)
 
     def _send(self, kind: str, name: str, fields: dict[str, Any]) -> None:
         """Send an event with the present tick and time to the publisher, the recordings and the black box."""
-        event = event_map(self.servo.last_tick_and_time(), kind, name, fields)
+        event = make_event(self.servo.last_tick_and_time(), kind, name, fields)
         for receive in (self.publisher.send_event, self.recordings.record_event, self.blackbox.box.event):
             receive(event)
 
@@ -270,7 +270,7 @@ class Daemon:
 
     def _send_message(self, topic: str, tick: int, content: dict[str, Any]) -> None:
         """Publish and record a message of one of SCENE_TOPICS, with the content of a tick."""
-        message = {"schema": SCHEMA, "timestamp": now_s(), "tick": tick, **content}
+        message = {"schema": SCHEMA, "timestamp": read_clock_s(), "tick": tick, **content}
         self.publisher.send_message(topic, message)
         self.recordings.record_message(topic, message)
 
@@ -301,9 +301,9 @@ class Daemon:
             lambda: self.recordings.collect_totals(),
             lambda: self.states.now,
         )
-        return MetricsService(listen(f"tcp://{endpoint}", KEY), counts, self._event)
+        return MetricsService(listen(f"tcp://{endpoint}", KEY), counts, self._publish_event)
 
-    def _services(
+    def _make_services(
         self, scene_name: str, hotplug: Hotplug, metrics: MetricsService | None, sinks: Sequence[Sink]
     ) -> list[Service]:
         telemetry = TelemetryService(self.publisher, self.servo)
@@ -313,7 +313,9 @@ class Daemon:
             def replace(scene: schema.Scene, name: str) -> int:
                 return self.replace(scene, scene_name=name)
 
-            interface = DaemonInterface(self.publisher, self.recordings, replace, self._event, self.stop, self.fail)
+            interface = DaemonInterface(
+                self.publisher, self.recordings, replace, self._publish_event, self.stop, self.fail
+            )
             optional_services.append(CommandService(self.commands_endpoint, self.rendering, interface, scene_name))
         if metrics is not None:
             optional_services.append(metrics)
@@ -331,14 +333,14 @@ class Daemon:
             telemetry,
             self.recordings,
             self.blackbox,
-            RecordService(self.servo, self.publisher.tap, record_sinks, self.fail, self._event),
+            RecordService(self.servo, self.publisher.tap, record_sinks, self.fail, self._publish_event),
             self.supervisor,
-            HotplugWatch(hotplug, self._event),
-            DeviceWarnings(lambda: self.devices, self._event),
-            Swapping(self._event),
-            WorldState(self.servo, self._send_message, self._event),
+            HotplugWatch(hotplug, self._publish_event),
+            DeviceWarnings(lambda: self.devices, self._publish_event),
+            SwapWatch(self._publish_event),
+            WorldState(self.servo, self._send_message, self._publish_event),
             *optional_services,
-            *([Notify(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
+            *([ServiceNotifier(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,
         ]
 
@@ -364,6 +366,6 @@ class Daemon:
         return [realtime.raise_priority("exchange", thread, self._rig.servo.priority - 1) for thread in threads]
 
 
-def fault_name(error: Exception) -> str:
+def name_fault(error: Exception) -> str:
     """Return the event name of an error: its class name in snake case, such as `device_lost`."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(error).__name__).lower()

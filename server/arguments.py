@@ -36,11 +36,11 @@ class Parser(argparse.ArgumentParser):
         self._add_options()
         namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            from softfinger.config.words import near  # importing it takes longer than parsing a command line
+            from softfinger.config.words import suggest  # importing it takes longer than parsing a command line
 
             flags = [flag for action in self._actions for flag in action.option_strings]
             suggestions = [
-                word + (near(word.partition("=")[0], flags) if word.startswith("--") else "") for word in unknown
+                word + (suggest(word.partition("=")[0], flags) if word.startswith("--") else "") for word in unknown
             ]
             self.error(f"unrecognized arguments: {' '.join(suggestions)}")
         return namespace, unknown
@@ -67,9 +67,9 @@ class Parser(argparse.ArgumentParser):
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
-            from softfinger.config.words import near
+            from softfinger.config.words import suggest
 
-            error.message += near(value, action.choices or ())
+            error.message += suggest(value, action.choices or ())
             raise
 
 
@@ -104,14 +104,14 @@ def add_stream_options(parser: argparse._ActionsContainer) -> None:
         "--duration",
         "stop after S seconds (default: when the daemon ends, or Ctrl-C)",
         metavar="S",
-        type=duration,
+        type=parse_duration,
     )
     add_option(
-        parser, "--timeout", "stop if no telemetry arrives for S seconds", default=3.0, metavar="S", type=duration
+        parser, "--timeout", "stop if no telemetry arrives for S seconds", default=3.0, metavar="S", type=parse_duration
     )
 
 
-def files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
+def parse_files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
     """Return the files of a repeatable option by finger name.
 
     Parameters
@@ -150,7 +150,7 @@ def check_distinct(flag: str, output: str | Path, read: Iterable[str | Path]) ->
             raise ConfigError(f"{flag} {output}: is the input file {source}: choose another output file")
 
 
-def default_rig(scene: str, fallback: str) -> str:
+def find_default_rig(scene: str, fallback: str) -> str:
     """Return the default rig of a run: the shipped rig `simulated-<scene>` if it exists, else `fallback`."""
     from softfinger.config.schema import Rig
     from softfinger.config.sources import list_shipped
@@ -159,7 +159,7 @@ def default_rig(scene: str, fallback: str) -> str:
     return name if name in list_shipped(Rig) else fallback
 
 
-def duration(text: str) -> float:
+def parse_duration(text: str) -> float:
     seconds = float(text)
     if not 0.0 < seconds < 1e9:
         raise argparse.ArgumentTypeError(f"{text}: the duration must be above 0 s and below 1e9 s")

@@ -94,13 +94,15 @@ def main(argv: list[str] | None = None) -> int:
         except HapticError as error:
             return report_failure(str(error), error.exit_code)
         except signals.Interrupted as error:
-            code = report_failure(f"ended by {signals.signal_name(error.number)}", signals.exit_code(error.number))
+            code = report_failure(
+                f"ended by {signals.name_signal(error.number)}", signals.compute_exit_code(error.number)
+            )
             if argv is None:  # all is closed; freeing an unfinished compilation would take seconds
                 flush_or_discard(sys.stdout)
                 os._exit(code)
             return code
         except KeyboardInterrupt:
-            return signals.exit_code(signal.SIGINT)
+            return signals.compute_exit_code(signal.SIGINT)
         except BrokenPipeError:
             # The reader of stdout has closed the pipe (`| head`): this is not an error, nor while closing.
             discard(sys.stdout)
@@ -111,7 +113,7 @@ def main(argv: list[str] | None = None) -> int:
             if {"-v", "--verbose"} & set(sys.argv):
                 raise
             discard(sys.stdout)  # Python would retry the failed write at exit
-            return report_failure(reason(error), Exhausted.exit_code)
+            return report_failure(format_reason(error), Exhausted.exit_code)
         finally:
             flush_or_discard(sys.stdout)
             flush_or_discard(sys.stderr)
@@ -133,7 +135,7 @@ def run_verb(words: list[str]) -> int:
     )
     logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it reports its font cache
     progress.set_enabled(not args.quiet)
-    preparation.display = progress.progress
+    preparation.display = progress.show_progress
     run = importlib.import_module(f"softfinger.{VERBS[args.verb].module}").run
     signals.mark_imported()
     if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
@@ -172,7 +174,7 @@ def report_failure(message: str, code: int) -> int:
     return code
 
 
-def reason(error: OSError | MemoryError | RuntimeError) -> str:
+def format_reason(error: OSError | MemoryError | RuntimeError) -> str:
     reason = "no thread can be started" if isinstance(error, RuntimeError) else "out of memory"
     if isinstance(error, OSError):
         reason = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
@@ -251,7 +253,7 @@ def add_completion(parser: argparse.ArgumentParser) -> None:
 
     class Print(argparse.Action):
         def __call__(self, *_: object) -> None:
-            print(completion(str(_[2])))
+            print(format_completion(str(_[2])))
             raise SystemExit(0)
 
     parser.add_argument(
@@ -259,7 +261,7 @@ def add_completion(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def completion(shell: str) -> str:
+def format_completion(shell: str) -> str:
     import shtab
 
     from softfinger.server.verbs.shipped import offer_names

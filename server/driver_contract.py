@@ -42,7 +42,7 @@ FAULTS: Final[Mapping[str, int]] = {"lost": LOST, "timeout": TIMEOUT}
 """Failures of an open device, and the status that the next read returns."""
 
 
-class Servo:
+class DeviceCaller:
     """Caller of a device's C functions; arms the device first, unless `arm` is false."""
 
     def __init__(self, device: Device, arm: bool = True) -> None:
@@ -140,20 +140,20 @@ class DriverContract:
 
     def test_read_fills_the_whole_sample(self, device: Device) -> None:
         """A good read writes all values of the sample: finite numbers and a unit quaternion."""
-        status, sample = Servo(device).read()
+        status, sample = DeviceCaller(device).read()
         assert status in (OK, STALE)
         assert all(math.isfinite(value) for value in sample)
         assert math.hypot(*sample[3:7]) == pytest.approx(1.0, abs=1e-9)  # rounding of a normalisation
 
     def test_device_time_does_not_run_back(self, device: Device) -> None:
         """Device time never decreases between reads."""
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         times = [servo.read()[1][7] for _ in range(20)]
         assert times == sorted(times)
 
     def test_counts_never_fall(self, device: Device) -> None:
         """Counters are named integers from 0 that never decrease; if there are any, one counts the exchanges."""
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         before = device.counts()
         for _ in range(20):
             servo.read()
@@ -166,7 +166,7 @@ class DriverContract:
 
     def test_write_is_accepted_while_armed(self, device: Device, bench: Bench) -> None:
         """An armed device accepts a small force and displays it in the world frame."""
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         assert servo.write(0.1, 0.2, 0.3, 0.0, 0.0, 0.0) in (OK, STALE)
         assert bench.displayed()[:3] == pytest.approx(bench.part(0.1, 0.2, 0.3), abs=bench.force_step_n)
@@ -197,7 +197,7 @@ class DriverContract:
             assert (end.ending, end.error) == (FINISHED, None)
             assert [act for act, _ in acts] == ["prepared", "armed"]
             assert acts[0][1] == acts[1][1]
-            assert last_force(servo) > 0.0
+            assert find_last_force(servo) > 0.0
             servo.close()
 
     def test_a_device_that_is_not_armed_displays_nothing(self, bench: Bench) -> None:
@@ -208,7 +208,7 @@ class DriverContract:
 
     def test_stop_may_be_repeated_and_disarms(self, device: Device) -> None:
         """After repeated `stop`, a write does not apply the full force and reads still work."""
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
         device.stop()
         device.stop()
@@ -226,7 +226,7 @@ class DriverContract:
         """A closed device can be opened again and armed."""
         device.close()
         with bench.open() as reopened:
-            servo = Servo(reopened)
+            servo = DeviceCaller(reopened)
             assert servo.read()[0] in (OK, STALE)
             assert servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0) in (OK, STALE)
             assert math.hypot(*bench.displayed()) > 0.0
@@ -235,7 +235,7 @@ class DriverContract:
     def test_no_force_remains_without_a_servo(self, ending: str, bench: Bench) -> None:
         """`stop`, `close` and an exception in the context, which propagates unchanged, all remove an applied force."""
         device = bench.open()
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
         assert math.hypot(*bench.displayed()) > 0.0
@@ -262,7 +262,7 @@ class DriverContract:
             )
             servo.compile()
             if ending == "crash":  # without a tick of the loop, apply a force first
-                Servo(device).write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
+                DeviceCaller(device).write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
             servo.start()
             if ending == "stop_word":
                 run_for(servo, 100)
@@ -273,7 +273,7 @@ class DriverContract:
             assert end.ending == {"last_tick": FINISHED, "stop_word": STOPPED, "crash": CRASHED}[ending]
             assert not any(bench.displayed())
             if ending != "crash":
-                assert last_force(servo) > 0.0
+                assert find_last_force(servo) > 0.0
             servo.close()
 
     def test_opening_is_refused_by_name(self, bench: Bench) -> None:
@@ -294,17 +294,17 @@ class DriverContract:
         """
         for case in set(FAULTS) - set(bench.cannot):
             device = bench.open()
-            servo = Servo(device)
+            servo = DeviceCaller(device)
             servo.read()
             servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
             bench.make(case)
-            assert first_failure(servo, bench.patience_s) == FAULTS[case], case
+            assert find_first_failure(servo, bench.patience_s) == FAULTS[case], case
             device.stop()
             device.close()
             assert not any(bench.displayed()), case
             bench.mend()
             with bench.open() as reopened:
-                assert Servo(reopened).read()[0] in (OK, STALE)
+                assert DeviceCaller(reopened).read()[0] in (OK, STALE)
 
     def test_servo_ends_with_a_failing_device(self, bench: Bench) -> None:
         """A device that fails under the servo ends the loop with its status and zero force."""
@@ -335,7 +335,7 @@ def run_for(servo: ServoThread, ticks: int) -> None:
         servo.records.wait()
 
 
-def first_failure(servo: Servo, patience_s: float) -> int:
+def find_first_failure(servo: DeviceCaller, patience_s: float) -> int:
     """Return the status of the first failed read, or of the last read within `patience_s`."""
     until = time.monotonic() + patience_s
     while (status := servo.read()[0]) >= 0 and time.monotonic() < until:
@@ -347,7 +347,7 @@ def fail_to_prepare() -> Callable[[], None]:
     raise RuntimeError("refused")
 
 
-def last_force(servo: ServoThread) -> float:
+def find_last_force(servo: ServoThread) -> float:
     """Return the largest norm (N) of the force in the last ten ticks: after a stall a ramp starts from zero."""
     out = np.empty((4096, RECORD_SIZE))
     records = out[: servo.records.take(out)]

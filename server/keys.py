@@ -109,7 +109,7 @@ def client_keys(client: str | Path, server: str | Path) -> ClientKeys:
     return ClientKeys(read_pair(client), read_public(server))
 
 
-def keys_from_options(args: argparse.Namespace) -> ClientKeys | None:
+def read_keys(args: argparse.Namespace) -> ClientKeys | None:
     """Return the keys named by these options; None without options. Raises ConfigError if only one is given."""
     if args.server_key is None and args.keys is None:
         return None

@@ -61,7 +61,7 @@ def describe_compilation() -> str:
 
 
 @contextmanager
-def progress(
+def show_progress(
     label: str, total: int | None = None, detail: Callable[[], str] = describe_compilation
 ) -> Iterator[Callable[[int], None]]:
     """Report progress of `label` to stderr during the block; call the result with the number done, out of `total`.
@@ -88,7 +88,7 @@ def progress(
 def map_with_progress(label: str, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """Return `function(item)` of each item; report the progress of `label` after each."""
     results: list[Result] = []
-    with progress(label, len(items)) as update:
+    with show_progress(label, len(items)) as update:
         for item in items:
             results.append(function(item))
             update(len(results))
@@ -118,13 +118,13 @@ def _open_display(label: str, total: int | None, detail: Callable[[], str]) -> I
         yield lambda number: None
         return
     try:
-        with _bar(label, total, detail) if on_terminal() else _lines(label, total, detail) as set_count:
+        with _format_bar(label, total, detail) if on_terminal() else _format_lines(label, total, detail) as set_count:
             yield set_count
     finally:
         _display_lock.release()
 
 
-def progress_text(
+def format_progress(
     label: str, count: float = 0, total: int | None = None, detail: Callable[[], str] = describe_compilation
 ) -> str:
     """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
@@ -142,7 +142,7 @@ def report_compilation(kernels: str) -> Iterator[None]:
     collects = gc.isenabled()
     gc.disable()
     try:
-        with progress(kernels):
+        with show_progress(kernels):
             yield
     finally:
         if collects:
@@ -162,7 +162,7 @@ def name_warmup(scene: str) -> Iterator[None]:
 
 
 @contextmanager
-def counter() -> Iterator[Callable[[str], None] | None]:
+def show_counter() -> Iterator[Callable[[str], None] | None]:
     """Yield a function that shows a text in the last line of the terminal; None without a terminal."""
     if _quiet.is_set() or not on_terminal():
         yield None
@@ -175,7 +175,7 @@ def counter() -> Iterator[Callable[[str], None] | None]:
 
 
 @contextmanager
-def _bar(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+def _format_bar(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     display = _display(total is not None, detail)
     task = display.add_task(label, total=total)
     timer = threading.Timer(QUIET_S, display.start)
@@ -205,7 +205,7 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
         """Column evaluated ten times a second, so it shows the current detail."""
 
         def render(self, task: Task) -> Text:
-            return Text(progress_text(task.description, detail=detail), no_wrap=True, overflow="ellipsis")
+            return Text(format_progress(task.description, detail=detail), no_wrap=True, overflow="ellipsis")
 
     class _TaskShare(TaskProgressColumn):
         """Percentage that is empty while there is a detail: the operation waits for a compilation."""
@@ -223,7 +223,7 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
 
 
 @contextmanager
-def _lines(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+def _format_lines(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     start_s, finished, count = time.monotonic(), threading.Event(), 0.0
 
     def set_count(number: float) -> None:
@@ -233,7 +233,7 @@ def _lines(label: str, total: int | None, detail: Callable[[], str]) -> Iterator
     def report() -> None:
         wait = QUIET_S
         while not finished.wait(wait):
-            text = progress_text(label, count, total, detail)
+            text = format_progress(label, count, total, detail)
             write_line(f"{text} ... {time.monotonic() - start_s:.0f} s")
             wait = PLAIN_PERIOD_S
 

@@ -93,7 +93,7 @@ class SoftfingerDaemon:
     def wait_ready(self, timeout_s: float) -> None:
         """Wait for the first tick; fail the test with the log if the daemon ends before or takes too long."""
         until = time.monotonic() + timeout_s
-        while not self._ticks():
+        while not self._count_ticks():
             if self.process.poll() is not None:
                 pytest.fail(f"the daemon ended with exit code {self.process.returncode}:\n{self.log}", pytrace=False)
             if time.monotonic() > until:
@@ -107,7 +107,7 @@ class SoftfingerDaemon:
         code = self.process.poll()
         return "" if self._stopped or not code else f"the daemon ended with exit code {code}"
 
-    def _ticks(self) -> bool:
+    def _count_ticks(self) -> bool:
         if not self.commands:
             text = self.log
             telemetry, commands = _TELEMETRY.search(text), _COMMANDS.search(text)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_address_for, telemetry_of
+from softfinger.config.schema import make_commands_address, make_telemetry_address
 from softfinger.server.gateway.addresses import Addresses, find_addresses
 from softfinger.server.wire import DEFAULT_ENDPOINT
 from softfinger.server.wire.client import Subscription, Window, subscribe
@@ -56,8 +56,8 @@ class Client(Control):
     def __init__(
         self, telemetry: str = DEFAULT_ENDPOINT, commands: str | None = None, *, timeout_s: float | None = None
     ) -> None:
-        self.telemetry = telemetry_of(telemetry)
-        super().__init__(commands_address_for(self.telemetry) if commands is None else commands, timeout_s)
+        self.telemetry = make_telemetry_address(telemetry)
+        super().__init__(make_commands_address(self.telemetry) if commands is None else commands, timeout_s)
         self._verified = commands is not None
         self._opened: Final = list[Subscription | Window]()
 
@@ -79,7 +79,7 @@ class Client(Control):
             endpoint = (
                 super()._ask("describe", Empty(), dict).get("endpoints", {}).get("telemetry", "an unknown endpoint")
             )
-            if _address_part(endpoint) != _address_part(self.telemetry):
+            if _extract_address_part(endpoint) != _extract_address_part(self.telemetry):
                 raise ConfigError(
                     f"commands at {self.endpoint} belong to the daemon with telemetry on {endpoint}, not on "
                     f"{self.telemetry}: give its command endpoint, too, which it prints at the start"
@@ -87,18 +87,18 @@ class Client(Control):
             self._verified = True
         return super()._ask(method, params, kind)
 
-    def _telemetry(self) -> str:
+    def _open_telemetry(self) -> str:
         return self.telemetry if self._verified else self._look_up().telemetry
 
     def subscribe(self, topics: Sequence[str] = (CONTACT,), timeout_s: float | None = None) -> Subscription:
         """Return an iterator of messages on `topics` as they arrive; see `softfinger.server.wire.client.subscribe`."""
-        subscription = subscribe(self._telemetry(), topics, timeout_s)
+        subscription = subscribe(self._open_telemetry(), topics, timeout_s)
         self._opened.append(subscription)
         return subscription
 
     def window(self, samples: int = 1000, finger: str = "") -> Window:
         """Return the latest ticks as arrays: call `window.update`, then `window["force"]` is (m, 3), m <= samples."""
-        window = Window(self._telemetry(), samples, finger)
+        window = Window(self._open_telemetry(), samples, finger)
         self._opened.append(window)
         return window
 
@@ -109,6 +109,6 @@ class Client(Control):
             opened.close()
 
 
-def _address_part(endpoint: str) -> str:
+def _extract_address_part(endpoint: str) -> str:
     """Return the part that distinguishes endpoints of one machine: a path or a port."""
     return endpoint if endpoint.startswith("ipc:") else endpoint.rpartition(":")[2]

@@ -26,15 +26,17 @@ from typing import Any, Final
 from softfinger.drivers import open_devices
 from softfinger.server.standard_error import LAST_WAIT_S, is_writable
 
-STOPPING: Final = frozenset({signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
+STOPPING_SIGNALS: Final = frozenset({signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
 """Signals that stop the process until SIGCONT."""
-_HARMLESS: Final = frozenset({signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH})
-_NOT_CAUGHT: Final = frozenset({signal.SIGKILL, signal.SIGSTOP})
-_FAULTS: Final = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP})
+_HARMLESS_SIGNALS: Final = frozenset({signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH})
+_UNCATCHABLE_SIGNALS: Final = frozenset({signal.SIGKILL, signal.SIGSTOP})
+_FAULT_SIGNALS: Final = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP})
 """A handler would return to the instruction that failed."""
-ENDING: Final = frozenset(signal.valid_signals()) - STOPPING - _HARMLESS - _NOT_CAUGHT - _FAULTS
+ENDING_SIGNALS: Final = (
+    frozenset(signal.valid_signals()) - STOPPING_SIGNALS - _HARMLESS_SIGNALS - _UNCATCHABLE_SIGNALS - _FAULT_SIGNALS
+)
 """All signals that end the process and can be caught."""
-USUAL: Final = frozenset({signal.SIGINT, signal.SIGTERM})
+STOP_REQUESTS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
 """Normal requests to stop a daemon; they give exit code 0."""
 
 GRACE_S: Final = 0.5
@@ -74,7 +76,7 @@ class _SignalState:
 _state = _SignalState()
 
 
-def signal_name(number: int) -> str:
+def name_signal(number: int) -> str:
     """Return the name of a signal; real-time signals other than the first and last have none."""
     try:
         return signal.Signals(number).name
@@ -82,13 +84,13 @@ def signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-def exit_code(number: int) -> int:
+def compute_exit_code(number: int) -> int:
     return 128 + number
 
 
 def stop_exit_code() -> int:
     """Return the exit code after an orderly stop: 0 without a signal and after the usual ones."""
-    return 0 if _state.number in USUAL else exit_code(_state.number) if _state.number else 0
+    return 0 if _state.number in STOP_REQUESTS else compute_exit_code(_state.number) if _state.number else 0
 
 
 @contextmanager
@@ -111,10 +113,12 @@ def handle_signals(ignore_after: bool = False) -> Iterator[None]:
     hook, sys.unraisablehook = sys.unraisablehook, _make_unraisable_hook(sys.unraisablehook)
     wakeup = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
     previous_handlers = {}
-    for number in sorted(ENDING | STOPPING):
+    for number in sorted(ENDING_SIGNALS | STOPPING_SIGNALS):
         # nohup and shells set some signals to ignored for background processes, and Python ignores SIGPIPE.
-        if number in USUAL or signal.getsignal(number) is not signal.SIG_IGN:
-            previous_handlers[number] = signal.signal(number, _handle_stop if number in STOPPING else _handle_end)
+        if number in STOP_REQUESTS or signal.getsignal(number) is not signal.SIG_IGN:
+            previous_handlers[number] = signal.signal(
+                number, _handle_stop if number in STOPPING_SIGNALS else _handle_end
+            )
     watch = threading.Thread(target=_watch_main, args=(receiver, _state), name="signals", daemon=True)
     watch.start()
     try:
@@ -178,7 +182,7 @@ def _handle_end(number: int, _: FrameType | None) -> None:
     if state.stop is not None:
         state.stop()
     elif state.importing:
-        _exit(number)
+        _close_and_exit(number)
     elif first and not state.deferrals:
         raise Interrupted(number)
 
@@ -206,18 +210,18 @@ def _watch_main(receiver: int, state: _SignalState) -> None:
     """End the process if the main thread has not handled a signal within GRACE_S."""
     while numbers := os.read(receiver, 64):
         for number in numbers:
-            if number in ENDING and not state.was_handled.wait(GRACE_S):
+            if number in ENDING_SIGNALS and not state.was_handled.wait(GRACE_S):
                 if state.stop is not None:
                     state.stop()
                 else:
-                    _exit(number)
+                    _close_and_exit(number)
 
 
-def _exit(number: int) -> None:
+def _close_and_exit(number: int) -> None:
     """Close the devices and exit the process, from any thread."""
     open_devices.close_all()
-    _print(f"ended by {signal_name(number)}")
-    os._exit(exit_code(number))
+    _print(f"ended by {name_signal(number)}")
+    os._exit(compute_exit_code(number))
 
 
 def _stop_all() -> None:
@@ -240,7 +244,7 @@ def _make_unraisable_hook(default_hook: Callable[[Any], Any]) -> Callable[[Any],
 
     def hook(unraisable: Any) -> None:
         if isinstance(unraisable.exc_value, Interrupted):
-            _exit(unraisable.exc_value.number)
+            _close_and_exit(unraisable.exc_value.number)
         default_hook(unraisable)
 
     return hook

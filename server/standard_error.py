@@ -13,7 +13,7 @@ from typing import Final
 
 LAST_WAIT_S: Final = 1.0
 """Time for which the last line of a program waits."""
-PIECE: Final = 1000
+WRITE_CHARACTERS: Final = 1000
 """Characters of one write, at most 4 bytes each: a pipe that poll(2) reports as writable takes 4096 bytes at once."""
 
 _lost_lines = 0
@@ -24,11 +24,11 @@ def write_line(text: str, wait_s: float = 0.0) -> None:
     global _lost_lines
     notice = f"({_lost_lines} lines are missing here: they were not read in time)\n" if _lost_lines else ""
     line = f"{notice}{text}\n"
-    for start in range(0, len(line), PIECE):
+    for start in range(0, len(line), WRITE_CHARACTERS):
         if not is_writable(wait_s):
             _lost_lines += 1
             return
-        sys.stderr.write(line[start : start + PIECE])
+        sys.stderr.write(line[start : start + WRITE_CHARACTERS])
         sys.stderr.flush()
     if notice:
         _lost_lines = 0

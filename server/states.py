@@ -65,12 +65,12 @@ TRANSITIONS: Final = {
 }
 """Next state by state and trigger; all other triggers are ignored."""
 
-UNARMED: Final = "not armed yet"
-COMMANDED: Final = "disarmed by command"
-SILENT: Final = "no heartbeat"
-FAST: Final = "the handle was too fast"
+NOT_ARMED_REASON: Final = "not armed yet"
+COMMANDED_REASON: Final = "disarmed by command"
+NO_HEARTBEAT_REASON: Final = "no heartbeat"
+TOO_FAST_REASON: Final = "the handle was too fast"
 """Reasons for zero force."""
-FAULTS: Final = frozenset({SILENT, FAST})
+FAULT_REASONS: Final = frozenset({NO_HEARTBEAT_REASON, TOO_FAST_REASON})
 """Reasons for zero force that are faults."""
 
 
@@ -113,7 +113,7 @@ class States:
             if self.now is DaemonState.STARTING or self._failed:
                 return
             cause = ", ".join(sorted(reasons))
-            if reasons & FAULTS:
+            if reasons & FAULT_REASONS:
                 self.fire(Trigger.FAULT, cause)
                 return
             self.fire(Trigger.CLEAR, cause)

@@ -42,49 +42,49 @@ def decode_mesh(vertices: bytes, triangles: bytes) -> SurfaceMesh:
     return SurfaceMesh(points, faces)
 
 
-def surface_mesh(obj: shapes.ObjectBase) -> SurfaceMesh | None:
+def make_surface(obj: shapes.ObjectBase) -> SurfaceMesh | None:
     """Return the surface of an object; None for shapes of other packages and for objects loaded from files."""
     triangles = TRIANGLES.get(type(obj))
     return None if triangles is None else triangles(obj)
 
 
-def plane(edge: float) -> SurfaceMesh:
+def make_plane(edge: float) -> SurfaceMesh:
     """Return a square centred at the origin, with outward normal z."""
     h = 0.5 * edge
     corners = [(-h, -h, 0.0), (h, -h, 0.0), (h, h, 0.0), (-h, h, 0.0)]
     return SurfaceMesh(np.array(corners), np.array([(0, 1, 2), (0, 2, 3)], np.uint32), flat=True)
 
 
-def ellipsoid(radii: tuple[float, float, float]) -> SurfaceMesh:
+def make_ellipsoid(radii: tuple[float, float, float]) -> SurfaceMesh:
     """Return an ellipsoid with half lengths along x, y, z."""
     angle = np.linspace(-0.5 * pi, 0.5 * pi, CIRCLE_CORNERS // 2 + 1)
-    unit = lathe(np.column_stack([np.cos(angle), np.sin(angle)]))
+    unit = revolve(np.column_stack([np.cos(angle), np.sin(angle)]))
     return SurfaceMesh(unit.vertices * radii, unit.faces)
 
 
-def cylinder(radius: float, length: float, closed: bool) -> SurfaceMesh:
+def make_cylinder(radius: float, length: float, closed: bool) -> SurfaceMesh:
     """Return a cylinder about the z axis; flat ends with sharp rims if `closed`."""
     h = 0.5 * length
-    side = lathe(np.array([(radius, -h), (radius, h)]))
+    side = revolve(np.array([(radius, -h), (radius, h)]))
     if not closed:
         return side
-    return join_meshes(lathe(np.array([(0.0, -h), (radius, -h)])), side, lathe(np.array([(radius, h), (0.0, h)])))
+    return join_meshes(revolve(np.array([(0.0, -h), (radius, -h)])), side, revolve(np.array([(radius, h), (0.0, h)])))
 
 
-def capsule(radius: float, length: float) -> SurfaceMesh:
+def make_capsule(radius: float, length: float) -> SurfaceMesh:
     """Return a capsule about the z axis; `length` is the distance between the centres of its round ends."""
     angle = np.linspace(0.0, 0.5 * pi, CIRCLE_CORNERS // 4 + 1)
     end = np.column_stack([radius * np.cos(angle), radius * np.sin(angle) + 0.5 * length])
-    return lathe(np.concatenate([end[::-1] * (1.0, -1.0), end]))
+    return revolve(np.concatenate([end[::-1] * (1.0, -1.0), end]))
 
 
-def torus(major: float, minor: float) -> SurfaceMesh:
+def make_torus(major: float, minor: float) -> SurfaceMesh:
     """Return a torus about the z axis."""
     angle = np.linspace(0.0, 2.0 * pi, CIRCLE_CORNERS + 1)
-    return lathe(np.column_stack([major + minor * np.cos(angle), minor * np.sin(angle)]))
+    return revolve(np.column_stack([major + minor * np.cos(angle), minor * np.sin(angle)]))
 
 
-def box(size: tuple[float, float, float]) -> SurfaceMesh:
+def make_box(size: tuple[float, float, float]) -> SurfaceMesh:
     """Return a box with full lengths along x, y, z."""
     corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -92,12 +92,12 @@ def box(size: tuple[float, float, float]) -> SurfaceMesh:
     return SurfaceMesh(corners, np.array(faces, np.uint32), flat=True)
 
 
-def cone(height: float, radius: float) -> SurfaceMesh:
+def make_cone(height: float, radius: float) -> SurfaceMesh:
     """Return an open cone from its apex at the origin along +z."""
-    return lathe(np.array([(0.0, 0.0), (radius, height)]))
+    return revolve(np.array([(0.0, 0.0), (radius, height)]))
 
 
-def lathe(profile: Array) -> SurfaceMesh:
+def revolve(profile: Array) -> SurfaceMesh:
     """Rotate a profile (n, 2) of radius and z about the z axis; the outside is to the right of its direction."""
     angle = np.linspace(0.0, 2.0 * pi, CIRCLE_CORNERS, endpoint=False)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -119,12 +119,14 @@ def join_meshes(*parts: SurfaceMesh) -> SurfaceMesh:
 
 
 TRIANGLES: Final[dict[type[shapes.ObjectBase], Callable[[Any], SurfaceMesh]]] = {
-    shapes.Plane: lambda obj: plane(PLANE_M),
-    shapes.Sphere: lambda obj: ellipsoid((obj.radius_m,) * 3),
-    shapes.Cylinder: lambda obj: cylinder(obj.radius_m, obj.length_m or ENDLESS_M, closed=obj.length_m is not None),
-    shapes.Capsule: lambda obj: capsule(obj.radius_m, obj.length_m),
-    shapes.Box: lambda obj: box(obj.size_m),
-    shapes.Ellipsoid: lambda obj: ellipsoid(obj.semi_axes_m),
-    shapes.Torus: lambda obj: torus(obj.major_radius_m, obj.minor_radius_m),
+    shapes.Plane: lambda obj: make_plane(PLANE_M),
+    shapes.Sphere: lambda obj: make_ellipsoid((obj.radius_m,) * 3),
+    shapes.Cylinder: lambda obj: make_cylinder(
+        obj.radius_m, obj.length_m or ENDLESS_M, closed=obj.length_m is not None
+    ),
+    shapes.Capsule: lambda obj: make_capsule(obj.radius_m, obj.length_m),
+    shapes.Box: lambda obj: make_box(obj.size_m),
+    shapes.Ellipsoid: lambda obj: make_ellipsoid(obj.semi_axes_m),
+    shapes.Torus: lambda obj: make_torus(obj.major_radius_m, obj.minor_radius_m),
 }
 """Function that returns the surface of each shape, by its configuration class."""

@@ -1,9 +1,10 @@
 """Watcher: process that zeroes the force of a device if its daemon was killed.
 
 It only waits for the end of a pipe whose other end the daemon has open. A daemon that has closed its device first
-writes CLOSED to the pipe, and the watcher exits. Otherwise the daemon has died, by SIGKILL or a fault in a library, and
-the watcher writes the given zero frame to the device. It inherits the open descriptor, because it could not always open
-the node: a serial port opened for exclusive use remains so until the last process that has it open closes it.
+writes CLOSED_MESSAGE to the pipe, and the watcher exits. Otherwise the daemon has died, by SIGKILL or a fault in a
+library, and the watcher writes the given zero frame to the device. It inherits the open descriptor, because it could
+not always open the node: a serial port opened for exclusive use remains so until the last process that has it open
+closes it.
 
 This file runs as a script without this package, so that the process is small and needs no compiler.
 """
@@ -19,11 +20,11 @@ import sys
 import termios
 import time
 
-CLOSED = b"closed"
-WRITES = 3
+CLOSED_MESSAGE = b"closed"
+ZERO_WRITES = 3
 """The first zero may follow an incomplete frame of the daemon."""
 PAUSE_S = 0.005
-TRY_S = 2.0
+WRITE_TIMEOUT_S = 2.0
 """Time limit for a device that accepts no bytes."""
 EXIT_TIMEOUT_S = 2.0
 """Time limit for the process to exit; a stopped process (SIGSTOP) does not."""
@@ -74,26 +75,28 @@ class Watcher:
             if self._process.poll() is not None:
                 return
             try:
-                self._process.communicate(CLOSED, EXIT_TIMEOUT_S)
+                self._process.communicate(CLOSED_MESSAGE, EXIT_TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 self._process.kill()
 
 
-def zero_force(node: str, fd: int, zero: bytes) -> str:
+def write_zero_force(node: str, fd: int, zero: bytes) -> str:
     """Discard the unsent bytes of a device's port and write the zero frame; return the result as a sentence."""
-    until, zeroed_count, detail = time.monotonic() + TRY_S, 0, "only part of it was accepted"
+    until, zeroed_count, detail = time.monotonic() + WRITE_TIMEOUT_S, 0, "only part of it was accepted"
     with contextlib.suppress(OSError, termios.error):  # no serial port, or disconnected
         termios.tcflush(fd, termios.TCOFLUSH)
-    while zeroed_count < WRITES and time.monotonic() < until:
+    while zeroed_count < ZERO_WRITES and time.monotonic() < until:
         try:
             zeroed_count += os.write(fd, zero) == len(zero)
         except OSError as error:
             detail = error.strerror or str(error)
         time.sleep(PAUSE_S)
-    while zeroed_count and _unsent(fd) and time.monotonic() < until:
+    while zeroed_count and _count_unsent(fd) and time.monotonic() < until:
         time.sleep(PAUSE_S)
     remainder = (
-        f", but {count} bytes of it are queued in the port: switch the device off" if (count := _unsent(fd)) else ""
+        f", but {count} bytes of it are queued in the port: switch the device off"
+        if (count := _count_unsent(fd))
+        else ""
     )
     with contextlib.suppress(OSError):  # no serial port, or disconnected
         fcntl.ioctl(fd, termios.TIOCNXCL)  # as on a regular close: the next daemon may have another user
@@ -104,7 +107,7 @@ def zero_force(node: str, fd: int, zero: bytes) -> str:
     )
 
 
-def _unsent(fd: int) -> int:
+def _count_unsent(fd: int) -> int:
     """Return the number of unsent bytes of a serial port; 0 for other devices."""
     with contextlib.suppress(OSError):
         return int.from_bytes(fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
@@ -116,10 +119,10 @@ def main() -> int:
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
         signal.signal(number, signal.SIG_IGN)
     received = b""
-    while data := os.read(0, len(CLOSED)):
+    while data := os.read(0, len(CLOSED_MESSAGE)):
         received += data
-    if received != CLOSED:
-        result = zero_force(sys.argv[1], int(sys.argv[2]), bytes.fromhex(sys.argv[3]))
+    if received != CLOSED_MESSAGE:
+        result = write_zero_force(sys.argv[1], int(sys.argv[2]), bytes.fromhex(sys.argv[3]))
         print(f"softfinger watcher: the daemon has died: {result}", file=sys.stderr, flush=True)
     return 0
 

@@ -21,7 +21,7 @@ from zipfile import ZipFile
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
-from softfinger.proxy.meshes.reading import READERS, arrays_of, read_bytes
+from softfinger.proxy.meshes.reading import READERS, parse_mesh, read_bytes
 from softfinger.server.offline.summary import check_start
 
 PACKAGES: Final = {
@@ -76,7 +76,7 @@ def meshes(folder: Path) -> Iterator[Outcome]:
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower().removeprefix(".") in READERS and path.stat().st_size < SIZE_MAX:
             try:
-                count, refusal = len(arrays_of(path, read_bytes(path)).triangles), ""
+                count, refusal = len(parse_mesh(path, read_bytes(path)).triangles), ""
             except ConfigError as error:
                 count, refusal = 0, str(error).removeprefix(f"{path}: ")
             yield Outcome(str(path.relative_to(folder)), _triangles(path), count, refusal)

@@ -57,9 +57,9 @@ from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
-from softfinger.server.driver_contract import RATE_HZ, Servo
-from softfinger.server.loop.clock import now_ns, sleep_until
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.driver_contract import RATE_HZ, DeviceCaller
+from softfinger.server.loop.clock import read_clock_ns, sleep_until
+from softfinger.server.offline.figures import make_figure, save
 from softfinger.tools import measure
 from softfinger.tools.options import add_output_options
 
@@ -93,10 +93,10 @@ class Case(NamedTuple):
 @numba.njit(**OPTIONS)
 def _tick(io: DeviceIO, sample: Any, wrench: Any, timespec: Any) -> tuple[int, int]:
     """Time (ns) and status of one tick: OK after a new sample and a complete write, negative after an error."""
-    begun = now_ns(timespec)
+    begun = read_clock_ns(timespec)
     status = call_device(io.read, io.handle, sample)
     written = call_device(io.write, io.handle, wrench)
-    return now_ns(timespec) - begun, status if status < 0 else max(status, written)
+    return read_clock_ns(timespec) - begun, status if status < 0 else max(status, written)
 
 
 @numba.njit(**OPTIONS)
@@ -111,7 +111,7 @@ def _measure(calls: Any, peer: int, wait_ns: int, report: Any, memory: Any, out:
                     pass
                 write_fd(peer, report.ctypes.data, len(report))
             if wait_ns > 0:
-                sleep_until(now_ns(timespec) + wait_ns, timespec)
+                sleep_until(read_clock_ns(timespec) + wait_ns, timespec)
             out[n, series], status = _tick(io if series == 0 else bare, sample, wrench, timespec)
             if series == 0:
                 whole[n] = status == OK
@@ -235,7 +235,7 @@ def hid(_: Path) -> Iterator[Case]:
         words = np.array([fd, buffer.ctypes.data, 1 + options.reports.output.bytes])
         bare = DeviceIO(_socket_read.address, _socket_write.address, words.ctypes.data)
         yield Case(
-            device.io(), bare, end.fileno(), answer, lambda: answered(end, answer, Servo(device, arm=False).read)
+            device.io(), bare, end.fileno(), answer, lambda: answered(end, answer, DeviceCaller(device, arm=False).read)
         )
 
 
@@ -249,7 +249,7 @@ def on_stream(options: Any, answer: bytes, sent: int) -> Iterator[Case]:
         words = np.array([int(device._block.word[BOARD.fd]), buffer.ctypes.data, sent])
         bare = DeviceIO(_stream_read.address, _socket_write.address, words.ctypes.data)
         yield Case(
-            device.io(), bare, far.fileno(), answer, lambda: answered(far, answer, Servo(device, arm=False).read)
+            device.io(), bare, far.fileno(), answer, lambda: answered(far, answer, DeviceCaller(device, arm=False).read)
         )
 
 
@@ -353,7 +353,7 @@ def result(seconds: NDArray[np.float64], whole: float) -> dict[str, Any]:
 
 def draw(results: dict[str, dict[str, Any]], path: Path) -> None:
     """Draw a bar per driver: its own time, with the range over the parts."""
-    drawing = figure()
+    drawing = make_figure()
     axes = drawing.subplots()
     own = np.array([[costs[key] for key in ("own", "least", "most")] for costs in results.values()]) * 1e6
     reach = np.abs(own[:, 1:] - own[:, :1]).T

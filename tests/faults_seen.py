@@ -18,7 +18,7 @@ from typing import Any, Final
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from softfinger.tools.pages.hazards import HAZARDS, SEEN_IN
+from softfinger.tools.pages.hazards import HAZARDS, RESULTS_FILE
 
 ROOT: Final = Path(__file__).parents[1]
 FILE: Final = ROOT / "build" / "faults-seen.xml"
@@ -33,8 +33,8 @@ def main() -> int:
     plain_code, plain = run(*tests, "-m", "plain", *sys.argv[1:], NUMBA_DISABLE_JIT="1")
     if code == plain_code == 0:
         cases |= {name: case for name, case in plain.items() if has_passed(case)}
-        SEEN_IN.write_text(condensed(cases), "utf-8")
-        print(f"written: {SEEN_IN.relative_to(ROOT)}; make reference puts it into docs/reference/faults.md")
+        RESULTS_FILE.write_text(condensed(cases), "utf-8")
+        print(f"written: {RESULTS_FILE.relative_to(ROOT)}; make reference puts it into docs/reference/faults.md")
     return code or plain_code
 
 

@@ -38,7 +38,7 @@ from softfinger.drivers.serial.device import open_device as open_serial
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.server.driver_contract import RATE_HZ
-from softfinger.server.loop.clock import now_ns, sleep_until
+from softfinger.server.loop.clock import read_clock_ns, sleep_until
 from softfinger.tools import measure
 
 WARM_TICKS: Final = 200
@@ -66,7 +66,7 @@ def _run(ios: Any, period_ns: int, times: Any, places: Any, fresh: Any, memory: 
     memory  sample, wrench, timespec
     """
     sample, wrench, timespec = memory
-    deadline = now_ns(timespec)
+    deadline = read_clock_ns(timespec)
     for n in range(len(times)):
         deadline += period_ns
         sleep_until(deadline, timespec)
@@ -74,11 +74,11 @@ def _run(ios: Any, period_ns: int, times: Any, places: Any, fresh: Any, memory: 
         for k in range(len(ios)):
             io = ios[k]
             status = call_device(io.read, io.handle, sample)
-            times[n, k, 0] = now_ns(timespec)
+            times[n, k, 0] = read_clock_ns(timespec)
             if status < 0:
                 return status
             places[n, k], fresh[n, k] = sample[0], status == OK
-            times[n, k, 1] = now_ns(timespec)
+            times[n, k, 1] = read_clock_ns(timespec)
             call_device(io.write, io.handle, wrench)
     return 0
 

@@ -33,12 +33,12 @@ from softfinger.proxy.kernels.jit.pack import flatten, packed, unpack
 from softfinger.proxy.kernels.model import Triangles
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
-from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
+from softfinger.proxy.kernels.shapes.mesh.nearest import find_nearest
 from softfinger.proxy.record import UNSEARCHED
 from softfinger.proxy.scene import build_scene, start_state
-from softfinger.server.loop.clock import stopwatch
+from softfinger.server.loop.clock import make_stopwatch
 from softfinger.server.offline.cost import time_steps
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.tools import measure
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ def ask(like: Any, values: Array, points: Array, budget: int, results: Array) ->
     """Fill `found` (n, 3): distance of each of `points` (n, 3), m, its lower bound, m, and the cost of the query."""
     mesh = unpack(like, values)
     for i in range(len(points)):
-        near = nearest(mesh, (points[i, 0], points[i, 1], points[i, 2]), 1e300, NO_TRIANGLE, budget, 0.0)
+        near = find_nearest(mesh, (points[i, 0], points[i, 1], points[i, 2]), 1e300, NO_TRIANGLE, budget, 0.0)
         results[i, 0], results[i, 1], results[i, 2] = near.square**0.5, near.bound**0.5, near.spent
 
 
@@ -122,7 +122,7 @@ def check_distances(scene: schema.Scene, balls: Balls, count: int, rng: np.rando
         "budget": 0,
         "asked_max": 0.0,
     }
-    with progress("distances", count) as show:
+    with show_progress("distances", count) as show:
         for begun in range(0, count, BLOCK):
             points = places(balls, min(BLOCK, count - begun), rng)
             whole, short = np.zeros((2, len(points), 3))
@@ -152,7 +152,7 @@ def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) 
     running, last = Engine(scene), poses[0, :3]
     counts = {"ticks": 0, "touching": 0, "budget": 0, "not_finite": 0, "inside": 0, "through": 0}
     deepest, first = 0.0, None
-    with progress("ticks", len(poses)) as show:
+    with show_progress("ticks", len(poses)) as show:
         for begun in range(0, len(poses), BLOCK):
             records = running.run(poses[begun : begun + BLOCK])
             proxies = records["proxy.position"]
@@ -179,7 +179,7 @@ def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
     tree, times = build_scene(scene), np.zeros((TURNS, len(poses)))
     parameters = packed(tree)
     for turn in range(TURNS):
-        watch = stopwatch(1, len(poses))
+        watch = make_stopwatch(1, len(poses))
         watch.ns.fill(0)  # otherwise the system would allocate its pages in the same ticks of every turn
         time_steps(parameters, packed(start_state(tree)), poses, 1e-3, watch, np.zeros(1, np.int64))
         times[turn] = 1e-3 * watch.ns[0]

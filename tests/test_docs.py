@@ -43,7 +43,7 @@ def table(text: str, heading: str) -> list[list[str]]:
 
 def test_exit_codes_are_those_of_the_errors():
     listed = {int(row[0]) for row in table(RUNNING, "Exit codes") if row[0] != "128 + n"}
-    assert signals.exit_code(15) == 128 + 15
+    assert signals.compute_exit_code(15) == 128 + 15
     tree = [errors.HapticError, protocol.ProtocolError, client.NoTelemetry]
     for kind in tree:
         tree.extend(kind.__subclasses__())

@@ -17,7 +17,7 @@ from helpers.programs import run_program
 from nbclient import NotebookClient
 
 from softfinger.drivers.base import PROTOCOL
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 from softfinger.server.experiment.analysis import PowerLaw, fit_groups
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment
@@ -183,7 +183,7 @@ def test_an_exception_in_a_python_driver_ends_the_run() -> None:
             raise ZeroDivisionError
 
     with Broken(driver.Options(), 1000.0) as device:
-        assert Servo(device).read()[0] == PROTOCOL
+        assert DeviceCaller(device).read()[0] == PROTOCOL
 
 
 @pytest.mark.real_time

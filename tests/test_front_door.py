@@ -23,7 +23,7 @@ from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.engine import Engine, step_many
 from softfinger.proxy.pose_checks import PoseError
-from softfinger.proxy.record import AT, FIELDS, MODE_NAMES, RECORD_SIZE, columns
+from softfinger.proxy.record import AT, FIELDS, MODE_NAMES, RECORD_SIZE, list_columns
 from softfinger.proxy.records import Records
 from softfinger.server.cli import main
 from softfinger.server.offline.simulate import run_recording
@@ -183,7 +183,7 @@ def test_pandas_has_the_columns_of_a_results_file(monkeypatch: pytest.MonkeyPatc
     stand_in.DataFrame = Frame  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "pandas", stand_in)
     made_up().to_pandas()
-    assert made == [(columns(), {field.name: np.int64 for field in FIELDS if field.kind == "int"})]
+    assert made == [(list_columns(), {field.name: np.int64 for field in FIELDS if field.kind == "int"})]
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(HapticError, match="pip install pandas"):
         made_up().to_pandas()

@@ -19,7 +19,7 @@ from softfinger.config.errors import ConfigError, DeviceError, DeviceTimeout
 from softfinger.config.load import build, load_rig
 from softfinger.drivers import registry
 from softfinger.drivers.base import HELD, OK, TIMEOUT, WITHHELD
-from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
+from softfinger.server.driver_contract import RATE_HZ, Bench, DeviceCaller, DriverContract
 
 FOLDER = Path(__file__).parents[1] / "examples" / "leader_arm"
 sys.path.insert(0, str(FOLDER))
@@ -78,7 +78,7 @@ def force_x(arm: BusServos) -> float:
     return arm.servos[IDS["pitch"]].force(time.monotonic()) * NM_PER_COUNT / LEVER_M
 
 
-def pushed(servo: Servo, arm: BusServos, newtons: float) -> None:
+def pushed(servo: DeviceCaller, arm: BusServos, newtons: float) -> None:
     """Write a force until the motor has it: the bus is slower than the loop."""
 
     def has_force() -> bool:
@@ -154,7 +154,7 @@ def test_published_packets() -> None:
 @pytest.mark.parametrize("protocol", SERIES)
 def test_pose_and_force(protocol: str, urdf: Path) -> None:
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         assert (device.info.sensed_dof, device.info.actuated_dof) == (3, 1)
         yaw, pitch, roll = (round(angle * 4096 / math.tau) for angle in (0.5, -0.3, 1.0))
         for name, counts in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
@@ -185,7 +185,7 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
 @pytest.mark.parametrize("protocol", SERIES)
 def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         arm.damage[2] = 3
         requests = arm.requests
 
@@ -201,7 +201,7 @@ def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
 def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
     with emulated() as arm:
         device = leader.open_device(arm_options(arm, urdf, timeout_s=0.1), RATE_HZ)
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         pushed(servo, arm, 0.5)
         motor = arm.servos[IDS["pitch"]]
         motor.store = lambda *_: setattr(motor, "mute", True)  # type: ignore[method-assign]
@@ -216,7 +216,7 @@ def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
 def test_a_dynamixel_stops_by_itself(urdf: Path) -> None:
     with emulated(DYNAMIXEL) as arm:
         device = leader.open_device(arm_options(arm, urdf), RATE_HZ)
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         pushed(servo, arm, 0.5)
         device._bus._transact = lambda *_: time.sleep(0.01) or {}
         until(lambda: force_x(arm) == 0.0)
@@ -227,7 +227,7 @@ def test_the_rig_of_an_so101_is_complete() -> None:
     registry.add("leader-arm", leader)
     rig = load_rig(FOLDER / "so101.toml")
     assert rig.device is not None
-    options = registry.options(rig.device)
+    options = registry.read_options(rig.device)
     assert [joint.servo for joint in options.joint] == [1, 2, 3, 4, 5]
     assert options.force_joint == "shoulder_pan" and rig.guard.force_max_n <= options.force_max_n
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceLost
 from softfinger.config.load import load_rig
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers.base import SAMPLE_SIZE, Device
 from softfinger.drivers.falcon.device import Falcon
 from softfinger.drivers.registry import open_device
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.figures import make_figure, save
 from softfinger.tools import measure
 from softfinger.tools.measure import Array
 
@@ -42,9 +42,9 @@ ESCAPE_M: Final = 0.03
 PAUSE_S: Final = 0.001
 WINDOW_S: Final = 1.0
 SETTLE_S: Final = 1.0
-STEADY_N: Final = 0.05
+STEADY_CHANGE_N: Final = 0.05
 """Largest change of the holding force between two windows that counts as steady."""
-HUNG: Final = 0.1
+HUNG_SHARE: Final = 0.1
 """Fraction of the weight, at the gain in use, by which the holding force changes when the weight is hung."""
 
 
@@ -101,7 +101,7 @@ class HoldController:
             self.run(WINDOW_S / 4)
             if self.record[-1][0] - self.record[0][0] > 2 * WINDOW_S:
                 force = self.window()
-                if abs(force - self.window(1)) < STEADY_N and far(force):
+                if abs(force - self.window(1)) < STEADY_CHANGE_N and far(force):
                     return force
         return None
 
@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     if not MASS_KG[0] <= args.mass <= MASS_KG[1]:
         raise ConfigError(f"--mass {args.mass:g}: must be from {MASS_KG[0]:g} to {MASS_KG[1]:g} kg: use another weight")
     rig = load_rig(args.rig)
-    config = single_device(rig)
+    config = find_single_device(rig)
     with open_device(config, rig.servo.rate_hz) as device:
         if not isinstance(device, Falcon):
             raise ConfigError(f"--rig {args.rig}: its driver is '{config.driver}': name a rig with driver 'falcon'")
@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
             raise DeviceError(f"the knob does not stop within {args.hang:g} s: let it hang freelyly")
         print(f"hang {args.mass:g} kg on the knob, within {args.hang:g} s", file=sys.stderr)
         weight = args.mass * GRAVITY
-        loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG * weight)
+        loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG_SHARE * weight)
         if loaded is None:
             raise DeviceError(f"no weight was detected in {args.hang:g} s: attach it when prompted")
         counts_in_use = device.counts_per_nm
@@ -147,7 +147,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(path: Path, record: Array, result: dict[str, float]) -> None:
-    drawing = figure()
+    drawing = make_figure()
     axes = drawing.subplots()
     axes.plot(record[:, 0] - record[0, 0], record[:, 1], linewidth=0.8)
     for name in ("force_bare_n", "force_loaded_n"):

@@ -22,7 +22,7 @@ from softfinger.config.schema import Mesh
 from softfinger.proxy import progress as preparation
 from softfinger.proxy.elastic import prepared, solution
 from softfinger.proxy.meshes.reading import read_bytes
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 
 Points = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -32,14 +32,14 @@ BALL_DIVISIONS: Final = 3
 """Times that the triangles of an icosahedron are divided: a chord is then 0.05 mm from the sphere."""
 
 
-def box(low: Sequence[float], high: Sequence[float]) -> tuple[Points, Faces]:
+def make_box(low: Sequence[float], high: Sequence[float]) -> tuple[Points, Faces]:
     """Return vertices, m, and triangles of a box along the axes."""
     corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return corners, np.array([triangle for a, b, c, d in faces for triangle in ((a, b, c), (a, c, d))])
 
 
-def ball(radius: float) -> tuple[Points, Faces]:
+def make_ball(radius: float) -> tuple[Points, Faces]:
     """Return vertices, m, and triangles of a sphere about the origin."""
     golden = 0.5 * (1.0 + 5.0**0.5)
     corners = [(-1, golden, 0), (1, golden, 0), (-1, -golden, 0), (1, -golden, 0)]
@@ -67,9 +67,9 @@ def _subdivide(points: Points, faces: Faces) -> tuple[Points, Faces]:
 
 
 MESHES: Final = {
-    "press-a-pad": box((-0.03, -0.03, 0.0), (0.03, 0.03, 0.02)),
-    "bend-a-strip": box((-0.1, -0.01, -0.003), (0.01, 0.01, 0.0)),
-    "squeeze-a-ball": ball(BALL_M),
+    "press-a-pad": make_box((-0.03, -0.03, 0.0), (0.03, 0.03, 0.02)),
+    "bend-a-strip": make_box((-0.1, -0.01, -0.003), (0.01, 0.01, 0.0)),
+    "squeeze-a-ball": make_ball(BALL_M),
 }
 """Vertices and triangles for each shipped scene."""
 
@@ -95,12 +95,12 @@ def write_solution(scene: Any) -> str:
     elastic = obj.elastic if isinstance(obj, Mesh) else None
     if not isinstance(obj, Mesh) or elastic is None or elastic.solution is None:
         raise ConfigError(f"{scene}: has no object.elastic.solution, the file to be written")
-    preparation.display = progress
+    preparation.display = show_progress
     try:
         body = prepared.solve(obj, elastic)
     except ValueError as error:
         raise ConfigError(f"object '{obj.name}': elastic: {obj.file}: {error}") from error
-    solution.save(elastic.solution, solution.identity(obj, elastic, read_bytes(obj.file)), body)
+    solution.save(elastic.solution, solution.make_identity(obj, elastic, read_bytes(obj.file)), body)
     return elastic.solution
 
 

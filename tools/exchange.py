@@ -32,16 +32,16 @@ from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.all_devices import Io, write_wrench
 from softfinger.server.loop.clock import (
     NS_PER_S,
-    first_pace,
-    next_pace,
-    now_ns,
-    period_ns,
+    compute_next_pace,
+    compute_period_ns,
+    make_first_pace,
+    read_clock_ns,
     sleep_until,
     with_suspension,
 )
 from softfinger.server.loop.guard import INITIAL_GUARD_STATE, Guard, GuardState, guard_wrench
 from softfinger.server.loop.health import STALL_POLL_S, Watchdog
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.tools.measure import Array
 
 # Columns of a row; times in s.
@@ -71,7 +71,7 @@ JOIN_S: Final = 2.0
 """An exchange that takes longer than this to end hangs; the device is then stopped by the caller's thread."""
 
 # Indices of the words shared with the loop.
-_ENOUGH: Final = 0  # stops the loop
+_STOP_FLAG: Final = 0  # stops the loop
 _NEXT: Final = 1  # ends the wait for the next part
 _TICKS: Final = 2
 
@@ -109,7 +109,7 @@ NO_PUSH: Final = Push((0.0, 0.0, 0.0), 1.0, 1.0)
 
 
 @c_function(IO_SIGNATURE)
-def _nothing(handle: int, values: Any) -> int:
+def _do_nothing(handle: int, values: Any) -> int:
     return OK
 
 
@@ -149,7 +149,7 @@ def exchange_once(
     """Read, write a force (3,) N through the guard, and do the same with the empty device; stop at a failure."""
     timespec, sample, wrench = scratch
     status = call_device(io.read, io.handle, sample)
-    read = now_ns(timespec)
+    read = read_clock_ns(timespec)
     if status < 0 or status == END:
         return ExchangeResult(guarded, status, OK, read, read, read, read, read)
     if status == WITHHELD:
@@ -157,9 +157,9 @@ def exchange_once(
     previous = guarded
     guarded, _ = guard_wrench(guard, guarded, force, (0.0, 0.0, 0.0), dt, period)
     write_wrench(wrench, guarded.force, guarded.torque)
-    before = now_ns(timespec)
+    before = read_clock_ns(timespec)
     status_out = call_device(io.write, io.handle, wrench)
-    wrote = now_ns(timespec)
+    wrote = read_clock_ns(timespec)
     if status_out < 0:
         return ExchangeResult(guarded, status, status_out, read, before, wrote, wrote, wrote)
     if status_out == WITHHELD:
@@ -167,9 +167,9 @@ def exchange_once(
     elif status_out == HELD:
         guarded = GuardState(previous.force, previous.torque, guarded.gain)
     call_device(empty.read, empty.handle, sample)
-    empty_read = now_ns(timespec)
+    empty_read = read_clock_ns(timespec)
     call_device(empty.write, empty.handle, wrench)
-    return ExchangeResult(guarded, status, status_out, read, before, wrote, empty_read, now_ns(timespec))
+    return ExchangeResult(guarded, status, status_out, read, before, wrote, empty_read, read_clock_ns(timespec))
 
 
 @jit
@@ -208,16 +208,16 @@ def exchange_loop(
     nominal = span.period_ns / NS_PER_S
     guarded, number, ending, status = INITIAL_GUARD_STATE, 0, shutdown.FINISHED, 0
     ticks = load_acquire(words, _TICKS)
-    start = now_ns(timespec)
-    pace = first_pace(start, span.period_ns, 0, timespec)
+    start = read_clock_ns(timespec)
+    pace = make_first_pace(start, span.period_ns, 0, timespec)
 
     while span.waiting == 1 or number < rows.shape[0]:
-        if load_acquire(words, _ENOUGH) != 0 or (span.waiting == 1 and load_acquire(words, _NEXT) != 0):
+        if load_acquire(words, _STOP_FLAG) != 0 or (span.waiting == 1 and load_acquire(words, _NEXT) != 0):
             ending = shutdown.STOPPED
             break
         if span.period_ns > 0:
             sleep_until(pace.deadline, timespec)
-        woke = now_ns(timespec)
+        woke = read_clock_ns(timespec)
         pace = with_suspension(pace, woke, timespec)
         if 0 <= span.limit_ns < woke - start:
             break
@@ -235,7 +235,7 @@ def exchange_loop(
             fill_row(rows[number], start, woke, woke - pace.deadline, exchanged, sample)
         number += 1
         store_release(words, _TICKS, ticks + number)
-        pace = next_pace(pace, exchanged.empty_wrote, span.period_ns)
+        pace = compute_next_pace(pace, exchanged.empty_wrote, span.period_ns)
 
     shutdown.write_zero(io.write, io.handle, wrench)
     return ending, status, 0 if span.waiting == 1 else number
@@ -249,7 +249,7 @@ def compile_exchange() -> None:
     """Compile the loop, which its thread would otherwise do after it has armed the device."""
     like = (Io(0, 0, 0), Io(0, 0, 0), PartTiming(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     arguments = (*like, np.zeros(8, np.int64), make_scratch(), np.zeros((1, ROW_SIZE)))
-    with progress("kernels of the exchange"):
+    with show_progress("kernels of the exchange"):
         exchange_loop.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
 
 
@@ -280,12 +280,12 @@ class Exchange:
         self.ended: shutdown.LoopEnd | None = None
         """How the exchange has ended by itself; None while it runs."""
         self._servo, self._guard = rig.servo, guard
-        self._period = period_ns(rig.servo.rate_hz)
+        self._period = compute_period_ns(rig.servo.rate_hz)
         self._words = np.zeros(8, np.int64)
         self._parts: queue.SimpleQueue[_RecordedPart] = queue.SimpleQueue()
         self._part: _RecordedPart | None = None
         io = device.io()
-        self._devices = (Io(io.read, io.write, io.handle), Io(_nothing.address, _nothing.address, 1))
+        self._devices = (Io(io.read, io.write, io.handle), Io(_do_nothing.address, _do_nothing.address, 1))
         self._scratch = make_scratch()
         self._armed = False
         self._stop_event = threading.Event()
@@ -297,7 +297,7 @@ class Exchange:
         `operation` is recorded, for the progress line. Raises SafetyStop if the exchange hangs.
         """
         part = _RecordedPart(PartTiming(self._period, -1, 0), push, max(1, round(seconds * self.rate_hz)))
-        with progress(f"recording {operation}", len(part.rows)) as update:
+        with show_progress(f"recording {operation}", len(part.rows)) as update:
             return self._record(part, update)
 
     def burst(self) -> Array:
@@ -306,7 +306,7 @@ class Exchange:
 
     def failure(self) -> Exception | None:
         """Return the error of a device that failed; None while it runs, and at the end of a recording."""
-        return None if self.ended is None else shutdown.device_failure(self.device, self.ended)
+        return None if self.ended is None else shutdown.describe_failure(self.device, self.ended)
 
     def _record(self, part: _RecordedPart, advance: Callable[[int], None]) -> Array:
         first = int(self._words[_TICKS])
@@ -336,7 +336,7 @@ class Exchange:
             waiting = _RecordedPart(PartTiming(self._period, -1, 1), NO_PUSH, 0)
             self.device.arm()
             self._armed = True
-            while self.ended is None and not self._words[_ENOUGH]:
+            while self.ended is None and not self._words[_STOP_FLAG]:
                 self._words[_NEXT] = 0  # before the queue is read: a later part then ends the waiting at once
                 try:
                     part = self._parts.get_nowait()
@@ -373,7 +373,7 @@ class Exchange:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._words[_ENOUGH] = 1
+        self._words[_STOP_FLAG] = 1
         if not self._stop_event.wait(JOIN_S):
             shutdown.run_all_steps(lambda: shutdown.stop(self.device), first=error)
         elif error is None:

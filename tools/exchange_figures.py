@@ -8,7 +8,7 @@ import numpy as np
 
 from softfinger.drivers.base import SAMPLE_TIME, STALE
 from softfinger.tools import exchange
-from softfinger.tools.measure import Array, microseconds, quantiles
+from softfinger.tools.measure import Array, compute_quantiles, format_microseconds
 
 HISTOGRAM_S: Final = tuple(float(f"{base}e{power}") for power in range(-8, 0) for base in (1, 2, 5))
 """Edges of the histogram's bins: 10 ns to half a second, three per decade."""
@@ -16,7 +16,7 @@ HISTOGRAM_S: Final = tuple(float(f"{base}e{power}") for power in range(-8, 0) fo
 TIMES: Final = ("read", "write", "cycle")
 
 
-def figures(rows: Array, rate_hz: float) -> dict[str, Any]:
+def summarize_part(rows: Array, rate_hz: float) -> dict[str, Any]:
     """Return the times of a part, s, overall and as medians over blocks of a second, and ratios to the empty exchange.
 
     rows  (n, ROW_SIZE), n at least 1
@@ -27,14 +27,14 @@ def figures(rows: Array, rate_hz: float) -> dict[str, Any]:
     result: dict[str, Any] = {"ticks": len(rows), "seconds": measure_elapsed(rows)}
     pairs = ((read, empty_read), (write, empty_write), (read + write, empty_read + empty_write))
     for name, (values, reference) in zip(TIMES, pairs, strict=True):
-        measured, empty = quantiles(values, block), quantiles(reference, block)
+        measured, empty = compute_quantiles(values, block), compute_quantiles(reference, block)
         ratios = {at: measured["blocks"][at] / max(empty["blocks"][at], 1e-9) for at in ("p50", "p99")}
-        result[name] = measured | {"empty": empty, "over_empty": ratios, "histogram": histogram(values)}
-    result["late"] = quantiles(rows[:, exchange.LATE], block)
-    return result | freshness(rows)
+        result[name] = measured | {"empty": empty, "over_empty": ratios, "histogram": make_histogram(values)}
+    result["late"] = compute_quantiles(rows[:, exchange.LATE], block)
+    return result | count_freshness(rows)
 
 
-def freshness(rows: Array) -> dict[str, Any]:
+def count_freshness(rows: Array) -> dict[str, Any]:
     """Return the shares of reads and writes with status STALE, new samples a second, and steps of the device's time."""
     stale = rows[:, exchange.READ_STATUS] == STALE
     steps = np.diff(rows[~stale, exchange.SAMPLE + SAMPLE_TIME])
@@ -56,26 +56,31 @@ def measure_elapsed(rows: Array) -> float:
     return float(rows[-1, exchange.START] - rows[0, exchange.START] + np.median(np.diff(rows[:, exchange.START])))
 
 
-def burst_figures(rows: Array) -> dict[str, Any]:
+def summarize_burst(rows: Array) -> dict[str, Any]:
     """Return exchanges and new samples per second of a part without pauses, including the time of the loop itself."""
-    return {"exchanges": len(rows), "exchanges_hz": len(rows) / max(measure_elapsed(rows), 1e-9)} | freshness(rows)
+    return {"exchanges": len(rows), "exchanges_hz": len(rows) / max(measure_elapsed(rows), 1e-9)} | count_freshness(
+        rows
+    )
 
 
-def histogram(values: Array) -> list[list[float]]:
+def make_histogram(values: Array) -> list[list[float]]:
     """Return pairs of upper edge (s) and count of the non-empty bins; the last bin has no end."""
     counts = np.bincount(np.searchsorted(HISTOGRAM_S, values), minlength=len(HISTOGRAM_S) + 1)
     edges = (*HISTOGRAM_S, float(values.max()))
     return [[edge, int(count)] for edge, count in zip(edges, counts, strict=True) if count]
 
 
-def table(result: dict[str, Any]) -> list[str]:
+def format_table(result: dict[str, Any]) -> list[str]:
     lines = [
         "  us; in brackets the median over blocks of 1 s; empty: functions that do nothing, in the same ticks",
         f"  {'':<14}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")),
     ]
     for name in TIMES:
         for label, figures in ((name, result[name]), ("  empty", result[name]["empty"])):
-            cells = (f"{microseconds(figures[q])} ({microseconds(figures['blocks'][q])})" for q in figures["blocks"])
+            cells = (
+                f"{format_microseconds(figures[q])} ({format_microseconds(figures['blocks'][q])})"
+                for q in figures["blocks"]
+            )
             lines.append(f"  {label:<14}" + "".join(f"{cell:>22}" for cell in cells))
     ratios = (f"{name} {result[name]['over_empty']['p50']:.1f}" for name in TIMES)
     lines.append(f"  times the empty exchange, p50: {', '.join(ratios)}")
@@ -88,7 +93,7 @@ def table(result: dict[str, Any]) -> list[str]:
     return lines
 
 
-def burst_line(result: dict[str, Any]) -> str:
+def format_burst(result: dict[str, Any]) -> str:
     """Format the figures of a part without pauses."""
     return (
         f"  without pauses: {result['exchanges_hz']:.0f} exchanges a second, "

@@ -13,14 +13,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.figures import make_figure, save
 
 Array = NDArray[np.float64]
 
 QUANTILES: Final = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
-def quantiles(values: Array, block: int) -> dict[str, Any]:
+def compute_quantiles(values: Array, block: int) -> dict[str, Any]:
     """Return percentiles of `values` (n,) and, under `blocks`, the median of each over blocks of `block` values.
 
     Compare the median over blocks: a stall of the machine spoils only one block.
@@ -57,7 +57,7 @@ def draw_lines(
     log: bool = False,
 ) -> None:
     """Draw a line for each name, with logarithmic axes if `log`."""
-    drawing = figure()
+    drawing = make_figure()
     axes = drawing.add_subplot()
     for name, (at, values) in lines.items():
         axes.plot(at, values, style, label=name)
@@ -79,7 +79,7 @@ def draw_exceedance(path: Path, seconds: Mapping[str, Array], least_us: float, t
 
 def draw_bars(path: Path, costs: Mapping[str, float], unit: str) -> None:
     """Draw a horizontal bar for each name, the first at the top."""
-    drawing = figure(height=3.0)
+    drawing = make_figure(height=3.0)
     axes = drawing.add_subplot()
     axes.barh(list(costs), list(costs.values()))
     axes.invert_yaxis()
@@ -87,7 +87,7 @@ def draw_bars(path: Path, costs: Mapping[str, float], unit: str) -> None:
     save(drawing, path)
 
 
-def microseconds(seconds: float) -> str:
+def format_microseconds(seconds: float) -> str:
     return f"{seconds * 1e6:9.2f}"
 
 

@@ -13,13 +13,13 @@ import numpy as np
 from rich.console import Console
 
 from softfinger.proxy.record import AT, SLIDING
-from softfinger.server.offline.figures import figure, save
-from softfinger.tools.accuracy.report import WIDTH, table
+from softfinger.server.offline.figures import make_figure, save
+from softfinger.tools.accuracy.report import WIDTH, format_table
 from softfinger.tools.measure import Array
-from softfinger.tools.pages.figures import GRIP, RADIUS_M, poses, run
+from softfinger.tools.pages.figures import GRIP, RADIUS_M, make_poses, run
 
 PRESS_M: Final = 0.001
-ICE: Final = {"kinetic": 0.0}
+NO_FRICTION: Final = {"kinetic": 0.0}
 """Friction table that stands for no friction."""
 EIGHTH: Final = float(np.pi / 8.0)
 
@@ -46,7 +46,7 @@ class Drag(NamedTuple):
 
 def make_path(*corners: tuple[float, float, float], ticks: int = 400) -> Array:
     """Return upright poses (n, 7) from corner to corner, with `ticks` ticks each."""
-    return poses(*corners, ticks=ticks)[:-1]
+    return make_poses(*corners, ticks=ticks)[:-1]
 
 
 def record_case(case: TouchCase) -> Array:
@@ -54,24 +54,24 @@ def record_case(case: TouchCase) -> Array:
     return records
 
 
-def over(objects: list[dict[str, Any]]) -> TouchCase:
+def make_case(objects: list[dict[str, Any]]) -> TouchCase:
     """Return a case that presses onto z = 0 and drags by 20 mm along x, at 50 mm/s."""
     z = RADIUS_M - PRESS_M
     return TouchCase(objects, make_path((-0.01, 0.0, z + 0.002), (-0.01, 0.0, z), (0.01, 0.0, z)))
 
 
-def plane() -> TouchCase:
-    return over([{"name": "floor", "shape": "plane", "material": GRIP}])
+def make_plane() -> TouchCase:
+    return make_case([{"name": "floor", "shape": "plane", "material": GRIP}])
 
 
-def seam() -> TouchCase:
+def make_seam() -> TouchCase:
     """Return two flush boxes, with a drag from one to the other."""
     box = {"shape": "box", "size_m": [0.1, 0.1, 0.1], "material": GRIP}
     boxes = [box | {"name": f"box {i}", "position_m": [x, 0.0, -0.05]} for i, x in enumerate((-0.05, 0.05))]
-    return over(boxes)
+    return make_case(boxes)
 
 
-def groove() -> TouchCase:
+def make_groove() -> TouchCase:
     """Return two walls at right angles, one of them without friction, with a press and a drag along them."""
     walls = [
         {
@@ -86,7 +86,7 @@ def groove() -> TouchCase:
     return TouchCase(walls, make_path((0.0, 0.0, z + 0.002), (0.0, 0.0, z), (0.0, 0.02, z)))
 
 
-def pinch() -> TouchCase:
+def make_pinch() -> TouchCase:
     """Return a finger at rest 1 mm deep in the floor, and a ceiling that descends onto it."""
     down = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.008], "frequency_hz": 0.3}
     floor = {"name": "floor", "shape": "plane", "material": GRIP}
@@ -103,7 +103,7 @@ def pinch() -> TouchCase:
 def drag(case: TouchCase) -> Drag:
     """Return the friction errors of a case that is pressed and dragged."""
     records = record_case(case)
-    kinetic = np.array([obj["material"].get("friction", ICE)["kinetic"] for obj in case.objects])
+    kinetic = np.array([obj["material"].get("friction", NO_FRICTION)["kinetic"] for obj in case.objects])
     size, kinetic_load, highest = np.zeros(len(records)), np.zeros(len(records)), 0.0
     slides = records[:, AT.contacts0_object] >= 0.0
     for i in range(3):
@@ -122,22 +122,24 @@ def drag(case: TouchCase) -> Drag:
     return Drag(float((size - kinetic_load)[1:][steady].mean()), float(change.max()), highest)
 
 
-def drags_table() -> Any:
+def format_drags_table() -> Any:
     """Return the table for plane, seam, groove and CHAI3D's plane."""
-    drags = {"plane": drag(plane()), "seam": drag(seam()), "groove": drag(groove())}
+    drags = {"plane": drag(make_plane()), "seam": drag(make_seam()), "groove": drag(make_groove())}
     rows = [
         (name, f"{1e3 * abs(result.bias):.6f}", f"{1e3 * result.ripple:.6f}", f"{result.highest:.6f}")
         for name, result in drags.items()
     ]
     rows.append(("CHAI3D 3.3.0, plane of two triangles", "30", "52", "0.655"))
     columns = ("drag", "bias, mN", "ripple, mN a tick", "largest tangential / normal force")
-    return table("friction of drags", columns, rows, 1)
+    return format_table("friction of drags", columns, rows, 1)
 
 
 def draw_patches(path: Path) -> None:
-    drawing = figure(8.0, 6.5)
+    drawing = make_figure(8.0, 6.5)
     for axes, (name, case) in zip(
-        drawing.subplots(3, 1), {"seam": seam(), "groove": groove(), "pinch": pinch()}.items(), strict=True
+        drawing.subplots(3, 1),
+        {"seam": make_seam(), "groove": make_groove(), "pinch": make_pinch()}.items(),
+        strict=True,
     ):
         records = record_case(case)
         milliseconds = 1e3 * records[:, AT.timestamp]
@@ -157,4 +159,4 @@ def draw_patches(path: Path) -> None:
 
 if __name__ == "__main__":
     draw_patches(Path(sys.argv[1]))
-    Console(width=WIDTH).print(drags_table())
+    Console(width=WIDTH).print(format_drags_table())

@@ -22,10 +22,10 @@ import numpy as np
 
 from softfinger.drivers import quaternions
 from softfinger.tools import motions
-from softfinger.tools.motions import ABOVE_M, RATE_HZ, Move, Vector
+from softfinger.tools.motions import FREE_HEIGHT_M, RATE_HZ, Move, Vector
 
 HEADER: Final = "t,x,y,z,qw,qx,qy,qz"
-OVER_THE_PLANE: Final = (0.0, 0.0, ABOVE_M)
+OVER_THE_PLANE: Final = (0.0, 0.0, FREE_HEIGHT_M)
 HALF_BOX_M: Final = 0.020
 OFF_CENTRE_M: Final = 0.008
 """Distance of the grip from the centre of mass; the box hangs by the torsion of the contacts."""
@@ -47,24 +47,30 @@ class Script(NamedTuple):
 RECORDINGS: Final[dict[str, Script]] = {
     "press-roll-spin-drag": Script(OVER_THE_PLANE, motions.press_roll_spin_drag),
     "roll-follow": Script(OVER_THE_PLANE, motions.roll_follow),
-    "tap": Script(OVER_THE_PLANE, motions.tap),
-    "pinch-thumb": Script((-HALF_BOX_M - ABOVE_M, 0.0, 0.0), lambda: motions.pinch(-1.0, 0.0)),
-    "pinch-index": Script((HALF_BOX_M + ABOVE_M - INDEX_THINNER_M, 0.0, 0.0), lambda: motions.pinch(1.0, 0.004)),
-    "lift-thumb": Script((-HALF_BOX_M - ABOVE_M, OFF_CENTRE_M, HALF_BOX_M), lambda: motions.lift(-1.0)),
-    "lift-index": Script((HALF_BOX_M + ABOVE_M, OFF_CENTRE_M, HALF_BOX_M), lambda: motions.lift(1.0)),
-    "turn-a-knob": Script((0.0, 0.0, 0.015 + ABOVE_M), motions.turn_a_knob),
+    "tap": Script(OVER_THE_PLANE, motions.make_tap),
+    "pinch-thumb": Script((-HALF_BOX_M - FREE_HEIGHT_M, 0.0, 0.0), lambda: motions.make_pinch(-1.0, 0.0)),
+    "pinch-index": Script(
+        (HALF_BOX_M + FREE_HEIGHT_M - INDEX_THINNER_M, 0.0, 0.0), lambda: motions.make_pinch(1.0, 0.004)
+    ),
+    "lift-thumb": Script((-HALF_BOX_M - FREE_HEIGHT_M, OFF_CENTRE_M, HALF_BOX_M), lambda: motions.lift(-1.0)),
+    "lift-index": Script((HALF_BOX_M + FREE_HEIGHT_M, OFF_CENTRE_M, HALF_BOX_M), lambda: motions.lift(1.0)),
+    "turn-a-knob": Script((0.0, 0.0, 0.015 + FREE_HEIGHT_M), motions.turn_a_knob),
     "open-a-drawer": Script((0.0, 0.039, 0.075), motions.open_a_drawer),
     "open-a-door": Script((0.04, -0.035, 0.0), motions.open_a_door),
     "press-a-button": Script((0.0, 0.0, 0.030), motions.press_a_button),
-    "roll-a-pencil": Script((-0.25 * motions.PENCIL_WAY_M, 0.0, 0.008 + ABOVE_M), motions.roll_a_pencil),
-    "plates": Script((-0.5 * (motions.PLATES - 1) * motions.PLATE_PITCH_M, -0.0075, ABOVE_M), motions.plates),
+    "roll-a-pencil": Script((-0.25 * motions.PENCIL_STROKE_M, 0.0, 0.008 + FREE_HEIGHT_M), motions.roll_a_pencil),
+    "plates": Script(
+        (-0.5 * (motions.PLATES - 1) * motions.PLATE_PITCH_M, -0.0075, FREE_HEIGHT_M), motions.make_plates
+    ),
     "press-a-pad": Script(OVER_THE_PLANE, motions.press_a_pad),
     "bend-a-strip": Script(OVER_THE_PLANE, motions.bend_a_strip),
-    "squeeze-thumb": Script((-HALF_BALL_M - ABOVE_M, 0.0, 0.0), lambda: motions.squeeze(-1.0, presses=False)),
-    "squeeze-index": Script((HALF_BALL_M + ABOVE_M, 0.0, 0.0), lambda: motions.squeeze(1.0, presses=True)),
+    "squeeze-thumb": Script(
+        (-HALF_BALL_M - FREE_HEIGHT_M, 0.0, 0.0), lambda: motions.make_squeeze(-1.0, presses=False)
+    ),
+    "squeeze-index": Script((HALF_BALL_M + FREE_HEIGHT_M, 0.0, 0.0), lambda: motions.make_squeeze(1.0, presses=True)),
     "push-a-ball": Script((-0.04, 0.0, 0.050), motions.push_a_ball),
-    "stack-thumb": Script((-HALF_SMALL_BOX_M - ABOVE_M, 0.0, HALF_SMALL_BOX_M), lambda: motions.stack(-1.0)),
-    "stack-index": Script((HALF_SMALL_BOX_M + ABOVE_M, 0.0, HALF_SMALL_BOX_M), lambda: motions.stack(1.0)),
+    "stack-thumb": Script((-HALF_SMALL_BOX_M - FREE_HEIGHT_M, 0.0, HALF_SMALL_BOX_M), lambda: motions.stack(-1.0)),
+    "stack-index": Script((HALF_SMALL_BOX_M + FREE_HEIGHT_M, 0.0, HALF_SMALL_BOX_M), lambda: motions.stack(1.0)),
 }
 
 

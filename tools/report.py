@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.files import new_file, open_input
+from softfinger.config.files import open_input, write_new_file
 from softfinger.config.load import describe, load_rig, load_scene
-from softfinger.drivers.containers import mcap_messages
+from softfinger.drivers.containers import iter_mcap_messages
 from softfinger.drivers.system import discovery
 from softfinger.server.recording import blackbox
 from softfinger.server.recording.reader import Event, Note, TickBlock, read_contents
@@ -45,22 +45,22 @@ def run(args: argparse.Namespace) -> int:
     if args.boxes < 0:
         raise ConfigError(f"--boxes {args.boxes}: must be 0 or more")
     rig, scene = load_rig(args.rig), load_scene(args.scene)
-    place = blackbox.folder()
+    place = blackbox.find_folder()
     if place is None:
         log.warning("no black boxes: this user has no home folder; set HOME or SOFTFINGER_BLACKBOX_DIR")
-    files = [] if place is None else blackbox.files(place)
+    files = [] if place is None else blackbox.list_files(place)
     boxes = files[len(files) - min(args.boxes, len(files)) :]
-    cleaner = privacy.Privacy(device.serial for device in discovery.list_attached())
+    cleaner = privacy.Redactor(device.serial for device in discovery.list_attached())
     content = {
         "softfinger": version("softfinger"),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "packages": machine.versions(),
+        "packages": machine.list_versions(),
         "doctor": examine(rig, scene, Path(args.rig).name, Path(args.scene).name, args.seconds, None),
     }
     parts = {
-        "report.json": _json(cleaner.clean(content)),
-        "rig.json": _json(cleaner.clean(private_rig(describe(rig)))),
-        "scene.json": _json(cleaner.clean(describe(scene))),
+        "report.json": _to_json(cleaner.clean(content)),
+        "rig.json": _to_json(cleaner.clean(redact_rig(describe(rig)))),
+        "scene.json": _to_json(cleaner.clean(describe(scene))),
     }
     lines: list[str] = []
     for path in boxes:
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         lines += [f"--- {path.name}", *(f"{line.text}" for line in log_lines(path, cleaner))]
     parts["log.txt"] = "\n".join([*lines, ""]).encode()
     try:
-        with new_file(args.out) as file:
+        with write_new_file(args.out) as file:
             archive(file, parts)
     except OSError as error:
         raise ConfigError(f"--out {args.out}: cannot be written: {error.strerror or error}: name another") from error
@@ -89,18 +89,18 @@ def archive(file: Any, parts: Mapping[str, bytes]) -> None:
             tar.addfile(info, io.BytesIO(data))
 
 
-def private_rig(rig: dict[str, Any]) -> dict[str, Any]:
+def redact_rig(rig: dict[str, Any]) -> dict[str, Any]:
     """Return the mapping of a rig without [security], and without folders and serial numbers in device options."""
-    tables = rig | {key: privacy.options(rig[key]) for key in ("device", "devices") if rig.get(key)}
+    tables = rig | {key: privacy.redact_options(rig[key]) for key in ("device", "devices") if rig.get(key)}
     return {key: value for key, value in tables.items() if key != "security"}
 
 
-def clean_recording(path: Path, cleaner: privacy.Privacy) -> bytes:
+def clean_recording(path: Path, cleaner: privacy.Redactor) -> bytes:
     """Return a black box file rewritten with the same ticks and cleaned texts. Raises RecordingError."""
     parts = list(read_contents(path))
     about = {part.name: part.value for part in parts if isinstance(part, Note)}
     if isinstance(about.get("rig"), dict):
-        about["rig"] = private_rig(about["rig"])
+        about["rig"] = redact_rig(about["rig"])
     fingers = list(dict.fromkeys(part.finger for part in parts if isinstance(part, TickBlock)))
     with tempfile.TemporaryFile(buffering=0) as file:
         copy = io.FileIO(file.fileno(), "wb", closefd=False)
@@ -117,20 +117,20 @@ def clean_recording(path: Path, cleaner: privacy.Privacy) -> bytes:
         return file.read()
 
 
-def clean_event(event: dict[str, Any], cleaner: privacy.Privacy) -> dict[str, Any]:
+def clean_event(event: dict[str, Any], cleaner: privacy.Redactor) -> dict[str, Any]:
     """Return an event with cleaned texts and a shortened serial number of the device."""
     clean: dict[str, Any] = cleaner.clean(event)
     return clean | ({"serial": privacy.shorten_serial(str(event["serial"]))} if "serial" in event else {})
 
 
-def log_lines(path: Path, cleaner: privacy.Privacy) -> Iterator[blackbox.LogLine]:
+def log_lines(path: Path, cleaner: privacy.Redactor) -> Iterator[blackbox.LogLine]:
     """Yield the cleaned lines of the log in a black box file."""
     with open_input(path) as file:
-        for schema, _, message in mcap_messages(file, LOG_TOPIC):
+        for schema, _, message in iter_mcap_messages(file, LOG_TOPIC):
             line = load_message_class(schema.data, schema.name).FromString(message.data)
             time_s = message.log_time / 1e9
             yield blackbox.LogLine(time_s, LEVEL_STEP * line.level, line.name, cleaner.text(line.message))
 
 
-def _json(value: Any) -> bytes:
+def _to_json(value: Any) -> bytes:
     return (json.dumps(value, indent=2, default=str) + "\n").encode()

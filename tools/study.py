@@ -25,7 +25,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.server.arguments import add_flag
-from softfinger.server.verbs.schema import grid
+from softfinger.server.verbs.schema import format_grid
 from softfinger.tools.accuracy import report
 from softfinger.tools.patches_figure import draw_patches
 from softfinger.tools.stability import bodies, bodies_table
@@ -39,10 +39,10 @@ TABLES: Final = ("paper", "bodies")
 """Tables in the pages; the other tables of `softfinger accuracy` are in figures/accuracy.txt."""
 
 
-def markdown(table: Any) -> str:
+def format_markdown(table: Any) -> str:
     heads = [str(column.header).replace("\n", "_") for column in table.columns]
     rows = zip(*(map(str, column.cells) for column in table.columns), strict=True)
-    return grid(heads, [list(row) for row in rows]) + "\n"
+    return format_grid(heads, [list(row) for row in rows]) + "\n"
 
 
 def insert(page: str, tables: Mapping[str, str]) -> str:
@@ -66,7 +66,7 @@ def run(*words: str) -> bytes:
     return process.stdout
 
 
-def command(*words: str) -> dict[str, Any]:
+def make_command(*words: str) -> dict[str, Any]:
     result: dict[str, Any] = json.loads(run(*words, "--json"))
     return result
 
@@ -83,16 +83,16 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     drift, points, short = DRIFT_STEPS, str(POINTS), []
     if quick:
         drift, points, short = 20_000, "3", ["--quick", "--surface", "plane", "torus"]
-    result = command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
-    tables = {"paper": markdown(report.paper_table(result))}
+    result = make_command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
+    tables = {"paper": format_markdown(report.format_paper_table(result))}
     draw_shipped_run(figures / "run.svg")
     draw_patches(figures / "patches.svg")
-    command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
+    make_command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
     for name in MAPS:
         plot = figures / f"stability-{name}.svg"
-        command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
-    result = command("stability", "--bodies")
-    tables["bodies"] = bodies_table.case_table([bodies.CellResult(**row) for row in result["bodies"]])
+        make_command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
+    result = make_command("stability", "--bodies")
+    tables["bodies"] = bodies_table.format_cases([bodies.CellResult(**row) for row in result["bodies"]])
     return tables
 
 

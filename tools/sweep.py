@@ -29,7 +29,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.tools.sweep_results import open_rows
 
 BLOCKS_PER_WORKER: Final = 8
@@ -65,12 +65,12 @@ def run_cases(
     Raises ConfigError if the scheduler cannot be used, runs another version of this program or is lost, and
     RecordingError if the file cannot be used. Errors of `function` are passed on; finished blocks are stored.
     """
-    keys = [case_key(function, case) for case in cases]
+    keys = [make_case_key(function, case) for case in cases]
     with open_rows(results) as rows:
         todo = {key: case for key, case in zip(keys, cases, strict=True) if key not in rows.by_key}
         if todo:
             finished = len(keys) - len(todo)
-            with _workers(scheduler, threads) as workers, progress(label, len(keys)) as update:
+            with _start_workers(scheduler, threads) as workers, show_progress(label, len(keys)) as update:
                 size = block or max(1, min(BLOCK_MAX, len(todo) // (BLOCKS_PER_WORKER * workers.number)))
                 for block_keys, decoded_rows in _iterate_blocks(workers, function, todo, size):
                     decoded = map(msgspec.msgpack.decode, decoded_rows)
@@ -80,7 +80,7 @@ def run_cases(
         return [rows.by_key[key] for key in keys]
 
 
-def case_key(function: Compute, case: Any) -> str:
+def make_case_key(function: Compute, case: Any) -> str:
     """Return the key of a case in a file of results: a hash of the function, the program's sources and the values."""
     digest = hashlib.sha256(f"{function.__module__}.{function.__qualname__} {SOURCE_HASH} ".encode())
     digest.update(msgspec.msgpack.encode(case, order="deterministic"))
@@ -119,7 +119,7 @@ def _iterate_blocks(
 
 
 @contextmanager
-def _workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
+def _start_workers(scheduler: str | None, threads: int | None) -> Iterator[_Workers]:
     """Yield workers that are ready for calls; unfinished calls are cancelled at the end of the block."""
     processors = len(os.sched_getaffinity(0))
     if scheduler is None:

@@ -18,8 +18,8 @@ from typing import IO, Any, Final
 import msgspec
 
 from softfinger.config.errors import RecordingError
-from softfinger.config.files import follow_links, new_file, open_input
-from softfinger.drivers.containers import mcap_messages
+from softfinger.config.files import follow_links, open_input, write_new_file
+from softfinger.drivers.containers import iter_mcap_messages
 
 TOPIC: Final = "case"
 
@@ -76,11 +76,11 @@ def open_rows(path: Path | None) -> Iterator[StoredResults]:
             old = files.enter_context(open_input(target))
             _lock(old, path)
             if not os.path.samestat(os.fstat(old.fileno()), os.stat(target)):
-                raise _in_use_error(path)
+                raise _make_in_use_error(path)
             size = os.fstat(old.fileno()).st_size
             finished = _read(path, old) if size else []
             # The file is rewritten, since MCAP cannot append, and this also removes a damaged end.
-            with new_file(target) as target_file:
+            with write_new_file(target) as target_file:
                 new = files.enter_context(open(os.dup(target_file.fileno()), "wb"))
                 _lock(new, path)
                 results = StoredResults(new)
@@ -100,10 +100,10 @@ def _lock(file: IO[bytes], path: Path) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise _in_use_error(path) from error
+        raise _make_in_use_error(path) from error
 
 
-def _in_use_error(path: Path) -> RecordingError:
+def _make_in_use_error(path: Path) -> RecordingError:
     return RecordingError(f"{path}: another run is writing to it: wait until it ends or choose another file")
 
 
@@ -111,7 +111,7 @@ def _read(path: Path, file: IO[bytes]) -> list[dict[str, Any]]:
     """Return the rows of the file up to the damage."""
     rows: list[dict[str, Any]] = []
     try:
-        for _, channel, message in mcap_messages(file, None):
+        for _, channel, message in iter_mcap_messages(file, None):
             row = msgspec.msgpack.decode(message.data)
             if channel.topic != TOPIC or not isinstance(row, dict) or row.keys() != {"key", "case", "result"}:
                 raise RecordingError(f"{path}: not a file of sweep results: name another, it would be overwritten")

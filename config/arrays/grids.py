@@ -93,12 +93,12 @@ def _check(grid: Grid, even: bool) -> None:
         raise ValueError(f"every value is {grid.flat[0]:g}: a texture has at least two")
 
 
-def _npy(path: str | Path) -> NDArray[Any]:
+def _read_npy(path: str | Path) -> NDArray[Any]:
     with open_input(path, BYTES_MAX) as file:
         return np.lib.format.read_array(file, allow_pickle=False)
 
 
-def _npz(path: str | Path) -> NDArray[Any]:
+def _read_npz(path: str | Path) -> NDArray[Any]:
     with open_input(path, BYTES_MAX) as file:
         archive = open_npz(file)
         if len(archive.files) != 1:
@@ -108,7 +108,7 @@ def _npz(path: str | Path) -> NDArray[Any]:
         return np.asarray(archive[archive.files[0]])
 
 
-def _csv(path: str | Path) -> NDArray[Any]:
+def _read_csv(path: str | Path) -> NDArray[Any]:
     lines = read_input(path, BYTES_MAX).decode("utf-8-sig").splitlines()
     numbered = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not numbered:
@@ -128,7 +128,7 @@ def _csv(path: str | Path) -> NDArray[Any]:
     return grid
 
 
-def _pgm(path: str | Path) -> NDArray[Any]:
+def _read_pgm(path: str | Path) -> NDArray[Any]:
     data = read_input(path, BYTES_MAX)
     head = _PGM.match(data[:_PGM_HEAD_MAX])
     if head is None:
@@ -143,7 +143,7 @@ def _pgm(path: str | Path) -> NDArray[Any]:
     return np.frombuffer(data, kind, offset=head.end()).reshape(rows, columns)
 
 
-def _png(path: str | Path) -> NDArray[Any]:
+def _read_png(path: str | Path) -> NDArray[Any]:
     """Return the grey levels as stored in the file, 0 to 255 or to 65535."""
     try:
         from PIL import Image
@@ -164,10 +164,10 @@ def _png(path: str | Path) -> NDArray[Any]:
 
 
 READERS: Final[dict[str, Callable[[str | Path], NDArray[Any]]]] = {
-    ".npy": _npy,
-    ".npz": _npz,
-    ".csv": _csv,
-    ".pgm": _pgm,
-    ".png": _png,
+    ".npy": _read_npy,
+    ".npz": _read_npz,
+    ".csv": _read_csv,
+    ".pgm": _read_pgm,
+    ".png": _read_png,
 }
 """Reader of each file suffix."""

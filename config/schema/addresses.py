@@ -19,7 +19,7 @@ COMMANDS_SUFFIX: Final = ".commands"
 """Suffix of the name of a command socket, after the port or the path of the telemetry."""
 
 
-def runtime_folder() -> Path:
+def find_runtime_folder() -> Path:
     """Return the runtime folder of this user, which need not exist.
 
     It is `softfinger` in $XDG_RUNTIME_DIR or, if that is not set, a folder of this user in the temporary directory.
@@ -30,7 +30,7 @@ def runtime_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
 
 
-def commands_address_for(telemetry: str) -> str:
+def make_commands_address(telemetry: str) -> str:
     """Return the default address for commands of a daemon with this telemetry address.
 
     The default is a socket that only this user can reach: for a path, the path with .commands appended; for a port on
@@ -41,18 +41,18 @@ def commands_address_for(telemetry: str) -> str:
         return f"{telemetry}{COMMANDS_SUFFIX}"
     host, _, port = telemetry.rpartition(":")
     if not is_public(telemetry):
-        return f"ipc://{runtime_folder()}/{port}{COMMANDS_SUFFIX}"
+        return f"ipc://{find_runtime_folder()}/{port}{COMMANDS_SUFFIX}"
     if not port.isdecimal() or port == "0":
         return telemetry
     return f"{host}:{int(port) + (1 if int(port) < _PORT_MAX else -1)}"
 
 
-def telemetry_of(endpoint: str) -> str:
+def make_telemetry_address(endpoint: str) -> str:
     """Return the telemetry address for a default command socket; any other address is returned unchanged."""
     if not endpoint.startswith("ipc://") or not endpoint.endswith(COMMANDS_SUFFIX):
         return endpoint
     path = Path(endpoint.removeprefix("ipc://").removesuffix(COMMANDS_SUFFIX))
-    return f"tcp://127.0.0.1:{path.name}" if path.parent == runtime_folder() else f"ipc://{path}"
+    return f"tcp://127.0.0.1:{path.name}" if path.parent == find_runtime_folder() else f"ipc://{path}"
 
 
 def is_public(endpoint: str) -> bool:
@@ -61,7 +61,7 @@ def is_public(endpoint: str) -> bool:
     return match is not None and not _LOOPBACK.fullmatch(match[1])
 
 
-def endpoint_complaint(endpoint: str) -> str | None:
+def check_endpoint(endpoint: str) -> str | None:
     """Return the fault of a ZeroMQ address to bind; None if it is valid."""
     if endpoint.startswith("ipc://"):
         size = len(endpoint.removeprefix("ipc://").encode(errors="replace"))

@@ -15,10 +15,10 @@ from softfinger.config.fields import (
     Resolved,
     Table,
     TopicPart,
+    check_orientation,
     doc,
     is_usable,
     normalise_orientation,
-    orientation_faults,
     sized,
     within,
 )
@@ -88,7 +88,7 @@ class Form(Table, frozen=True, kw_only=True):
         elif max(self.radii_m) > limits.FINGERTIP_ASPECT.high * min(self.radii_m):
             most, why = limits.FINGERTIP_ASPECT.high, limits.FINGERTIP_ASPECT.reason
             yield "radii_m", self.radii_m, f"the longest must be at most {most:g} times the shortest ({why})"
-        yield from orientation_faults(self.orientation_wxyz)
+        yield from check_orientation(self.orientation_wxyz)
 
     @property
     def reaches_m(self) -> tuple[float, float]:

@@ -15,10 +15,10 @@ from softfinger.config.fields import (
     Point,
     Table,
     Vector,
-    direction_faults,
+    check_direction,
     doc,
     is_usable,
-    table_tag,
+    make_tag_attribute,
     within,
 )
 
@@ -34,7 +34,7 @@ Amplitude = Annotated[float, within(limits.EFFECT_FORCE_N, "amplitude", 0.5)]
 Frequency = Annotated[float, within(limits.FREQUENCY_HZ, "frequency", 100.0)]
 
 
-def _extent_faults(size: object, radius: object) -> Iterator[Complaint]:
+def _check_extent(size: object, radius: object) -> Iterator[Complaint]:
     if is_usable(size, radius) and (size is None) == (radius is None):
         yield "radius_m", msgspec.UNSET, "give either size_m, for a box, or radius_m, for a ball"
 
@@ -50,13 +50,13 @@ class Region(Table, frozen=True, kw_only=True):
     ] = 0.0
 
     def faults(self) -> Iterator[Complaint]:
-        yield from _extent_faults(self.size_m, self.radius_m)
+        yield from _check_extent(self.size_m, self.radius_m)
 
 
 class EffectBase(Table, frozen=True, kw_only=True):
     """Base of all effects; the kind selects the other keys."""
 
-    kind: ClassVar[str] = table_tag()
+    kind: ClassVar[str] = make_tag_attribute()
 
 
 class Viscosity(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="viscosity"):
@@ -92,7 +92,7 @@ class Vibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="vi
     region: Region | None = None
 
     def faults(self) -> Iterator[Complaint]:
-        yield from direction_faults("direction", self.direction)
+        yield from check_direction("direction", self.direction)
 
 
 class Boundary(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="boundary"):
@@ -106,7 +106,7 @@ class Boundary(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="bou
     force_max_n: Annotated[float, within(limits.EFFECT_FORCE_N, "largest force", 5.0)]
 
     def faults(self) -> Iterator[Complaint]:
-        yield from _extent_faults(self.size_m, self.radius_m)
+        yield from _check_extent(self.size_m, self.radius_m)
 
 
 Effect = Viscosity | ConstantForce | Spring | Vibration | Boundary
@@ -136,7 +136,7 @@ class ObjectVibration(EffectBase, frozen=True, kw_only=True, tag_field="kind", t
     ) = None
 
     def faults(self) -> Iterator[Complaint]:
-        yield from direction_faults("direction", self.direction)
+        yield from check_direction("direction", self.direction)
 
 
 class Magnet(EffectBase, frozen=True, kw_only=True, tag_field="kind", tag="magnet"):

@@ -8,7 +8,7 @@ from typing import Annotated
 import msgspec
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Point, Table, Vector, direction_faults, doc, is_usable, sized, within
+from softfinger.config.fields import Complaint, Point, Table, Vector, check_direction, doc, is_usable, sized, within
 
 
 class Below(Table, frozen=True, kw_only=True, tag_field="region", tag="below"):
@@ -35,7 +35,7 @@ class HalfSpace(Table, frozen=True, kw_only=True, tag_field="region", tag="half_
     normal: Annotated[Vector, doc("normal of the plane, away from the region", [1.0, 0.0, 0.0])]
 
     def faults(self) -> Iterator[Complaint]:
-        yield from direction_faults("normal", self.normal)
+        yield from check_direction("normal", self.normal)
 
 
 FixedRegion = Below | InBox | HalfSpace

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Final, Literal
 from msgspec import UNSET
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Point, Table, doc, is_usable, sized, table_tag, within
+from softfinger.config.fields import Complaint, Point, Table, doc, is_usable, make_tag_attribute, sized, within
 
 Number = Literal["x", "y", "z", "qw", "qx", "qy", "qz"]
 Side = Literal["read", "write"]
@@ -24,7 +24,7 @@ NUMBERS: Final[tuple[Number, ...]] = ("x", "y", "z", "qw", "qx", "qy", "qz")
 class FaultBase(Table, frozen=True, kw_only=True, tag_field="kind"):
     """Time at which a fault acts. Ticks count the reads of the device, from 0."""
 
-    kind: ClassVar[str] = table_tag()
+    kind: ClassVar[str] = make_tag_attribute()
     at_tick: Annotated[int, within(limits.FAULT_TICK, "first tick with the fault", 500)] | None = None
     at_s: Annotated[float, within(limits.FAULT_TIME_S, "first tick as a time", 0.5)] | None = None
     ticks: Annotated[int, within(limits.FAULT_TICK, "duration in ticks; 1 if neither is set", 100)] | None = None

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Annotated, ClassVar
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Point, Table, Vector, direction_faults, doc, sized, within
+from softfinger.config.fields import Complaint, Point, Table, Vector, check_direction, doc, sized, within
 
 Axis = Annotated[Vector, doc("rotation axis in the object frame, normalised", [0.0, 0.0, 1.0])]
 
@@ -25,7 +25,7 @@ class Sinusoid(Table, frozen=True, kw_only=True, tag_field="kind", tag="sinusoid
     phase_rad: Annotated[float, within(limits.ANGLE_RAD, "phase at the start", 0.0)] = 0.0
 
     def faults(self) -> Iterator[Complaint]:
-        yield from direction_faults("axis", self.axis)
+        yield from check_direction("axis", self.axis)
 
 
 class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntable"):
@@ -37,7 +37,7 @@ class Turntable(Table, frozen=True, kw_only=True, tag_field="kind", tag="turntab
     pivot_m: Annotated[Point, doc("a point on the axis, in the object frame", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
 
     def faults(self) -> Iterator[Complaint]:
-        yield from direction_faults("axis", self.axis)
+        yield from check_direction("axis", self.axis)
 
 
 class Driven(Table, frozen=True, kw_only=True, tag_field="kind", tag="driven"):

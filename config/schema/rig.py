@@ -13,14 +13,14 @@ from softfinger.config.fields import (
     Orientation,
     Table,
     TopicPart,
+    check_orientation,
     doc,
     is_usable,
     normalise_orientation,
-    orientation_faults,
     sized,
     within,
 )
-from softfinger.config.schema.addresses import IPC_PATH_MAX, commands_address_for, endpoint_complaint, is_public
+from softfinger.config.schema.addresses import IPC_PATH_MAX, check_endpoint, is_public, make_commands_address
 from softfinger.config.schema.guard import Arm, Guard
 
 RealtimeMode = Literal["auto", "require", "off"]
@@ -40,7 +40,7 @@ class Tool(Table, frozen=True, kw_only=True):
         normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
-        yield from orientation_faults(self.orientation_wxyz)
+        yield from check_orientation(self.orientation_wxyz)
 
 
 class DeviceConfig(Table, frozen=True, kw_only=True):
@@ -84,7 +84,7 @@ class Telemetry(Table, frozen=True, kw_only=True):
     every: Annotated[int, within(limits.EVERY, "publish one tick in this many", 1)] = 1
 
     def faults(self) -> Iterator[Complaint]:
-        complaint = endpoint_complaint(self.endpoint) if is_usable(self.endpoint) else None
+        complaint = check_endpoint(self.endpoint) if is_usable(self.endpoint) else None
         if complaint is not None:
             yield "endpoint", self.endpoint, complaint
 
@@ -125,7 +125,7 @@ class Commands(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.endpoint) and self.endpoint not in (None, OFF):
-            complaint = endpoint_complaint(self.endpoint)
+            complaint = check_endpoint(self.endpoint)
             if complaint is not None:
                 yield "endpoint", self.endpoint, f"{complaint}; or off"
         if is_usable(self.endpoint, self.heartbeat_s) and self.endpoint == OFF and self.heartbeat_s is not None:
@@ -177,7 +177,7 @@ class Metrics(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if not is_usable(self.endpoint) or self.endpoint is None:
             return
-        if endpoint_complaint(f"tcp://{self.endpoint}") is not None or self.endpoint.endswith(":*"):
+        if check_endpoint(f"tcp://{self.endpoint}") is not None or self.endpoint.endswith(":*"):
             yield "endpoint", self.endpoint, "must be HOST:PORT, port 0 to 65535, such as 127.0.0.1:9464"
         elif is_public(f"tcp://{self.endpoint}"):
             yield "endpoint", self.endpoint, "is open to the network without protection: use 127.0.0.1:PORT"
@@ -211,13 +211,13 @@ class Rig(Table, frozen=True, kw_only=True):
         endpoint = self.commands.endpoint
         if endpoint is not None:
             return None if endpoint == OFF else endpoint
-        return commands_address_for(self.telemetry.endpoint)
+        return make_commands_address(self.telemetry.endpoint)
 
     def faults(self) -> Iterator[Complaint]:
-        yield from self._device_faults()
-        yield from self._endpoint_faults()
+        yield from self._check_device_tables()
+        yield from self._check_endpoints()
 
-    def _device_faults(self) -> Iterator[Complaint]:
+    def _check_device_tables(self) -> Iterator[Complaint]:
         if not is_usable(self.device, self.devices):
             return
         if self.device is None and not self.devices:
@@ -227,15 +227,15 @@ class Rig(Table, frozen=True, kw_only=True):
             fault = "cannot be combined with [devices]: it is for a single finger; remove one of them"
             yield "device", msgspec.UNSET, fault
 
-    def _endpoint_faults(self) -> Iterator[Complaint]:
+    def _check_endpoints(self) -> Iterator[Complaint]:
         if not is_usable(self.telemetry, self.commands) or not is_usable(
             self.telemetry.endpoint, self.commands.endpoint
         ):
             return
-        if endpoint_complaint(self.telemetry.endpoint) is not None:
+        if check_endpoint(self.telemetry.endpoint) is not None:
             return
         commands = self.commands_endpoint
-        if commands is not None and endpoint_complaint(commands) is not None and self.commands.endpoint is None:
+        if commands is not None and check_endpoint(commands) is not None and self.commands.endpoint is None:
             fault = (
                 f"{commands}, derived from the telemetry endpoint, is too long: set one of at most {IPC_PATH_MAX} bytes"
             )
@@ -243,9 +243,9 @@ class Rig(Table, frozen=True, kw_only=True):
         elif commands == self.telemetry.endpoint and not commands.endswith((":*", ":0")):
             yield "commands.endpoint", commands, "is also the telemetry endpoint: use another"
         elif is_usable(self.security):
-            yield from self._public_faults(commands)
+            yield from self._check_public_endpoints(commands)
 
-    def _public_faults(self, commands: str | None) -> Iterator[Complaint]:
+    def _check_public_endpoints(self, commands: str | None) -> Iterator[Complaint]:
         """Require keys of the permitted users for each endpoint that is open to the network."""
         for key, endpoint, folder, use in (
             ("telemetry.endpoint", self.telemetry.endpoint, "readers", "read"),

@@ -54,9 +54,9 @@ class Scene(Table, frozen=True, kw_only=True):
         """All fingers: one, or several. [coupling] and [probe] apply to a finger without such tables."""
         if self.fingertip is not None:
             tip = self.fingertip
-            return (self._parts(tip, "", "", self.coupling, self.probe),)
+            return (self._iter_parts(tip, "", "", self.coupling, self.probe),)
         return tuple(
-            self._parts(
+            self._iter_parts(
                 finger,
                 finger.name,
                 finger.device or finger.name,
@@ -67,7 +67,7 @@ class Scene(Table, frozen=True, kw_only=True):
         )
 
     @staticmethod
-    def _parts(tip: Fingertip | Finger, name: str, device: str, coupling: Coupling, probe: Probe) -> FingerParts:
+    def _iter_parts(tip: Fingertip | Finger, name: str, device: str, coupling: Coupling, probe: Probe) -> FingerParts:
         turn = tip.orientation_wxyz or (1.0, 0.0, 0.0, 0.0)
         return FingerParts(name, device, tip.reaches_m[0], tip.radii_m, turn, tip.patch, coupling, probe)
 
@@ -83,27 +83,27 @@ class Scene(Table, frozen=True, kw_only=True):
         return any(finger.patch is not None for finger in self.fingers)
 
     def faults(self) -> Iterator[Complaint]:
-        yield from _finger_faults(self)
-        yield from _world_faults(self)
-        yield from _patch_faults(self)
-        yield from _coupling_faults(self)
-        yield from _object_faults(self)
-        yield from _law_faults(self)
-        yield from _torsion_faults(self)
-        yield from _method_faults(self)
-        yield from _form_faults(self)
-        yield from _tight_faults(self)
-        yield from _elastic_faults(self)
+        yield from _check_fingers(self)
+        yield from _check_world(self)
+        yield from _check_patches(self)
+        yield from _check_couplings(self)
+        yield from _check_objects(self)
+        yield from _check_laws(self)
+        yield from _check_torsion(self)
+        yield from _check_method(self)
+        yield from _check_forms(self)
+        yield from _check_room(self)
+        yield from _check_elastic(self)
 
 
-def _usable(key: str, items: tuple[Item, ...], *names: str) -> Iterator[tuple[str, Item]]:
+def _iter_usable(key: str, items: tuple[Item, ...], *names: str) -> Iterator[tuple[str, Item]]:
     """Yield path and item of each usable entry of a list whose fields `names` are usable, too."""
     for index, item in enumerate(items if is_usable(items) else ()):
         if is_usable(item) and is_usable(*(getattr(item, name) for name in names)):
             yield f"{key}[{index}]", item
 
 
-def _finger_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_fingers(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger):
         return
     if scene.fingertip is None and not scene.finger:
@@ -117,7 +117,7 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
         yield "fingertip", msgspec.UNSET, fault
     for key in ("name", "device"):
         first: dict[str, str] = {}
-        for path, item in _usable("finger", scene.finger, "name", "device"):
+        for path, item in _iter_usable("finger", scene.finger, "name", "device"):
             name = item.name if key == "name" else item.device or item.name
             for earlier_name, earlier in first.items():
                 if key == "device" and name == earlier_name and name != item.name:
@@ -131,12 +131,12 @@ def _finger_faults(scene: Scene) -> Iterator[Complaint]:
             first.setdefault(name, path)
 
 
-def _world_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_world(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.world, scene.object):
         return
     if scene.world is None and not scene.object:
         yield "object", msgspec.UNSET, "is missing: add at least one table [[object]]"
-    for path, item in _usable("object", scene.object):
+    for path, item in _iter_usable("object", scene.object):
         if not isinstance(item.motion, Body):
             continue
         if scene.world is None:
@@ -146,9 +146,9 @@ def _world_faults(scene: Scene) -> Iterator[Complaint]:
             yield f"{path}.effect", item.effect[0].kind, fault
 
 
-def _patch_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_patches(scene: Scene) -> Iterator[Complaint]:
     """Check that all fingers have a patch, or none: one law of torsion is compiled for all of them."""
-    fingers = list(_usable("finger", scene.finger, "patch"))
+    fingers = list(_iter_usable("finger", scene.finger, "patch"))
     if not any(item.patch is not None for _, item in fingers):
         return
     for path, item in fingers:
@@ -157,10 +157,10 @@ def _patch_faults(scene: Scene) -> Iterator[Complaint]:
             yield f"{path}.patch", msgspec.UNSET, fault
 
 
-def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_couplings(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.rolling, scene.coupling, scene.finger) or scene.rolling is None:
         return
-    couplings = [(f"{path}.coupling", item.coupling) for path, item in _usable("finger", scene.finger)]
+    couplings = [(f"{path}.coupling", item.coupling) for path, item in _iter_usable("finger", scene.finger)]
     k_tau = scene.rolling.torque_stiffness_n_per_m
     for path, coupling in [("coupling", scene.coupling), *couplings]:
         if not is_usable(k_tau, coupling) or k_tau is None or coupling is None:
@@ -174,19 +174,19 @@ def _coupling_faults(scene: Scene) -> Iterator[Complaint]:
             yield "rolling.torque_stiffness_n_per_m", k_tau, fault
 
 
-def _method_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_method(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.rolling, scene.object) or scene.rolling is None or scene.rolling.method != "rotation_vector":
         return
-    for path, item in _usable("object", scene.object, "shape"):
+    for path, item in _iter_usable("object", scene.object, "shape"):
         if not item.unrolls:
             fault = f"has no closed form for the {item.shape} {path}: use montana_rk4, or midpoint at half the cost"
             yield "rolling.method", "rotation_vector", fault
 
 
-def _form_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_forms(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger):
         return
-    fingertips: list[tuple[str, Form]] = [*_usable("finger", scene.finger, "radii_m")]
+    fingertips: list[tuple[str, Form]] = [*_iter_usable("finger", scene.finger, "radii_m")]
     if scene.fingertip is not None and is_usable(scene.fingertip.radii_m):
         fingertips.append(("fingertip", scene.fingertip))
     tip_path = next((path for path, tip in fingertips if tip.radii_m is not None), None)
@@ -198,7 +198,7 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
         if method not in ("midpoint", "montana_rk4", "montana_rk45"):
             fault = f"needs a spherical fingertip, but {key} is set: use midpoint, or montana_rk4 for long ticks"
             yield "rolling.method", method, fault
-    for path, item in _usable("object", scene.object, "shape"):
+    for path, item in _iter_usable("object", scene.object, "shape"):
         if all(is_usable(getattr(item, name)) for name in item.__struct_fields__) and not item.bears_ellipsoid:
             fault = (
                 f"cannot be touched by an ellipsoidal fingertip ({key}): use a plane, a sphere or infinite cylinder "
@@ -211,44 +211,48 @@ def _form_faults(scene: Scene) -> Iterator[Complaint]:
             yield f"{path}.texture", msgspec.UNSET, fault
 
 
-def _tips(scene: Scene) -> list[Fingertip | Finger]:
+def _iter_tips(scene: Scene) -> list[Fingertip | Finger]:
     return [scene.fingertip] if scene.fingertip is not None else [item for item in scene.finger if is_usable(item)]
 
 
-def _tight_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_room(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger, scene.object):
         return
-    tips = _tips(scene)
+    tips = _iter_tips(scene)
     radii = [tip.reaches_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
-    for path, item in _usable("object", scene.object):
+    for path, item in _iter_usable("object", scene.object):
         if any(radii):  # if the largest fits, all fit
             for key, value, text in item.tight(max(radii)):
                 yield f"{path}.{key}", value, text
 
 
-def _materials(scene: Scene) -> Iterator[tuple[str, Material]]:
+def _iter_materials(scene: Scene) -> Iterator[tuple[str, Material]]:
     """Yield the path of each object and its material, if friction and torsion are usable."""
-    for path, item in _usable("object", scene.object, "material"):
+    for path, item in _iter_usable("object", scene.object, "material"):
         if is_usable(item.material.friction, item.material.torsion):
             yield path, item.material
 
 
-def _law_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_laws(scene: Scene) -> Iterator[Complaint]:
     """Check that the laws of all objects can be combined: one law is compiled for all of them."""
     if not is_usable(scene.object, scene.rolling):
         return
     literal = scene.rolling is not None and scene.rolling.state_machine == "paper"
     coupled: dict[bool, str] = {}
-    for object_path, material in _materials(scene):
+    for object_path, material in _iter_materials(scene):
         friction, torsion, path = material.friction, material.torsion, f"{object_path}.material"
         if literal and friction is not None:
             for key in ("stribeck_speed_m_per_s", "viscous_s_per_m", "direction_x"):
                 if getattr(friction, key) is not None:
-                    yield f"{path}.friction.{key}", getattr(friction, key), _not_in_the_paper("Coulomb friction")
+                    yield (
+                        f"{path}.friction.{key}",
+                        getattr(friction, key),
+                        _describe_missing_in_paper("Coulomb friction"),
+                    )
         if torsion is None or not is_usable(torsion.model):
             continue
         if literal and torsion.model == "limit_surface":
-            yield f"{path}.torsion.model", torsion.model, _not_in_the_paper("independent limits")
+            yield f"{path}.torsion.model", torsion.model, _describe_missing_in_paper("independent limits")
         coupled.setdefault(torsion.model == "limit_surface", object_path)
         if len(coupled) > 1:
             fault = (
@@ -259,14 +263,14 @@ def _law_faults(scene: Scene) -> Iterator[Complaint]:
             return
 
 
-def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_torsion(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger, scene.object):
         return
-    tips = _tips(scene)
+    tips = _iter_tips(scene)
     if not tips or not is_usable(*(tip.patch for tip in tips)):
         return
     soft = any(tip.patch is not None for tip in tips)
-    for object_path, material in _materials(scene):
+    for object_path, material in _iter_materials(scene):
         torsion, path = material.torsion, f"{object_path}.material.torsion"
         if torsion is None:
             continue
@@ -280,15 +284,15 @@ def _torsion_faults(scene: Scene) -> Iterator[Complaint]:
             yield path, msgspec.UNSET, fault
 
 
-def _not_in_the_paper(known_law: str) -> str:
+def _describe_missing_in_paper(known_law: str) -> str:
     return (
         f'is not supported by rolling.state_machine = "paper", which has {known_law} only: remove it, or use "default"'
     )
 
 
-def _object_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_objects(scene: Scene) -> Iterator[Complaint]:
     first: dict[str, str] = {}
-    for path, item in _usable("object", scene.object, "name"):
+    for path, item in _iter_usable("object", scene.object, "name"):
         if item.name.partition(".")[0].isdecimal():
             why = "starts with a digit, but object.1 selects the second object: start the name with a letter"
             yield f"{path}.name", item.name, why
@@ -307,11 +311,11 @@ def _object_faults(scene: Scene) -> Iterator[Complaint]:
         yield "rolling", msgspec.UNSET, fault
 
 
-def _elastic_faults(scene: Scene) -> Iterator[Complaint]:
+def _check_elastic(scene: Scene) -> Iterator[Complaint]:
     """Check that an elastic object is the only one, and touched by one or two fingers."""
     if not is_usable(scene.object, scene.finger, scene.world):
         return
-    for object_path, item in _usable("object", scene.object):
+    for object_path, item in _iter_usable("object", scene.object):
         if not isinstance(item, Mesh) or not is_usable(item.elastic) or item.elastic is None:
             continue
         path = f"{object_path}.elastic"

@@ -16,12 +16,12 @@ from softfinger.config.fields import (
     Orientation,
     Point,
     Table,
+    check_orientation,
     doc,
     is_usable,
+    make_tag_attribute,
     normalise_orientation,
-    orientation_faults,
     sized,
-    table_tag,
     within,
 )
 from softfinger.config.schema.effects import ObjectEffect
@@ -30,7 +30,7 @@ from softfinger.config.schema.materials import Material
 from softfinger.config.schema.motions import Motion
 from softfinger.config.schema.textures import Texture
 
-CLOSES = 1e-3
+WRAP_TOLERANCE = 1e-3
 """Tolerated mismatch of a texture around a cylinder, as a fraction of its width; sizes are written with few digits."""
 
 Shading = Literal["none", "normals"]
@@ -51,7 +51,7 @@ Inside = Annotated[bool, doc("true: a cavity, touched from inside", False)]
 class ObjectBase(Table, frozen=True, kw_only=True):
     """Common keys of all objects. A shape adds its dimensions and its tag."""
 
-    shape: ClassVar[str] = table_tag()
+    shape: ClassVar[str] = make_tag_attribute()
     unrolls: ClassVar[bool] = False
     """Whether the rolling method `rotation_vector` has a closed form on this shape."""
     added: ClassVar[list[type[Struct]]] = []
@@ -70,7 +70,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
         normalise_orientation(self)
 
     def faults(self) -> Iterator[Complaint]:
-        yield from orientation_faults(self.orientation_wxyz)
+        yield from check_orientation(self.orientation_wxyz)
         if is_usable(self.name) and not (self.name.isprintable() and self.name.strip()):
             yield "name", self.name, "must have printable characters only, and not only blanks"
 
@@ -121,7 +121,7 @@ class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphe
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         if is_usable(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
-            yield "radius_m", self.radius_m, _too_tight(fingertip_m)
+            yield "radius_m", self.radius_m, _describe_lack_of_room(fingertip_m)
 
 
 class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cylinder"):
@@ -141,7 +141,7 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
         if not is_usable(self.radius_m, self.texture) or self.texture is None or not is_usable(self.texture.size_m):
             return
         around, wide = 2.0 * math.pi * self.radius_m, self.texture.size_m[0]
-        if abs(around / wide - max(round(around / wide), 1)) > CLOSES:
+        if abs(around / wide - max(round(around / wide), 1)) > WRAP_TOLERANCE:
             nearest = around / max(round(around / wide), 1)
             fault = (
                 f"fits {around / wide:g} times round the cylinder; must be an integer, so that the ends meet: set the "
@@ -153,9 +153,9 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
         if not is_usable(self.inside) or not self.inside:
             return
         if is_usable(self.radius_m) and self.radius_m <= fingertip_m:
-            yield "radius_m", self.radius_m, _too_tight(fingertip_m)
+            yield "radius_m", self.radius_m, _describe_lack_of_room(fingertip_m)
         if is_usable(self.length_m) and self.length_m is not None and self.length_m <= 2.0 * fingertip_m:
-            yield "length_m", self.length_m, _too_tight(2.0 * fingertip_m, "diameter")
+            yield "length_m", self.length_m, _describe_lack_of_room(2.0 * fingertip_m, "diameter")
 
 
 class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="capsule"):
@@ -168,7 +168,7 @@ class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cap
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         if is_usable(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
-            yield "radius_m", self.radius_m, _too_tight(fingertip_m)
+            yield "radius_m", self.radius_m, _describe_lack_of_room(fingertip_m)
 
 
 class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
@@ -184,7 +184,7 @@ class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
 
     def tight(self, fingertip_m: float) -> Iterator[Complaint]:
         if is_usable(self.size_m, self.inside) and self.inside and min(self.size_m) <= 2.0 * fingertip_m:
-            yield "size_m", self.size_m, _too_tight(2.0 * fingertip_m, "diameter", "every edge")
+            yield "size_m", self.size_m, _describe_lack_of_room(2.0 * fingertip_m, "diameter", "every edge")
 
 
 class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="ellipsoid"):
@@ -199,7 +199,7 @@ class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="e
         sharpest = min(self.semi_axes_m) ** 2 / max(self.semi_axes_m)
         if sharpest <= fingertip_m:
             limit = f"the smallest radius of curvature, shortest^2 / longest = {sharpest:g} m,"
-            yield "semi_axes_m", self.semi_axes_m, _too_tight(fingertip_m, "radius", limit)
+            yield "semi_axes_m", self.semi_axes_m, _describe_lack_of_room(fingertip_m, "radius", limit)
 
 
 class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus"):
@@ -220,11 +220,11 @@ class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus
         if not is_usable(major, minor, self.inside):
             return
         if self.inside and minor <= fingertip_m:
-            yield "minor_radius_m", minor, _too_tight(fingertip_m)
+            yield "minor_radius_m", minor, _describe_lack_of_room(fingertip_m)
         # A fingertip stuck in the hole would touch a whole circle of points at once.
         if not self.inside and minor < major <= minor + fingertip_m:
             hole = f"major_radius_m - minor_radius_m = {major - minor:g} m, the radius of the hole,"
-            yield "major_radius_m", major, _too_tight(fingertip_m, "radius", hole)
+            yield "major_radius_m", major, _describe_lack_of_room(fingertip_m, "radius", hole)
 
 
 class Heightmap(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="heightmap"):
@@ -286,7 +286,7 @@ class Mesh(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="mesh")
             yield "mesh", self.mesh, "cannot be elastic as part of a MuJoCo model: export it to a file"
 
 
-def _too_tight(least_m: float, measure: str = "radius", part: str = "") -> str:
+def _describe_lack_of_room(least_m: float, measure: str = "radius", part: str = "") -> str:
     """Return the fault of a shape without room for the fingertip; `least_m` is its radius or diameter."""
     room = f"must be above {least_m:g} m, the {measure} of the fingertip, so that it fits in"
     return f"{part} {room}".strip() + ": increase it, or use a smaller fingertip"

@@ -15,7 +15,7 @@ from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.makers_library import address
+from softfinger.drivers.system.makers_library import find_address
 
 log: Final = logging.getLogger(__name__)
 
@@ -62,7 +62,7 @@ class Falcon(BlockDevice):
         self.info = make_info(LIMITS, f"Novint Falcon {usb.IDS}", sensed_dof=3)
         try:
             self._set_up()
-            self._home()
+            self._wait_for_home()
             if options.counts_per_nm is None:
                 log.warning(
                     "%s: force is not calibrated: %g motor counts per N m are assumed, but the true value may be "
@@ -79,8 +79,8 @@ class Falcon(BlockDevice):
         self._libusb = libusb = self._chip.libusb()
         call = libusb.library
         # pyusb has declared these already with its types: calls by address need none
-        self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(address(call, "libusb_free_transfer"))
-        allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(address(call, "libusb_alloc_transfer"))
+        self._free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(find_address(call, "libusb_free_transfer"))
+        allocate = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int)(find_address(call, "libusb_alloc_transfer"))
         word[AT.context] = libusb.context
         self._block.set_functions(call)
         word[AT.kick] = round(options.kick_s * 1e9)
@@ -111,7 +111,7 @@ class Falcon(BlockDevice):
         if exchange.start_reading.ctypes(at) < 0:
             raise DeviceLost(f"{self.info.name} accepts no transfer (libusb error {word[AT.error]}): plug it in again")
 
-    def _home(self) -> None:
+    def _wait_for_home(self) -> None:
         """Wait until the device knows the zeros of its encoders: the user pulls the knob out and pushes it in."""
         word, read, write = self._word, exchange.read.ctypes, exchange.write.ctypes
         word[AT.lights] = packets.RED | packets.HOMING

@@ -5,11 +5,11 @@ opened, by the addresses of its functions: without interpreter lock, and without
 
 One transfer in each direction exists as long as the device is open. The one from the device is always submitted; the
 chip completes it with a reply, or with only its two status bytes. The packet of one tick is answered in the next,
-without waiting. While an answer is missing, the tick repeats the last sample. Up to `DEPTH` packets may be unanswered,
-so that a late reply delays one tick instead of stopping the loop; if the last of them remains unanswered for 5 ms, the
-driver expects no answer to any. After `kick_s` without a reply it sends no force, because a force computed for an old
-position may push the knob in the wrong direction, and sends a zero every `kick_s`; after `timeout_s` it reports a
-failure.
+without waiting. While an answer is missing, the tick repeats the last sample. Up to `UNANSWERED_MAX` packets may be
+unanswered, so that a late reply delays one tick instead of stopping the loop; if the last of them remains unanswered
+for 5 ms, the driver expects no answer to any. After `kick_s` without a reply it sends no force, because a force
+computed for an old position may push the knob in the wrong direction, and sends a zero every `kick_s`; after
+`timeout_s` it reports a failure.
 
 WITHHELD reports that zero replaced the force, so that the guard fades the force in again. HELD reports that a packet
 was not sent, because the motors keep the force of the previous one.
@@ -27,23 +27,23 @@ from numba import types
 from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import packets
 from softfinger.drivers.falcon.block import AT, IN_BYTES
-from softfinger.drivers.falcon.reply import command, pose, process_byte
+from softfinger.drivers.falcon.reply import compute_command, convert_reply, process_byte
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, shift_sample_time
 from softfinger.drivers.samples import copy_sample, is_finite, is_zero
-from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
+from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int32_at, int64_at, uint8_at
 
 STATUS_BYTES: Final = 2
 """Status bytes of the serial chip, before the data."""
-DEPTH: Final = 2
+UNANSWERED_MAX: Final = 2
 """Maximum number of unanswered packets: one in the device, one in transmission."""
 TRANSFERS_MAX: Final = 8
 """Maximum number of transfers per tick: a device that floods cannot block the loop."""
 MISSING_NS: Final = 5_000_000
 """Time after which a missing answer is considered lost, like one with a wrong byte."""
-SLICE_US: Final = 2000
+WAIT_US: Final = 2000
 """Duration of one wait for a current reply."""
 STOP_HANG_NS: Final = 20_000_000
 """Time after which a stop cancels a packet in progress, ten times that of a reply.
@@ -64,8 +64,8 @@ def on_complete(transfer: int) -> None:
 
 
 @jit
-def _now(handle: int) -> int:
-    return monotonic_ns(handle + 8 * AT.timespec)
+def _read_clock(handle: int) -> int:
+    return read_monotonic_ns(handle + 8 * AT.timespec)
 
 
 @jit
@@ -138,7 +138,7 @@ def _send(handle: int, motors: packets.Counts) -> int:
     if word[AT.out_done] == 0:
         _process_events(handle, 0)
         if word[AT.out_done] == 0:
-            return TIMEOUT if _now(handle) - word[AT.sent_at] > word[AT.timeout_after] else HELD
+            return TIMEOUT if _read_clock(handle) - word[AT.sent_at] > word[AT.timeout_after] else HELD
     status = _transfer_status(handle, AT.transfer_out)
     return _submit_packet(handle, motors) if status == OK else status
 
@@ -153,7 +153,7 @@ def _submit_packet(handle: int, motors: packets.Counts) -> int:
         word[AT.written] += 1
         word[AT.unanswered] += 1
         word[AT.has_force] = motors[0] != 0 or motors[1] != 0 or motors[2] != 0
-        word[AT.sent_at] = _now(handle)
+        word[AT.sent_at] = _read_clock(handle)
     return status
 
 
@@ -167,13 +167,13 @@ def _await(handle: int) -> int:
     count = _read_transfers(handle, 0)
     # The chip stores a reply until it is polled; during a pause of the loop it was polled only once.
     word[AT.stale_replies] += word[AT.unanswered]
-    start = _now(handle)
+    start = _read_clock(handle)
     word[AT.unanswered] = 0
     is_running = word[AT.has_sample] != 0
     zero_sent_at = start - word[AT.kick]
     has_sent_zero = False
     while count >= 0:
-        now = _now(handle)
+        now = _read_clock(handle)
         if is_running and now - start > RESUME_WAIT_NS:
             return 0
         if not is_running and now - start > word[AT.timeout_after]:
@@ -185,7 +185,7 @@ def _await(handle: int) -> int:
             if has_sent_zero:  # the outstanding replies are lost
                 word[AT.stale_replies] = 0
             zero_sent_at, has_sent_zero = now, True
-        count = _count_current(handle, _read_transfers(handle, SLICE_US))
+        count = _count_current(handle, _read_transfers(handle, WAIT_US))
         if count > 0:
             break
     return count
@@ -227,18 +227,18 @@ def _read_locked(handle: int, sample: Any) -> int:
     word = int64_at(handle)
     if word[AT.open] == 0:
         return LOST
-    now = _now(handle)
+    now = _read_clock(handle)
     was_paused = now - word[AT.read_at] > RESUME_NS or word[AT.has_sample] == 0
     if was_paused:
         word[AT.sampled_at] = shift_sample_time(word[AT.sampled_at], word[AT.read_at], now, word[AT.kick])
     count = _await(handle) if was_paused else _count_current(handle, _read_transfers(handle, 0))
-    word[AT.read_at] = _now(handle)
+    word[AT.read_at] = _read_clock(handle)
     if count < 0:
         return count
     status = STALE
     if count > 0:
         word[AT.sampled_at] = word[AT.read_at]
-        status = pose(handle)
+        status = convert_reply(handle)
         if status < 0:
             return status
         word[AT.has_sample] = 1
@@ -246,7 +246,7 @@ def _read_locked(handle: int, sample: Any) -> int:
         silence = now - word[AT.sampled_at]
         if silence > word[AT.timeout_after]:
             return TIMEOUT
-        if word[AT.unanswered] >= DEPTH and now - word[AT.sent_at] > MISSING_NS:
+        if word[AT.unanswered] >= UNANSWERED_MAX and now - word[AT.sent_at] > MISSING_NS:
             word[AT.unanswered] = 0
         if silence > word[AT.kick] and now - word[AT.sent_at] > word[AT.kick]:
             kick_status = _kick(handle)
@@ -278,17 +278,17 @@ def _write_locked(handle: int, wrench: Any) -> int:
     if word[AT.open] == 0:
         return OK if zero else WITHHELD
     motors, is_limited = (0, 0, 0), False
-    has_no_sample = word[AT.has_sample] == 0 or _now(handle) - word[AT.sampled_at] > word[AT.kick]
+    has_no_sample = word[AT.has_sample] == 0 or _read_clock(handle) - word[AT.sampled_at] > word[AT.kick]
     has_position = isfinite(float64_at(handle + 8 * AT.sample)[0])
     may_send = is_finite(wrench, 3) and armed and not has_no_sample and has_position
     sends_force = may_send and not zero
     if sends_force:
-        motors, is_limited = command(handle, (wrench[0], wrench[1], wrench[2]))
+        motors, is_limited = compute_command(handle, (wrench[0], wrench[1], wrench[2]))
         if is_limited:
             word[AT.cut] += 1
     # A zero that ends a force is sent regardless of unanswered packets.
     status = HELD
-    if word[AT.unanswered] < DEPTH or (word[AT.has_force] != 0 and not sends_force):
+    if word[AT.unanswered] < UNANSWERED_MAX or (word[AT.has_force] != 0 and not sends_force):
         status = _send(handle, motors)
     if status == HELD:
         word[AT.held] += 1
@@ -334,10 +334,10 @@ def silence(handle: int) -> int:
     must_repeat = False
     if word[AT.open] != 0:
         if word[AT.out_done] == 0:
-            _process_events(handle, SLICE_US)
+            _process_events(handle, WAIT_US)
         if word[AT.out_done] == 0:
             must_repeat = True
-            if _now(handle) - word[AT.sent_at] > STOP_HANG_NS:
+            if _read_clock(handle) - word[AT.sent_at] > STOP_HANG_NS:
                 call_int32(word[AT.cancel], (word[AT.transfer_out],))
         elif word[AT.has_force] != 0 or int32_at(word[AT.transfer_out])[_STATUS] != _COMPLETED:
             must_repeat = _submit_packet(handle, (0, 0, 0)) == OK
@@ -356,7 +356,7 @@ def cancel_transfers(handle: int) -> int:
         call_int32(word[AT.cancel], (word[AT.transfer_in],))
     if word[AT.out_done] == 0:
         call_int32(word[AT.cancel], (word[AT.transfer_out],))
-    _process_events(handle, SLICE_US)
+    _process_events(handle, WAIT_US)
     is_done = word[AT.in_done] != 0 and word[AT.out_done] != 0
     exchange_int64(handle + 8 * AT.lock, 0)
     return 1 if is_done else 0

@@ -10,7 +10,7 @@ from math import nan
 from softfinger.drivers.base import FORCE_OFF, OK, SAMPLE_BUTTONS, SAMPLE_TIME
 from softfinger.drivers.falcon import delta, packets
 from softfinger.drivers.falcon.block import AT
-from softfinger.drivers.kinematics.delta import forward, torques_for
+from softfinger.drivers.kinematics.delta import compute_torques, forward
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.model import Vec3
@@ -49,7 +49,7 @@ def _to_device(v: Vec3) -> Vec3:
 
 
 @jit
-def pose(handle: int) -> int:
+def convert_reply(handle: int) -> int:
     """Convert the latest reply to the sample; return OK, or FORCE_OFF if the device has lost its homing.
 
     If no position has these counts, the sample is NaN, and the guard sets the force to zero.
@@ -87,12 +87,12 @@ def pose(handle: int) -> int:
 
 
 @jit
-def motor_counts(gain: float, knob_position: Vec3, force: Vec3) -> tuple[packets.Counts, bool]:
+def compute_motor_counts(gain: float, knob_position: Vec3, force: Vec3) -> tuple[packets.Counts, bool]:
     """Return motor counts (3,) for a force (3,) N, device's frame, at `knob_position`, and True if they were limited.
 
     If a count exceeds the maximum, all three are scaled down, so that the force keeps its direction.
     """
-    torque, exists = torques_for(delta.FALCON, knob_position, force)
+    torque, exists = compute_torques(delta.FALCON, knob_position, force)
     counts = vec3.scale(gain, torque)
     largest = max(abs(counts[0]), max(abs(counts[1]), abs(counts[2])))
     is_limited = not exists
@@ -103,7 +103,7 @@ def motor_counts(gain: float, knob_position: Vec3, force: Vec3) -> tuple[packets
 
 
 @jit
-def command(handle: int, force: Vec3) -> tuple[packets.Counts, bool]:
+def compute_command(handle: int, force: Vec3) -> tuple[packets.Counts, bool]:
     """Return motor counts (3,) for a force (3,) N, world frame, at the present position, and True if it was limited."""
     at = float64_at(handle + 8 * AT.position)
-    return motor_counts(float64_at(handle + 8 * AT.gain)[0], (at[0], at[1], at[2]), _to_device(force))
+    return compute_motor_counts(float64_at(handle + 8 * AT.gain)[0], (at[0], at[1], at[2]), _to_device(force))

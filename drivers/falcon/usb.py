@@ -15,8 +15,8 @@ import usb.util
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DevicePermission
 from softfinger.drivers.system import libusb
-from softfinger.drivers.system.discovery import usb_node
-from softfinger.drivers.system.rules import how_to_permit
+from softfinger.drivers.system.discovery import find_usb_node
+from softfinger.drivers.system.rules import explain_permission
 
 VENDOR: Final = 0x0403
 PRODUCT: Final = 0xCB48
@@ -65,7 +65,7 @@ class SerialChip:
         try:
             self._device.ctrl_transfer(_TO_CHIP, request, value, 0, None, TIMEOUT_MS)
         except usb.core.USBError as error:
-            raise _lost_error(error) from error
+            raise _make_lost_error(error) from error
 
     def purge(self) -> None:
         self.request(PURGE, PURGE_RECEIVED)
@@ -76,7 +76,7 @@ class SerialChip:
         try:
             self._device.write(ENDPOINT_OUT, data, TIMEOUT_MS)
         except usb.core.USBError as error:
-            raise _lost_error(error) from error
+            raise _make_lost_error(error) from error
 
     def read(self, count: int, transfers: int) -> bytes:
         """Return up to `count` bytes from at most `transfers` transfers; one without data takes the chip's latency."""
@@ -88,7 +88,7 @@ class SerialChip:
             except usb.core.USBTimeoutError:
                 break
             except usb.core.USBError as error:
-                raise _lost_error(error) from error
+                raise _make_lost_error(error) from error
         data = bytes(self._received[:count])
         del self._received[:count]
         return data
@@ -128,11 +128,11 @@ def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
     except usb.core.USBError as error:
         raise DeviceError(f"USB devices cannot be listed: {error}: check that /dev/bus/usb exists") from error
     if node is not None:
-        devices = [device for device in devices if usb_node(device.bus, device.address) == node]
+        devices = [device for device in devices if find_usb_node(device.bus, device.address) == node]
     if not devices:
         raise DeviceNotFound(f"no Falcon ({IDS}) is attached: check USB cable and power")
     device = _choose(devices, serial)
-    name = f"Falcon ({IDS}) at {usb_node(device.bus, device.address)}"
+    name = f"Falcon ({IDS}) at {find_usb_node(device.bus, device.address)}"
     try:
         with contextlib.suppress(NotImplementedError):  # libusb on a system without drivers to detach
             if device.is_kernel_driver_active(INTERFACE):
@@ -150,9 +150,9 @@ def _choose(devices: list[Any], serial: str | None) -> Any:
     serials = {}
     for device in devices:
         try:
-            serials[device.serial_number or f"none, at {usb_node(device.bus, device.address)}"] = device
+            serials[device.serial_number or f"none, at {find_usb_node(device.bus, device.address)}"] = device
         except (usb.core.USBError, ValueError):  # ValueError: pyusb has no permission to open the device
-            serials[f"? at {usb_node(device.bus, device.address)}"] = device
+            serials[f"? at {find_usb_node(device.bus, device.address)}"] = device
         usb.util.dispose_resources(device)  # reading the serial number opened it
     serial_list = ", ".join(f"'{serial}'" for serial in sorted(serials))
     if serial is None:
@@ -164,7 +164,7 @@ def _choose(devices: list[Any], serial: str | None) -> Any:
 
 def _open_error(name: str, error: usb.core.USBError) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
-        return DevicePermission(f"{name} may not be opened by this user: {how_to_permit(VENDOR, PRODUCT)}")
+        return DevicePermission(f"{name} may not be opened by this user: {explain_permission(VENDOR, PRODUCT)}")
     if error.errno == errno.EBUSY:
         return DeviceBusy(f"{name} is used by another program: close it first")
     if error.errno in (errno.ENODEV, errno.ENOENT):
@@ -172,5 +172,5 @@ def _open_error(name: str, error: usb.core.USBError) -> DeviceError:
     return DeviceError(f"{name} cannot be opened: {error}: unplug it and plug it in again")
 
 
-def _lost_error(error: usb.core.USBError) -> DeviceLost:
+def _make_lost_error(error: usb.core.USBError) -> DeviceLost:
     return DeviceLost(f"the Falcon does not accept data ({error}): check USB cable and power")

@@ -66,7 +66,7 @@ class OutputField(Table, frozen=True, kw_only=True):
     scale: Annotated[float, within(SCALE, "counts per A, N or N m; value of a constant", 1000.0)] = 1.0
 
 
-def layout_faults(
+def check_layout(
     bytes_: int, fields: tuple[InputField | OutputField, ...], owner: str, note: str = ""
 ) -> Iterator[Complaint]:
     """Yield complaints about fields that exceed `bytes_` or overlap."""
@@ -97,7 +97,7 @@ def find_repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint
             meanings_seen.add(field.meaning)
 
 
-def meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None:
+def list_meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None:
     """Return the meanings of fields; None if they are unknown."""
     if not is_usable(fields) or not is_usable(*fields):
         return None

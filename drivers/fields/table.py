@@ -46,7 +46,7 @@ RAW_RANGES: Final[dict[str, tuple[float, float]]] = {
 }
 
 
-def input_table(fields: Iterable[InputField], big_endian: bool = False) -> Array:
+def make_input_table(fields: Iterable[InputField], big_endian: bool = False) -> Array:
     """Return rows (n, ROW) for fields from a device."""
 
     def default_to(value: float | None, none: float) -> float:
@@ -62,7 +62,7 @@ def input_table(fields: Iterable[InputField], big_endian: bool = False) -> Array
     return np.array(rows, dtype=np.float64)
 
 
-def output_table(fields: Iterable[OutputField], big_endian: bool = False) -> Array:
+def make_output_table(fields: Iterable[OutputField], big_endian: bool = False) -> Array:
     """Return rows (n, ROW) for fields to a device."""
     rows = [
         (
@@ -151,6 +151,6 @@ def encode_constants(
     values[CONSTANT] = 1.0
     for index, value in (commanded or {}).items():
         values[index] = value
-    rows = output_table(fields, big_endian)
+    rows = make_output_table(fields, big_endian)
     encode(values, rows.ctypes.data, len(rows), scratch.ctypes.data, packet.ctypes.data)
     return packet

@@ -63,7 +63,7 @@ class ForceDimension(BlockDevice):
         self._id, self._model = selection.find(self._library, options)
         try:
             self._set_up(rate_hz)
-            self.info = self._info()
+            self.info = self._make_info()
         except BaseException:
             self.close()
             raise
@@ -124,7 +124,7 @@ class ForceDimension(BlockDevice):
         is_off = call.dhdEnableForce(0, self._id) in library.SUCCESS
         is_braked = call.dhdStop(self._id) in library.SUCCESS  # switches to brake mode
         self._zero_failure = (
-            "" if is_sent or is_off or is_braked else f"the library reports: {library.error_text(call)}"
+            "" if is_sent or is_off or is_braked else f"the library reports: {library.format_error(call)}"
         )
         if not self._options.brakes:
             call.dhdSetBrakes(0, self._id)
@@ -190,7 +190,7 @@ class ForceDimension(BlockDevice):
         self._call_checked("dhdSetMaxForce", call.dhdSetMaxForce, self._model.limits.force_max_n)
         self._set_watchdog(0.0)  # until `arm`; fails here if the device has no watchdog
         if options.velocity_threshold is not None:
-            with self._expert_mode():
+            with self._enter_expert_mode():
                 self._call_checked("dhdSetVelocityThreshold", call.dhdSetVelocityThreshold, options.velocity_threshold)
 
     def _choose_pose(self) -> None:
@@ -218,13 +218,13 @@ class ForceDimension(BlockDevice):
         self._call_checked("drdAutoInit", self._library.drdAutoInit)
 
     def _set_watchdog(self, seconds: float) -> None:
-        with self._expert_mode():
+        with self._enter_expert_mode():
             code = self._library.dhdSetWatchdog(round(seconds / WATCHDOG_UNIT_S), self._id)
             if code not in library.SUCCESS and self._options.watchdog_s > 0.0:
                 self._raise_refused("dhdSetWatchdog", NO_WATCHDOG)
 
     @contextmanager
-    def _expert_mode(self) -> Iterator[None]:
+    def _enter_expert_mode(self) -> Iterator[None]:
         """Enter the expert mode that some settings need; report errors inside, before the mode ends."""
         if self._library.dhdEnableExpertMode() < 0:
             self._raise_refused("dhdEnableExpertMode")
@@ -238,12 +238,12 @@ class ForceDimension(BlockDevice):
             self._raise_refused(name)
 
     def _raise_refused(self, name: str, advice: str = "switch it off and on, then start again") -> NoReturn:
-        message = f"{self._model.full_name} refused {name}: {library.error_text(self._library)}"
+        message = f"{self._model.full_name} refused {name}: {library.format_error(self._library)}"
         if self._library.dhdErrorGetLast() == library.ERROR_TIMEOUT:
             raise DeviceTimeout(f"{message}: check cable and power, then start again")
         raise DeviceError(f"{message}: {advice}")
 
-    def _info(self) -> DeviceInfo:
+    def _make_info(self) -> DeviceInfo:
         call, limits = self._library, self._model.limits
         name = f"{self._model.full_name}, serial {selection.read_serial(call, self._id)}"
         info = make_info(limits, name, sensed_dof=6 if call.dhdHasWrist(self._id) else 3)

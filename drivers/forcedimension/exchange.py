@@ -26,8 +26,8 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.forcedimension.block import AT
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
-from softfinger.drivers.samples import copy_sample, is_finite, is_zero, orientation_of_rows, store_pose
-from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
+from softfinger.drivers.samples import convert_matrix, copy_sample, is_finite, is_zero, store_pose
+from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int32_at, int64_at
@@ -55,7 +55,7 @@ def _read_status(handle: int) -> int:
 
 
 @jit
-def _error_status(handle: int) -> int:
+def _status_of_error(handle: int) -> int:
     """Return the status for a failed call, from the library's error of this thread."""
     word = int64_at(handle)
     word[AT.error] = call_int32(word[AT.get_error], ())
@@ -70,7 +70,7 @@ def _convert_pose(handle: int, sample: Any) -> None:
     """Convert the library's pose to the world frame; the orientation is NaN if its matrix is not a rotation."""
     p, m = float64_at(handle + 8 * AT.frame), float64_at(handle + 8 * (AT.frame + 3))
     rows = ((m[4], -m[3], m[5]), (-m[1], m[0], -m[2]), (m[7], -m[6], m[8]))
-    store_pose(sample, (p[1], -p[0], p[2]), orientation_of_rows(rows))
+    store_pose(sample, (p[1], -p[0], p[2]), convert_matrix(rows))
 
 
 @jit
@@ -86,20 +86,20 @@ def _read_locked(handle: int, sample: Any) -> int:
     else:
         code = call_int32(word[AT.get_position], (x, y, z, device))
     if code < 0:
-        return _error_status(handle)
+        return _status_of_error(handle)
     buttons = call_int32(word[AT.get_buttons], (device,))
     if (
         word[AT.has_gripper] != 0
         and call_int32(word[AT.get_gripper], (float64_at(handle + 8 * AT.gripper), device)) < 0
     ):
-        return _error_status(handle)
+        return _status_of_error(handle)
     word[AT.reads] += 1
     if word[AT.armed] != 0 and word[AT.reads] % word[AT.status_every] == 0:
         status = _read_status(handle)
         if status != OK:
-            return status if status == FORCE_OFF else _error_status(handle)
+            return status if status == FORCE_OFF else _status_of_error(handle)
     _convert_pose(handle, sample)
-    sample[SAMPLE_TIME] = float(monotonic_ns(handle + 8 * AT.timespec) - word[AT.started_at]) / NS_PER_S
+    sample[SAMPLE_TIME] = float(read_monotonic_ns(handle + 8 * AT.timespec) - word[AT.started_at]) / NS_PER_S
     sample[SAMPLE_BUTTONS] = float(np.int64(buttons) & 0xFFFFFFFF)
     sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # initially 0, and unchanged without a gripper
     copy_sample(sample, float64_at(handle + 8 * AT.sample))
@@ -133,7 +133,7 @@ def _write_locked(handle: int, wrench: Any) -> int:
             tx, ty, tz = -wrench[4], wrench[3], wrench[5]
     code = call_int32(word[AT.set_wrench], (fx, fy, fz, tx, ty, tz, 0.0, np.int32(word[AT.id])))
     if code < 0:
-        return _error_status(handle)
+        return _status_of_error(handle)
     word[AT.writes] += 1
     if code == 1:
         word[AT.writes_guarded] += 1

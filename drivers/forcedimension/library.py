@@ -13,7 +13,7 @@ from ctypes import POINTER, c_bool, c_byte, c_char_p, c_double, c_int, c_ubyte, 
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.files import home_folder
+from softfinger.config.files import find_home_folder
 from softfinger.drivers.system import makers_library
 from softfinger.drivers.system.makers_library import MakersLibrary
 
@@ -76,11 +76,11 @@ PROTOTYPES: Final[Mapping[str, tuple[Any, tuple[Any, ...]]]] = {
 """Result and parameters of every function used; double[3][3] is passed as a pointer to its first element."""
 
 
-def patterns(environ: Mapping[str, str]) -> list[Path]:
+def list_patterns(environ: Mapping[str, str]) -> list[Path]:
     """Return the places to search, in order; the last part of each is a glob pattern."""
     build = Path("lib") / "release" / f"lin-{platform.machine()}-gcc" / "libdrd.so*"
     kits = [Path(environ[name]) / build for name in ("FDSDK", "FORCEDIM_SDK") if environ.get(name)]
-    home = environ.get("HOME") or home_folder()
+    home = environ.get("HOME") or find_home_folder()
     user_paths = [Path(home) / ".local" / "lib" / "libdrd.so*"] if home else []
     return [*kits, *user_paths, Path("/usr/local/lib/libdrd.so*")]
 
@@ -99,10 +99,10 @@ LIBRARY: Final = MakersLibrary(
 def load(file: str | None, environ: Mapping[str, str] = os.environ) -> ctypes.CDLL:
     unset = [f"${name} is not set" for name in ("FDSDK", "FORCEDIM_SDK") if not environ.get(name)]
     note = f" ({', '.join(unset)})" if unset else ""
-    return makers_library.load(LIBRARY, file, patterns(environ), note)
+    return makers_library.load(LIBRARY, file, list_patterns(environ), note)
 
 
-def error_text(library: ctypes.CDLL) -> str:
+def format_error(library: ctypes.CDLL) -> str:
     """Return the library's text for this thread's last error."""
     text = library.dhdErrorGetLastStr()
     number = library.dhdErrorGetLast()

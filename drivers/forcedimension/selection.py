@@ -25,16 +25,16 @@ def list_attached() -> list[SystemDevice]:
     """Return every device of the vendor."""
     return [
         device._replace(name=PRODUCTS.get(device.product, "device of Force Dimension"))
-        for device in discovery.usb_devices()
+        for device in discovery.iter_usb_devices()
         if device.vendor == VENDOR
     ]
 
 
-def refusal(device: SystemDevice) -> str:
+def explain_refusal(device: SystemDevice) -> str:
     """Return the message for a device that this user may not write to; "" if it may, or if there is no node."""
     if not os.path.exists(device.node) or discovery.is_permitted(device.node):
         return ""
-    return f"{device} may not be opened by this user: {rules.how_to_permit(VENDOR, 0)}"
+    return f"{device} may not be opened by this user: {rules.explain_permission(VENDOR, 0)}"
 
 
 def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
@@ -74,7 +74,7 @@ def load(file: str | None) -> ctypes.CDLL:
     try:
         loaded = library.load(file)
     except DeviceNotFound as error:
-        devices = [refusal(device) or str(device) for device in list_attached()]
+        devices = [explain_refusal(device) or str(device) for device in list_attached()]
         attached = f". Attached over USB: {'; '.join(devices)}" if devices else ""
         raise DeviceNotFound(f"{error}{attached}") from None
     parts = [ctypes.c_int() for _ in range(4)]
@@ -86,33 +86,35 @@ def load(file: str | None) -> ctypes.CDLL:
 def read_serial(call: ctypes.CDLL, device: int) -> int:
     serial = ctypes.c_ushort()
     if call.dhdGetSerialNumber(ctypes.byref(serial), device) < 0:
-        raise DeviceError(f"serial number: {library.error_text(call)}: switch the device off and on, then start again")
+        raise DeviceError(
+            f"serial number: {library.format_error(call)}: switch the device off and on, then start again"
+        )
     return serial.value
 
 
 def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
     devices = list_attached()
     for device in devices:
-        if message := refusal(device):
+        if message := explain_refusal(device):
             raise DevicePermission(message)
     if count < 0:
-        raise DeviceError(f"the devices cannot be counted: {library.error_text(call)}: check cable and power")
+        raise DeviceError(f"the devices cannot be counted: {library.format_error(call)}: check cable and power")
     if devices:
         raise DeviceError(f"the library does not see {devices[0]}: switch the device on, or off and on again")
     raise DeviceNotFound("no device of Force Dimension is attached: check cable and power (USB vendor 1451)")
 
 
 def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
-    code, text = call.dhdErrorGetLast(), library.error_text(call)
+    code, text = call.dhdErrorGetLast(), library.format_error(call)
     if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
-        holders = [str(holder) for device in list_attached() if (holder := discovery.holder(device.node))]
+        holders = [str(holder) for device in list_attached() if (holder := discovery.find_holder(device.node))]
         by = ", ".join(holders) or "another process"
         return DeviceBusy(f"device {number} is used by {by} ({text}): end that process, then start again")
     if code == library.ERROR_NO_DEVICE:
         return DeviceNotFound(f"device {number} is no longer attached ({text}): check cable and power")
     if code in (library.ERROR_COM, library.ERROR_NO_DRIVER):
         for device in list_attached():
-            if message := refusal(device):
+            if message := explain_refusal(device):
                 return DevicePermission(message)
     if code == library.ERROR_TIMEOUT:
         return DeviceTimeout(f"device {number} did not answer when opened ({text}): switch it off and on")

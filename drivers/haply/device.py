@@ -36,7 +36,7 @@ class HaplyDevice(BlockDevice):
     def __init__(self, options: Options, connection: opening.Connection) -> None:
         self._options = options
         self._block = Block(AT)
-        times = exchange.Times(options.quiet_s, options.timeout_s, options.stale_s)
+        times = exchange.ServiceTimes(options.quiet_s, options.timeout_s, options.stale_s)
         exchange.init_exchange(self._block, options.mounting, options.force_max_n, times)
         grip = "" if connection.grip is None else f" with {connection.grip}"
         self.info = make_info(options, f"haply {connection.device}{grip}", 3 if connection.grip is None else 6)

@@ -41,7 +41,7 @@ def connect(port: int, until: float) -> socket.socket:
         connection = socket.create_connection((HOST, port), timeout=check_remaining_time(until))
     except ConnectionRefusedError:
         raise DeviceNotFound(
-            f"no Inverse Service on port {port} of this machine{_old_service_note(port)}: {START}"
+            f"no Inverse Service on port {port} of this machine{_describe_old_service(port)}: {START}"
         ) from None
     except TimeoutError:
         raise DeviceTimeout(f"the Inverse Service on port {port} takes no connection: restart it ({START})") from None
@@ -96,7 +96,7 @@ def _is_complete(received: bytearray) -> bool:
     return length is not None and len(body) >= int(length[1])
 
 
-def _old_service_note(port: int) -> str:
+def _describe_old_service(port: int) -> str:
     """Return an addition to the message if a service of the old format runs."""
     try:
         socket.create_connection((HOST, OLD_FORMAT_PORT), timeout=0.2).close()

@@ -29,7 +29,7 @@ from softfinger.drivers.block import Block, counter, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.pause import RESUME_NS, shift_sample_time
 from softfinger.drivers.samples import copy_sample, is_finite, is_zero, store_pose
-from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, write_now
+from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
@@ -49,7 +49,7 @@ WRITE_TIME: Final = 3
 WRENCH_NUMBER: Final = 4
 
 
-class FrameConversion(NamedTuple):
+class ServiceFrame(NamedTuple):
     """Parameters of the conversion between the service's frame and the world.
 
     position     (3,) m  service's origin in the world
@@ -62,7 +62,7 @@ class FrameConversion(NamedTuple):
     force_max: float
 
 
-MODEL_LIKE: Final = FrameConversion((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
+MODEL_LIKE: Final = ServiceFrame((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.0)
 MODEL_SIZE: Final = len(flatten(MODEL_LIKE))
 
 
@@ -96,7 +96,7 @@ class Fields(NamedTuple):
     pose_sequence_read: Annotated[int, word("sequence number of the latest pose that the loop has read")]
     dropped_reported: Annotated[int, word("`dropped` at the last read")]
     timespec: Annotated[int, numbers("struct timespec of the clock", TIMESPEC_WORDS)]
-    model: Annotated[int, numbers("a `FrameConversion`", MODEL_SIZE)]
+    model: Annotated[int, numbers("a `ServiceFrame`", MODEL_SIZE)]
     pose_sequence: Annotated[int, numbers("counter of the poses' lock", COUNTERS)]
     pose: Annotated[int, numbers("latest pose in the service's frame", POSE_SIZE)]
     wrench_sequence: Annotated[int, numbers("counter of the wrenches' lock", COUNTERS)]
@@ -109,7 +109,7 @@ class Fields(NamedTuple):
 AT: Final = lay_out(Fields)
 
 
-class Times(NamedTuple):
+class ServiceTimes(NamedTuple):
     """Time spans of an exchange, s; see `Fields`."""
 
     quiet: float
@@ -117,10 +117,10 @@ class Times(NamedTuple):
     stale: float
 
 
-def init_exchange(block: Block, mounting: Mounting, force_max_n: float, times: Times) -> None:
+def init_exchange(block: Block, mounting: Mounting, force_max_n: float, times: ServiceTimes) -> None:
     """Initialize the fields of an exchange, and open the eventfd that wakes the thread."""
     word = block.word
-    block.numbers(AT.model, MODEL_SIZE)[:] = flatten(FrameConversion(*mounting.frame(), force_max_n))
+    block.numbers(AT.model, MODEL_SIZE)[:] = flatten(ServiceFrame(*mounting.frame(), force_max_n))
     word[AT.opened_at], word[AT.increment] = time.monotonic_ns(), 1
     for field, seconds in zip((AT.quiet, AT.timeout_after, AT.stale), times, strict=True):
         word[field] = round(seconds * 1e9)
@@ -154,7 +154,7 @@ def read(handle: int, sample: Any) -> int:
     at = int64_at(handle)
     if at[AT.failed] < 0:
         return int(at[AT.failed])
-    now = monotonic_ns(handle + 8 * AT.timespec)
+    now = read_monotonic_ns(handle + 8 * AT.timespec)
     counters = carray(int64_at(handle + 8 * AT.pose_sequence), (COUNTERS,))
     poses = Slot(counters, carray(float64_at(handle + 8 * AT.pose), (POSE_SIZE,)))
     status = OK if _read_pose(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE_SIZE,))) else STALE
@@ -202,7 +202,7 @@ def write(handle: int, wrench: Any) -> int:
     # Never wait here: the lock's owner writes a zero or closes the device, so refusing is right as well.
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
         return WITHHELD
-    now = monotonic_ns(handle + 8 * AT.timespec)
+    now = read_monotonic_ns(handle + 8 * AT.timespec)
     force, status = _limit(handle, wrench, now)
     if status != HELD:
         outgoing = carray(float64_at(handle + 8 * AT.outgoing), (WRENCH_SIZE,))

@@ -25,7 +25,7 @@ from softfinger.drivers import switch_interval
 from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT
 from softfinger.drivers.block import Block
 from softfinger.drivers.haply.exchange import AT, COUNTERS, POSE_SIZE, WRENCH_NUMBER, WRENCH_SIZE, WRITE_TIME
-from softfinger.drivers.haply.messages import Malformed, Missing, PoseReading, command, read_state
+from softfinger.drivers.haply.messages import Malformed, Missing, PoseReading, encode_command, read_state
 from softfinger.drivers.haply.opening import Connection
 from softfinger.proxy.kernels.jit.seqlock import Slot, publish, read
 from softfinger.proxy.kernels.model import Vec3
@@ -116,7 +116,7 @@ class ExchangeThread:
         """Send a last zero, after any end of the exchange, and close the connection."""
         with self._connection.lock:
             link, device, key = self._connection.link, self._connection.device, self._connection.key
-            self.ended_by_service = link.close(command(device, key, _ZERO))
+            self.ended_by_service = link.close(encode_command(device, key, _ZERO))
 
     def _fail(self, status: int, why: str) -> None:
         self.failure = why
@@ -138,7 +138,7 @@ class ExchangeThread:
     def _send_if_due(self) -> None:
         link = self._connection.link
         self._has_unread = link.count_unread_bytes() > UNREAD_MAX * self._message_bytes_max
-        force, now, stops = self._force(), time.monotonic_ns(), int(self._word[AT.stops_requested])
+        force, now, stops = self._read_force(), time.monotonic_ns(), int(self._word[AT.stops_requested])
         number = int(self._latest_wrench[WRENCH_NUMBER])
         if stops <= self._stops and not (self._has_force and force == _ZERO):
             is_due = number != self._number or now - self._sent_at >= MESSAGE_PERIOD_S * 1e9
@@ -146,14 +146,14 @@ class ExchangeThread:
                 return
         self._number, self._stops, self._sent_at = number, stops, now
         self._pending.append((number, stops))
-        message = command(self._connection.device, self._connection.key, force)
+        message = encode_command(self._connection.device, self._connection.key, force)
         self._message_bytes_max = max(self._message_bytes_max, len(message))
         link.send(message)
         self._has_force = force != _ZERO
         self._word[AT.messages] += 1
         self._word[AT.handled] = number
 
-    def _force(self) -> Vec3:
+    def _read_force(self) -> Vec3:
         """Return the latest force, or zero if none may be sent."""
         sequence = read(self._wrenches, self._sequence, self._copy)
         if sequence != self._sequence:

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.haply.dial import CHUNK, HOST, MESSAGE_MAX, check_remaining_time, connect
-from softfinger.drivers.haply.messages import Malformed, excerpt
+from softfinger.drivers.haply.messages import Malformed, shorten
 
 CLOSE_TIMEOUT_S: Final = 0.2
 """Time for the service to read the last message and close the connection."""
@@ -27,7 +27,7 @@ class WebSocketLink:
     """Open WebSocket, used by one thread at a time. Opening raises DeviceError or a subclass."""
 
     def __init__(self, port: int, until: float) -> None:
-        client, uri, self._frames = library()
+        client, uri, self._frames = import_websockets()
         self._end = connect(port, until)
         self._end.setblocking(False)
         self._partial = bytearray()
@@ -163,7 +163,7 @@ class WebSocketLink:
         if protocol.state.name in ("CLOSING", "CLOSED") and protocol.handshake_exc is None:
             # The library's Close frame is not sent yet: `close` sends the last message before it.
             if protocol.parser_exc is not None and not isinstance(protocol.parser_exc, EOFError):
-                raise Malformed(f"the service's WebSocket: {protocol.parser_exc}: {excerpt(data)}")
+                raise Malformed(f"the service's WebSocket: {protocol.parser_exc}: {shorten(data)}")
             raise DeviceLost("the Inverse Service closed the connection: check whether it was stopped or restarted")
         self._flush()
         return messages
@@ -181,7 +181,7 @@ class WebSocketLink:
             raise DeviceTimeout("the Inverse Service accepts no message: restart it")
 
 
-def library() -> tuple[Any, Any, Any]:
+def import_websockets() -> tuple[Any, Any, Any]:
     """Return the modules `client`, `uri` and `frames` of websockets; raises DeviceError if it is not installed."""
     try:
         from websockets import client, frames, uri

@@ -176,15 +176,15 @@ def read_state(message: bytes, device: DeviceRef, grip: DeviceRef | None) -> Pos
     state: ServiceState = _decode(_STATES, message)
     device_entry: DeviceEntry = _find_entry(state, device)
     grip_entry: GripEntry | None = None if grip is None else _find_entry(state, grip)
-    position, warning = _position(device_entry.state.cursor_position), _warning(device_entry.status)
+    position, warning = _parse_position(device_entry.state.cursor_position), _parse_warning(device_entry.status)
     if grip_entry is None:
         return PoseReading(position, _IDENTITY, 0.0, warning)
     pressed = grip_entry.state.buttons
     mask = float(grip_entry.state.button) if pressed is None else float(pressed.a + 2 * pressed.b + 4 * pressed.c)
-    return PoseReading(position, _quaternion(grip_entry.state.orientation), mask, warning)
+    return PoseReading(position, _parse_quaternion(grip_entry.state.orientation), mask, warning)
 
 
-def command(device: DeviceRef, key: str, force: Vec3, basis: bool = False) -> bytes:
+def encode_command(device: DeviceRef, key: str, force: Vec3, basis: bool = False) -> bytes:
     """Encode a message with a force (N, service's frame); the first of a session also sets the axes of the device."""
     x, y, z = force
     entry = {"device_id": device.name, "commands": {"set_cursor_force": {key: {"x": x, "y": y, "z": z}}}}
@@ -212,7 +212,7 @@ def parse_version(version: str) -> tuple[int, int]:
     return parsed
 
 
-def force_key(version: tuple[int, int]) -> str:
+def find_force_key(version: tuple[int, int]) -> str:
     return "vector" if version >= VECTOR_SINCE else "values"
 
 
@@ -230,7 +230,7 @@ def is_identity(mount: dict[str, Any]) -> bool:
     )
 
 
-def excerpt(message: bytes) -> str:
+def shorten(message: bytes) -> str:
     return repr(message[:EXCERPT_CHARS])[1:] + ("..." if len(message) > EXCERPT_CHARS else "")
 
 
@@ -238,7 +238,7 @@ def _decode(decoder: Any, message: bytes) -> Any:
     try:
         return decoder.decode(message)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise Malformed(f"the service answered {excerpt(message)}: {error}") from None
+        raise Malformed(f"the service answered {shorten(message)}: {error}") from None
 
 
 def _find_entry(state: ServiceState, ref: DeviceRef) -> Any:
@@ -248,7 +248,7 @@ def _find_entry(state: ServiceState, ref: DeviceRef) -> Any:
     raise Missing(f"{ref} is no longer in the service's list")
 
 
-def _warning(status: Status) -> str:
+def _parse_warning(status: Status) -> str:
     if status.power_supply and status.calibrated and status.ready:
         return ""
     problems = (
@@ -259,14 +259,14 @@ def _warning(status: Status) -> str:
     return "the Inverse Service reports: " + "; ".join(filter(None, problems))
 
 
-def _position(vector: Vector) -> Vec3:
+def _parse_position(vector: Vector) -> Vec3:
     x, y, z = vector.x, vector.y, vector.z
     if x is None or y is None or z is None or not hypot(x, y, z) <= POSITION_MAX_M:
         return _NO_POSITION
     return (x, y, z)
 
 
-def _quaternion(turn: Rotation) -> Quaternion:
+def _parse_quaternion(turn: Rotation) -> Quaternion:
     w, x, y, z = turn.w, turn.x, turn.y, turn.z
     if w is None or x is None or y is None or z is None:
         return (nan, *_NO_POSITION)

@@ -17,7 +17,7 @@ from msgspec import Struct
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DeviceTimeout
 from softfinger.drivers.haply.dial import START, request
-from softfinger.drivers.haply.link import WebSocketLink, library
+from softfinger.drivers.haply.link import WebSocketLink, import_websockets
 from softfinger.drivers.haply.messages import (
     GRIPS,
     GROUPS,
@@ -29,13 +29,13 @@ from softfinger.drivers.haply.messages import (
     Malformed,
     Missing,
     PoseReading,
-    command,
-    excerpt,
-    force_key,
+    encode_command,
+    find_force_key,
     is_identity,
     parse_version,
     read_inventory,
     read_state,
+    shorten,
 )
 from softfinger.drivers.haply.options import Filters, Options
 from softfinger.drivers.system import discovery
@@ -70,20 +70,20 @@ class Connection(NamedTuple):
 
 def find(options: Options) -> Connection:
     """Find, lock and set up the device of a rig. Raises DeviceNotFound, DeviceBusy, DeviceTimeout, DeviceError."""
-    library()  # report a missing library before a missing service
+    import_websockets()  # report a missing library before a missing service
     until = time.monotonic() + OPEN_S
     version = _choose_version(options, until)
     with ExitStack() as opened:
         link = WebSocketLink(options.port, until)
         opened.callback(link.close)
         try:
-            inventory = _inventory(link, until)
+            inventory = _request_inventory(link, until)
             device, entry = choose_device(inventory, options.device_id, options.models)
             grip = choose_grip(inventory, options.grip)
             lock = opened.enter_context(claim(options.port, device))
             _apply_filters(options, version, device, entry.config, inventory.session_id, until)
-            key = force_key(version)
-            link.send(command(device, key, _ZERO, basis=True))
+            key = find_force_key(version)
+            link.send(encode_command(device, key, _ZERO, basis=True))
             connection = Connection(link, lock, device, grip, key, read_state(link.next(until), device, grip))
         except (Malformed, Missing) as error:
             raise DeviceError(f"{error}: check that this is the Inverse Service, of version 3.1 to 3.5") from None
@@ -93,11 +93,11 @@ def find(options: Options) -> Connection:
 
 def identify(port: int, version: str | None) -> dict[str, Any]:
     until = time.monotonic() + OPEN_S
-    version_info = version or _version(port, until)
+    version_info = version or _find_version(port, until)
     parse_version(version_info)
     link = WebSocketLink(port, until)
     try:
-        inventory = _inventory(link, until)
+        inventory = _request_inventory(link, until)
     finally:
         link.close()
     names = {"devices": GROUPS, "grips": GRIPS}
@@ -112,14 +112,14 @@ def choose_device(
     """Return the device of `models` with the id, or the only one; raises DeviceNotFound."""
     entries = inventory.list_devices(GROUPS)
     candidates = [entry for entry in entries if device_id in (None, entry[0].name)]
-    matching = [entry for entry in candidates if models is None or _model(*entry) in models]
+    matching = [entry for entry in candidates if models is None or _find_model(*entry) in models]
     if len(matching) == 1:
         return matching[0]
     choices = ", ".join(str(ref) for ref, _ in entries)
     if matching:
         raise DeviceNotFound(f"{len(matching)} devices are at the Inverse Service: name one with device_id: {choices}")
     if candidates and models is not None:
-        present = ", ".join(f"{ref} (type {_model(ref, entry)})" for ref, entry in candidates)
+        present = ", ".join(f"{ref} (type {_find_model(ref, entry)})" for ref, entry in candidates)
         raise DeviceNotFound(
             f"the Inverse Service lists {present}, but the rig is for {', '.join(models)}: use rig haply-inverse3 or "
             "haply-minverse, or change models, limits and mounting under [device]"
@@ -131,7 +131,7 @@ def choose_device(
     )
 
 
-def _model(ref: DeviceRef, entry: InventoryEntry) -> str:
+def _find_model(ref: DeviceRef, entry: InventoryEntry) -> str:
     """Return the kind of a device as its configuration names it, or else its list."""
     return entry.config.type if entry.config.type in GROUPS else ref.group
 
@@ -157,7 +157,7 @@ def choose_grip(inventory: Inventory, grip_id: str) -> DeviceRef | None:
     )
 
 
-def _version(port: int, until: float) -> str:
+def _find_version(port: int, until: float) -> str:
     status, body = request(port, "GET", "/version", None, until)
     try:
         version_info = msgspec.json.decode(body, type=Version)
@@ -167,7 +167,7 @@ def _version(port: int, until: float) -> str:
     if status == 200 and (version := version_info.project_version or version_info.git_tag):
         return version
     raise DeviceError(
-        f"the program on port {port} returns no version (GET /version: {status} {excerpt(body)}): if it is the Inverse "
+        f"the program on port {port} returns no version (GET /version: {status} {shorten(body)}): if it is the Inverse "
         "Service, set version under [device] to the one that the Haply Hub shows; with a wrong version the "
         "service ignores forces"
     )
@@ -179,11 +179,11 @@ def _choose_version(options: Options, until: float) -> tuple[int, int]:
     Raises DeviceError if they have different keys of forces.
     """
     if options.version is None:
-        return parse_version(_version(options.port, until))
+        return parse_version(_find_version(options.port, until))
     version = parse_version(options.version)
     try:
-        reported = _version(options.port, until)
-        differs = force_key(parse_version(reported)) != force_key(version)
+        reported = _find_version(options.port, until)
+        differs = find_force_key(parse_version(reported)) != find_force_key(version)
     except DeviceError:
         return version  # the service does not report it
     if differs:
@@ -194,7 +194,7 @@ def _choose_version(options: Options, until: float) -> tuple[int, int]:
     return version
 
 
-def _inventory(link: WebSocketLink, until: float) -> Inventory:
+def _request_inventory(link: WebSocketLink, until: float) -> Inventory:
     try:
         return read_inventory(link.next(until))
     except DeviceTimeout:
@@ -211,10 +211,10 @@ def _apply_filters(
         raise DeviceError(
             f"{device}: the service moves, turns or scales its positions (mount): reset its workspace in the Haply Hub"
         )
-    for path, body in _config_requests(version, device, config, options.filters, session):
+    for path, body in _list_config_requests(version, device, config, options.filters, session):
         status, answer = request(options.port, "POST", path, body, until)
         if status != 200 or not is_applied(answer, body):
-            raise DeviceError(f"{device}: the service refused {path} {body}: {status} {excerpt(answer)}")
+            raise DeviceError(f"{device}: the service refused {path} {body}: {status} {shorten(answer)}")
 
 
 def is_applied(answer: bytes, body: dict[str, Any]) -> bool:
@@ -240,7 +240,7 @@ def _is_close(value: Any, expected: Any) -> bool:
     return bool(value == expected)
 
 
-def _config_requests(
+def _list_config_requests(
     version: tuple[int, int], device: DeviceRef, config: Config, filters: Filters, session: int
 ) -> list[tuple[str, Any]]:
     """Return the pages to post where the rig differs from the present configuration.
@@ -293,13 +293,13 @@ def claim(port: int, device: DeviceRef) -> socket.socket:
         if error.errno != errno.EADDRINUSE:
             raise DeviceError(f"{device} cannot be locked for this program: {error.strerror or error}") from error
         raise DeviceBusy(
-            f"{device} at the Inverse Service on port {port} is in use by {_holder(address)}, and the forces of two "
-            "programs would add up: end that one first, or name another device with device_id"
+            f"{device} at the Inverse Service on port {port} is in use by {_find_holder(address)}, and the forces of "
+            "two programs would add up: end that one first, or name another device with device_id"
         ) from None
     return lock
 
 
-def _holder(address: str) -> str:
+def _find_holder(address: str) -> str:
     """Return the process that listens on a Unix socket, as text for messages."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)

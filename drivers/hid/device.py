@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, LastWord
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.board_exchange import BOARD, Times, init_exchange
+from softfinger.drivers.board_exchange import BOARD, BoardTimes, init_exchange
 from softfinger.drivers.described_board import DESCRIBED, init_described, make_described_info, set_model
 from softfinger.drivers.fields import table
 from softfinger.drivers.hid import exchange
@@ -31,7 +31,7 @@ log: Final = logging.getLogger(__name__)
 STOP_WAIT_S: Final = 1.0
 """Maximum wait of a stop for a write in progress. A slower one hangs in the kernel."""
 PRESET_WAIT_S: Final = 1.0
-PRESET_NEAR: Final = 20.0
+PRESET_TOLERANCE_COUNTS: Final = 20.0
 """Counts by which an arm held in its calibration pose may move before the answer arrives."""
 
 
@@ -58,7 +58,9 @@ class HidDevice(BlockDevice):
     def _make_block(self, fd: int) -> Block:
         block, options = Block(BOARD, DESCRIBED, AT), self._options
         # While waiting for a board, each wait sends a zero report.
-        init_exchange(block, fd, Times(options.kick_s, options.kick_s, kick_awaiting=0.0, timeout=options.timeout_s))
+        init_exchange(
+            block, fd, BoardTimes(options.kick_s, options.kick_s, kick_awaiting=0.0, timeout=options.timeout_s)
+        )
         word, spec = block.word, options.reports
         self._mechanism = init_described(block, options, options.kinematics, spec.input.field, spec.output.field)
         word[AT.in_id], word[AT.in_bytes] = spec.input.id, spec.input.bytes + (spec.input.id != 0)
@@ -137,7 +139,7 @@ class HidDevice(BlockDevice):
             return
         until = time.monotonic() + PRESET_WAIT_S
         self._send_preset(preset, target_counts)
-        while np.max(np.abs(counts - target_counts)) > PRESET_NEAR:
+        while np.max(np.abs(counts - target_counts)) > PRESET_TOLERANCE_COUNTS:
             if time.monotonic() > until:
                 raise DeviceError(
                     f"{self.info.name} did not apply the calibration: encoders a, b, c are "

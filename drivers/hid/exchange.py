@@ -12,8 +12,23 @@ from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT
 from softfinger.drivers.block import address, counter, lay_out, word
-from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
-from softfinger.drivers.described_board import DESCRIBED, convert_values, count_limited, encode_force, force_in_device
+from softfinger.drivers.board_exchange import (
+    BOARD,
+    compile_functions,
+    convert_sample,
+    drain,
+    must_withhold,
+    send_wrench,
+    send_zero,
+    wake,
+)
+from softfinger.drivers.described_board import (
+    DESCRIBED,
+    convert_values,
+    count_limited,
+    encode_force,
+    rotate_force_into_device,
+)
 from softfinger.drivers.fields.table import decode
 from softfinger.drivers.kinematics.mechanism import FULL
 from softfinger.drivers.system.libc import read_now, write_now
@@ -87,8 +102,8 @@ def _drain(driver: Hid, handle: int) -> int:
     return count_read
 
 
-@pose.of(Hid)
-def _pose(driver: Hid, handle: int) -> bool:
+@convert_sample.of(Hid)
+def _convert_report(driver: Hid, handle: int) -> bool:
     at, values = int64_at(handle), float64_at(handle + 8 * DESCRIBED.values)
     report = at[AT.latest_report] + (1 if at[AT.in_id] != 0 else 0)
     scratch_word = handle + 8 * DESCRIBED.scratch_word
@@ -124,8 +139,8 @@ def _is_queue_full(handle: int) -> bool:
     return bool(at[AT.accepted_address] != 0 and at[AT.written] - int64_at(at[AT.accepted_address])[0] >= QUEUED_MAX)
 
 
-@busy.of(Hid)
-def _busy(driver: Hid, handle: int, has_no_sample: bool) -> bool:
+@must_withhold.of(Hid)
+def _must_withhold(driver: Hid, handle: int, has_no_sample: bool) -> bool:
     return _is_queue_full(handle)
 
 
@@ -146,13 +161,13 @@ def _wake(driver: Hid, handle: int) -> int:
     return _send_zero(driver, handle)
 
 
-@command.of(Hid)
-def _command(driver: Hid, handle: int, wrench: Any) -> int:
+@send_wrench.of(Hid)
+def _send_wrench(driver: Hid, handle: int, wrench: Any) -> int:
     at = int64_at(handle)
     if _is_queue_full(handle):
         at[AT.held] += 1
         return HELD
-    status, outcome = _send(handle, force_in_device(handle, wrench))
+    status, outcome = _send(handle, rotate_force_into_device(handle, wrench))
     count_limited(handle, outcome)
     if status != OK:
         return status

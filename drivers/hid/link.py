@@ -14,7 +14,7 @@ from softfinger.drivers.hid.descriptor import check_reports, has_reports
 from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.report_threads import HidApi, ReportThreads
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.hidraw import hidapi, ids, open_path
+from softfinger.drivers.system.hidraw import import_hidapi, open_path, read_ids
 
 # Requests for ioctl, from <linux/hidraw.h>.
 _GET_DESCRIPTOR_SIZE: Final = 0x80044801
@@ -45,7 +45,7 @@ def open_link(options: Options) -> ReportLink:
         return link_by_threads(opened.device, options, opened.lock_fd)
     fd = open_path(path, options.vendor_id, options.product_id)
     try:
-        check_reports(_descriptor(fd, path), path, options.reports)
+        check_reports(_read_descriptor(fd, path), path, options.reports)
         if options.through != "thread":
             return ReportLink(fd, None, path)
         return link_by_threads(_open_hidapi(path), options, fd)._replace(node=path)
@@ -68,7 +68,7 @@ def find_device(options: Options) -> str:
     Raises DeviceNotFound if there is none or more than one. If it has to read the reports of several interfaces of one
     device, it also raises the errors of `usb.open_usb`.
     """
-    nodes_found = list(discovery.hidraw_nodes())
+    nodes_found = list(discovery.iter_hidraw_nodes())
     usb_ids = (options.vendor_id, options.product_id)
     nodes = {node.node: node for node in nodes_found if (node.vendor, node.product) == usb_ids}
     # In a container, the system's table may list nodes that the container cannot access.
@@ -80,15 +80,17 @@ def find_device(options: Options) -> str:
         matching = {path: node.serial for path, node in nodes.items() if has_reports(node.descriptor, options.reports)}
         # If none has the rig's reports, opening one fails with a message about its reports.
         return _choose(options, matching or {path: node.serial for path, node in nodes.items()})
-    without_node = [device for device in discovery.usb_devices() if (device.vendor, device.product) == usb_ids]
+    without_node = [device for device in discovery.iter_usb_devices() if (device.vendor, device.product) == usb_ids]
     if without_node:
         raise DeviceNotFound(
             f"{without_node[0]} has no usable node: `sudo modprobe usbhid` creates one on hidraw; in a "
             f"container, `docker run --device {without_node[0].node or '/dev/bus/usb'}`"
         )
-    present_ids = sorted({ids(node.vendor, node.product) for node in nodes_found})
+    present_ids = sorted({read_ids(node.vendor, node.product) for node in nodes_found})
     attached_text = f"attached are {', '.join(present_ids)}" if present_ids else "no HID device is attached"
-    raise DeviceNotFound(f"no HID device {ids(*usb_ids)} is attached: plug it in and switch it on; {attached_text}")
+    raise DeviceNotFound(
+        f"no HID device {read_ids(*usb_ids)} is attached: plug it in and switch it on; {attached_text}"
+    )
 
 
 def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
@@ -106,7 +108,7 @@ def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
 
 def _choose(options: Options, serials: dict[str, str]) -> str:
     """Return the path with the rig's serial number from devices with its ids (serial number by path)."""
-    usb_ids = ids(options.vendor_id, options.product_id)
+    usb_ids = read_ids(options.vendor_id, options.product_id)
     matching = [path for path, serial in serials.items() if options.serial is None or serial == options.serial]
     if len(matching) == 1:
         return matching[0]
@@ -121,7 +123,7 @@ def _choose(options: Options, serials: dict[str, str]) -> str:
 
 def _open_hidapi(path: str) -> HidApi:
     """Open the node again, through hidapi's hidraw backend; raises DeviceError if that fails."""
-    device: Any = hidapi("hidraw").device()
+    device: Any = import_hidapi("hidraw").device()
     try:
         device.open_path(os.fsencode(path))
     except OSError as error:
@@ -130,7 +132,7 @@ def _open_hidapi(path: str) -> HidApi:
     return opened
 
 
-def _descriptor(fd: int, path: str) -> bytes:
+def _read_descriptor(fd: int, path: str) -> bytes:
     try:
         size = bytearray(4)
         fcntl.ioctl(fd, _GET_DESCRIPTOR_SIZE, size)

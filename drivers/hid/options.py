@@ -19,10 +19,10 @@ from softfinger.drivers.fields.options import (
     FIELDS,
     InputField,
     OutputField,
+    check_layout,
     find_repeated_meanings,
-    layout_faults,
 )
-from softfinger.drivers.kinematics.options import Chain, Kinematics, field_faults
+from softfinger.drivers.kinematics.options import Chain, Kinematics, check_fields
 from softfinger.drivers.mounting import Mounting
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
@@ -46,7 +46,7 @@ class InputReport(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if not is_usable(self.bytes, self.field):
             return
-        yield from layout_faults(self.bytes, self.field, "a report", ", without the id")
+        yield from check_layout(self.bytes, self.field, "a report", ", without the id")
         yield from find_repeated_meanings(self.field)
 
 
@@ -59,11 +59,11 @@ class OutputReport(Table, frozen=True, kw_only=True):
 
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.bytes, self.field):
-            yield from layout_faults(self.bytes, self.field, "a report", ", without the id")
+            yield from check_layout(self.bytes, self.field, "a report", ", without the id")
 
 
 @lru_cache(maxsize=1)
-def _formats() -> Mapping[str, LibraryEntry]:
+def _load_formats() -> Mapping[str, LibraryEntry]:
     formats = msgspec.toml.decode(LIBRARY.read_bytes(), type=dict[str, dict[str, Any]])
     return {name: LibraryEntry(about=name, holds="", papers=(), values=reports) for name, reports in formats.items()}
 
@@ -71,7 +71,7 @@ def _formats() -> Mapping[str, LibraryEntry]:
 class Reports(Table, frozen=True, kw_only=True):
     """The wire format: one of the library by name, or every report described."""
 
-    library: ClassVar[Library] = Library("name", _formats, marked=False)
+    library: ClassVar[Library] = Library("name", _load_formats, marked=False)
     """Shipped formats; a rig that names one uses its reports where it defines none."""
 
     name: Annotated[str, sized(limits.NAME_LENGTH, "a format of the library", "woodenhaptics-v2")] | None = None
@@ -129,6 +129,6 @@ class Options(Table, frozen=True, kw_only=True):
             return
         reports, kinematics = self.reports, self.kinematics
         if is_usable(reports.input, reports.output, reports.preset):
-            yield from field_faults("reports", reports.input.field, reports.output.field, kinematics)
+            yield from check_fields("reports", reports.input.field, reports.output.field, kinematics)
         if self.calibrate is True and not isinstance(kinematics, Chain):
             yield "calibrate", True, "is for chains only, which have a calibration pose: set it to false"

@@ -15,9 +15,9 @@ from softfinger.drivers.hid.options import Options
 from softfinger.drivers.hid.report_threads import HidApi
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.hidraw import hidapi, ids
+from softfinger.drivers.system.hidraw import import_hidapi, read_ids
 from softfinger.drivers.system.nodes import open_locked
-from softfinger.drivers.system.rules import how_to_permit
+from softfinger.drivers.system.rules import explain_permission
 
 
 class OpenInterface(NamedTuple):
@@ -32,7 +32,7 @@ def list_attached(vendor: int, product: int) -> dict[str, str]:
 
     A path such as 1-2.3:1.0 contains bus, ports and interface.
     """
-    matching: list[dict[str, Any]] = hidapi("hid").enumerate(vendor, product)
+    matching: list[dict[str, Any]] = import_hidapi("hid").enumerate(vendor, product)
     serials = {os.fsdecode(entry["path"]): entry["serial_number"] or "" for entry in matching}
     # hidapi needs permission to open a device for its serial number; the system's table is readable by all users
     return {
@@ -83,11 +83,11 @@ def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
         raise DeviceNotFound(f"there is no USB device at {path}: plug it in, or remove `path`")
     if (device_entry.vendor, device_entry.product) != (vendor, product):
         raise DeviceError(
-            f"{path} is the device {device_entry.ids}, but the rig is for {ids(vendor, product)}: "
+            f"{path} is the device {device_entry.ids}, but the rig is for {read_ids(vendor, product)}: "
             "set path to the right one, or remove it"
         )
-    lock_fd = open_locked(device_entry.node, how_to_permit(vendor, product))
-    device: Any = hidapi("hid").device()
+    lock_fd = open_locked(device_entry.node, explain_permission(vendor, product))
+    device: Any = import_hidapi("hid").device()
     try:
         try:
             device.open_path(os.fsencode(path))
@@ -113,7 +113,7 @@ def _find_device(path: str) -> SystemDevice | None:
 
 def _open_error(path: str, node: str) -> DeviceError:
     """Return the error for an unopened interface: hidapi gives no cause, so find the process that has claimed it."""
-    program = discovery.holder(node)
+    program = discovery.find_holder(node)
     if program is not None and program.pid != os.getpid():
         return DeviceBusy(f"{path} ({node}) is used by {program}: end that process first")
     return DeviceError(

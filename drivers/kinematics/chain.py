@@ -69,7 +69,7 @@ def make_chain(chain_options: options.Chain) -> Chain:
 
 
 @jit
-def angles_of(chain: Chain, counts: Vec3) -> Vec3:
+def compute_angles(chain: Chain, counts: Vec3) -> Vec3:
     """Return joint angles A, B, C (3,) rad for counts of the encoders."""
     o, k = chain.offset, chain.per_count
     return ((counts[0] + o[0]) * k[0], (counts[1] + o[1]) * k[1], (counts[2] + o[2]) * k[2])
@@ -84,7 +84,7 @@ def forward(chain: Chain, angles: Vec3) -> Vec3:
 
 
 @jit
-def jacobian(chain: Chain, angles: Vec3) -> tuple[Vec3, Vec3, Vec3]:
+def compute_jacobian(chain: Chain, angles: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """Return the columns dp/dA, dp/dB, dp/dC of the Jacobian, (3,) m/rad each, device's frame."""
     (a, b, c), (_, lb, lc) = angles, chain.link
     ca, sa = cos(a), sin(a)
@@ -97,13 +97,13 @@ def jacobian(chain: Chain, angles: Vec3) -> tuple[Vec3, Vec3, Vec3]:
 
 
 @jit
-def currents_for(chain: Chain, angles: Vec3, force: Vec3) -> tuple[Vec3, bool]:
+def compute_currents(chain: Chain, angles: Vec3, force: Vec3) -> tuple[Vec3, bool]:
     """Return motor currents (3,) A for a force (3,) N at the end in the device's frame, and True if they were limited.
 
     If a current exceeds the maximum, all three are scaled down, so that the force keeps its direction. The transposed
     Jacobian needs no inverse: the links of a stretched arm bear part of the force, and the currents are finite.
     """
-    by_a, by_b, by_c = jacobian(chain, angles)
+    by_a, by_b, by_c = compute_jacobian(chain, angles)
     k = chain.per_torque
     current = (vec3.dot(by_a, force) * k[0], vec3.dot(by_b, force) * k[1], vec3.dot(by_c, force) * k[2])
     largest = max(abs(current[0]), max(abs(current[1]), abs(current[2])))
@@ -113,7 +113,7 @@ def currents_for(chain: Chain, angles: Vec3, force: Vec3) -> tuple[Vec3, bool]:
 
 
 @jit
-def orientation_of(chain: Chain, angles: Vec3, wrist: Vec3) -> Quaternion:
+def compute_orientation(chain: Chain, angles: Vec3, wrist: Vec3) -> Quaternion:
     """Return the orientation of the end in the device's frame: Rz(A) Ry(pi/2 - C) Rx(D) Ry(E) Rx(F).
 
     wrist  (3,) counts of encoders d, e, f

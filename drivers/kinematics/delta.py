@@ -70,7 +70,7 @@ Rows = tuple[Vec3, Vec3, Vec3]
 
 
 @jit
-def _leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3]:
+def _solve_leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3]:
     """Return theta1 (rad) of one leg and its row of K (rad/m); NaN if the leg cannot reach or is stretched."""
     u = cos_phi * p[0] + sin_phi * p[1] - d.base
     v = -sin_phi * p[0] + cos_phi * p[1] - d.offset
@@ -102,25 +102,25 @@ def _leg(d: Delta, cos_phi: float, sin_phi: float, p: Vec3) -> tuple[float, Vec3
 
 
 @jit
-def inverse(d: Delta, p: Vec3) -> tuple[Vec3, Rows]:
+def compute_leg_angles(d: Delta, p: Vec3) -> tuple[Vec3, Rows]:
     """Return leg angles (3,) rad for the end at `p` (3,) m from the base, and K (3, 3) rad/m; NaN out of reach."""
-    angle1, row1 = _leg(d, d.cos[0], d.sin[0], p)
-    angle2, row2 = _leg(d, d.cos[1], d.sin[1], p)
-    angle3, row3 = _leg(d, d.cos[2], d.sin[2], p)
+    angle1, row1 = _solve_leg(d, d.cos[0], d.sin[0], p)
+    angle2, row2 = _solve_leg(d, d.cos[1], d.sin[1], p)
+    angle3, row3 = _solve_leg(d, d.cos[2], d.sin[2], p)
     return (angle1, angle2, angle3), (row1, row2, row3)
 
 
 @jit
-def _determinant(k: Rows) -> float:
+def _compute_determinant(k: Rows) -> float:
     return vec3.dot(k[0], vec3.cross(k[1], k[2]))
 
 
 @jit
-def _newton(d: Delta, theta: Vec3, start: Vec3) -> tuple[Vec3, bool]:
+def _solve_by_newton(d: Delta, theta: Vec3, start: Vec3) -> tuple[Vec3, bool]:
     p, step = start, (0.0, 0.0, 0.0)
     for iteration in range(_NEWTON_STEPS_MAX):
-        at, k = inverse(d, p)
-        det = _determinant(k)
+        at, k = compute_leg_angles(d, p)
+        det = _compute_determinant(k)
         if not abs(det) * d.arm**3 > DET_MIN:  # also NaN: the step left the reach, so halve it
             if iteration == 0:
                 return p, False
@@ -142,23 +142,23 @@ def _newton(d: Delta, theta: Vec3, start: Vec3) -> tuple[Vec3, bool]:
 def forward(d: Delta, theta: Vec3, last: Vec3) -> tuple[Vec3, bool]:
     """Return the position (3,) m of the end, from the base, at leg angles `theta` (3,) rad, and True if it exists.
 
-    Newton's method on `inverse`: from the last solution, less than a millimetre away after a tick's motion, or from
-    home if that fails.
+    Newton's method on `compute_leg_angles`: from the last solution, less than a millimetre away after a tick's motion,
+    or from home if that fails.
     """
-    p, converged = _newton(d, theta, last)
+    p, converged = _solve_by_newton(d, theta, last)
     if not converged:
-        p, converged = _newton(d, theta, d.home)
+        p, converged = _solve_by_newton(d, theta, d.home)
     return p, converged
 
 
 @jit
-def torques_for(d: Delta, p: Vec3, force: Vec3) -> tuple[Vec3, bool]:
+def compute_torques(d: Delta, p: Vec3, force: Vec3) -> tuple[Vec3, bool]:
     """Return leg torques (3,) N m for a force (3,) N on the hand at `p` (3,) m from the base, and True if they exist.
 
     Near a singular pose they do not, and are returned as 0.
     """
-    _, k = inverse(d, p)
-    det = _determinant(k)
+    _, k = compute_leg_angles(d, p)
+    det = _compute_determinant(k)
     if not abs(det) * d.arm**3 > DET_MIN or not isfinite(det):
         return (0.0, 0.0, 0.0), False
     return (

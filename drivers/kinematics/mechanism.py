@@ -68,7 +68,7 @@ NO_MECHANISM: Final = Mechanism(
 )
 
 
-def kind_of(spec: options.Kinematics, has_orientation: bool) -> int:
+def find_kind(spec: options.Kinematics, has_orientation: bool) -> int:
     """Return the kind of a rig's kinematics; `has_orientation`: True if the device senses an orientation."""
     kinds = {
         options.Cartesian: CARTESIAN, options.Chain: CHAIN, options.Paddle: PADDLE,
@@ -135,11 +135,11 @@ def forward_kinematics(kind: int, m: Mechanism, values: Any, last_position: Any)
         last_position[0], last_position[1], last_position[2] = end_position
         position = vec3.sub(end_position, m.delta.origin) if converged else _NO_POSITION
     elif kind in (CHAIN, CHAIN_WITH_WRIST):
-        angles = chain.angles_of(m.chain, (a, b, c))
+        angles = chain.compute_angles(m.chain, (a, b, c))
         position = chain.forward(m.chain, angles)
         if kind == CHAIN_WITH_WRIST:
             wrist = (values[WRIST], values[WRIST + 1], values[WRIST + 2])
-            orientation = chain.orientation_of(m.chain, angles, wrist)
+            orientation = chain.compute_orientation(m.chain, angles, wrist)
     else:
         position = (values[POSITION], values[POSITION + 1], values[POSITION + 2])
         if kind == CARTESIAN_WITH_ORIENTATION:
@@ -154,11 +154,11 @@ def forward_kinematics(kind: int, m: Mechanism, values: Any, last_position: Any)
 
 
 @jit
-def force_to_command(kind: int, m: Mechanism, values: Any, last_position: Any, force: Vec3, command: Any) -> int:
+def compute_command(kind: int, m: Mechanism, values: Any, last_position: Any, force: Vec3, command: Any) -> int:
     """Compute the `command` that displays a force (3,) N, device's frame; return FULL, LIMITED or SINGULAR."""
     a, b, c = values[COUNTS], values[COUNTS + 1], values[COUNTS + 2]
     if kind in (CHAIN, CHAIN_WITH_WRIST):
-        current, is_limited = chain.currents_for(m.chain, chain.angles_of(m.chain, (a, b, c)), force)
+        current, is_limited = chain.compute_currents(m.chain, chain.compute_angles(m.chain, (a, b, c)), force)
         for k in range(3):
             command[CURRENT + k] = current[k]
         return LIMITED if is_limited else FULL
@@ -172,11 +172,11 @@ def force_to_command(kind: int, m: Mechanism, values: Any, last_position: Any, f
         return LIMITED if is_limited else FULL
     is_singular = False
     if kind == PADDLE:
-        torque = paddle.torques_for(m.length, a, force)
+        torque = paddle.compute_torques(m.length, a, force)
     elif kind == PANTOGRAPH:
-        torque, is_singular = pantograph.torques_for(m.pantograph, a, b, force)
+        torque, is_singular = pantograph.compute_torques(m.pantograph, a, b, force)
     else:
-        torque, exists = delta.torques_for(m.delta, (last_position[0], last_position[1], last_position[2]), force)
+        torque, exists = delta.compute_torques(m.delta, (last_position[0], last_position[1], last_position[2]), force)
         is_singular = not exists
     torque_norm = max(abs(torque[0]), max(abs(torque[1]), abs(torque[2])))
     is_limited = torque_norm > m.torque_max

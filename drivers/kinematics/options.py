@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
-from softfinger.drivers.fields.options import InputField, OutputField, find_missing_meanings, meanings
+from softfinger.drivers.fields.options import InputField, OutputField, find_missing_meanings, list_meanings
 
 RATIO_M: Final = Range(1e-4, 1.0, "from the thinnest capstan to a wheel of 1 m")
 LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
@@ -129,11 +129,11 @@ Kinematics = Cartesian | Chain | Paddle | Pantograph | Delta
 QUATERNION: Final = frozenset({"qw", "qx", "qy", "qz"})
 
 
-def field_faults(
+def check_fields(
     key: str, read: tuple[InputField, ...], written: tuple[OutputField, ...], kinematics: Kinematics
 ) -> Iterator[Complaint]:
     """Yield complaints about fields at `key` that the kinematics lacks or cannot use."""
-    sensed, commanded = meanings(read), meanings(written)
+    sensed, commanded = list_meanings(read), list_meanings(written)
     if sensed is None or commanded is None:
         return
     kind = str(kinematics.__struct_config__.tag)

@@ -22,15 +22,15 @@ def forward(length: float, a: float) -> Vec3:
 
 
 @jit
-def jacobian(length: float, a: float) -> Vec3:
+def compute_jacobian(length: float, a: float) -> Vec3:
     """Return dP/da, (3,) m/rad, which is tangent to the arc."""
     return (length * cos(a), 0.0, -length * sin(a))
 
 
 @jit
-def torques_for(length: float, a: float, force: Vec3) -> Vec3:
+def compute_torques(length: float, a: float, force: Vec3) -> Vec3:
     """Return the joint torque (3,) N m, the last two 0, for a force (3,) N, device's frame.
 
     Only the part of the force along the arc is displayed.
     """
-    return (vec3.dot(jacobian(length, a), force), 0.0, 0.0)
+    return (vec3.dot(compute_jacobian(length, a), force), 0.0, 0.0)

@@ -42,14 +42,14 @@ class Pantograph(NamedTuple):
 
 
 @jit
-def _elbows(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3]:
+def _compute_elbows(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3]:
     return (p.inner * cos(a), p.inner * sin(a), 0.0), (p.base + p.inner * cos(b), p.inner * sin(b), 0.0)
 
 
 @jit
 def _end(p: Pantograph, a: float, b: float) -> Vec3:
     """Return the end without the origin subtracted; if the elbows are too far apart for the links, their midpoint."""
-    elbow_a, elbow_b = _elbows(p, a, b)
+    elbow_a, elbow_b = _compute_elbows(p, a, b)
     h = vec3.sub(elbow_b, elbow_a)
     elbow_distance = sqrt(h[0] * h[0] + h[1] * h[1])
     height = sqrt(max(p.outer * p.outer - 0.25 * elbow_distance * elbow_distance, 0.0))
@@ -64,12 +64,12 @@ def forward(p: Pantograph, a: float, b: float) -> Vec3:
 
 
 @jit
-def jacobian(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3, float]:
+def compute_jacobian(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3, float]:
     """Return columns dP/da and dP/db, (3,) m/rad each, and the sine of the angle between the outer links.
 
     If the sine is 0, the columns are 0.
     """
-    elbow_a, elbow_b = _elbows(p, a, b)
+    elbow_a, elbow_b = _compute_elbows(p, a, b)
     end = _end(p, a, b)
     u, v = vec3.sub(end, elbow_a), vec3.sub(end, elbow_b)
     cross = u[0] * v[1] - u[1] * v[0]
@@ -82,12 +82,12 @@ def jacobian(p: Pantograph, a: float, b: float) -> tuple[Vec3, Vec3, float]:
 
 
 @jit
-def torques_for(p: Pantograph, a: float, b: float, force: Vec3) -> tuple[Vec3, bool]:
+def compute_torques(p: Pantograph, a: float, b: float, force: Vec3) -> tuple[Vec3, bool]:
     """Return joint torques (3,) N m, the third 0, for a force (3,) N, device's frame, and True in a singular pose.
 
     The part of the force normal to the plane is not displayed.
     """
-    by_a, by_b, sine = jacobian(p, a, b)
+    by_a, by_b, sine = compute_jacobian(p, a, b)
     share = min((sine - SINE_NONE) / (SINE_FULL - SINE_NONE), 1.0)
     if share <= 0.0:
         return (0.0, 0.0, 0.0), True

@@ -26,7 +26,7 @@ from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM
 from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
 from softfinger.drivers.system import discovery, rules
-from softfinger.drivers.system.claims import claims_by_ids
+from softfinger.drivers.system.claims import find_claims
 from softfinger.drivers.system.discovery import SystemDevice
 
 log: Final = logging.getLogger(__name__)
@@ -66,8 +66,8 @@ class OpenHaptics(BlockDevice):
         with self._scheduler.pause():
             self._device = _open_library_device(self._library, options.name)
             try:  # before the thread runs again, because the current device may be the same for all threads
-                self.model, self.serial, self._style = self._identity()
-                self.info = self._info()
+                self.model, self.serial, self._style = self._read_identity()
+                self.info = self._make_info()
             except BaseException:
                 self._library.hdDisableDevice(self._device)
                 raise
@@ -104,7 +104,7 @@ class OpenHaptics(BlockDevice):
                 and not wait_until(STOP_S, lambda: word[AT.has_sent_zero])
                 and not self._zero_failure
             ):
-                self._zero_failure = self._run_with_timeout(self._zero, HANG_S)
+                self._zero_failure = self._run_with_timeout(self._send_zero, HANG_S)
 
     def close(self) -> None:
         self.stop()
@@ -120,7 +120,7 @@ class OpenHaptics(BlockDevice):
     def reason(self) -> str:
         if not self._word[AT.error]:
             return ""
-        return library.error_text(self._library, int(self._word[AT.error]), int(self._word[AT.internal]))
+        return library.format_error(self._library, int(self._word[AT.error]), int(self._word[AT.internal]))
 
     def warning(self) -> str:
         self._warm = int(self._word[AT.temperature]) >= (COOL if self._warm else WARM)
@@ -138,13 +138,13 @@ class OpenHaptics(BlockDevice):
 
     # --- opening --------------------------------------------------------------------------------
 
-    def _identity(self) -> tuple[str, str, int]:
+    def _read_identity(self) -> tuple[str, str, int]:
         """Return model, serial number and calibration styles; raises DeviceNotFound if the rig has another model."""
         call = self._library
         model = (call.hdGetString(library.DEVICE_MODEL_TYPE) or b"").decode(errors="replace")
         serial = (call.hdGetString(library.DEVICE_SERIAL_NUMBER) or b"").decode(errors="replace")
-        style = self._integer(library.CALIBRATION_STYLE)
-        library.errors(call)  # a missing property shows in its value
+        style = self._read_integer(library.CALIBRATION_STYLE)
+        library.pop_errors(call)  # a missing property shows in its value
         if self._options.model not in (None, model):
             raise DeviceNotFound(
                 f"no device matches model = {self._options.model}: it is a {model}, serial {serial}: change [device] "
@@ -156,16 +156,16 @@ class OpenHaptics(BlockDevice):
             )
         return model, serial, style
 
-    def _info(self) -> DeviceInfo:
+    def _make_info(self) -> DeviceInfo:
         limits = MODELS.get(self.model, UNKNOWN)
-        has_torque = self._integer(library.OUTPUT_DOF) == FULL_DOF and limits.torque_max_nm > 0.0
+        has_torque = self._read_integer(library.OUTPUT_DOF) == FULL_DOF and limits.torque_max_nm > 0.0
         self._word[AT.has_torque] = has_torque
-        nominal_force = self._doubles(library.NOMINAL_MAX_FORCE, 1)[0]
-        corners = self._doubles(library.USABLE_WORKSPACE_DIMENSIONS, FULL_DOF)  # in the library's frame
+        nominal_force = self._read_doubles(library.NOMINAL_MAX_FORCE, 1)[0]
+        corners = self._read_doubles(library.USABLE_WORKSPACE_DIMENSIONS, FULL_DOF)  # in the library's frame
         if not all(-1e4 < a < b < 1e4 for a, b in zip(corners[:3], corners[3:], strict=True)):
             corners = [*chain(*WORKSPACE_MM)]
         x0, y0, z0, x1, y1, z1 = corners
-        library.errors(self._library)
+        library.pop_errors(self._library)
         return DeviceInfo(
             name=f"{self.model or 'device of 3D Systems'}, serial {self.serial or 'unknown'}",
             sensed_dof=FULL_DOF,
@@ -228,25 +228,25 @@ class OpenHaptics(BlockDevice):
         if word[AT.status] < 0:
             raise DeviceError(f"{self.info.name} returns no pose: {self.reason()}: {_RETRY_REMEDY}")
 
-    def _integer(self, parameter: int) -> int:
+    def _read_integer(self, parameter: int) -> int:
         value = ctypes.c_int()
         self._library.hdMakeCurrentDevice(self._device)
         self._library.hdGetIntegerv(parameter, ctypes.byref(value))
         return value.value
 
-    def _doubles(self, parameter: int, count: int) -> list[float]:
+    def _read_doubles(self, parameter: int, count: int) -> list[float]:
         values = (ctypes.c_double * 16)(*[math.nan] * 16)
         self._library.hdMakeCurrentDevice(self._device)
         self._library.hdGetDoublev(parameter, values)
         return list(values)[:count]
 
     def _raise_errors(self, action: str) -> None:
-        if errors := library.errors(self._library):
+        if errors := library.pop_errors(self._library):
             raise DeviceError(f"{action} failed: {'; '.join(map(str, errors))}: {_RETRY_REMEDY}")
 
     # --- ending ---------------------------------------------------------------------------------
 
-    def _zero(self) -> str:
+    def _send_zero(self) -> str:
         """Send zero and switch the motors off from this thread, because the library's thread does not call any more.
 
         Returns why the motors may still be on; empty if the library reports them off.
@@ -258,13 +258,13 @@ class OpenHaptics(BlockDevice):
             call.hdSetDoublev(library.CURRENT_TORQUE, ZERO)
         call.hdDisable(library.FORCE_OUTPUT)
         call.hdEndFrame(self._device)
-        on, errors = call.hdIsEnabled(library.FORCE_OUTPUT), library.errors(call)
+        on, errors = call.hdIsEnabled(library.FORCE_OUTPUT), library.pop_errors(call)
         return ("; ".join(map(str, errors)) or "the motors stay on") if on else ""
 
     def _release(self) -> str:
         self._scheduler.remove(self._block)
         self._library.hdDisableDevice(self._device)
-        library.errors(self._library)  # so that they are not reported as errors of the next device
+        library.pop_errors(self._library)  # so that they are not reported as errors of the next device
         return ""
 
     def _run_with_timeout(self, work: Callable[[], str], seconds: float) -> str:
@@ -310,9 +310,9 @@ def open_device(options: Options, rate_hz: float) -> OpenHaptics:
 
 
 def _open_library_device(call: ctypes.CDLL, name: str | None) -> int:
-    library.errors(call)  # discard earlier errors
+    library.pop_errors(call)  # discard earlier errors
     device = call.hdInitDevice(None if name is None else name.encode())
-    errors = library.errors(call)
+    errors = library.pop_errors(call)
     if device != library.INVALID_HANDLE and not errors:
         return int(device)
     if device != library.INVALID_HANDLE:
@@ -327,7 +327,7 @@ def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn
     attached = [
         device
         for device in discovery.list_attached()
-        if any(claim.driver == "openhaptics" for claim in claims_by_ids(device))
+        if any(claim.driver == "openhaptics" for claim in find_claims(device))
     ]
     if any(error.code == library.ALREADY_INITIATED for error in errors):
         raise DeviceBusy(
@@ -338,9 +338,9 @@ def _raise_open_error(name: str | None, errors: list[library.Error]) -> NoReturn
         raise DeviceError(f"{subject} cannot be opened: {messages}: install the developer edition's licence")
     for device in attached:
         if device.node and not discovery.is_permitted(device.node):
-            permit = rules.how_to_permit(device.vendor, device.product)
+            permit = rules.explain_permission(device.vendor, device.product)
             raise DevicePermission(f"{device} may not be opened by this user: {permit}")
-        if device.node and (holder := discovery.holder(device.node)) is not None:
+        if device.node and (holder := discovery.find_holder(device.node)) is not None:
             raise DeviceBusy(f"{device} is used by {holder}: end that process, then start again ({messages})")
     if not attached:
         raise DeviceNotFound(

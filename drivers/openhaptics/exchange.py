@@ -34,8 +34,8 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.openhaptics import library as hd
 from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, SEQUENCE_WORDS, WRENCH_SIZE, WRITE_TIME
-from softfinger.drivers.samples import copy_sample, is_finite, is_zero, orientation_of_rows, store_pose
-from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
+from softfinger.drivers.samples import convert_matrix, copy_sample, is_finite, is_zero, store_pose
+from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32, call_two_int64, call_void
 from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at, uint8_at
@@ -69,7 +69,7 @@ LISTENED_NS: Final = 10_000_000
 
 
 @jit
-def status_of(code: int) -> int:
+def convert_status(code: int) -> int:
     if code in (hd.DEVICE_FAULT, hd.COMM_ERROR, hd.COMM_CONFIG_ERROR, hd.BAD_HANDLE):
         return LOST
     if hd.WARM_MOTORS <= code <= hd.FORCE_ERROR:
@@ -105,7 +105,7 @@ def _store_errors(handle: int) -> None:
         word[AT.errors] += 1
         if device not in (word[AT.device], hd.INVALID_HANDLE) or _is_refused_probe(handle, code):
             continue
-        status = status_of(code)
+        status = convert_status(code)
         if word[AT.status] == OK or (word[AT.status] == PROTOCOL and status != PROTOCOL):
             word[AT.error], word[AT.internal] = code, packed >> 32
             word[AT.status] = status
@@ -163,7 +163,7 @@ def _switch_motors(handle: int, on: bool) -> None:
 def _send_wrench(handle: int, wrench: Any) -> None:
     """Send the servo's last complete wrench to the device, or zero."""
     word = int64_at(handle)
-    now = monotonic_ns(handle + 8 * AT.frame_timespec)
+    now = read_monotonic_ns(handle + 8 * AT.frame_timespec)
     word[AT.late] = int(now - word[AT.framed_at] > word[AT.age_max])
     word[AT.framed_at] = now
     may_send = word[AT.armed] != 0 and word[AT.stopped] == 0 and word[AT.is_leaving] == 0 and word[AT.status] == OK
@@ -188,13 +188,13 @@ def _make_pose(handle: int, new_pose: Any) -> None:
     word = int64_at(handle)
     p, m = float64_at(handle + 8 * AT.position), float64_at(handle + 8 * AT.matrix)
     rows = ((m[0], -m[8], m[4]), (-m[2], m[10], -m[6]), (m[1], -m[9], m[5]))
-    store_pose(new_pose, (p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M), orientation_of_rows(rows))
+    store_pose(new_pose, (p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M), convert_matrix(rows))
     new_pose[SAMPLE_TIME] = (word[AT.framed_at] - word[AT.started_at]) / NS_PER_S
     new_pose[SAMPLE_BUTTONS] = float(np.int64(int32_at(handle + 8 * AT.buttons)[0]) & 0xFFFFFFFF)
 
 
 @c_function(types.uint32(types.int64))
-def callback(handle: int) -> int:
+def run_frame(handle: int) -> int:
     """Run a frame; the library's thread calls it."""
     word = int64_at(handle)
     if word[AT.open] == 0:
@@ -230,7 +230,7 @@ def callback(handle: int) -> int:
 @c_function(IO_SIGNATURE)
 def read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
-    now = monotonic_ns(handle + 8 * AT.servo_timespec)
+    now = read_monotonic_ns(handle + 8 * AT.servo_timespec)
     listened = min(now - word[AT.read_at], LISTENED_NS)
     word[AT.read_at] = now
     if word[AT.open] == 0:
@@ -257,7 +257,7 @@ def read(handle: int, sample: Any) -> int:
 
 
 @jit
-def _status_of_write(handle: int, wrench: Any, now: int) -> int:
+def _find_write_status(handle: int, wrench: Any, now: int) -> int:
     """Return OK if the library's thread will send the wrench, WITHHELD or HELD if not.
 
     WITHHELD: it sends zero instead. HELD: its frames have stopped, so the motors keep their force.
@@ -279,8 +279,8 @@ def _status_of_write(handle: int, wrench: Any, now: int) -> int:
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
     word, new_pose = int64_at(handle), float64_at(handle + 8 * AT.new_wrench)
-    now = monotonic_ns(handle + 8 * AT.servo_timespec)
-    status = _status_of_write(handle, wrench, now)
+    now = read_monotonic_ns(handle + 8 * AT.servo_timespec)
+    status = _find_write_status(handle, wrench, now)
     for k in range(6):
         new_pose[k] = wrench[k] if status == OK else 0.0
     new_pose[WRITE_TIME] = float(now - word[AT.started_at])

@@ -150,18 +150,18 @@ def load(file: str | None) -> ctypes.CDLL:
     return makers_library.load(LIBRARY, file, [folder / "libHD.so*" for folder in FOLDERS])
 
 
-def errors(library: ctypes.CDLL) -> list[Error]:
+def pop_errors(library: ctypes.CDLL) -> list[Error]:
     """Remove all errors from the library's stack and return them, oldest first."""
     errors: list[Error] = []
     for _ in range(ERRORS_MAX):
         error = library.hdGetError()
         if error.code == 0:
             break
-        errors.append(Error(error.code, error.internal, error_text(library, error.code, error.internal)))
+        errors.append(Error(error.code, error.internal, format_error(library, error.code, error.internal)))
     return errors[::-1]
 
 
-def error_text(library: ctypes.CDLL, code: int, internal: int) -> str:
+def format_error(library: ctypes.CDLL, code: int, internal: int) -> str:
     """Return an error as text: this program's text, the library's text, and its numbers."""
     words = (library.hdGetErrorString(code) or b"").decode(errors="replace")
     known_text = ERRORS.get(code)

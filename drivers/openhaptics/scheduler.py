@@ -90,7 +90,7 @@ class Scheduler:
 
     def _schedule(self, block: Block) -> None:
         block.word[AT.is_leaving] = block.word[AT.has_left] = 0
-        handle = self._library.hdScheduleAsynchronous(exchange.callback.address, block.handle, PRIORITY_MAX)
+        handle = self._library.hdScheduleAsynchronous(exchange.run_frame.address, block.handle, PRIORITY_MAX)
         self._scheduled[block.handle] = block, handle
 
     def _unschedule(self, block: Block) -> None:

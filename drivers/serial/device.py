@@ -14,7 +14,7 @@ import numpy as np
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord, make_info
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.board_exchange import BOARD, Times, init_exchange
+from softfinger.drivers.board_exchange import BOARD, BoardTimes, init_exchange
 from softfinger.drivers.described_board import DESCRIBED, init_described, make_described_info, set_model
 from softfinger.drivers.fields.table import encode_constants
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE
@@ -74,7 +74,7 @@ class SerialDevice(BlockDevice):
 
     def _make_block(self, fd: int) -> Block:
         block, options = Block(BOARD, DESCRIBED, AT), self._options
-        spans = Times(options.quiet_s, options.kick_s, kick_awaiting=options.kick_s, timeout=options.timeout_s)
+        spans = BoardTimes(options.quiet_s, options.kick_s, kick_awaiting=options.kick_s, timeout=options.timeout_s)
         spec = options.frames
         size = frames.FRAME_BYTES if spec is None else spec.input.bytes
         init_exchange(block, fd, spans, misread_max=size)
@@ -121,7 +121,7 @@ class SerialDevice(BlockDevice):
             if status == TIMEOUT:
                 raise DeviceTimeout(
                     f"{self.info.name} sends no frame within {self._options.wake_s:g} s: check its power and its "
-                    f"firmware, or increase wake_s{self._unanswered_hint()}"
+                    f"firmware, or increase wake_s{self._make_unanswered_hint()}"
                 )
             spec = self._options.frames
             expected = "eight numbers in 64 bytes"
@@ -131,7 +131,7 @@ class SerialDevice(BlockDevice):
                 f"{self.info.name} sends no frame of {expected} ({self.reason()}): check the device and its firmware"
             )
 
-    def _unanswered_hint(self) -> str:
+    def _make_unanswered_hint(self) -> str:
         spec = self._options.frames
         if spec is None or spec.mode == "stream":
             return ""

@@ -18,7 +18,16 @@ from typing import Any, Final, NamedTuple
 from numba import types
 
 from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, SAMPLE_BUTTONS, STALE, TIMEOUT, WITHHELD
-from softfinger.drivers.board_exchange import BOARD, busy, command, compile_functions, drain, pose, send_zero, wake
+from softfinger.drivers.board_exchange import (
+    BOARD,
+    compile_functions,
+    convert_sample,
+    drain,
+    must_withhold,
+    send_wrench,
+    send_zero,
+    wake,
+)
 from softfinger.drivers.described_board import (
     DESCRIBED,
     MODEL_LIKE,
@@ -26,7 +35,7 @@ from softfinger.drivers.described_board import (
     convert_values,
     count_limited,
     encode_force,
-    force_in_device,
+    rotate_force_into_device,
     store_in_world,
 )
 from softfinger.drivers.kinematics.mechanism import FULL, LIMITED
@@ -35,7 +44,7 @@ from softfinger.drivers.serial import packets
 from softfinger.drivers.serial.block import AT, CHUNK, TEXT
 from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, decode_stream, encode
 from softfinger.drivers.serial.queue import drop_frames, has_unsent, is_blocked, record_write
-from softfinger.drivers.system.libc import monotonic_ns, read_waiting, write_now
+from softfinger.drivers.system.libc import read_monotonic_ns, read_waiting, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
 from softfinger.proxy.kernels.jit.outlined import outlined
@@ -103,7 +112,7 @@ def _drain(driver: Serial, handle: int) -> int:
 
 
 @jit
-def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
+def _convert_text(values: Any) -> tuple[Vec3, Quaternion]:
     """Return position (m) and orientation of a text frame: R = Rz(tA) Ry(-lambda) Rx(tD) Ry(tE)."""
     position = (1e-3 * values[POSITION], 1e-3 * values[POSITION + 1], 1e-3 * values[POSITION + 2])
     body = multiply(about_z(values[ANGLES]), about_y(-values[ANGLES + 1]))
@@ -111,13 +120,13 @@ def _text_pose(values: Any) -> tuple[Vec3, Quaternion]:
     return position, multiply(body, wrist)
 
 
-@pose.of(Serial)
-def _pose(driver: Serial, handle: int) -> bool:
+@convert_sample.of(Serial)
+def _convert_frame(driver: Serial, handle: int) -> bool:
     if int64_at(handle)[DESCRIBED.kind] != TEXT:
         return convert_values(handle)
     model: FrameConversion = unpack_at(MODEL_LIKE, handle + 8 * DESCRIBED.model)
     values = float64_at(handle + 8 * DESCRIBED.values)
-    position, rotation = _text_pose(values)
+    position, rotation = _convert_text(values)
     store_in_world(handle, model, position, rotation)
     float64_at(handle + 8 * BOARD.sample)[SAMPLE_BUTTONS] = float(int(values[INFO]) & 0xFFFF)
     return True
@@ -213,8 +222,8 @@ def _write_zero(handle: int) -> int:
     return status
 
 
-@busy.of(Serial)
-def _busy(driver: Serial, handle: int, has_no_sample: bool) -> bool:
+@must_withhold.of(Serial)
+def _must_withhold(driver: Serial, handle: int, has_no_sample: bool) -> bool:
     blocked = is_blocked(handle)  # called in each tick, because it records the start
     return has_no_sample or blocked or _awaits_answer(handle)
 
@@ -225,7 +234,7 @@ def _drop_old(handle: int) -> None:
     at = int64_at(handle)
     if at[BOARD.has_force] == 0:
         return
-    is_silent = monotonic_ns(handle + 8 * BOARD.timespec) - at[BOARD.sampled_at] > at[BOARD.quiet]
+    is_silent = read_monotonic_ns(handle + 8 * BOARD.timespec) - at[BOARD.sampled_at] > at[BOARD.quiet]
     if is_blocked(handle) or (is_silent and has_unsent(handle)):
         drop_frames(handle)
 
@@ -247,15 +256,15 @@ def _withhold(handle: int) -> int:
     return status if status < 0 else WITHHELD
 
 
-@command.of(Serial)
-def _command(driver: Serial, handle: int, wrench: Any) -> int:
+@send_wrench.of(Serial)
+def _send_wrench(driver: Serial, handle: int, wrench: Any) -> int:
     at = int64_at(handle)
     if _awaits_answer(handle):
         at[AT.held] += 1
         return HELD
     if is_blocked(handle):
         return _withhold(handle)
-    return _send(handle, force_in_device(handle, wrench))
+    return _send(handle, rotate_force_into_device(handle, wrench))
 
 
 @wake.of(Serial)

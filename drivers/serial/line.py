@@ -27,7 +27,7 @@ def has_rate(options: Options) -> bool:
     return options.vendor_id is None or options.vendor_id in CHIPS
 
 
-def frame_bytes(options: Options) -> tuple[int, int]:
+def count_frame_bytes(options: Options) -> tuple[int, int]:
     """Return the length of a frame to the board, and of one from it."""
     spec = options.frames
     return (FRAME_BYTES, FRAME_BYTES) if spec is None else (spec.output.bytes, spec.input.bytes)
@@ -47,7 +47,7 @@ def check(options: Options, rate_hz: float, where: str) -> None:
     """
     if not has_rate(options):
         return
-    out, into = frame_bytes(options)
+    out, into = count_frame_bytes(options)
     carries, needs = options.baud / BITS_PER_BYTE, max(out, into) * rate_hz
     if needs <= carries:
         return

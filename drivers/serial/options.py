@@ -16,10 +16,10 @@ from softfinger.drivers.fields.options import (
     TYPE_BYTES,
     InputField,
     OutputField,
+    check_layout,
     find_repeated_meanings,
-    layout_faults,
 )
-from softfinger.drivers.kinematics.options import Kinematics, field_faults
+from softfinger.drivers.kinematics.options import Kinematics, check_fields
 from softfinger.drivers.mounting import Mounting
 
 USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
@@ -80,11 +80,11 @@ class Frame(Table, frozen=True, kw_only=True):
             yield from ((self.check.offset + k, "check") for k in range(CHECK_BYTES[self.check.kind]))
 
 
-def frame_faults(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> Iterator[Complaint]:
+def check_frame(frame: Frame, fields: tuple[InputField | OutputField, ...]) -> Iterator[Complaint]:
     """Yield complaints about marks, a checksum and fields that exceed a frame or overlap."""
     if not is_usable(frame.bytes, frame.start, frame.end, frame.check, fields) or not is_usable(*fields):
         return
-    yield from layout_faults(frame.bytes, fields, "a frame")
+    yield from check_layout(frame.bytes, fields, "a frame")
     if frame.check is not None:
         if not is_usable(frame.check.kind, frame.check.offset, frame.check.first):
             return
@@ -111,7 +111,7 @@ class InputFrame(Frame, frozen=True, kw_only=True):
     field: Annotated[tuple[InputField, ...], sized(FIELDS, "its numbers")]
 
     def faults(self) -> Iterator[Complaint]:
-        yield from frame_faults(self, self.field)
+        yield from check_frame(self, self.field)
         if is_usable(self.field):
             yield from find_repeated_meanings(self.field)
 
@@ -125,7 +125,7 @@ class OutputFrame(Frame, frozen=True, kw_only=True):
     field: Annotated[tuple[OutputField, ...], sized(FIELDS, "its numbers")]
 
     def faults(self) -> Iterator[Complaint]:
-        yield from frame_faults(self, self.field)
+        yield from check_frame(self, self.field)
 
 
 class Resync(Table, frozen=True, kw_only=True):
@@ -202,4 +202,4 @@ class Options(Table, frozen=True, kw_only=True):
             if (self.frames is None) != (self.kinematics is None):
                 yield "kinematics", msgspec.UNSET, "and frames belong together: set both or none"
         elif is_usable(self.frames.input, self.frames.output):
-            yield from field_faults("frames", self.frames.input.field, self.frames.output.field, self.kinematics)
+            yield from check_fields("frames", self.frames.input.field, self.frames.output.field, self.kinematics)

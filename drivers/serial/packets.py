@@ -48,7 +48,7 @@ def make_shape(frame: Frame, big_endian: bool) -> NDArray[np.int64]:
 
 
 @jit
-def checksum(frame: int, shape: int) -> int:
+def compute_checksum(frame: int, shape: int) -> int:
     """Return the checksum of the frame at an address, over its bytes from `first` to the checksum."""
     text, s = uint8_at(frame), int64_at(shape)
     kind, crc = s[CHECK_KIND], 0
@@ -89,7 +89,7 @@ def is_frame(frame: int, shape: int) -> bool:
     for k in range(s[BYTES]):
         if s[FIXED_BYTES + k] >= 0 and text[k] != s[FIXED_BYTES + k]:
             return False
-    is_valid, crc = True, checksum(frame, shape)
+    is_valid, crc = True, compute_checksum(frame, shape)
     for k in range(s[CHECK_SIZE]):
         is_valid = is_valid and text[_check_index(shape, k)] == crc >> (8 * k) & 0xFF
     return is_valid
@@ -102,7 +102,7 @@ def complete_frame(frame: int, shape: int) -> None:
     for k in range(s[BYTES]):
         if s[FIXED_BYTES + k] >= 0:
             text[k] = types.uint8(s[FIXED_BYTES + k])
-    crc = checksum(frame, shape)
+    crc = compute_checksum(frame, shape)
     for k in range(s[CHECK_SIZE]):
         text[_check_index(shape, k)] = types.uint8(crc >> (8 * k) & 0xFF)
 

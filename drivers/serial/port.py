@@ -15,9 +15,9 @@ from softfinger.config.errors import DeviceError, DeviceNotFound
 from softfinger.drivers.serial.options import Options
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import explain_ambiguity, is_inverse3
-from softfinger.drivers.system.hidraw import ids
+from softfinger.drivers.system.hidraw import read_ids
 from softfinger.drivers.system.nodes import open_locked
-from softfinger.drivers.system.rules import how_to_permit
+from softfinger.drivers.system.rules import explain_permission
 
 SERIAL_STRUCT_BYTES: Final = 72
 FLAGS_AT: Final = 16
@@ -34,7 +34,7 @@ def open_port(options: Options) -> tuple[int, str]:
     """
     path = options.path or find_port(options)
     _check_ids(path, options)
-    fd = open_locked(path, _how_to_permit(path, options))
+    fd = open_locked(path, _explain_permission(path, options))
     try:
         if not os.isatty(fd):
             raise DeviceError(f"{path} is not a serial port: use a /dev/ttyACMN, or remove `path`")
@@ -81,11 +81,11 @@ def find_port(options: Options) -> str:
     Raises DeviceNotFound if there is none or more than one, or if ids and product string do not identify the device:
     nothing is written to a port before the user has confirmed that it is the right one.
     """
-    ports = list(discovery.serial_ports())
+    ports = list(discovery.iter_serial_ports())
     if options.vendor_id is None or options.product_id is None:
         attached = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
         raise DeviceNotFound(f"the rig does not set a port: set path under [device]; attached: {attached}")
-    usb_ids = ids(options.vendor_id, options.product_id)
+    usb_ids = read_ids(options.vendor_id, options.product_id)
     with_ids = [port for port in ports if port.ids == usb_ids and not is_inverse3(port)]
     matching = [port for port in with_ids if options.serial in (None, port.serial)]
     if len(matching) == 1:
@@ -116,10 +116,10 @@ def find_port(options: Options) -> str:
 
 def _check_ids(path: str, options: Options) -> None:
     """Raise DeviceError if a port belongs to another USB device; a port that is not on USB has no ids to compare."""
-    port = discovery.serial_port(path)
+    port = discovery.find_serial_port(path)
     if options.vendor_id is None or options.product_id is None:
         return
-    usb_ids = ids(options.vendor_id, options.product_id)
+    usb_ids = read_ids(options.vendor_id, options.product_id)
     if port is not None and port.ids != usb_ids:
         raise DeviceError(
             f"{path} is the device {port.ids} ({port.name}), but the rig is for {usb_ids}: set path to the right "
@@ -131,12 +131,12 @@ def _check_ids(path: str, options: Options) -> None:
         )
 
 
-def _how_to_permit(path: str, options: Options) -> str:
-    if (group := discovery.group_with_access(path)) is not None:
+def _explain_permission(path: str, options: Options) -> str:
+    if (group := discovery.find_group_with_access(path)) is not None:
         return f"run `sudo usermod -aG {group} $USER`, and log in again"
     if options.vendor_id is None or options.product_id is None:
         return "grant your user access to it"
-    return how_to_permit(options.vendor_id, options.product_id)
+    return explain_permission(options.vendor_id, options.product_id)
 
 
 def set_raw(fd: int, baud: int) -> None:

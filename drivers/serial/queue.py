@@ -12,7 +12,7 @@ from typing import Final
 
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial.block import AT
-from softfinger.drivers.system.libc import count_unsent, drop_unsent, monotonic_ns
+from softfinger.drivers.system.libc import count_unsent, drop_unsent, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import int64_at
 
@@ -43,9 +43,9 @@ def is_blocked(handle: int) -> bool:
     if at[AT.blocked_since] == 0:
         if unsent <= QUEUE_MAX * at[AT.frame_units]:
             return False
-        at[AT.blocked_since] = monotonic_ns(handle + 8 * BOARD.timespec)
+        at[AT.blocked_since] = read_monotonic_ns(handle + 8 * BOARD.timespec)
         at[AT.blocked] += 1
-    at[AT.blocked_at] = monotonic_ns(handle + 8 * BOARD.timespec)
+    at[AT.blocked_at] = read_monotonic_ns(handle + 8 * BOARD.timespec)
     return True
 
 

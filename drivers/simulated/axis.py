@@ -102,7 +102,7 @@ def move_freely(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> tup
 
 
 @jit
-def acceleration(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> float:
+def compute_acceleration(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> float:
     _, p, w, f = inputs
     return axis.mobility * (a + f) - axis.damping * v - axis.stiffness * (x - p) + axis.hand_damping * w
 
@@ -123,7 +123,7 @@ def may_reach_zero(direction: float, h: float, v0: float, c0: float, v1: float, 
 
 
 @jit
-def deceleration_bound(axis: Axis, direction: float, lag: float, lag1: float, c0: float, c1: float) -> float:
+def bound_deceleration(axis: Axis, direction: float, lag: float, lag1: float, c0: float, c1: float) -> float:
     """Return a bound of the acceleration against `direction` in a tick, m/s^2, at most 0; never too small in magnitude.
 
     lag, lag1         N      difference of the motors' force from its command at both ends
@@ -150,8 +150,8 @@ def move(axis: Axis, x: float, v: float, a: float, a1: float, inputs: Inputs) ->
     h, limit = axis.period, axis.friction * axis.mobility
     initial_force = u if axis.lag_rate == 0.0 else a
     if v == 0.0:
-        c0 = acceleration(axis, x, 0.0, initial_force, inputs)
-        c1 = acceleration(axis, x, 0.0, a1, advance_inputs(inputs, h))
+        c0 = compute_acceleration(axis, x, 0.0, initial_force, inputs)
+        c1 = compute_acceleration(axis, x, 0.0, a1, advance_inputs(inputs, h))
         turn0 = axis.mobility * axis.lag_rate * (u - a) + axis.stiffness * w
         turn1 = axis.mobility * axis.lag_rate * (u - a1) + axis.stiffness * w
         if abs(c0) <= limit and abs(c1) <= limit and turn0 * turn1 >= 0.0:
@@ -161,12 +161,12 @@ def move(axis: Axis, x: float, v: float, a: float, a1: float, inputs: Inputs) ->
         moving = with_friction(axis, direction, inputs)
         x1, v1 = move_freely(axis, x, v, a, moving)
         if direction * v1 > 0.0:
-            c0 = acceleration(axis, x, v, initial_force, moving)
-            c1 = acceleration(axis, x1, v1, a1, advance_inputs(moving, h))
+            c0 = compute_acceleration(axis, x, v, initial_force, moving)
+            c1 = compute_acceleration(axis, x1, v1, a1, advance_inputs(moving, h))
             if h <= axis.substep:
                 if not may_reach_zero(direction, h, v, c0, v1, c1):
                     return x1, v1
-            elif direction * v + h * deceleration_bound(axis, direction, initial_force - u, a1 - u, c0, c1) > 0.0:
+            elif direction * v + h * bound_deceleration(axis, direction, initial_force - u, a1 - u, c0, c1) > 0.0:
                 return x1, v1
     return move_in_pieces(axis, x, v, initial_force, inputs)
 
@@ -178,7 +178,7 @@ def move_in_pieces(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> 
     direction = copysign(1.0, v) if v != 0.0 else 0.0
     while remaining > 0.0:
         if direction == 0.0:
-            c = acceleration(axis, x, 0.0, a, inputs)
+            c = compute_acceleration(axis, x, 0.0, a, inputs)
             if abs(c) > axis.friction * axis.mobility and stops < STOPS_MAX:
                 direction = copysign(1.0, c)
             else:
@@ -191,8 +191,8 @@ def move_in_pieces(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> 
                 continue
         h, moving = min(remaining, axis.substep), with_friction(axis, direction, inputs)
         x1, v1, a1 = integrate_series(axis, x, v, a, moving, h)
-        c0 = acceleration(axis, x, v, a, moving)
-        c1 = acceleration(axis, x1, v1, a1, advance_inputs(moving, h))
+        c0 = compute_acceleration(axis, x, v, a, moving)
+        c1 = compute_acceleration(axis, x1, v1, a1, advance_inputs(moving, h))
         end = h
         # After breaking away the axis has zero velocity and, except for rounding, zero acceleration.
         if direction * v1 >= 0.0 and v != 0.0 and may_reach_zero(direction, h, v, c0, v1, c1):
@@ -215,7 +215,7 @@ def move_in_pieces(axis: Axis, x: float, v: float, a: float, inputs: Inputs) -> 
 def integrate_series(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: float) -> tuple[float, float, float]:
     """Return position, velocity and force of the motors after `h` s of a linear piece, at most `axis.substep`."""
     lag = inputs.u - a
-    dx, dv, da = v, acceleration(axis, x, v, a, inputs), axis.lag_rate * lag
+    dx, dv, da = v, compute_acceleration(axis, x, v, a, inputs), axis.lag_rate * lag
     # The goal has only a first derivative; the higher ones of x and x - p are equal.
     dz = v - inputs.w
     share = h
@@ -240,7 +240,7 @@ def time_to_stop(axis: Axis, x: float, v: float, a: float, inputs: Inputs, h: fl
             low = t
         else:
             high = t
-        slope = acceleration(axis, xt, vt, at, advance_inputs(inputs, t))
+        slope = compute_acceleration(axis, xt, vt, at, advance_inputs(inputs, t))
         next_t = t - vt / slope if slope != 0.0 else low
         if not low < next_t < high:
             next_t = 0.5 * (low + high)
@@ -260,7 +260,7 @@ def find_lowest_speed(axis: Axis, x: float, v: float, a: float, inputs: Inputs, 
         xt, vt, at = integrate_series(axis, x, v, a, inputs, t)
         if direction * vt < 0.0:
             break
-        if direction * acceleration(axis, xt, vt, at, advance_inputs(inputs, t)) < 0.0:
+        if direction * compute_acceleration(axis, xt, vt, at, advance_inputs(inputs, t)) < 0.0:
             low = t
         else:
             high = t
@@ -281,7 +281,7 @@ def time_to_break_away(axis: Axis, x: float, a: float, inputs: Inputs, remaining
     """
     limit, rate = axis.friction * axis.mobility, axis.lag_rate
     drive, ramp = axis.mobility * (a - inputs.u), axis.stiffness * inputs.w
-    steady = acceleration(axis, x, 0.0, inputs.u, inputs)
+    steady = compute_acceleration(axis, x, 0.0, inputs.u, inputs)
     turn = remaining
     if rate * drive * ramp > 0.0 and abs(ramp) < abs(rate * drive):
         turn = min(remaining, log(rate * drive / ramp) / rate)

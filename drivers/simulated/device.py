@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, NamedTuple
 from msgspec.structs import replace
 from numba import carray
 
-from softfinger.config.devices import presets
+from softfinger.config.devices import load_presets
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, make_info
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
@@ -28,14 +28,14 @@ from softfinger.drivers.simulated.plant import (
     Plant,
     PlantState,
     advance,
-    goal_at,
+    compute_goal,
     make_plant,
     make_rest_state,
     sense,
 )
 from softfinger.drivers.spacemouse import device as spacemouse
-from softfinger.drivers.spacemouse.device import Puck, button_mask, fingertip_pose, read_setup, update_pose
-from softfinger.drivers.system.libc import IO_SIGNATURE, monotonic_ns
+from softfinger.drivers.spacemouse.device import Puck, compute_pose, read_buttons, read_setup, update_pose
+from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.drivers.wrench_log import LOG, ROW_BYTES, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
@@ -67,7 +67,7 @@ AT: Final = lay_out(Fields, after=LOG)
 
 
 @jit
-def _acting_force(handle: int) -> Vec3:
+def _read_force(handle: int) -> Vec3:
     """Return the force (3,) N of the latest wrench, which acts until now.
 
     If `stop` is writing its zero at this moment, each component is the old one or zero; the next read gets the zero.
@@ -102,14 +102,14 @@ def _read(handle: int, sample: Any) -> int:
         if intention.loop == 0.0 and n >= intention.length:
             n, status = int(intention.length) - 1, END
         else:
-            own, own_turn = goal_at(intention, float64_at(word[AT.poses]), n)
+            own, own_turn = compute_goal(intention, float64_at(word[AT.poses]), n)
             hand = word[AT.hand]
             request = carray(float64_at(hand + 8 * led_hand.AT.request), (led_hand.REQUEST_SIZE,))
             slot = Slot(carray(int64_at(hand + 8 * led_hand.AT.sequence), (led_hand.COUNTERS,)), request)
             led_hand.receive(hand, slot, carray(float64_at(hand + 8 * led_hand.AT.copied), (led_hand.REQUEST_SIZE,)))
-            goal, orientation = led_hand.next_intention(hand, own, own_turn, state.goal, 1.0 / plant.rate)
+            goal, orientation = led_hand.compute_intention(hand, own, own_turn, state.goal, 1.0 / plant.rate)
             state = advance(
-                plant, state, _acting_force(handle), goal, orientation, float64_at(handle + 8 * AT.delay_line)
+                plant, state, _read_force(handle), goal, orientation, float64_at(handle + 8 * AT.delay_line)
             )
             pack(stored_state, state)
     word[LOG.reads] += 1
@@ -126,14 +126,16 @@ def _read_led_by_puck(handle: int, sample: Any) -> int:
     state = unpack(_STATE_LIKE, stored_state)
     puck, n = word[AT.puck], word[LOG.reads]
     if n > 0:
-        status = update_pose(puck, read_setup(puck), monotonic_ns(puck + 8 * spacemouse.AT.timespec), 1.0 / plant.rate)
+        status = update_pose(
+            puck, read_setup(puck), read_monotonic_ns(puck + 8 * spacemouse.AT.timespec), 1.0 / plant.rate
+        )
         if status < 0:
             return status
-        goal, orientation = fingertip_pose(puck)
-        state = advance(plant, state, _acting_force(handle), goal, orientation, float64_at(handle + 8 * AT.delay_line))
+        goal, orientation = compute_pose(puck)
+        state = advance(plant, state, _read_force(handle), goal, orientation, float64_at(handle + 8 * AT.delay_line))
         pack(stored_state, state)
     word[LOG.reads] += 1
-    _fill_sample(sample, plant, state, n, button_mask(puck))
+    _fill_sample(sample, plant, state, n, read_buttons(puck))
     return OK
 
 
@@ -145,7 +147,7 @@ class SimulatedDevice(LoggedDevice):
 
     def __init__(self, options: Options, rate_hz: float, puck: tuple[int, str] | None = None) -> None:
         """Create the device; `puck`: file descriptor and name of an open puck, which the device then owns."""
-        preset = presets()[options.preset]
+        preset = load_presets()[options.preset]
         self.simulation = make_simulation(options, rate_hz)
         plant, state, intention, poses = self.simulation
         block = Block(LOG, AT)

@@ -60,7 +60,7 @@ def receive(handle: int, slot: Slot, copied: Any) -> None:
 
 
 @jit
-def next_intention(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float) -> tuple[Vec3, Quaternion]:
+def compute_intention(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float) -> tuple[Vec3, Quaternion]:
     """Return the intention one tick from now, position (3,) m and orientation, on the path to the requested pose.
 
     own, own_turn  (3,) m  configured intention, returned unchanged until the first request
@@ -108,7 +108,7 @@ class HandWriter:
         self._turn = self._block.numbers(AT.turn, 4)
         self._turn[:] = orientation
         self.handle: Final = self._block.handle
-        """Handle for `next_intention`, valid as long as this object."""
+        """Handle for `compute_intention`, valid as long as this object."""
         self._sequence = self._block.word[AT.sequence : AT.sequence + COUNTERS]
         self._values = self._block.numbers(AT.request, REQUEST_SIZE)
         self._request: Any = self._values.copy()

@@ -28,7 +28,7 @@ class RequestedPose(NamedTuple):
     present_orientation: Quaternion
 
 
-def hand_of(device: Device) -> LeadableHand:
+def find_hand(device: Device) -> LeadableHand:
     """Return the hand of a device; raises NoSimulatedHand if it has no simulated one."""
     hand = device.hand()
     if hand is None:
@@ -47,21 +47,21 @@ def hold(device: Device, tool: Tool | None, offset: Vec3) -> Pose:
 
     Raises NoSimulatedHand if the device has no simulated hand.
     """
-    hand = hand_of(device)
+    hand = find_hand(device)
     hand.hold()
     tip: Pose = tip_of(tool, Pose(*hand.intends()))
     x, y, z = (p + o for p, o in zip(tip.position, offset, strict=True))
     return Pose((x, y, z), tip.orientation)
 
 
-def lead(device: Device, tool: Tool | None, offset: Vec3, requested: RequestedPose | None) -> None:
+def lead_hand(device: Device, tool: Tool | None, offset: Vec3, requested: RequestedPose | None) -> None:
     """Make the hand of `device` with `tool` intend the pose `requested`; None: return to its configured intention.
 
     offset  (3,) m  added to the position that the device senses
 
     Raises NoSimulatedHand if the device has no simulated hand, ConfigError if it cannot reach or sense the pose.
     """
-    hand, info = hand_of(device), device.info
+    hand, info = find_hand(device), device.info
     if requested is None:
         hand.release()
         return

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.arrays import Array
-from softfinger.config.devices import Preset, presets
+from softfinger.config.devices import Preset, load_presets
 from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import close_loop, resample
@@ -24,7 +24,7 @@ from softfinger.drivers.simulated.plant import (
     Intention,
     Plant,
     PlantState,
-    goal_at,
+    compute_goal,
     make_plant,
     make_rest_state,
 )
@@ -93,7 +93,7 @@ class Simulation(NamedTuple):
 
 def make_simulation(options: Options, rate_hz: float) -> Simulation:
     """Return a preset changed by the options; raises RecordingError if the recording cannot be used."""
-    preset = presets()[options.preset]
+    preset = load_presets()[options.preset]
 
     def choose(key: str) -> Any:
         value = getattr(options, key)
@@ -117,7 +117,7 @@ def make_simulation(options: Options, rate_hz: float) -> Simulation:
     endless = options.loop or options.puck is not None
     intention = Intention(float(len(poses)), float(endless), (x, y, z), options.sway_hz / rate_hz, float(turns))
     flat = np.ascontiguousarray(poses).reshape(-1)
-    position, orientation = goal_at(intention, flat, 0)
+    position, orientation = compute_goal(intention, flat, 0)
     return Simulation(plant, make_rest_state(position, orientation), intention, flat)
 
 

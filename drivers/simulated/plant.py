@@ -143,7 +143,7 @@ def make_plant(period: float, handle: Handle, hand: Impedance = NO_HAND) -> Plan
     if min(*damping, *friction, lag, force_max, resolution, hand.damping, hand.stiffness, orientation_lag) < 0.0:
         raise ValueError("damping, friction, stiffness, lag, force and resolution must not be negative")
     axes = [
-        _axis(period, m + hand.mass, b + hand.damping, hand.stiffness, hand.damping, lag, f)
+        _make_axis(period, m + hand.mass, b + hand.damping, hand.stiffness, hand.damping, lag, f)
         for m, b, f in zip(mass, damping, friction, strict=True)
     ]
     return Plant(
@@ -165,7 +165,7 @@ def make_rest_state(position: Vec3, orientation: Quaternion = (1.0, 0.0, 0.0, 0.
     return PlantState(position_floats, zero, zero, position_floats, (float(qw), float(qx), float(qy), float(qz)), 0.0)
 
 
-def _axis(
+def _make_axis(
     period: float, mass: float, damping: float, stiffness: float, hand_damping: float, lag: float, friction: float
 ) -> Axis:
     # Rows and columns: x, v T, a, p, then the inputs u, p', and a force that bypasses the amplifier. Velocity in metres
@@ -225,7 +225,7 @@ class PlantInputs(NamedTuple):
 
 
 @jit
-def goal_at(intention: Intention, poses: Any, number: int) -> tuple[Vec3, Quaternion]:
+def compute_goal(intention: Intention, poses: Any, number: int) -> tuple[Vec3, Quaternion]:
     """Return the intention of the hand at tick `number`: position (3,) m and orientation.
 
     poses  (7 length,)  x, y, z, qw, qx, qy, qz of each pose in turn; an array or a pointer

@@ -41,7 +41,7 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import PUCKS
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.hidraw import open_path
-from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, monotonic_ns, read_now
+from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, read_now
 from softfinger.drivers.wrench_log import LOG, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
@@ -123,14 +123,14 @@ def read_setup(handle: int) -> PuckParameters:
 
 
 @jit
-def fingertip_pose(handle: int) -> tuple[Vec3, Quaternion]:
+def compute_pose(handle: int) -> tuple[Vec3, Quaternion]:
     """Return the fingertip's position (3,) m and orientation."""
     pose = float64_at(handle + 8 * AT.pose)
     return (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6])
 
 
 @jit
-def button_mask(handle: int) -> float:
+def read_buttons(handle: int) -> float:
     return float(float64_at(handle + 8 * AT.buttons)[0])
 
 
@@ -147,7 +147,7 @@ def update_pose(handle: int, setup: PuckParameters, now: int, dt: float) -> int:
     if now - at[AT.sampled_at] > at[AT.hold]:
         for k in range(6):
             deflection[k] = 0.0
-    position, orientation = fingertip_pose(handle)
+    position, orientation = compute_pose(handle)
     position, orientation = move(setup, position, orientation, deflection, dt)
     store_pose(float64_at(handle + 8 * AT.pose), position, orientation)
     float64_at(handle + 8 * AT.motion_time)[0] += dt
@@ -157,17 +157,17 @@ def update_pose(handle: int, setup: PuckParameters, now: int, dt: float) -> int:
 @c_function(IO_SIGNATURE, on_demand=True)  # the simulated device imports this module, but not `read`
 def read(handle: int, sample: Any) -> int:
     at = int64_at(handle)
-    now = monotonic_ns(handle + 8 * AT.timespec)
+    now = read_monotonic_ns(handle + 8 * AT.timespec)
     dt = min((now - at[AT.moved_at]) * 1e-9, STEP_MAX_S)
     at[AT.moved_at] = now
     status = update_pose(handle, read_setup(handle), now, dt)
     if status < 0:
         return status
     at[LOG.reads] += 1
-    position, orientation = fingertip_pose(handle)
+    position, orientation = compute_pose(handle)
     store_pose(sample, position, orientation)
     sample[SAMPLE_TIME] = float64_at(handle + 8 * AT.motion_time)[0]
-    sample[SAMPLE_BUTTONS] = button_mask(handle)
+    sample[SAMPLE_BUTTONS] = read_buttons(handle)
     sample[SAMPLE_GRIPPER] = 0.0
     return OK  # also without a report: a puck that does not move sends none
 
@@ -183,17 +183,17 @@ class Puck:
         word[AT.fd] = fd
         word[AT.hold] = round(options.hold_s * 1e9)
         word[AT.moved_at] = word[AT.sampled_at] = time.monotonic_ns()
-        self._light(LED_ON)
+        self._switch_light(LED_ON)
 
     def close(self) -> None:
         """Switch the lamp off and close the node. May be called repeatedly, but not while the loop reads."""
         fd = int(self._word[AT.fd])
         if fd >= 0:
-            self._light(LED_OFF)
+            self._switch_light(LED_OFF)
             self._word[AT.fd] = -1
             os.close(fd)
 
-    def _light(self, report: bytes) -> None:
+    def _switch_light(self, report: bytes) -> None:
         if self._led:
             with contextlib.suppress(OSError):  # some have no lamp, and a disconnected one needs none
                 os.write(int(self._word[AT.fd]), report)
@@ -239,7 +239,7 @@ def open_puck(options: Options) -> tuple[int, str]:
 
 def find(options: Options) -> SystemDevice:
     """Return the puck that matches the options; raises DeviceNotFound if there is none or more than one."""
-    nodes = list(discovery.hidraw_nodes())
+    nodes = list(discovery.iter_hidraw_nodes())
     if options.path is not None:
         # opening reports whether an unlisted node is missing or is not a node
         return next(

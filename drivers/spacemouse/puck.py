@@ -90,7 +90,7 @@ def make_parameters(options: Options) -> PuckParameters:
 
 
 @jit
-def _axis(report: Any, at: int) -> float:
+def _read_axis(report: Any, at: int) -> float:
     value = int(report[at]) + 256 * int(report[at + 1])
     return float(value - 65536 if value > 32767 else value)
 
@@ -126,13 +126,13 @@ def decode(report: Any, count: int, deflection: Any, buttons: Any) -> int:
     elif count >= COMBINED_BYTES:
         axes = 6
     for k in range(axes):
-        value = _axis(report, 1 + 2 * k)
+        value = _read_axis(report, 1 + 2 * k)
         deflection[first + k] = value if (first + k) % 3 == 0 else -value
     return OK
 
 
 @jit
-def _beyond_deadband(deadband: float, counts: float) -> float:
+def _subtract_deadband(deadband: float, counts: float) -> float:
     """Return the counts beyond the deadband, so that the speed is continuous at its edge."""
     if counts > deadband:
         return counts - deadband
@@ -151,14 +151,14 @@ def move(
     """
     d = setup.deadband
     step = (
-        dt * setup.linear[0] * _beyond_deadband(d, deflection[0]),
-        dt * setup.linear[1] * _beyond_deadband(d, deflection[1]),
-        dt * setup.linear[2] * _beyond_deadband(d, deflection[2]),
+        dt * setup.linear[0] * _subtract_deadband(d, deflection[0]),
+        dt * setup.linear[1] * _subtract_deadband(d, deflection[1]),
+        dt * setup.linear[2] * _subtract_deadband(d, deflection[2]),
     )
     turn = (
-        dt * setup.angular[0] * _beyond_deadband(d, deflection[3]),
-        dt * setup.angular[1] * _beyond_deadband(d, deflection[4]),
-        dt * setup.angular[2] * _beyond_deadband(d, deflection[5]),
+        dt * setup.angular[0] * _subtract_deadband(d, deflection[3]),
+        dt * setup.angular[1] * _subtract_deadband(d, deflection[4]),
+        dt * setup.angular[2] * _subtract_deadband(d, deflection[5]),
     )
     new_position = vec3.add(position, step)
     inside = (

@@ -64,7 +64,7 @@ def find_claim(device: SystemDevice) -> Claim | None:
     is_haply = is_inverse3(device)
     matching = [
         claim
-        for claim in claims_by_ids(device)
+        for claim in find_claims(device)
         if (claim.driver == "haply") == is_haply and _has_reports(device, claim.reports)
     ]
     if len(matching) < 2:
@@ -72,12 +72,12 @@ def find_claim(device: SystemDevice) -> Claim | None:
     return matching[0]._replace(rigs=tuple(rig for claim in matching for rig in claim.rigs), reports=None)
 
 
-def claims_by_ids(device: SystemDevice) -> list[Claim]:
+def find_claims(device: SystemDevice) -> list[Claim]:
     """Return the claims to the ids of a device, regardless of its reports and product string.
 
     A claim to every product of a vendor holds for those without a claim of their own.
     """
-    of_vendor = [claim for claim in claims() if claim.vendor == device.vendor]
+    of_vendor = [claim for claim in list_claims() if claim.vendor == device.vendor]
     of_product = [claim for claim in of_vendor if claim.product == device.product]
     return of_product or [claim for claim in of_vendor if claim.product is None]
 
@@ -87,12 +87,12 @@ def is_inverse3(device: SystemDevice) -> bool:
     return (device.vendor, device.product) == TEENSY_SERIAL and device.name.lower().startswith("haply")
 
 
-def matches(device: SystemDevice, options: Mapping[str, Any]) -> bool:
+def matches_device(device: SystemDevice, options: Mapping[str, Any]) -> bool:
     """Return True if a device matches the USB ids and reports in a rig's [device] table."""
     if (device.vendor, device.product) != (options["vendor_id"], options.get("product_id")) or is_inverse3(device):
         return False
     format_ = options.get("reports")
-    return _has_reports(device, library_lengths().get(format_ if isinstance(format_, str) else None))
+    return _has_reports(device, read_report_lengths().get(format_ if isinstance(format_, str) else None))
 
 
 def explain_ambiguity(device: SystemDevice) -> str | None:
@@ -116,12 +116,12 @@ def _has_reports(device: SystemDevice, required: ReportLengths | None) -> bool:
 
 
 @cache
-def claims() -> tuple[Claim, ...]:
+def list_claims() -> tuple[Claim, ...]:
     """Return every claim. The shipped rigs are read once, because they do not change at run time."""
-    return tuple(_claims())
+    return tuple(_iter_claims())
 
 
-def _claims() -> Iterator[Claim]:
+def _iter_claims() -> Iterator[Claim]:
     rigs: dict[tuple[str, int | None, int | None], dict[str | None, list[str]]] = {}
     for name in list_shipped(Rig):
         device = load_rig(name).device
@@ -146,11 +146,11 @@ def _claims() -> Iterator[Claim]:
         if vendor_id is not None and product_id is not None:
             for format_, names in by_format.items():
                 described: Bus = "serial" if driver == "serial" else "hid"
-                yield Claim(driver, described, vendor_id, product_id, tuple(names), library_lengths().get(format_))
+                yield Claim(driver, described, vendor_id, product_id, tuple(names), read_report_lengths().get(format_))
 
 
 @cache
-def library_lengths() -> dict[str | None, ReportLengths]:
+def read_report_lengths() -> dict[str | None, ReportLengths]:
     """Return the report lengths of every shipped format, read here without importing its driver."""
     file = Path(__file__).parents[1] / "hid" / "reports.toml"
     return {

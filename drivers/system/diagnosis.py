@@ -11,7 +11,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.claims import Claim, claims_by_ids, explain_ambiguity
+from softfinger.drivers.system.claims import Claim, explain_ambiguity, find_claims
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.rules import install_command
 
@@ -41,7 +41,7 @@ def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None
     rig  configures files that the driver needs
     """
     if claim is None:
-        if device.bus == "hid" and claims_by_ids(device):
+        if device.bus == "hid" and find_claims(device):
             return Diagnosis(
                 "unclaimed",
                 "no rig with these ids has its reports: it may be another channel of a board, or have other firmware",
@@ -57,10 +57,10 @@ def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None
                 "if it is a Hapkit, a Haply 2DIY or another board, set this port: docs/devices/serial.md",
             )
         return Diagnosis("unclaimed", "no driver knows it")
-    if claim.driver not in registry.names():
+    if claim.driver not in registry.list_names():
         return Diagnosis("driver", f"its driver '{claim.driver}' is not installed")
     if claim.driver == "haply":  # the service has the port open all the time
-        return diagnose_requirements(claim, options_for(claim, rig))
+        return diagnose_requirements(claim, read_options(claim, rig))
     has_no_node = device.bus == "usb" and claim.bus in MODULES
     if has_no_node and claim.driver != "hid":
         node, module = MODULES[claim.bus]
@@ -74,14 +74,14 @@ def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None
             f"docker run --device {device.node or '/dev/bus/usb'} ..., or run outside of the container",
         )
     if not discovery.is_permitted(device.node):
-        return Diagnosis("permission", f"this user may not write to {device.node}", how_to_permit(device))
-    if (holder := discovery.holder(device.node)) is not None:
+        return Diagnosis("permission", f"this user may not write to {device.node}", suggest_permission_command(device))
+    if (holder := discovery.find_holder(device.node)) is not None:
         return Diagnosis("busy", f"{device.node} is used by {holder}", f"kill {holder.pid}")
     if has_no_node:
         return Diagnosis(
             "usable", "the system provides no hidraw node for it, so threads transfer its reports through libusb"
         )
-    options = options_for(claim, rig)
+    options = read_options(claim, rig)
     is_named = options.get("path") == device.node or options.get("serial") == device.serial != ""
     if not is_named and (why := explain_ambiguity(device)) is not None:
         ask = "; a Haply device may appear so: softfinger devices --ask --rig haply-inverse3 queries its service"
@@ -91,12 +91,12 @@ def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None
     return diagnose_requirements(claim, options)
 
 
-def makers_library(driver: str) -> Any:
+def find_makers_library(driver: str) -> Any:
     """Return the library module of a driver: NAME, `load(file)`, and REMEDY if it is missing."""
     return importlib.import_module(f"softfinger.drivers.{driver}.library")
 
 
-def options_for(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
+def read_options(claim: Claim, rig: DeviceConfig | None) -> Mapping[str, Any]:
     """Return a rig's options for a device; empty for a rig of another driver."""
     return rig.options if rig is not None and rig.driver == claim.driver else {}
 
@@ -106,7 +106,7 @@ def diagnose_requirements(
 ) -> Diagnosis:
     """Return the diagnosis of a driver's other requirements, given a rig's options and the device's answers."""
     if claim.driver in LIBRARY_DRIVERS:
-        library = makers_library(claim.driver)
+        library = find_makers_library(claim.driver)
         try:
             library.load(options.get("library_file"))
         except HapticError as error:
@@ -129,8 +129,8 @@ def diagnose_requirements(
     return Diagnosis("usable")
 
 
-def how_to_permit(device: SystemDevice) -> str:
+def suggest_permission_command(device: SystemDevice) -> str:
     """Return the command that permits this user to open a node: membership of a group, else the udev rules."""
-    if (group := discovery.group_with_access(device.node)) is not None:
+    if (group := discovery.find_group_with_access(device.node)) is not None:
         return f"sudo usermod -aG {group} $USER   # then log in again"
     return f"{install_command(device.vendor, device.product)}   # then plug the device in again"

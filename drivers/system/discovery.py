@@ -68,9 +68,9 @@ def list_attached(root: Path = ROOT) -> list[SystemDevice]:
 
     root  folder that contains sys and dev
     """
-    nodes = [*hidraw_nodes(root), *serial_ports(root)]
+    nodes = [*iter_hidraw_nodes(root), *iter_serial_ports(root)]
     listed_ids = {(node.vendor, node.product) for node in nodes}
-    return [*nodes, *(device for device in usb_devices(root) if (device.vendor, device.product) not in listed_ids)]
+    return [*nodes, *(device for device in iter_usb_devices(root) if (device.vendor, device.product) not in listed_ids)]
 
 
 def has_usb(root: Path = ROOT) -> bool:
@@ -78,7 +78,7 @@ def has_usb(root: Path = ROOT) -> bool:
     return os.path.isdir(root / USB)  # also False if this user may not read the folder
 
 
-def names(root: Path = ROOT) -> frozenset[str]:
+def list_names(root: Path = ROOT) -> frozenset[str]:
     """Return the names of attached devices in the system's tables; cheap enough to call every second."""
     return frozenset(
         str(folder / name)
@@ -89,39 +89,39 @@ def names(root: Path = ROOT) -> frozenset[str]:
 
 
 def read_device(name: str, root: Path = ROOT) -> SystemDevice | None:
-    """Return the device for one of `names`; None if it was unplugged, or is a hub."""
+    """Return the device for one of `list_names`; None if it was unplugged, or is a hub."""
     path = root / name
     if path.parent == root / TTY:
-        return _serial_port(path)
-    return _hidraw_node(path) if path.parent == root / HIDRAW else _usb_device(path)
+        return _read_serial_port(path)
+    return _read_hidraw_node(path) if path.parent == root / HIDRAW else _read_usb_device(path)
 
 
-def hidraw_nodes(root: Path = ROOT) -> Iterator[SystemDevice]:
+def iter_hidraw_nodes(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every hidraw node, in numeric order."""
     folder = root / HIDRAW
     for name in _sort_by_number(_list_names(folder)):
-        if (node := _hidraw_node(folder / name)) is not None:
+        if (node := _read_hidraw_node(folder / name)) is not None:
             yield node
 
 
-def serial_ports(root: Path = ROOT) -> Iterator[SystemDevice]:
+def iter_serial_ports(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every serial port on USB, in numeric order."""
     folder = root / TTY
     for name in _sort_by_number(filter(_is_port, _list_names(folder))):
-        if (port := _serial_port(folder / name)) is not None:
+        if (port := _read_serial_port(folder / name)) is not None:
             yield port
 
 
-def serial_port(node: str, root: Path = ROOT) -> SystemDevice | None:
+def find_serial_port(node: str, root: Path = ROOT) -> SystemDevice | None:
     """Return the device of a port's node or of a link to it; None if the port is not on USB."""
-    return _serial_port(root / TTY / os.path.basename(os.path.realpath(node)))
+    return _read_serial_port(root / TTY / os.path.basename(os.path.realpath(node)))
 
 
-def usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
+def iter_usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
     """Yield every USB device except hubs."""
     folder = root / USB
     for name in sorted(_list_names(folder)):
-        if _is_device(name) and (device := _usb_device(folder / name)) is not None:
+        if _is_device(name) and (device := _read_usb_device(folder / name)) is not None:
             yield device
 
 
@@ -131,7 +131,7 @@ def is_permitted(node: str) -> bool:
     return os.access(node, os.R_OK | os.W_OK, effective_ids=acting_for_another)
 
 
-def holder(node: str) -> Holder | None:
+def find_holder(node: str) -> Holder | None:
     """Return the process that has locked a node, else another process that has it open; None if none is visible.
 
     /proc/locks lists the locks of all users, but open files are visible only for processes that this user may inspect.
@@ -140,7 +140,7 @@ def holder(node: str) -> Holder | None:
         node_stat = os.stat(node)
     except OSError:
         return None
-    for pid in _pids_with_lock(node_stat.st_ino):
+    for pid in _list_pids_with_lock(node_stat.st_ino):
         return process(pid)
     for folder in Path("/proc").glob("[0-9]*/fd"):
         pid = int(folder.parent.name)
@@ -155,7 +155,7 @@ def holder(node: str) -> Holder | None:
     return None
 
 
-def group_with_access(node: str) -> str | None:
+def find_group_with_access(node: str) -> str | None:
     """Return a group other than root's that may read and write a node; None if there is none."""
     try:
         status = os.stat(node)
@@ -203,7 +203,7 @@ def _parse_int(text: str, base: int) -> int | None:
         return None
 
 
-def _hidraw_node(path: Path) -> SystemDevice | None:
+def _read_hidraw_node(path: Path) -> SystemDevice | None:
     # HID_ID=bus:vendor:product in hexadecimal digits, HID_NAME, HID_UNIQ
     uevent = dict(line.split("=", 1) for line in _read_text(path / "device" / "uevent").splitlines() if "=" in line)
     numbers = [_parse_int(part, 16) for part in uevent.get("HID_ID", "").split(":")]
@@ -216,18 +216,18 @@ def _hidraw_node(path: Path) -> SystemDevice | None:
     )
 
 
-def _usb_device(path: Path) -> SystemDevice | None:
+def _read_usb_device(path: Path) -> SystemDevice | None:
     vendor, product = (_parse_int(_read_text(path / key), 16) for key in ("idVendor", "idProduct"))
     if vendor is None or product is None or _read_text(path / "bDeviceClass") == "09":  # a hub
         return None
     bus, number = (_parse_int(_read_text(path / key), 10) for key in ("busnum", "devnum"))
-    node = "" if bus is None or number is None else usb_node(bus, number)
+    node = "" if bus is None or number is None else find_usb_node(bus, number)
     return SystemDevice(
         "usb", vendor, product, _read_text(path / "product") or "USB device", _read_text(path / "serial"), node
     )
 
 
-def _serial_port(path: Path) -> SystemDevice | None:
+def _read_serial_port(path: Path) -> SystemDevice | None:
     # `device` links to the port's interface, in a subfolder of its USB device
     for folder in (path / "device").resolve().parents:
         vendor, product = (_parse_int(_read_text(folder / key), 16) for key in ("idVendor", "idProduct"))
@@ -237,11 +237,11 @@ def _serial_port(path: Path) -> SystemDevice | None:
     return None
 
 
-def usb_node(bus: int, number: int) -> str:
+def find_usb_node(bus: int, number: int) -> str:
     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
 
 
-def _pids_with_lock(inode: int) -> Iterator[int]:
+def _list_pids_with_lock(inode: int) -> Iterator[int]:
     for line in _read_text(Path("/proc/locks")).splitlines():
         part = line.split()
         try:

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import DeviceError
 from softfinger.drivers.system.nodes import open_locked
-from softfinger.drivers.system.rules import how_to_permit
+from softfinger.drivers.system.rules import explain_permission
 
 _GET_INFO: Final = 0x80084803  # an ioctl request of <linux/hidraw.h>
 
@@ -21,7 +21,7 @@ def open_path(path: str, vendor: int, product: int) -> int:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device.
     """
-    fd = open_locked(path, how_to_permit(vendor, product))
+    fd = open_locked(path, explain_permission(vendor, product))
     try:
         _check_device(fd, path, vendor, product)
     except BaseException:
@@ -30,7 +30,7 @@ def open_path(path: str, vendor: int, product: int) -> int:
     return fd
 
 
-def hidapi(backend: str) -> Any:
+def import_hidapi(backend: str) -> Any:
     """Import module `hidraw` or `hid` of hidapi; raises DeviceError if it, or a library that it needs, is missing.
 
     Call it only when needed: the import opens the system's device list.
@@ -44,7 +44,7 @@ def hidapi(backend: str) -> Any:
         ) from error
 
 
-def ids(vendor: int, product: int) -> str:
+def read_ids(vendor: int, product: int) -> str:
     return f"{vendor:04x}:{product:04x}"
 
 
@@ -59,6 +59,6 @@ def _check_device(fd: int, path: str, wanted_vendor: int, wanted_product: int) -
     _, vendor, product = struct.unpack("<IHH", info)
     if (vendor, product) != (wanted_vendor, wanted_product):
         raise DeviceError(
-            f"{path} is the device {ids(vendor, product)}, but the rig is for "
-            f"{ids(wanted_vendor, wanted_product)}: set path to the right node, or remove it"
+            f"{path} is the device {read_ids(vendor, product)}, but the rig is for "
+            f"{read_ids(wanted_vendor, wanted_product)}: set path to the right node, or remove it"
         )

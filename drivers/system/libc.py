@@ -27,7 +27,7 @@ _clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.
 
 
 @jit
-def monotonic_ns(timespec: int) -> int:
+def read_monotonic_ns(timespec: int) -> int:
     """Return the time of the monotonic clock (ns); `timespec` is the address of two int64 for scratch."""
     at = int64_at(timespec)
     _clock_gettime(1, at)

@@ -16,7 +16,7 @@ MISSING: Final = "libusb, which is needed for USB devices, is not installed or c
 REMEDY: Final = "pip install --force-reinstall libusb-package, or apt install libusb-1.0-0"
 
 
-def backend() -> Any | None:
+def load_backend() -> Any | None:
     """Return the backend of pyusb; None if no libusb can be loaded."""
     import usb.backend.libusb1
 
@@ -30,9 +30,9 @@ def backend() -> Any | None:
     return next((library for library in libraries if library is not None), None)
 
 
-def origin() -> str:
+def find_origin() -> str:
     """Return the name or path of the libusb that pyusb uses; empty if none can be loaded."""
-    return str(library.lib._name) if (library := backend()) is not None else ""
+    return str(library.lib._name) if (library := load_backend()) is not None else ""
 
 
 def find(**ids: int) -> list[Any]:
@@ -42,7 +42,7 @@ def find(**ids: int) -> list[Any]:
     """
     import usb.core
 
-    usb_backend = backend()
+    usb_backend = load_backend()
     if usb_backend is None:
         raise DeviceError(f"{MISSING}: `{REMEDY}`")
     return list(usb.core.find(find_all=True, backend=usb_backend, **ids))

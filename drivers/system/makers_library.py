@@ -57,7 +57,7 @@ def load(library: MakersLibrary, file: str | None, patterns: Sequence[Path], not
     raise DeviceNotFound(f"{library.name} was not found: searched for {searched}{note}; {library.advice}")
 
 
-def address(library: ctypes.CDLL, name: str) -> int:
+def find_address(library: ctypes.CDLL, name: str) -> int:
     return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
 
 

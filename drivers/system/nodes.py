@@ -36,7 +36,7 @@ def _open_error(path: str, permit: str, error: OSError) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(f"{path} may not be opened by this user: {reason}: {permit}")
     if error.errno == errno.EBUSY:
-        return _busy_error(path)
+        return _make_busy_error(path)
     return DeviceError(f"{path} cannot be opened: {reason}")
 
 
@@ -45,10 +45,10 @@ def _lock(fd: int, path: str) -> None:
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise _busy_error(path) from error
+        raise _make_busy_error(path) from error
     except OSError:
         pass  # a node on a file system without locks
 
 
-def _busy_error(path: str) -> DeviceBusy:
-    return DeviceBusy(f"{path} is used by {discovery.holder(path) or 'another process'}: end that process first")
+def _make_busy_error(path: str) -> DeviceBusy:
+    return DeviceBusy(f"{path} is used by {discovery.find_holder(path) or 'another process'}: end that process first")

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from softfinger.config.schema import DeviceConfig
-from softfinger.drivers.system.claims import Claim, claims
+from softfinger.drivers.system.claims import Claim, list_claims
 
 GROUP: Final = "softfinger"
 """Group with the same permission as the user at the machine, for ssh and services."""
@@ -38,11 +38,11 @@ LABEL="softfinger_end"
 """
 
 
-def udev_rules(devices: Iterable[DeviceConfig] = ()) -> str:
+def make_udev_rules(devices: Iterable[DeviceConfig] = ()) -> str:
     """Return the rules file for every device that a driver claims, and for the devices of [device] tables of a rig."""
     products: dict[tuple[str, str, int], set[int]] = {}
     """Product ids by driver, bus and vendor; an empty set stands for all products of the vendor."""
-    for claim in (*claims(), *_claims_of_devices(devices)):
+    for claim in (*list_claims(), *_iter_claims_of_devices(devices)):
         if claim.driver == "haply":  # the maker's service opens it, and installs rules for it
             continue
         # libusb is used if there is no hidraw node; how 3D Systems' library opens the Touch HID is not public
@@ -51,11 +51,11 @@ def udev_rules(devices: Iterable[DeviceConfig] = ()) -> str:
             vendor_products |= set() if claim.product is None else {claim.product}
     lines = [HEAD]
     for (driver, bus, vendor), numbers in products.items():
-        lines.append(f"# {driver}\n{_rule(bus, vendor, numbers)}\n")
+        lines.append(f"# {driver}\n{_format_rule(bus, vendor, numbers)}\n")
     return "\n".join([*lines, TAIL])
 
 
-def program_command() -> list[str]:
+def find_program_command() -> list[str]:
     """Return the command that starts this program from any folder, also as root with a different PATH."""
     script = os.path.join(os.path.dirname(sys.executable), "softfinger")
     return [script] if os.path.exists(script) else [sys.executable, "-m", "softfinger.server.cli"]
@@ -64,19 +64,19 @@ def program_command() -> list[str]:
 def install_command(vendor: int | None = None, product: int | None = None) -> str:
     """Return the command for root that permits opening a device of these ids (default: any), once and for all."""
     is_claimed = vendor is None or any(
-        claim.vendor == vendor and claim.product in (None, product) for claim in claims()
+        claim.vendor == vendor and claim.product in (None, product) for claim in list_claims()
     )
-    return shlex.join(["sudo", *program_command(), "install", "--system"]) + (
+    return shlex.join(["sudo", *find_program_command(), "install", "--system"]) + (
         "" if is_claimed else " --rig YOUR-RIG.toml"
     )
 
 
-def how_to_permit(vendor: int, product: int) -> str:
+def explain_permission(vendor: int, product: int) -> str:
     """Return the remedy for a missing permission, for a message."""
     return f"run `{install_command(vendor, product)}`, and plug the device in again"
 
 
-def _claims_of_devices(devices: Iterable[DeviceConfig]) -> Iterator[Claim]:
+def _iter_claims_of_devices(devices: Iterable[DeviceConfig]) -> Iterator[Claim]:
     """Yield a claim for each device that a rig describes by its ids."""
     for device in devices:
         vendor, product = device.options.get("vendor_id"), device.options.get("product_id")
@@ -84,7 +84,7 @@ def _claims_of_devices(devices: Iterable[DeviceConfig]) -> Iterator[Claim]:
             yield Claim(device.driver, "serial" if device.driver == "serial" else "hid", vendor, product)
 
 
-def _rule(bus: str, vendor: int, products: set[int]) -> str:
+def _format_rule(bus: str, vendor: int, products: set[int]) -> str:
     rule = f'{MATCHES[bus]}{vendor:04x}", '
     if products:
         rule += f"{MATCHES[bus].rpartition(', ')[2].replace('Vendor', 'Product')}"

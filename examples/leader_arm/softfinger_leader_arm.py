@@ -150,7 +150,7 @@ class LeaderArm(Device):
         self._jacobian = np.zeros(3)
         self.failure = ""
         self._block = Block(AT)
-        times = exchange.Times(options.quiet_s, options.timeout_s, stale=0.05)
+        times = exchange.ServiceTimes(options.quiet_s, options.timeout_s, stale=0.05)
         exchange.init_exchange(self._block, options.mounting, options.force_max_n, times)
         name = f"leader arm of {len(options.joint)} {options.protocol} servos at {options.path}"
         actuated_dof = 0 if options.force_joint is None else 1

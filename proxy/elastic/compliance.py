@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.elastic.solid import Doubles, Solid
 
-BLOCK: Final = 128
+SOLVE_BLOCK: Final = 128
 """Right-hand sides that are solved together."""
-STRIP: Final = 16
+GRADIENT_BLOCK: Final = 16
 """Number of right-hand sides whose displacement gradients are in memory together."""
 
 
-def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: float) -> list[Any]:
+def make_patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: float) -> list[Any]:
     """Return three sparse matrices (N, n): nodal forces of 1 N along x, y, z on the patch about each of n centres.
 
     Parameters
@@ -76,13 +76,14 @@ def patch_loads(solid: Solid, centers: Doubles, normals: Doubles, radius_m: floa
     loads = (shares @ spread).tocoo()
     return [
         csr_matrix(
-            (loads.data, (_component(solid, scalar, axis)[loads.row], loads.col)), shape=(solid.basis.N, len(centers))
+            (loads.data, (_select_component(solid, scalar, axis)[loads.row], loads.col)),
+            shape=(solid.basis.N, len(centers)),
         )
         for axis in range(3)
     ]
 
 
-def _component(solid: Solid, scalar: Any, axis: int) -> NDArray[np.int64]:
+def _select_component(solid: Solid, scalar: Any, axis: int) -> NDArray[np.int64]:
     """Return the unknown of the vector basis for each unknown of the scalar one."""
     place = np.empty(scalar.N, np.int64)
     place[scalar.nodal_dofs[0]] = solid.basis.nodal_dofs[axis]
@@ -109,19 +110,19 @@ def solve_patches(solid: Solid, loads: list[Any], advance: Callable[[int], None]
     count = loads[0].shape[1]
     together = hstack(loads).tocsr()[solid.free].tocsc()  # component by component
     blocks, bending = np.empty((count, count, 3, 3)), np.empty((2, 3 * count))
-    back, gradient = together.T, surface_gradient(solid)[:, solid.free]
+    back, gradient = together.T, make_surface_gradient(solid)[:, solid.free]
     # Loads that begin in the same fronts are solved together, so that the others are skipped.
     first = np.minimum.reduceat(solid.factors.number[together.indices], together.indptr[:-1])
-    parts = np.array_split(np.argsort(first, kind="stable"), -(-3 * count // BLOCK))
+    parts = np.array_split(np.argsort(first, kind="stable"), -(-3 * count // SOLVE_BLOCK))
 
     def solve(part: NDArray[np.int64]) -> None:
         moved = together[:, part].toarray()
         solid.factors.solve(moved)
         axis, patch = np.divmod(part, count)
         blocks.transpose(2, 0, 3, 1)[:, :, axis, patch] = (back @ moved).reshape(3, count, len(part))
-        for strip in range(0, len(part), STRIP):
-            bending[:, part[strip : strip + STRIP]] = largest_rotation_and_strain(
-                gradient, moved[:, strip : strip + STRIP]
+        for strip in range(0, len(part), GRADIENT_BLOCK):
+            bending[:, part[strip : strip + GRADIENT_BLOCK]] = find_largest_rotation_and_strain(
+                gradient, moved[:, strip : strip + GRADIENT_BLOCK]
             )
 
     solved = 0
@@ -136,7 +137,7 @@ def solve_patches(solid: Solid, loads: list[Any], advance: Callable[[int], None]
     return Solution(blocks, bending.reshape(2, 3, count).transpose(2, 1, 0))
 
 
-def surface_gradient(solid: Solid) -> Any:
+def make_surface_gradient(solid: Solid) -> Any:
     """Return the sparse matrix (9 m, N) of the mean displacement gradients [k, i, j] = du_i / dx_j.
 
     It is that of the m tetrahedra with a face on the surface.
@@ -159,7 +160,7 @@ def surface_gradient(solid: Solid) -> Any:
     return csr_matrix((np.concatenate(values), indices), shape=(9 * len(outer), solid.basis.N))
 
 
-def largest_rotation_and_strain(gradient: Any, moved: Doubles) -> Doubles:
+def find_largest_rotation_and_strain(gradient: Any, moved: Doubles) -> Doubles:
     """Return the largest rotation, rad, and strain of each of the displacements (N, k): (2, k)."""
     g = (gradient @ moved).reshape(-1, 3, 3, moved.shape[1])
     mirrored = g.transpose(0, 2, 1, 3)
@@ -168,7 +169,7 @@ def largest_rotation_and_strain(gradient: Any, moved: Doubles) -> Doubles:
     return np.stack([rotation.max(axis=0), strain.max(axis=0)])
 
 
-def vertex_normals(vertices: Doubles, triangles: NDArray[np.int64]) -> Doubles:
+def compute_vertex_normals(vertices: Doubles, triangles: NDArray[np.int64]) -> Doubles:
     """Return the mean outward unit normal (n, 3) at each vertex, weighted by area; zero at unused vertices."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     normals = np.zeros(vertices.shape)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, load_scene
-from softfinger.proxy.elastic.prepared import body_of
-from softfinger.proxy.elastic.solid import region_holds
+from softfinger.proxy.elastic.prepared import prepare_body
+from softfinger.proxy.elastic.solid import is_in_region
 from softfinger.proxy.elastic.solution import ElasticBody
 
 Doubles = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Deformed:
         self._compliance: Final = body.compliance.array.reshape(count, count, 3, 3)
         self._numbers: Final = np.full(len(body.surface.vertices), -1)
         self._numbers[body.nodes] = np.arange(count)
-        self._drawn, self._shares = self._followed_nodes(self.vertices)
+        self._drawn, self._shares = self._find_followed_nodes(self.vertices)
 
     @classmethod
     def of_scene(cls, scene: SceneSource) -> Self:
@@ -82,27 +82,27 @@ class Deformed:
         obj = load_scene(scene).elastic_object
         if obj is None:
             raise ConfigError("the scene has no object with [object.elastic]")
-        return cls(obj, body_of(obj))
+        return cls(obj, prepare_body(obj))
 
     def at(self, loads: Iterable[Load]) -> Doubles:
         """Return the displaced vertices (n, 3) m, object frame."""
         moved = np.zeros((len(self._body.nodes), 3))
         for load in loads:
-            nodes, weights = self._spot(np.asarray(load.point))
+            nodes, weights = self._find_spot(np.asarray(load.point))
             for node, weight in zip(nodes, weights, strict=True):
                 if node >= 0:
                     moved += self._softness * weight * (self._compliance[:, node] @ np.asarray(load.force))
         displaced: Doubles = self.vertices + self._shares[:, None] * moved[self._drawn]
         return displaced
 
-    def _followed_nodes(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
+    def _find_followed_nodes(self, vertices: Doubles) -> tuple[NDArray[np.int64], Doubles]:
         """Return the node that each of `vertices` (n, 3) follows, and its share of that node's displacement.
 
         A vertex outside of `reach` has no compliance. Its share grows from 0 at the fixed regions to 1 at the node.
         """
         assert self._object.elastic is not None
         places = self._body.surface.vertices
-        fixed = places[region_holds(self._object.elastic.fixed, places)]
+        fixed = places[is_in_region(self._object.elastic.fixed, places)]
         nodes, shares = np.empty(len(vertices), np.int64), np.empty(len(vertices))
         for index, vertex in enumerate(vertices):
             distances = np.linalg.norm(places[self._body.nodes] - vertex, axis=1)
@@ -111,7 +111,7 @@ class Deformed:
             shares[index] = far / max(far + near, 1e-12)
         return nodes, shares
 
-    def _spot(self, point: Doubles) -> tuple[Doubles, Doubles]:
+    def _find_spot(self, point: Doubles) -> tuple[Doubles, Doubles]:
         """Return nodes (3,), -1 at rigid vertices, and weights of a point on the surface."""
         triangles = self._body.surface.triangles
         a, b, c = (self._body.surface.vertices[triangles[:, corner]] for corner in range(3))

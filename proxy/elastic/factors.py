@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 Doubles = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-LEAF: Final = 192
+LEAF_SIZE: Final = 192
 """Number of unknowns that are not divided further."""
-STRIP: Final = 256
+STRIP_COLUMNS: Final = 256
 """Columns of a front that are changed together: copies of a whole front would be the peak of memory."""
 
 
@@ -117,7 +117,7 @@ class Factors:
         while children:
             of_child, change = children.pop()
             at = self._position[of_child]
-            for columns in _strips(len(at)):
+            for columns in _iter_strips(len(at)):
                 matrix[np.ix_(at, at[columns])] += change[:, columns]
             del change
         self._position[unknowns] = -1
@@ -129,13 +129,13 @@ class Factors:
         self._write(own, beyond, square, below)
         rest = matrix[count:, count:].copy(order="F")
         del matrix
-        for columns in _strips(len(beyond)):
+        for columns in _iter_strips(len(beyond)):
             rest[:, columns] -= below.T @ below[:, columns]
         return beyond, rest
 
     def _divide(self, part: Whole) -> tuple[list[Whole], Whole]:
         """Return two parts without a common entry of the matrix, and the unknowns that separate them."""
-        if len(part) <= LEAF:
+        if len(part) <= LEAF_SIZE:
             return [], part
         places = self._places[part]
         ordered = part[places[:, np.ptp(places, axis=0).argmax()].argsort(kind="stable")]
@@ -148,6 +148,6 @@ class Factors:
         return [half for half in (low[~separates], high) if len(half)], low[separates]
 
 
-def _strips(count: int) -> list[slice]:
+def _iter_strips(count: int) -> list[slice]:
     """Return the columns of a front with `count` columns, in strips."""
-    return [slice(first, first + STRIP) for first in range(0, count, STRIP)]
+    return [slice(first, first + STRIP_COLUMNS) for first in range(0, count, STRIP_COLUMNS)]

@@ -41,15 +41,15 @@ class ContactLoad(NamedTuple):
     patch_radius: float
 
 
-def contact_loads(obj: schema.Mesh, rows: Mapping[str, Doubles]) -> list[ContactLoad]:
+def compute_contact_loads(obj: schema.Mesh, rows: Mapping[str, Doubles]) -> list[ContactLoad]:
     """Return the loads on an elastic object, from the record (RECORD_SIZE,) of each finger in a tick."""
     assert obj.elastic is not None
     loads = []
     for finger, row in rows.items():
         if int(row[AT.contact_mode]) == FREE:
             continue
-        point = _vector(row, AT.contacts0_point) - _vector(row, AT.contact_displacement) - obj.position_m
-        force = -_force(row, obj.material.friction is not None)
+        point = _read_vector(row, AT.contacts0_point) - _read_vector(row, AT.contact_displacement) - obj.position_m
+        force = -_sum_forces(row, obj.material.friction is not None)
         turned = _to_object_frame(obj, force), _to_object_frame(obj, point)
         loads.append(ContactLoad(finger, int(row[AT.contact_object]), *turned, obj.elastic.radius_m))
     return loads
@@ -68,24 +68,24 @@ def has_changed(before: Sequence[ContactLoad], now: Sequence[ContactLoad]) -> bo
     )
 
 
-def _force(row: Doubles, has_friction: bool) -> Doubles:
+def _sum_forces(row: Doubles, has_friction: bool) -> Doubles:
     """Return the force (3,) N of all contacts, world frame.
 
     Without friction, the recorded force of the first contact includes that of the slope of the deformed surface, which
     does not load the body. It is replaced by the force along the normal that gives the recorded normal force.
     """
-    forces = np.array([_vector(row, AT.contacts0_force + contact * _WIDTH) for contact in range(PATCHES)])
+    forces = np.array([_read_vector(row, AT.contacts0_force + contact * _WIDTH) for contact in range(PATCHES)])
     if has_friction:
         total: Doubles = forces.sum(axis=0)
         return total
-    normal, tangential = _vector(row, AT.contacts0_normal), forces[1:].sum(axis=0)
+    normal, tangential = _read_vector(row, AT.contacts0_normal), forces[1:].sum(axis=0)
     tangential = tangential - (tangential @ normal) * normal
     along = sqrt(max(float(row[AT.contact_normal_force]) ** 2 - float(tangential @ tangential), 0.0))
     force: Doubles = tangential + along * normal
     return force
 
 
-def _vector(row: Doubles, at: int) -> Doubles:
+def _read_vector(row: Doubles, at: int) -> Doubles:
     return row[at : at + 3]
 
 

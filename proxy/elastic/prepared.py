@@ -14,39 +14,39 @@ from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.proxy import progress
 from softfinger.proxy.elastic import solution
-from softfinger.proxy.elastic.compliance import patch_loads, solve_patches, vertex_normals
-from softfinger.proxy.elastic.solid import Solid, region_holds
+from softfinger.proxy.elastic.compliance import compute_vertex_normals, make_patch_loads, solve_patches
+from softfinger.proxy.elastic.solid import Solid, is_in_region
 from softfinger.proxy.elastic.solution import ElasticBody, Report
-from softfinger.proxy.elastic.volume import Volume, boundary, fill, quality, read_volume
+from softfinger.proxy.elastic.volume import Volume, compute_quality, fill, find_boundary, read_volume
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.proxy.meshes import array_cache
 from softfinger.proxy.meshes.mending import mend
-from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
+from softfinger.proxy.meshes.reading import Arrays, parse_mesh, read_bytes
 
 Doubles = NDArray[np.float64]
 
 log: Final = logging.getLogger(__name__)
 
 GRAVITY_M_PER_S2: Final = 9.80665
-PROBES: Final = 5
+PROBE_POINTS: Final = 5
 """Number of points whose stiffness is reported."""
-COARSER: Final = 1.5
+COARSE_EDGE_RATIO: Final = 1.5
 """Ratio of the edge lengths of the two meshes of which the error is estimated."""
-ORDER: Final = 2.0
+CONVERGENCE_ORDER: Final = 2.0
 """Order of convergence of a patch's displacement: 1.7 to 2.6 on `press-a-pad`, since the strain has no bound where the
 fixed region ends."""
-BODIES: Final = 4
+BODIES_IN_MEMORY: Final = 4
 """Number of bodies in memory, at most 450 MB each."""
-LARGE: Final = 0.1
+LARGE_DISPLACEMENT_SHARE: Final = 0.1
 """Displacement over the diagonal of the body from which `contact.nonlinear` is set."""
 
 _bodies: Final[dict[str, ElasticBody]] = {}
 
 
-def body_of(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody:
+def prepare_body(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody:
     """Return the body of an elastic mesh object, and store it on disk for later runs.
 
     Raises
@@ -56,10 +56,10 @@ def body_of(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBod
     """
     assert obj.elastic is not None
     try:
-        identity = solution.identity(obj, obj.elastic, read_bytes(obj.file))
+        identity = solution.make_identity(obj, obj.elastic, read_bytes(obj.file))
         if identity not in _bodies:
             body = _load_or_solve(obj, obj.elastic, identity, folder)
-            while len(_bodies) >= BODIES:
+            while len(_bodies) >= BODIES_IN_MEMORY:
                 _bodies.pop(next(iter(_bodies)))
             _bodies[identity] = body
         return _bodies[identity]
@@ -74,21 +74,21 @@ def body_of(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBod
         ) from error
 
 
-def stored_body(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody | None:
+def load_stored_body(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> ElasticBody | None:
     """Return the body if it was solved before, here or in the file `solution`: for pictures, which do not wait."""
     assert obj.elastic is not None
     try:
-        identity = solution.identity(obj, obj.elastic, read_bytes(obj.file))
+        identity = solution.make_identity(obj, obj.elastic, read_bytes(obj.file))
     except ConfigError:  # a file of another machine
         return None
     return _bodies.get(identity) or _load(obj.elastic, identity, folder)[0]
 
 
-def kernel_elastic(obj: schema.Mesh, elastic: schema.Elastic, mesh: model.Triangles) -> model.Elastic:
-    """Return the compliance at the vertices of an object's mesh. Raises ConfigError as `body_of` does."""
+def compile_elastic(obj: schema.Mesh, elastic: schema.Elastic, mesh: model.Triangles) -> model.Elastic:
+    """Return the compliance at the vertices of an object's mesh. Raises ConfigError as `prepare_body` does."""
     import softfinger.proxy.kernels.elastic.step  # noqa: F401  registers its step
 
-    body = body_of(obj)
+    body = prepare_body(obj)
     numbers = np.full(len(body.surface.vertices), -1, np.int64)
     numbers[body.nodes] = np.arange(len(body.nodes))
     place = {vertex.tobytes(): number for vertex, number in zip(body.surface.vertices, numbers, strict=True)}
@@ -101,7 +101,7 @@ def kernel_elastic(obj: schema.Mesh, elastic: schema.Elastic, mesh: model.Triang
         softness=1.0 / elastic.youngs_pa,
         damping=elastic.damping_s,
         bending=body.bending,
-        large=LARGE * float(np.linalg.norm(np.ptp(body.surface.vertices, axis=0))),
+        large=LARGE_DISPLACEMENT_SHARE * float(np.linalg.norm(np.ptp(body.surface.vertices, axis=0))),
     )
 
 
@@ -114,11 +114,11 @@ def _load(elastic: schema.Elastic, identity: str, folder: Folder) -> tuple[Elast
         except (OSError, ValueError) as error:
             reason = error.strerror or error if isinstance(error, OSError) else error
             refusal = f"solution {elastic.solution} is not used: {reason}"
-    cached = array_cache.load(_key(identity), folder)
+    cached = array_cache.load(_make_key(identity), folder)
     return None if cached is None else _from_disk(cached), refusal
 
 
-def _key(identity: str) -> str:
+def _make_key(identity: str) -> str:
     return hashlib.sha256(repr((SOURCE_HASH, identity)).encode()).hexdigest()
 
 
@@ -133,39 +133,39 @@ def _load_or_solve(obj: schema.Mesh, elastic: schema.Elastic, identity: str, fol
         raise ValueError(f"{error}; {refusal}" if refusal else str(error)) from error
     if refusal:
         log.warning("object '%s': %s; the body was solved", obj.name, refusal)
-    array_cache.save(_key(identity), _to_disk(body), folder)
+    array_cache.save(_make_key(identity), _to_disk(body), folder)
     return body
 
 
-def volume_of(obj: schema.Mesh, resolution_m: float) -> Volume:
+def make_volume(obj: schema.Mesh, resolution_m: float) -> Volume:
     """Return the volume mesh of an object; a file of tetrahedra has its own resolution.
 
     Raises ConfigError or ValueError if the file cannot be read, its surface is open, or it cannot be filled.
     """
     if obj.file.lower().endswith(obj.volumes):
         return read_volume(obj.file, obj.scale)
-    vertices, triangles = arrays_of(obj.file, read_bytes(obj.file))
+    vertices, triangles = parse_mesh(obj.file, read_bytes(obj.file))
     mended = mend(Arrays(vertices * obj.scale, triangles), obj.file.lower().endswith(".stl"))
     if not mended.watertight:
         raise ValueError(f"the mesh is open at {mended.open_edges} edges: close it, or remove [object.elastic]")
     return fill(mended.arrays.vertices, mended.arrays.triangles.astype(np.int64), resolution_m)
 
 
-def solid_of(volume: Volume, elastic: schema.Elastic) -> Solid:
+def make_solid(volume: Volume, elastic: schema.Elastic) -> Solid:
     """Return the body with its fixed regions. Raises ValueError if they contain fewer than three nodes."""
     return Solid(
-        volume, elastic.poisson, lambda points: np.repeat(region_holds(elastic.fixed, points)[:, None], 3, axis=1)
+        volume, elastic.poisson, lambda points: np.repeat(is_in_region(elastic.fixed, points)[:, None], 3, axis=1)
     )
 
 
 def solve(obj: schema.Mesh, elastic: schema.Elastic) -> ElasticBody:
     """Mesh and solve a body. Raises ConfigError or ValueError if that is not possible."""
-    volume = volume_of(obj, elastic.resolution_m)
-    triangles = boundary(volume)
-    nodes = _compliant_nodes(volume, triangles, elastic)
-    solid = solid_of(volume, elastic)
-    normals = vertex_normals(volume.vertices, triangles)
-    loads = patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
+    volume = make_volume(obj, elastic.resolution_m)
+    triangles = find_boundary(volume)
+    nodes = _find_compliant_nodes(volume, triangles, elastic)
+    solid = make_solid(volume, elastic)
+    normals = compute_vertex_normals(volume.vertices, triangles)
+    loads = make_patch_loads(solid, volume.vertices[nodes], normals[nodes], elastic.radius_m)
     with progress.display(f"compliance of {obj.name}", 3 * len(nodes)) as advance:
         compliance, bending = solve_patches(solid, loads, advance)
     vertices = volume.vertices
@@ -178,8 +178,8 @@ def solve(obj: schema.Mesh, elastic: schema.Elastic) -> ElasticBody:
     surface = Arrays(np.ascontiguousarray(vertices[used]), corners.reshape(-1, 3).astype(np.int32))
     probes = _spread(volume.vertices[nodes])
     own = np.einsum("ki,kij,kj->k", normals[nodes[probes]], compliance[probes, probes], normals[nodes[probes]])
-    error = _error(obj, elastic, volume.vertices[nodes[probes]], normals[nodes[probes]], own)
-    measured = quality(volume)
+    error = _estimate_error(obj, elastic, volume.vertices[nodes[probes]], normals[nodes[probes]], own)
+    measured = compute_quality(volume)
     report = Report(
         len(volume.vertices), len(volume.tetrahedra), len(nodes), float(measured.min()), float(measured.mean()),
         volume.vertices[nodes[probes]].tolist(), own.tolist(), error,
@@ -187,13 +187,13 @@ def solve(obj: schema.Mesh, elastic: schema.Elastic) -> ElasticBody:
     return ElasticBody(surface, place, ReadOnly(compliance), ReadOnly(bending), report)
 
 
-def _compliant_nodes(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elastic) -> NDArray[np.int64]:
+def _find_compliant_nodes(volume: Volume, triangles: NDArray[np.int64], elastic: schema.Elastic) -> NDArray[np.int64]:
     """Return the compliant vertices of the surface: outside of `fixed`, and inside of `reach` if that is given."""
     nodes = np.unique(triangles)
     points = volume.vertices[nodes]
-    chosen = ~region_holds(elastic.fixed, points)
+    chosen = ~is_in_region(elastic.fixed, points)
     if elastic.reach:
-        chosen &= region_holds(elastic.reach, points)
+        chosen &= is_in_region(elastic.reach, points)
     nodes = nodes[chosen]
     if len(nodes) == 0:
         raise ValueError("reach: it contains no vertex of the surface outside of `fixed`")
@@ -209,21 +209,23 @@ def _spread(points: Doubles) -> NDArray[np.int64]:
     """Return the indices of up to five points, each as far as possible from the previous ones."""
     chosen = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin())]
     distance = ((points - points[chosen[0]]) ** 2).sum(axis=1)
-    while len(chosen) < min(PROBES, len(points)):
+    while len(chosen) < min(PROBE_POINTS, len(points)):
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
     return np.array(chosen)
 
 
-def _error(obj: schema.Mesh, elastic: schema.Elastic, points: Doubles, normals: Doubles, own: Doubles) -> float | None:
+def _estimate_error(
+    obj: schema.Mesh, elastic: schema.Elastic, points: Doubles, normals: Doubles, own: Doubles
+) -> float | None:
     """Return the error of the compliances `own` over the largest, by Richardson's rule; None for a file of one mesh."""
     if obj.file.lower().endswith(obj.volumes):
         return None
-    solid = solid_of(volume_of(obj, COARSER * elastic.resolution_m), elastic)
-    compliance = solve_patches(solid, patch_loads(solid, points, normals, elastic.radius_m)).compliance
+    solid = make_solid(make_volume(obj, COARSE_EDGE_RATIO * elastic.resolution_m), elastic)
+    compliance = solve_patches(solid, make_patch_loads(solid, points, normals, elastic.radius_m)).compliance
     patches = np.arange(len(points))
     coarse = np.einsum("ki,kij,kj->k", normals, compliance[patches, patches], normals)
-    return float(np.abs(coarse - own).max() / own.max() / (COARSER**ORDER - 1.0))
+    return float(np.abs(coarse - own).max() / own.max() / (COARSE_EDGE_RATIO**CONVERGENCE_ORDER - 1.0))
 
 
 def _to_disk(body: ElasticBody) -> array_cache.CachedArrays:

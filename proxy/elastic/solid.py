@@ -20,8 +20,8 @@ from softfinger.proxy.elastic.volume import Volume
 
 Doubles = NDArray[np.float64]
 
-LEAST_FIXED: Final = 3
-CHUNK: Final = 1024
+MIN_FIXED_NODES: Final = 3
+ASSEMBLY_BLOCK: Final = 1024
 """Tetrahedra that are assembled together."""
 
 
@@ -61,7 +61,7 @@ class Solid:
         for of in (self.basis.nodal_dofs, self.basis.edge_dofs):
             component[of] = np.arange(3)[:, None]
         fixed = is_fixed(places)[np.arange(self.basis.N), component]
-        if (fixed & (component == 0)).sum() < LEAST_FIXED:
+        if (fixed & (component == 0)).sum() < MIN_FIXED_NODES:
             raise ValueError(
                 f"fixed: the regions contain {int((fixed & (component == 0)).sum())} nodes, at least 3 are needed"
             )
@@ -83,7 +83,7 @@ class Solid:
     def _assemble(self, form: Any) -> Any:
         """Return a form over all tetrahedra."""
         count = len(self.volume.tetrahedra)
-        parts = (np.arange(first, min(first + CHUNK, count)) for first in range(0, count, CHUNK))
+        parts = (np.arange(first, min(first + ASSEMBLY_BLOCK, count)) for first in range(0, count, ASSEMBLY_BLOCK))
         return sum(form.assemble(self.basis.with_elements(part)) for part in parts)
 
     def gravity(self, direction: Sequence[float]) -> Doubles:
@@ -98,7 +98,7 @@ class Solid:
         return forces
 
 
-def region_holds(regions: Sequence[schema.FixedRegion], points: Doubles) -> NDArray[np.bool_]:
+def is_in_region(regions: Sequence[schema.FixedRegion], points: Doubles) -> NDArray[np.bool_]:
     """Return whether each of `points` (n, 3) m is in one of the regions."""
     inside = np.zeros(len(points), bool)
     for region in regions:

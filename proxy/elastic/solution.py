@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import limits, schema
 from softfinger.config.arrays.npz import open_npz
-from softfinger.config.files import new_file, read_input
+from softfinger.config.files import read_input, write_new_file
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.meshes.reading import Arrays
 
@@ -70,7 +70,7 @@ class ElasticBody(NamedTuple):
     report: Report
 
 
-def identity(obj: schema.Mesh, elastic: schema.Elastic, data: bytes) -> str:
+def make_identity(obj: schema.Mesh, elastic: schema.Elastic, data: bytes) -> str:
     """Return all that determines the solution of a mesh object with the file `data`: that of Young's modulus 1 Pa.
 
     Under gravity the modulus itself belongs to it.
@@ -96,7 +96,7 @@ def save(path: str, key: str, body: ElasticBody) -> None:
         "report": np.frombuffer(msgspec.json.encode(body.report._asdict()), np.uint8),
     }
     arrays["hash"] = _hash(key, arrays)
-    with new_file(path) as file:
+    with write_new_file(path) as file:
         np.savez(file, **{name: arrays[name] for name in TYPES})  # type: ignore[arg-type]
 
 
@@ -110,7 +110,7 @@ def read(path: str, key: str) -> ElasticBody:
     ValueError
         If it is damaged, or of another identity than `key`.
     """
-    arrays = _arrays(read_input(path, BYTES_MAX))
+    arrays = _read_arrays(read_input(path, BYTES_MAX))
     if arrays["hash"].tobytes() != _hash(key, arrays).tobytes():
         raise ValueError("is damaged or the solution for other values")
     nodes, vertices = arrays["nodes"], arrays["vertices"].reshape(-1, 3)
@@ -124,7 +124,7 @@ def read(path: str, key: str) -> ElasticBody:
     return ElasticBody(surface, nodes, ReadOnly(blocks), ReadOnly(arrays["bending"].astype(np.float64)), report)
 
 
-def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+def _read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     """Return the arrays of a file. Raises ValueError unless it has exactly those of TYPES, uncompressed."""
     file = io.BytesIO(data)
     try:

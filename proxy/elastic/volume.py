@@ -19,7 +19,7 @@ FACES: Final = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
 """Vertices of the faces of a tetrahedron of positive volume, counter-clockwise seen from outside."""
 CREASE_RAD: Final = 0.6
 """Angle between triangles from which gmsh preserves the edge between them."""
-LEAST_QUALITY: Final = 0.01
+MIN_QUALITY: Final = 0.01
 """Quality below which a tetrahedron spoils the solution: a regular one has 1."""
 
 
@@ -113,18 +113,18 @@ def check_volume(vertices: Doubles, tetrahedra: Whole) -> Volume:
         raise ValueError("a coordinate is not finite")
     used, corners = np.unique(tetrahedra, return_inverse=True)
     volume = Volume(vertices[used], corners.reshape(-1, 4))
-    measured = quality(volume)
+    measured = compute_quality(volume)
     worst = int(measured.argmin())
     if measured[worst] <= 0.0:
         raise ValueError(
             f"tetrahedron {worst} is inverted, with {int((measured <= 0.0).sum())} in all: repeat the meshing"
         )
-    if measured[worst] < LEAST_QUALITY:
-        raise ValueError(f"tetrahedron {worst} is flat: quality {measured[worst]:.2g}, at least {LEAST_QUALITY:g}")
+    if measured[worst] < MIN_QUALITY:
+        raise ValueError(f"tetrahedron {worst} is flat: quality {measured[worst]:.2g}, at least {MIN_QUALITY:g}")
     return volume
 
 
-def quality(volume: Volume) -> Doubles:
+def compute_quality(volume: Volume) -> Doubles:
     """Return 6 sqrt(2) V / l^3 of each tetrahedron, l its root-mean-square edge: 1 if regular, below 0 if inverted."""
     a, b, c, d = (volume.vertices[volume.tetrahedra[:, i]] for i in range(4))
     six = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))
@@ -133,7 +133,7 @@ def quality(volume: Volume) -> Doubles:
     return qualities
 
 
-def boundary(volume: Volume) -> Whole:
+def find_boundary(volume: Volume) -> Whole:
     """Return the triangles (k, 3) that belong to one tetrahedron, counter-clockwise seen from outside."""
     faces = volume.tetrahedra[:, FACES].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)

@@ -13,7 +13,7 @@ from softfinger.proxy.record import AT
 
 
 @jit
-def put3(row: Any, at: int, v: Vec3) -> None:
+def write_vector(row: Any, at: int, v: Vec3) -> None:
     row[at] = v[0]
     row[at + 1] = v[1]
     row[at + 2] = v[2]
@@ -33,32 +33,32 @@ def write_contact(
     """Fill a record (RECORD_SIZE,) with one tick; the fields of servo and device do not change."""
     row[AT.tick] = tick
     row[AT.dt] = dt
-    put3(row, AT.probe_position, position)
+    write_vector(row, AT.probe_position, position)
     row[AT.probe_orientation] = orientation[0]
     row[AT.probe_orientation + 1] = orientation[1]
     row[AT.probe_orientation + 2] = orientation[2]
     row[AT.probe_orientation + 3] = orientation[3]
-    put3(row, AT.probe_velocity, contact.velocity)
-    put3(row, AT.proxy_position, contact.center)
+    write_vector(row, AT.probe_velocity, contact.velocity)
+    write_vector(row, AT.proxy_position, contact.center)
     row[AT.contact_mode] = contact.mode
     row[AT.contact_object] = contact.object
     row[AT.contact_penetration] = contact.penetration
-    put3(row, AT.contact_point, contact.point)
-    put3(row, AT.contact_normal, contact.normal)
-    put3(row, AT.contact_finger_point, contact.finger_point)
+    write_vector(row, AT.contact_point, contact.point)
+    write_vector(row, AT.contact_normal, contact.normal)
+    write_vector(row, AT.contact_finger_point, contact.finger_point)
     row[AT.contact_rolled] = contact.rolled
     row[AT.contact_spin] = contact.spin
-    put3(row, AT.force, force)
-    put3(row, AT.torque, torque)
+    write_vector(row, AT.force, force)
+    write_vector(row, AT.torque, torque)
     row[AT.contact_cause] = contact.cause
     row[AT.contact_normal_force] = contact.normal_force
     row[AT.contact_tangential_force] = contact.tangential_force
     row[AT.contact_torsion] = contact.torsion
     row[AT.contact_patch_radius] = contact.patch_radius
-    put3(row, AT.contact_patch_normal, contact.patch_normal)
-    put3(row, AT.contact_patch_stretch, contact.patch_stretch)
+    write_vector(row, AT.contact_patch_normal, contact.patch_normal)
+    write_vector(row, AT.contact_patch_stretch, contact.patch_stretch)
     row[AT.contact_budget] = contact.budget
-    put3(row, AT.contact_displacement, ZERO)
+    write_vector(row, AT.contact_displacement, ZERO)
     row[AT.contact_nonlinear] = 0.0
     one, two, three = pad(contact.contacts, NO_OUTCOME, 3)
     write_outcome(row, AT.contacts0_object, one)
@@ -75,7 +75,7 @@ def write_surfaces(surfaces: Any, rows: Any) -> None:
 
 @jit
 def write_surface(row: Any, surface: Surface) -> None:
-    put3(row, AT.contact_displacement, surface.moved)
+    write_vector(row, AT.contact_displacement, surface.moved)
     row[AT.contact_nonlinear] = surface.beyond
 
 
@@ -83,23 +83,23 @@ def write_surface(row: Any, surface: Surface) -> None:
 def write_outcome(row: Any, at: int, outcome: ContactOutcome) -> None:
     """Write the fields of one contact, from column `at` on."""
     row[at] = outcome.object
-    put3(row, at + AT.contacts0_point - AT.contacts0_object, outcome.point)
-    put3(row, at + AT.contacts0_normal - AT.contacts0_object, outcome.normal)
-    put3(row, at + AT.contacts0_force - AT.contacts0_object, outcome.force)
+    write_vector(row, at + AT.contacts0_point - AT.contacts0_object, outcome.point)
+    write_vector(row, at + AT.contacts0_normal - AT.contacts0_object, outcome.normal)
+    write_vector(row, at + AT.contacts0_force - AT.contacts0_object, outcome.force)
     row[at + AT.contacts0_mode - AT.contacts0_object] = outcome.mode
     row[at + AT.contacts0_spin - AT.contacts0_object] = outcome.spin
 
 
 @jit
-def pose_in(row: Any) -> Pose:
+def read_pose(row: Any) -> Pose:
     """Return the Pose of a row x, y, z, qw, qx, qy, qz."""
     return Pose((row[0], row[1], row[2]), as_unit((row[3], row[4], row[5], row[6])))
 
 
 @jit
-def poses_in(rows: Any) -> Any:
+def read_poses(rows: Any) -> Any:
     """Return the Pose of each row of a tuple."""
-    return map_each(pose_in, (rows,))
+    return map_each(read_pose, (rows,))
 
 
 @jit

@@ -9,24 +9,24 @@ from softfinger.proxy.kernels.contact.approach import STUCK_TICKS
 from softfinger.proxy.kernels.contact.contact_friction import (
     ProbeMotion,
     apply_friction,
-    ground_at,
-    load_on,
-    textured_ground_at,
+    compute_load,
+    find_ground,
+    find_textured_ground,
 )
 from softfinger.proxy.kernels.contact.continuation import detect_or_continue
 from softfinger.proxy.kernels.contact.detection import is_clear
-from softfinger.proxy.kernels.contact.effects import effects_of_tick
+from softfinger.proxy.kernels.contact.effects import sum_effects
 from softfinger.proxy.kernels.contact.fingertip import minkowski_objects
-from softfinger.proxy.kernels.contact.one_contact import land_on_one, outcome_of_one
+from softfinger.proxy.kernels.contact.one_contact import land_on_one, make_outcome_of_one
 from softfinger.proxy.kernels.contact.outcome import end_contact_tick, make_free_contact, make_free_state
-from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
+from softfinger.proxy.kernels.contact.rest.active_set import make_single_constraint
 from softfinger.proxy.kernels.contact.several_contacts import (
-    approach_among_several,
-    friction_of_contact,
+    apply_friction_of_contact,
+    continue_or_detect_several,
     land_among_several,
     make_no_approach,
 )
-from softfinger.proxy.kernels.contact.several_outcome import outcome_of_several
+from softfinger.proxy.kernels.contact.several_outcome import make_outcome_of_several
 from softfinger.proxy.kernels.contact.several_rest import settle_after_friction
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
@@ -35,7 +35,7 @@ from softfinger.proxy.kernels.jit.tuples import map_each, unzip
 from softfinger.proxy.kernels.model import (
     NONE,
     Contact,
-    Faceted,
+    FacetedSearch,
     Finger,
     FingerState,
     Many,
@@ -47,8 +47,8 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, has_fault, push_bodies, step_bodies
-from softfinger.proxy.kernels.query.kinds import moves_by_itself
-from softfinger.proxy.kernels.query.world import advance, all_bare, place_all
+from softfinger.proxy.kernels.query.kinds import has_simulated_object
+from softfinger.proxy.kernels.query.world import advance, place_all, strip_materials
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
 
@@ -117,7 +117,7 @@ def interpolate_pose(state: FingerState, pose: Pose, share: float) -> Pose:
     return Pose(vec3.add_scaled(probe.position, share, path), orientation)
 
 
-@outlined_where(moves_by_itself)
+@outlined_where(has_simulated_object)
 def step_finger(
     finger: Finger, state: FingerState, pose: Pose, scene: Scene, objects: Any, dt: float
 ) -> tuple[FingerState, Contact]:
@@ -125,9 +125,9 @@ def step_finger(
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
     obstacles = minkowski_objects(finger.form, finger.radius, objects, pose.orientation)
-    if isinstance(objects, Many) or isinstance(objects.search, Faceted):
-        return contact_with_several_objects(obstacles, scene, finger, state, probe, dt)
-    return contact_with_one_object(obstacles, scene, finger, state, probe, dt)
+    if isinstance(objects, Many) or isinstance(objects.search, FacetedSearch):
+        return step_with_several_objects(obstacles, scene, finger, state, probe, dt)
+    return step_with_one_object(obstacles, scene, finger, state, probe, dt)
 
 
 @jit
@@ -141,48 +141,48 @@ def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant
 
 
 @jit
-def contact_with_one_object(
+def step_with_one_object(
     objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     """Compute the contact in a scene of one object that is not a mesh: its proxy follows the slip on that object."""
-    shapes, motion = all_bare(objects), ProbeMotion(probe, state.probe, dt)
+    shapes, motion = strip_materials(objects), ProbeMotion(probe, state.probe, dt)
     if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
         return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
-    if approach.active[0].body < 0.0:
+    if approach.active[0].object_index < 0.0:
         return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    ground = textured_ground_at(objects, 0.0, approach.active, approach.center)
+    ground = find_textured_ground(objects, 0.0, approach.active, approach.center)
     forces = apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
     landing = land_on_one(finger, shapes, approach, forces, probe.position)
-    load = load_on(finger, objects, ground, landing.active[0], motion, approach.began)
-    effects = effects_of_tick(scene, finger, objects, state, landing.active, probe, dt)
-    outcome = outcome_of_one(finger, ground, probe, approach, forces, landing, load, effects)
-    return end_contact_tick(finger, probe, outcome)
+    load = compute_load(finger, objects, ground, landing.active[0], motion, approach.began)
+    effects = sum_effects(scene, finger, objects, state, landing.active, probe, dt)
+    outcome = make_outcome_of_one(finger, ground, probe, approach, forces, landing, load)
+    return end_contact_tick(finger, probe, approach, forces.result.cause, outcome, effects)
 
 
 @jit
-def contact_with_several_objects(
+def step_with_several_objects(
     objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
-    shapes, motion, approach = all_bare(objects), ProbeMotion(probe, state.probe, dt), make_no_approach(probe)
+    shapes, motion, approach = strip_materials(objects), ProbeMotion(probe, state.probe, dt), make_no_approach(probe)
     if state.stuck < STUCK_TICKS or not is_clear(shapes, finger.radius, probe.position):
-        state, approach = approach_among_several(scene, finger, objects, shapes, state, motion)
-    if approach.active[0].body < 0.0:
+        state, approach = continue_or_detect_several(scene, finger, objects, shapes, state, motion)
+    if approach.active[0].object_index < 0.0:
         return step_without_contact(scene, finger, objects, state, probe, dt, approach.budget)
-    forces = map_each(friction_of_contact, (approach.predicted,), finger, objects, approach, motion)
+    forces = map_each(apply_friction_of_contact, (approach.predicted,), finger, objects, approach, motion)
     landing, is_alone = land_among_several(finger, shapes, approach, forces[0], probe.position)
     active = landing.active
     if not is_alone:
         settled = settle_after_friction(finger, objects, shapes, approach, forces, probe.position)
         active = settled.active
-    effects = effects_of_tick(scene, finger, objects, state, active, probe, dt)
+    effects = sum_effects(scene, finger, objects, state, active, probe, dt)
     if is_alone:
-        ground = ground_at(objects, active[0].body)
-        load = load_on(finger, objects, ground, active[0], motion, approach.began)
-        outcome = outcome_of_one(finger, ground, probe, approach, forces[0], landing, load, effects)
+        ground = find_ground(objects, active[0].object_index)
+        load = compute_load(finger, objects, ground, active[0], motion, approach.began)
+        outcome = make_outcome_of_one(finger, ground, probe, approach, forces[0], landing, load)
     else:
-        outcome = outcome_of_several(finger, objects, shapes, motion, approach, forces, settled, effects)
-    return end_contact_tick(finger, probe, outcome)
+        outcome = make_outcome_of_several(finger, objects, shapes, motion, approach, forces, settled)
+    return end_contact_tick(finger, probe, approach, forces[0].result.cause, outcome, effects)
 
 
 @jit
@@ -190,8 +190,8 @@ def step_without_contact(
     scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, budget: int
 ) -> tuple[FingerState, Contact]:
     """Return state and Contact in free space, or at a first pose with an incomplete search (`budget` below 0)."""
-    nothing = one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
-    effects = effects_of_tick(scene, finger, objects, state, nothing, probe, dt)
+    nothing = make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
+    effects = sum_effects(scene, finger, objects, state, nothing, probe, dt)
     unsearched = 1.0 if budget < 0 else effects.unknown
     return (
         make_free_state(state, probe, effects.states, budget >= 0),

@@ -21,12 +21,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.jit.cache import Folder, Unsound
+from softfinger.proxy.kernels.jit.cache import Folder, UntrustedCache
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 
 MAGIC: Final = b"softfinger mesh 1\n"
 HEAD_MAX: Final = 1 << 20
-ALIGNED: Final = 64
+ALIGNMENT: Final = 64
 BYTES_MAX: Final = 4 << 30
 """Size limit of the cache; beyond it, the least recently used files are removed. The largest mesh takes 2.5 GB."""
 ENDING: Final = ".mesh"
@@ -56,13 +56,13 @@ def load(key: str, folder: Folder = FOLDER) -> CachedArrays | None:
             # Read, not mapped: later changes of the file must not affect a process that renders.
             memory = _allocate(os.fstat(file.fileno()).st_size)
             if file.readinto(memory) != len(memory):  # type: ignore[attr-defined]
-                raise Unsound("it is truncated")
+                raise UntrustedCache("it is truncated")
             with contextlib.suppress(OSError):  # in another user's folder; only the time of last use is lost
                 os.utime(file.fileno())
         return _read(key, memory)
     except FileNotFoundError:
         return None
-    except (Unsound, OSError, ValueError, TypeError, KeyError) as error:
+    except (UntrustedCache, OSError, ValueError, TypeError, KeyError) as error:
         if folder.problem() is None:
             log.warning("cached mesh %s is invalid and is built again: %s", name, error)
         return None
@@ -84,47 +84,48 @@ def save(key: str, cached: CachedArrays, folder: Folder = FOLDER) -> None:
 
     If the folder cannot be used, nothing is stored and the folder logs a warning, once.
     """
-    folder.put(f"{key}{ENDING}", _parts(key, cached))
+    folder.put(f"{key}{ENDING}", _iter_parts(key, cached))
     if folder.path is not None and folder.problem() is None:
         with contextlib.suppress(OSError):
             _make_room(folder, f"{key}{ENDING}")
 
 
-def _parts(key: str, cached: CachedArrays) -> Iterator[Any]:
+def _iter_parts(key: str, cached: CachedArrays) -> Iterator[Any]:
     """Yield the contents of the file in pieces."""
     arrays = {name: np.ascontiguousarray(array) for name, array in cached.arrays.items()}
     at, table = 0, {}
     for name, array in arrays.items():
         table[name] = {"dtype": array.dtype.str, "shape": array.shape, "at": at, "sum": _sum(array)}
-        at += -(-array.nbytes // ALIGNED) * ALIGNED
+        at += -(-array.nbytes // ALIGNMENT) * ALIGNMENT
     head = json.dumps({"key": key, "bytes": at, "arrays": table, "values": dict(cached.values)}).encode()
-    head += b" " * (-(_FIXED + len(head)) % ALIGNED)
+    head += b" " * (-(_FIXED + len(head)) % ALIGNMENT)
     yield MAGIC + hashlib.sha256(head).digest() + len(head).to_bytes(8, "little") + head
     for array in arrays.values():
         yield array.reshape(-1).view(np.uint8).data
-        yield bytes(-array.nbytes % ALIGNED)
+        yield bytes(-array.nbytes % ALIGNMENT)
 
 
 def _read(key: str, memory: mmap.mmap) -> CachedArrays:
     length = int.from_bytes(memory[_FIXED - 8 : _FIXED], "little")
     head = memory[_FIXED : _FIXED + min(length, HEAD_MAX)]
     if memory[: _FIXED - 8] != MAGIC + hashlib.sha256(head).digest():
-        raise Unsound("its head is damaged")
+        raise UntrustedCache("its head is damaged")
     header = json.loads(head)
     if header["key"] != key or len(memory) != _FIXED + length + header["bytes"]:
-        raise Unsound("it belongs to another mesh or is truncated")
+        raise UntrustedCache("it belongs to another mesh or is truncated")
     return CachedArrays(
-        {name: _array(memory, _FIXED + length, entry) for name, entry in header["arrays"].items()}, header["values"]
+        {name: _read_array(memory, _FIXED + length, entry) for name, entry in header["arrays"].items()},
+        header["values"],
     )
 
 
-def _array(memory: mmap.mmap, start: int, entry: Mapping[str, Any]) -> NDArray[Any]:
+def _read_array(memory: mmap.mmap, start: int, entry: Mapping[str, Any]) -> NDArray[Any]:
     if not _DTYPE.fullmatch(entry["dtype"]):
-        raise Unsound(f"it has an array of {entry['dtype']}")
+        raise UntrustedCache(f"it has an array of {entry['dtype']}")
     count = math.prod(entry["shape"])
     array = np.frombuffer(memory, entry["dtype"], count, start + entry["at"])
     if _sum(array) != entry["sum"]:
-        raise Unsound("its numbers are damaged")
+        raise UntrustedCache("its numbers are damaged")
     array.setflags(write=False)
     return array.reshape(entry["shape"])
 

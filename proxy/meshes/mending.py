@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import limits
-from softfinger.proxy.meshes.pieces import corners_in_blocks, edges_of, unique_rows, unique_triangles
+from softfinger.proxy.meshes.pieces import find_unique_rows, find_unique_triangles, iter_corner_blocks, list_edges
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 from softfinger.proxy.meshes.winding import Winding, wind
 
-MERGED_WITHIN: Final = 1e-9
+MERGE_DISTANCE_SHARE: Final = 1e-9
 """Merging distance as a fraction of the mesh's size. The repeated vertices of an STL file are within it."""
-FLATNESS: Final = 1e-12
+FLAT_HEIGHT_SHARE: Final = 1e-12
 """Height over the longest edge below which a triangle has no area: float64 cannot resolve its normal."""
 
 
@@ -47,14 +47,14 @@ class RepairedMesh(NamedTuple):
 
 
 def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
-    """Repair a mesh (m), and wind its triangles; `loose` merges vertices within MERGED_WITHIN of its size.
+    """Repair a mesh (m), and wind its triangles; `loose` merges vertices within MERGE_DISTANCE_SHARE of its size.
 
     Parameters
     ----------
     arrays
         Vertices, m, finite, and triangles with valid indices.
     loose
-        Merge vertices within MERGED_WITHIN of the mesh's size, not only equal ones.
+        Merge vertices within MERGE_DISTANCE_SHARE of the mesh's size, not only equal ones.
 
     Returns
     -------
@@ -78,14 +78,14 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
 
     flat = _is_flat(vertices, triangles)
     triangles = triangles[~flat]
-    unique_corners = unique_triangles(triangles)
+    unique_corners = find_unique_triangles(triangles)
     duplicate, triangles = len(triangles) - len(unique_corners), triangles[unique_corners]
     if len(triangles) == 0:
         raise ValueError(f"has no triangle with an area: all {len(flat):,} are points or lines")
 
     used_vertices, triangles = _drop_unused_vertices(Arrays(vertices, triangles))
     vertices = vertices[used_vertices]
-    edges = edges_of(triangles)
+    edges = list_edges(triangles)
     winding = wind(Arrays(vertices, triangles), edges)
     return RepairedMesh(
         Arrays(np.ascontiguousarray(vertices), winding.triangles),
@@ -100,19 +100,19 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
 
 
 def _is_flat(vertices: Vertices, triangles: Triangles) -> NDArray[np.bool_]:
-    """Return which triangles (m, 3) have a height of at most FLATNESS times their longest edge."""
+    """Return which triangles (m, 3) have a height of at most FLAT_HEIGHT_SHARE times their longest edge."""
     flat = np.empty(len(triangles), np.bool_)
-    for block, (a, b, c) in corners_in_blocks(vertices, triangles):
+    for block, (a, b, c) in iter_corner_blocks(vertices, triangles):
         u, v = b - a, c - a
         longest = np.sqrt(np.max([(edge * edge).sum(axis=1) for edge in (u, v, v - u)], axis=0))
         # The square of a small area would underflow to zero.
         scale = np.divide(1.0, longest, out=np.zeros_like(longest), where=longest > 0.0)[:, None]
-        flat[block] = ~(np.linalg.norm(np.cross(scale * u, scale * v), axis=1) > FLATNESS)
+        flat[block] = ~(np.linalg.norm(np.cross(scale * u, scale * v), axis=1) > FLAT_HEIGHT_SHARE)
     return flat
 
 
 def _check_size(vertices: Vertices) -> None:
-    low, high = _ends(vertices)
+    low, high = _find_extent(vertices)
     size, reach = _size(vertices), max(map(abs, low + high))
     if not limits.MESH_SIZE_M.low <= size <= limits.MESH_SIZE_M.high:
         raise ValueError(
@@ -126,14 +126,14 @@ def _check_size(vertices: Vertices) -> None:
         )
 
 
-def _ends(vertices: Vertices) -> tuple[list[float], list[float]]:
+def _find_extent(vertices: Vertices) -> tuple[list[float], list[float]]:
     """Return the minimum and maximum of each coordinate; column by column takes NumPy a tenth of the time."""
     columns = vertices.T
     return [float(column.min()) for column in columns], [float(column.max()) for column in columns]
 
 
 def _size(vertices: Vertices) -> float:
-    return max(high - low for low, high in zip(*_ends(vertices), strict=True))
+    return max(high - low for low, high in zip(*_find_extent(vertices), strict=True))
 
 
 def _drop_unused_vertices(arrays: Arrays) -> tuple[NDArray[np.int64], Triangles]:
@@ -146,16 +146,16 @@ def _drop_unused_vertices(arrays: Arrays) -> tuple[NDArray[np.int64], Triangles]
 
 def _merge_vertices(vertices: Vertices, loose: bool) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Return the indices of the vertices to keep, and the new index of each vertex."""
-    unique, place = unique_rows((vertices + 0.0).view(np.uint64))  # + 0.0 turns -0.0 into 0.0
+    unique, place = find_unique_rows((vertices + 0.0).view(np.uint64))  # + 0.0 turns -0.0 into 0.0
     if not loose:
         return unique, place
-    tolerance = MERGED_WITHIN * _size(vertices)
-    steps = np.stack([_steps(vertices[unique, axis], tolerance) for axis in range(3)], axis=1)
-    clustered, number = unique_rows(steps)
+    tolerance = MERGE_DISTANCE_SHARE * _size(vertices)
+    steps = np.stack([_label_groups(vertices[unique, axis], tolerance) for axis in range(3)], axis=1)
+    clustered, number = find_unique_rows(steps)
     return unique[clustered], number[place]
 
 
-def _steps(values: NDArray[np.float64], tolerance: float) -> NDArray[np.uint32]:
+def _label_groups(values: NDArray[np.float64], tolerance: float) -> NDArray[np.uint32]:
     """Return a label for each value; values share a label if no gap between them exceeds the tolerance."""
     order = np.argsort(values)
     number = np.empty(len(values), np.uint32)

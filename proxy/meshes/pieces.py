@@ -18,7 +18,7 @@ Rows = NDArray[Any]
 Numbers = NDArray[np.int32]
 Vertices = NDArray[np.float64]
 
-BLOCK: Final = 1 << 18
+BLOCK_TRIANGLES: Final = 1 << 18
 """Number of triangles in a block: its arrays have some megabytes."""
 _SEED: Final = secrets.randbits(63) | 1
 """Differs between processes, so that no file can be crafted whose rows all collide in the hash table."""
@@ -50,28 +50,30 @@ class Pieces(NamedTuple):
     one_sided: NDArray[np.bool_]
 
 
-def corners_in_blocks(
+def iter_corner_blocks(
     vertices: Vertices, triangles: Numbers
 ) -> Iterator[tuple[slice, tuple[Vertices, Vertices, Vertices]]]:
     """Yield blocks of triangles (m, 3), and the three corners (n, 3) m of the triangles of each."""
-    for begin in range(0, len(triangles), BLOCK):
-        block = slice(begin, begin + BLOCK)
+    for begin in range(0, len(triangles), BLOCK_TRIANGLES):
+        block = slice(begin, begin + BLOCK_TRIANGLES)
         a, b, c = triangles[block].T
         yield block, (vertices[a], vertices[b], vertices[c])
 
 
-def first_alike(rows: Rows) -> Numbers:
+def find_first_equal(rows: Rows) -> Numbers:
     """Return for each row (n, k) of uint64 or uint32 the index of the first equal row."""
     rows = np.ascontiguousarray(rows).view(np.int32)  # one type, compiled once
     slots = 1 << max(4, (2 * len(rows)).bit_length())
     first = np.empty(len(rows), np.int32)
-    for begin in range(0, len(rows), BLOCK):
-        first[begin : begin + BLOCK] = _hashes(rows[begin : begin + BLOCK]) & np.uint64(slots - 1)
+    for begin in range(0, len(rows), BLOCK_TRIANGLES):
+        first[begin : begin + BLOCK_TRIANGLES] = _hash_rows(rows[begin : begin + BLOCK_TRIANGLES]) & np.uint64(
+            slots - 1
+        )
     _find_alike(rows, np.full(slots, -1, np.int32), first)
     return first
 
 
-def _hashes(rows: Rows) -> NDArray[np.uint64]:
+def _hash_rows(rows: Rows) -> NDArray[np.uint64]:
     mixed = np.full(len(rows), _SEED, np.uint64)
     for column in rows.T:
         mixed = (mixed ^ column.view(np.uint32)) * np.uint64(0x9E3779B97F4A7C15)
@@ -79,27 +81,27 @@ def _hashes(rows: Rows) -> NDArray[np.uint64]:
     return mixed
 
 
-def unique_rows(rows: Rows) -> tuple[NDArray[np.int64], Numbers]:
+def find_unique_rows(rows: Rows) -> tuple[NDArray[np.int64], Numbers]:
     """Return the index of the first of each set of equal rows (n, k), and for each row the number of its set."""
-    first = first_alike(rows)
+    first = find_first_equal(rows)
     is_first = first == np.arange(len(first))
     return np.flatnonzero(is_first), (np.cumsum(is_first, dtype=np.int32) - np.int32(1))[first]
 
 
-def unique_triangles(triangles: Numbers) -> NDArray[np.int64]:
+def find_unique_triangles(triangles: Numbers) -> NDArray[np.int64]:
     """Return the indices of the first of the triangles (m, 3) with each set of corners."""
-    return unique_rows(np.sort(triangles, axis=1).view(np.uint32))[0]
+    return find_unique_rows(np.sort(triangles, axis=1).view(np.uint32))[0]
 
 
-def edges_of(triangles: Numbers) -> Edges:
+def list_edges(triangles: Numbers) -> Edges:
     """Return the edges of triangles (m, 3)."""
     a = triangles.ravel()
     b = np.roll(triangles, -1, axis=1).ravel()
-    first = first_alike(np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1).view(np.uint32))
+    first = find_first_equal(np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1).view(np.uint32))
     return Edges(first, a < b, np.bincount(first, minlength=len(a)).astype(np.int32))
 
 
-def pieces_of(edges: Edges) -> Pieces:
+def find_pieces(edges: Edges) -> Pieces:
     """Return the connected pieces and the winding of their triangles."""
     sides = len(edges.first)
     parent, turned = np.arange(sides // 3, dtype=np.int32), np.zeros(sides // 3, np.bool_)

@@ -26,24 +26,24 @@ from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.proxy.meshes import array_cache
 from softfinger.proxy.meshes.mending import mend
-from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
-from softfinger.proxy.meshes.report import MeshReport, report_of
+from softfinger.proxy.meshes.reading import Arrays, parse_mesh, read_bytes
+from softfinger.proxy.meshes.report import MeshReport, make_report
 from softfinger.proxy.meshes.thinning import thin_mesh
 
 if TYPE_CHECKING:
     from softfinger.proxy.elastic.solution import ElasticBody
     from softfinger.proxy.meshes.tree import Tree
 
-TREES: Final = 16
+TREES_IN_MEMORY: Final = 16
 """Number of meshes whose trees stay in memory; the disk cache has the others."""
-ABOUTS: Final = 2 * int(limits.OBJECTS.high)
+REPORTS_IN_MEMORY: Final = 2 * int(limits.OBJECTS.high)
 """Number of reports and pictures in memory, each at most a megabyte.
 
 Each is stored twice: under the state of its file, and under its path and scale.
 """
 
 
-class About(NamedTuple):
+class MeshDescription(NamedTuple):
     """Report on a mesh, and the triangles of its picture, m."""
 
     report: MeshReport
@@ -71,55 +71,55 @@ class _Memory:
                 self._entries.popitem(last=False)
 
 
-_abouts: Final = _Memory(ABOUTS)
-_trees: Final = _Memory(TREES)
+_abouts: Final = _Memory(REPORTS_IN_MEMORY)
+_trees: Final = _Memory(TREES_IN_MEMORY)
 
 
-def about(obj: schema.Mesh) -> About:
+def describe_mesh(obj: schema.Mesh) -> MeshDescription:
     """Return report and picture of an object's mesh.
 
     Raises ConfigError, with the object's name, if the file is unusable.
     """
-    state = _state(obj)
-    summary: About | None = _abouts.get(state)
+    state = _stat_source(obj)
+    summary: MeshDescription | None = _abouts.get(state)
     if summary is None:
-        summary = _about(_read_and_mend(obj, _bytes(obj)))
+        summary = _describe(_read_and_mend(obj, _read_bytes(obj)))
         _remember(obj, state, summary)
     return summary
 
 
-def latest_picture(obj: schema.Mesh) -> About:
+def load_latest_picture(obj: schema.Mesh) -> MeshDescription:
     """Return report and picture as of the last build of an object's mesh, even if its file has changed since.
 
-    Without a previous build, return the result of `about`.
+    Without a previous build, return the result of `describe_mesh`.
     """
-    summary: About | None = _abouts.get(_source(obj))
-    return about(obj) if summary is None else summary
+    summary: MeshDescription | None = _abouts.get(_find_source(obj))
+    return describe_mesh(obj) if summary is None else summary
 
 
 STAGES: Final = 4
 """Stages of a mesh that is not cached: read, repair, build the tree, compute its figures."""
 
 
-def tree_of(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Tree:
-    """Return the tree of an object's mesh, and store it on disk for later runs. Raises ConfigError as `about` does."""
+def prepare_tree(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Tree:
+    """Return the tree of an object's mesh, and store it on disk for later runs. Raises as `describe_mesh`."""
     from softfinger.proxy.meshes import tree as trees  # its kernels are only for scenes with a mesh
 
-    state = _state(obj)
+    state = _stat_source(obj)
     tree: Tree | None = _trees.get(state)
     if tree is not None:
         return tree
-    data = _bytes(obj)
-    key = _key(data, obj)
+    data = _read_bytes(obj)
+    key = _make_key(data, obj)
     tree, summary = _from_disk(key, trees.Tree, folder) or (None, None)
     if tree is None or summary is None:
         if obj.elastic is not None:
-            _body(obj)  # shows its own progress
+            _prepare_body(obj)  # shows its own progress
         with progress.display(f"building the mesh of {obj.name}", STAGES) as advance:
             mended = _read_and_mend(obj, data, advance)
             tree = trees.build_tree(*mended[0])
             advance(3)
-            summary = _about(mended)
+            summary = _describe(mended)
             advance(STAGES)
         array_cache.save(key, _to_disk(tree, summary), folder)
     _remember(obj, state, summary)
@@ -127,17 +127,17 @@ def tree_of(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Tree:
     return tree
 
 
-def _remember(obj: schema.Mesh, state: Any, summary: About) -> None:
+def _remember(obj: schema.Mesh, state: Any, summary: MeshDescription) -> None:
     _abouts.put(state, summary)
-    _abouts.put(_source(obj), summary)
+    _abouts.put(_find_source(obj), summary)
 
 
-def _source(obj: schema.Mesh) -> tuple[Any, ...]:
+def _find_source(obj: schema.Mesh) -> tuple[Any, ...]:
     """Return the keys of an object that name its triangles."""
     return obj.file, obj.mesh, obj.root, obj.scale, obj.elastic
 
 
-def _bytes(obj: schema.Mesh) -> bytes:
+def _read_bytes(obj: schema.Mesh) -> bytes:
     """Return the content of a file, or the numbers of a model's mesh."""
     try:
         if obj.mesh is None:
@@ -147,21 +147,21 @@ def _bytes(obj: schema.Mesh) -> bytes:
         raise ConfigError(f"object '{obj.name}': file: {error}") from error
 
 
-def _body(obj: schema.Mesh) -> ElasticBody:
-    from softfinger.proxy.elastic.prepared import body_of  # SciPy, only for elastic objects
+def _prepare_body(obj: schema.Mesh) -> ElasticBody:
+    from softfinger.proxy.elastic.prepared import prepare_body  # SciPy, only for elastic objects
 
-    return body_of(obj)
+    return prepare_body(obj)
 
 
 def _read_and_mend(
     obj: schema.Mesh, data: bytes, advance: Callable[[int], None] = lambda stage: None
 ) -> tuple[Arrays, MeshReport]:
     if obj.elastic is not None:
-        mended = mend(_body(obj).surface, loose=False)
-        return mended.arrays, report_of(mended, loose=False, scale=None)
+        mended = mend(_prepare_body(obj).surface, loose=False)
+        return mended.arrays, make_report(mended, loose=False, scale=None)
     try:
         if obj.mesh is None:
-            vertices, triangles = arrays_of(obj.file, data)
+            vertices, triangles = parse_mesh(obj.file, data)
         else:
             vertices, triangles = read_mesh(obj.file, obj.root, obj.mesh)
         loose = obj.file.lower().endswith(".stl")
@@ -174,35 +174,35 @@ def _read_and_mend(
         raise ConfigError(f"object '{obj.name}': file: {error}") from error
     except ValueError as error:
         raise ConfigError(f"object '{obj.name}': file: {obj.file}: {error}") from error
-    return mended.arrays, report_of(mended, loose, obj.scale if obj.mesh is None else None)
+    return mended.arrays, make_report(mended, loose, obj.scale if obj.mesh is None else None)
 
 
-def _about(mended: tuple[Arrays, MeshReport]) -> About:
-    return About(mended[1], thin_mesh(mended[0]))
+def _describe(mended: tuple[Arrays, MeshReport]) -> MeshDescription:
+    return MeshDescription(mended[1], thin_mesh(mended[0]))
 
 
-def _state(obj: schema.Mesh) -> Any:
+def _stat_source(obj: schema.Mesh) -> Any:
     """Return a key that changes if the triangles of an object may have changed."""
     if obj.mesh is not None:
-        return hashlib.sha256(_bytes(obj)).digest(), *_source(obj)
+        return hashlib.sha256(_read_bytes(obj)).digest(), *_find_source(obj)
     try:
         status = os.stat(obj.file)
     except (OSError, ValueError):
-        return None, *_source(obj)
-    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, *_source(obj)
+        return None, *_find_source(obj)
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, *_find_source(obj)
 
 
-def _key(data: bytes, obj: schema.Mesh) -> str:
+def _make_key(data: bytes, obj: schema.Mesh) -> str:
     """Return a hash of the file's bytes, its ending and scale, and the program's source."""
     digest = hashlib.sha256(data)
     parts: tuple[Any, ...] = SOURCE_HASH, len(data), Path(obj.file).suffix.lower(), obj.scale
     if obj.elastic is not None:
-        parts = (*parts, *(hashlib.sha256(array.tobytes()).digest() for array in _body(obj).surface))
+        parts = (*parts, *(hashlib.sha256(array.tobytes()).digest() for array in _prepare_body(obj).surface))
     digest.update(repr(parts).encode())
     return digest.hexdigest()
 
 
-def _to_disk(tree: Tree, summary: About) -> array_cache.CachedArrays:
+def _to_disk(tree: Tree, summary: MeshDescription) -> array_cache.CachedArrays:
     fields = tree._asdict()
     arrays = {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
     numbers = {name: np.asarray(value).item() for name, value in fields.items() if name not in arrays}
@@ -210,7 +210,7 @@ def _to_disk(tree: Tree, summary: About) -> array_cache.CachedArrays:
     return array_cache.CachedArrays(arrays | pictures, {"numbers": numbers, "report": asdict(summary.report)})
 
 
-def _from_disk(key: str, kind: type[Tree], folder: Folder) -> tuple[Tree, About] | None:
+def _from_disk(key: str, kind: type[Tree], folder: Folder) -> tuple[Tree, MeshDescription] | None:
     cached = array_cache.load(key, folder)
     if cached is None:
         return None
@@ -218,4 +218,4 @@ def _from_disk(key: str, kind: type[Tree], folder: Folder) -> tuple[Tree, About]
     values = cached.values
     picture = Arrays(arrays.pop("picture.vertices"), arrays.pop("picture.triangles"))
     report = msgspec.convert(values["report"], MeshReport)
-    return kind(**arrays, **values["numbers"]), About(report, picture)
+    return kind(**arrays, **values["numbers"]), MeshDescription(report, picture)

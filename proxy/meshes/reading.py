@@ -47,7 +47,7 @@ class Arrays(NamedTuple):
 
 def read_bytes(path: str | Path) -> bytes:
     """Return the content of a mesh file. Raises ConfigError if it is missing, too large, or of an unknown ending."""
-    if _kind(path) not in (*READERS, *TETRAHEDRA):
+    if _find_kind(path) not in (*READERS, *TETRAHEDRA):
         raise ConfigError(
             f"{path}: must be one of {', '.join(f'.{kind}' for kind in READERS)}: export it as one of these"
         )
@@ -58,12 +58,12 @@ def read_bytes(path: str | Path) -> bytes:
         raise ConfigError(f"{path}: cannot be read: {reason}") from error
 
 
-def arrays_of(path: str | Path, data: bytes) -> Arrays:
+def parse_mesh(path: str | Path, data: bytes) -> Arrays:
     """Return the triangles in the bytes of a mesh file; its ending selects the format.
 
     Raises ConfigError with file and fault, also if the file has another number of faces than it states.
     """
-    kind = _kind(path)
+    kind = _find_kind(path)
     for start, reason in OTHER_FILES.items():
         if data.startswith(start):
             raise ConfigError(f"{path}: {reason}")
@@ -72,13 +72,13 @@ def arrays_of(path: str | Path, data: bytes) -> Arrays:
         _check(faces)
         triangles = triangulate(faces)
     except ValueError as error:
-        raise ConfigError(f"{path}: {_line(error)}") from error
+        raise ConfigError(f"{path}: {_format_error(error)}") from error
     except Exception as error:  # damaged bytes fail in many ways
-        raise ConfigError(f"{path}: is damaged or not a {kind.upper()} file: {_line(error)}") from error
+        raise ConfigError(f"{path}: is damaged or not a {kind.upper()} file: {_format_error(error)}") from error
     return Arrays(np.ascontiguousarray(faces.points), np.ascontiguousarray(triangles, dtype=np.int32))
 
 
-def _kind(path: str | Path) -> str:
+def _find_kind(path: str | Path) -> str:
     return Path(path).suffix.lower().removeprefix(".")
 
 
@@ -101,6 +101,6 @@ def _check(faces: Faces) -> None:
         raise ValueError(f"vertex {bad} is ({x:g}, {y:g}, {z:g}): coordinates must be finite; clean the mesh")
 
 
-def _line(error: Exception) -> str:
+def _format_error(error: Exception) -> str:
     """Return the text of an exception in one line."""
     return " ".join(str(error).split())[:_REASON_MAX] or type(error).__name__

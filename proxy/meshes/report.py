@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from softfinger.proxy.meshes.mending import MERGED_WITHIN, RepairedMesh
+from softfinger.proxy.meshes.mending import MERGE_DISTANCE_SHARE, RepairedMesh
 
-USUAL_M: Final = (1e-3, 1.0)
+USUAL_SIZE_M: Final = (1e-3, 1.0)
 """Sizes of things that a hand explores; others may come from a file in another unit."""
 
 
@@ -44,7 +44,7 @@ class MeshReport:
         size = " x ".join(f"{edge:.4g}" for edge in self.size_m)
         bodies = "" if self.bodies == 1 else f", {self.bodies:,} bodies"
         table = [("triangles", f"{self.triangles:,} on {self.vertices:,} vertices{bodies}"), ("size", f"{size} m")]
-        table.append(("surface", self._surface()))
+        table.append(("surface", self._describe_surface()))
         table.append(("mended", "; ".join(self.mended) or "nothing was to be"))
         table.append(("noted", "; ".join(self.noted)))
         if inside and not self.watertight:
@@ -57,7 +57,7 @@ class MeshReport:
             why, remedy = f"it has {self.open_edges:,} open edges", "close its holes"
         return f"inside = true has no effect: {why}, so the side on which the hand starts is touched: {remedy}"
 
-    def _surface(self) -> str:
+    def _describe_surface(self) -> str:
         if self.watertight:
             return f"watertight, {self.volume_m3:.4g} m^3"
         if self.open_edges:
@@ -65,15 +65,15 @@ class MeshReport:
         return "closed, but not watertight: see the notes"
 
 
-def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
+def ask_about_unit(size: float, scale: float | None) -> tuple[str, ...]:
     """Return a question about the unit of a mesh that no hand surrounds, or none can feel.
 
     size   m, scaled
     scale  of the object; None for a mesh of a MuJoCo model, scaled by its <mesh>
     """
-    if USUAL_M[0] <= size <= USUAL_M[1]:
+    if USUAL_SIZE_M[0] <= size <= USUAL_SIZE_M[1]:
         return ()
-    if size > USUAL_M[1]:
+    if size > USUAL_SIZE_M[1]:
         units = (
             [("millimetres", 1e-3), ("centimetres", 1e-2)] if scale in (1.0, None) else [("a thousandth of it", 1e-3)]
         )
@@ -88,11 +88,11 @@ def unit_note(size: float, scale: float | None) -> tuple[str, ...]:
     return (f"it is {size:.3g} m in size: if that is not intended, {advice}",)
 
 
-def report_of(mended: RepairedMesh, loose: bool, scale: float | None) -> MeshReport:
-    """Return the report on a mesh that `mend` gave; `scale` as for `unit_note`."""
+def make_report(mended: RepairedMesh, loose: bool, scale: float | None) -> MeshReport:
+    """Return the report on a mesh that `mend` gave; `scale` as for `ask_about_unit`."""
     winding, (vertices, triangles) = mended.winding, mended.arrays
     x, y, z = (float(edge) for edge in np.ptp(vertices, axis=0))
-    tolerance = f" within {MERGED_WITHIN:g} of its size" if loose else ""
+    tolerance = f" within {MERGE_DISTANCE_SHARE:g} of its size" if loose else ""
     repairs = [
         (mended.merged, f"vertices merged that coincide{tolerance}"),
         (mended.unused, "unused vertices removed"),
@@ -123,7 +123,7 @@ def report_of(mended: RepairedMesh, loose: bool, scale: float | None) -> MeshRep
         turned_triangles=winding.alike + winding.outward,
         mended=tuple(f"{text}: {count:,}" for count, text in repairs if count),
         noted=(
-            *unit_note(max(x, y, z), scale),
+            *ask_about_unit(max(x, y, z), scale),
             *(f"{text}: {count:,}" for count, text in faults if count),
             "not checked: triangles that intersect each other",
         ),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.shapes.mesh import build
 from softfinger.proxy.kernels.shapes.mesh.lanes import LANES, NODE
-from softfinger.proxy.meshes.pieces import corners_in_blocks, edges_of
+from softfinger.proxy.meshes.pieces import iter_corner_blocks, list_edges
 
 Doubles = NDArray[np.float64]
 Whole = NDArray[np.int32]
@@ -39,7 +39,7 @@ def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
     least, most = np.array([x.min() for x in columns]), np.array([x.max() for x in columns])
     center, size = 0.5 * (least + most), float(np.sqrt(((most - least) ** 2).sum()))
     middles = np.empty((len(triangles), 3), np.float32)
-    for block, (a, b, c) in corners_in_blocks(vertices, triangles):
+    for block, (a, b, c) in iter_corner_blocks(vertices, triangles):
         middles[block] = a + b + c - 3.0 * center
     tree = make_branches(len(triangles))
     order, node = np.arange(len(triangles), dtype=np.int32), 0
@@ -48,8 +48,8 @@ def build_tree(vertices: Doubles, triangles: Whole) -> Tree:
     arranged, corners = arrange_vertices(vertices, triangles[order])
     middle, node = (float(center[0]), float(center[1]), float(center[2])), 0
     with ThreadPoolExecutor(2) as executor:  # neither needs the tree, and kernels and NumPy release the GIL
-        neighbours = executor.submit(triangles_across, corners)
-        normals = executor.submit(vertex_normals, arranged, corners)
+        neighbours = executor.submit(find_neighbours, corners)
+        normals = executor.submit(compute_vertex_normals, arranged, corners)
         while node < len(tree.first):
             node = build.enclose(arranged, corners, tree, node, middle, size)
         across, upward = neighbours.result(), normals.result()
@@ -89,12 +89,12 @@ def arrange_vertices(vertices: Doubles, triangles: Whole) -> tuple[Doubles, Whol
     return vertices[order], place[flat].reshape(-1, 3)
 
 
-def triangles_across(triangles: Whole) -> Whole:
+def find_neighbours(triangles: Whole) -> Whole:
     """Return the triangle across each edge (m, 3).
 
     It is -1 for a loose edge: with no other triangle, with several, or with one of inconsistent winding.
     """
-    edges = edges_of(triangles)
+    edges = list_edges(triangles)
     second = np.flatnonzero((edges.first != np.arange(len(edges.first))) & (edges.many[edges.first] == 2))
     second = second[edges.forward[second] != edges.forward[edges.first[second]]]
     across = np.full(len(edges.first), -1, np.int32)
@@ -102,24 +102,24 @@ def triangles_across(triangles: Whole) -> Whole:
     return across.reshape(-1, 3)
 
 
-def vertex_normals(vertices: Doubles, triangles: Whole) -> Doubles:
+def compute_vertex_normals(vertices: Doubles, triangles: Whole) -> Doubles:
     """Return the unit normals (n, 3) of the vertices, weighted by the triangles' angles there; +z if they cancel."""
     normals = np.zeros((len(vertices), 3))
-    for block, corners in corners_in_blocks(vertices, triangles):
+    for block, corners in iter_corner_blocks(vertices, triangles):
         a, b, c = corners
-        face = unit(np.cross(b - a, c - a))
+        face = normalize(np.cross(b - a, c - a))
         for i in range(3):
             here, ahead, behind = (corners[(i + turn) % 3] for turn in range(3))
-            cosines = (unit(ahead - here) * unit(behind - here)).sum(axis=1)
+            cosines = (normalize(ahead - here) * normalize(behind - here)).sum(axis=1)
             angles = np.arccos(np.clip(cosines, -1.0, 1.0))
             for axis in range(3):  # one dimension: several times as fast
                 np.add.at(normals[:, axis], triangles[block, i], angles * face[:, axis])
-    normals = unit(normals)
+    normals = normalize(normals)
     normals[(normals == 0.0).all(axis=1)] = (0.0, 0.0, 1.0)
     return normals
 
 
-def unit(vectors: Doubles) -> Doubles:
+def normalize(vectors: Doubles) -> Doubles:
     """Return vectors (n, 3) divided by their lengths; a zero vector is unchanged. No square over- or underflows."""
     largest = np.abs(vectors).max(axis=1, keepdims=True)
     scaled: Doubles = np.divide(vectors, largest, out=np.zeros_like(vectors), where=largest > 0.0)

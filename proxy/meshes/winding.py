@@ -7,10 +7,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.meshes.pieces import Edges, corners_in_blocks, pieces_of
+from softfinger.proxy.meshes.pieces import Edges, find_pieces, iter_corner_blocks
 from softfinger.proxy.meshes.reading import Arrays, Triangles, Vertices
 
-HOLDERS: Final = 16
+TESTED_PIECES: Final = 16
 """Number of largest pieces that are tested for containing a hollow."""
 
 
@@ -36,7 +36,7 @@ class Winding(NamedTuple):
 
 def wind(mesh: Arrays, edges: Edges) -> Winding:
     """Wind the triangles of a mesh (m) consistently within each piece, with the front outside."""
-    pieces = pieces_of(edges)
+    pieces = find_pieces(edges)
     bodies = len(pieces.one_sided)
     against = np.bincount(pieces.body, pieces.turned, bodies)
     most = 2.0 * against > np.bincount(pieces.body, minlength=bodies)
@@ -48,7 +48,7 @@ def wind(mesh: Arrays, edges: Edges) -> Winding:
     closed[pieces.body[rim]] = False
     volumes = np.zeros(bodies)
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    for block, (a, b, c) in corners_in_blocks(mesh.vertices - middle, triangles):
+    for block, (a, b, c) in iter_corner_blocks(mesh.vertices - middle, triangles):
         np.add.at(volumes, pieces.body[block], (a * np.cross(b, c)).sum(axis=1) / 6.0)
     volumes[~closed] = 0.0
     hollow = _find_hollows(mesh.vertices, triangles, pieces.body, volumes)
@@ -88,7 +88,7 @@ def _find_hollows(
     for corner in range(3):
         np.minimum.at(low, body, vertices[triangles[:, corner]])
         np.maximum.at(high, body, vertices[triangles[:, corner]])
-    for holder in np.argsort(-volumes)[:HOLDERS]:
+    for holder in np.argsort(-volumes)[:TESTED_PIECES]:
         if volumes[holder] > 0.0:
             hollow |= (volumes < 0.0) & ((low > low[holder]) & (high < high[holder])).all(axis=1)
     return hollow

@@ -26,8 +26,8 @@ from softfinger.server.bridges.led_hands import (
     LedHands,
     Observation,
     Point,
-    box_space,
     gymnasium,
+    make_box_space,
     spaces,
 )
 
@@ -96,21 +96,21 @@ class Touch(LedHands):
         self._scale: Final = np.repeat([setup.speed_m_per_s, setup.turn_rad_per_s], 3)
         force, torque = self._guard.force_max_n, self._guard.torque_max_nm
         self._fields: Final[dict[str, spaces.Space[Any]]] = {
-            "probe.position": box_space(POSITION_BOUND_M, 3),
-            "probe.orientation": box_space(1.0 + 1e-9, 4),
-            "probe.velocity": box_space(SPEED_BOUND_M_PER_S, 3),
-            "force": box_space(force * (1.0 + 1e-9), 3),
-            "torque": box_space(torque * (1.0 + 1e-9), 3),
+            "probe.position": make_box_space(POSITION_BOUND_M, 3),
+            "probe.orientation": make_box_space(1.0 + 1e-9, 4),
+            "probe.velocity": make_box_space(SPEED_BOUND_M_PER_S, 3),
+            "force": make_box_space(force * (1.0 + 1e-9), 3),
+            "torque": make_box_space(torque * (1.0 + 1e-9), 3),
             "contact.mode": spaces.Discrete(3),
-            "contact.penetration": box_space(DEPTH_BOUND_M),
-            "contact.normal": box_space(1.0 + 1e-9, 3),
-            "contact.spin": box_space(SPIN_BOUND_RAD),
+            "contact.penetration": make_box_space(DEPTH_BOUND_M),
+            "contact.normal": make_box_space(1.0 + 1e-9, 3),
+            "contact.spin": make_box_space(SPIN_BOUND_RAD),
         }
         self._readings: Final = [
-            (name, _columns(NAMED[name]), np.int64 if isinstance(space, spaces.Discrete) else np.array)
+            (name, _find_columns(NAMED[name]), np.int64 if isinstance(space, spaces.Discrete) else np.array)
             for name, space in self._fields.items()
         ]
-        goal = {"goal.position": box_space(POSITION_BOUND_M, 3), "goal.orientation": box_space(1.0 + 1e-9, 4)}
+        goal = {"goal.position": make_box_space(POSITION_BOUND_M, 3), "goal.orientation": make_box_space(1.0 + 1e-9, 4)}
         self.observation_space = spaces.Dict({**self._fields, **goal})
         self._start()
 
@@ -122,7 +122,7 @@ class Touch(LedHands):
         """Return False: a step never ends the task."""
         return False
 
-    def _velocities(self, action: Array) -> Array:
+    def _compute_velocities(self, action: Array) -> Array:
         velocities: Array = (action * self._scale)[None]
         return velocities
 
@@ -138,7 +138,7 @@ class Touch(LedHands):
         return observation
 
 
-def _columns(field: Field) -> int | slice:
+def _find_columns(field: Field) -> int | slice:
     """Return the index of a field in a row of a record."""
     return field.at if field.size == 1 else slice(field.at, field.at + field.size)
 

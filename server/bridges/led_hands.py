@@ -28,7 +28,7 @@ try:
 except ImportError as missing:
     raise ConfigError(f"gymnasium is not installed ({missing}): pip install 'softfinger[gymnasium]'") from missing
 
-__all__ = ["POSITION_BOUND_M", "Array", "LedHands", "Observation", "Point", "box_space", "gymnasium", "spaces"]
+__all__ = ["POSITION_BOUND_M", "Array", "LedHands", "Observation", "Point", "gymnasium", "make_box_space", "spaces"]
 
 Observation = dict[str, Any]
 Point = tuple[float, float, float]
@@ -39,7 +39,7 @@ RAMP_S: Final = 0.01
 """Shortest ramp of the guard: complete before the first step."""
 
 
-def box_space(bound: float, *shape: int) -> spaces.Box:
+def make_box_space(bound: float, *shape: int) -> spaces.Box:
     """Return a space of arrays with elements between -bound and bound."""
     return spaces.Box(-bound, bound, shape, np.float64)
 
@@ -112,7 +112,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         if velocities.shape != (6,) or not np.isfinite(velocities).all():
             raise PoseError(f"action {action!r}: must be 6 finite numbers, each from -1 to 1")
         clamped: Array = np.minimum(np.maximum(velocities, -1.0), 1.0)  # a third of the time of np.clip
-        records = self._run(self._plan_goals(clamped))
+        records = self._run(self._make_goals(clamped))
         self._steps += 1
         is_truncated = self._steps >= self.setup.episode_steps
         return (
@@ -142,14 +142,14 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         self._goals: Array = np.array([[*home, 1.0, 0.0, 0.0, 0.0] for home in self._homes])
         self._ticks = self._steps = 0
 
-    def _plan_goals(self, action: Array) -> Array:
+    def _make_goals(self, action: Array) -> Array:
         """Return goals (ticks + 1, hands, 7) from the current ones on."""
         goals = np.empty((self.setup.step_ticks + 1, len(self._homes), 7))
         goals[0] = self._goals
-        plan_goals(goals, self._velocities(action), self._lowest, self._highest, self._dt)
+        plan_goals(goals, self._compute_velocities(action), self._lowest, self._highest, self._dt)
         return goals
 
-    def _velocities(self, action: Array) -> Array:
+    def _compute_velocities(self, action: Array) -> Array:
         """Return the velocity (hands, 6) of each goal, m/s and rad/s; `action` has the translations (3 hands,)."""
         velocities = np.zeros((len(self._homes), 6))
         velocities[:, :3] = self.setup.speed_m_per_s * action.reshape(-1, 3)

@@ -25,8 +25,8 @@ from softfinger.server.bridges.led_hands import (
     LedHands,
     Observation,
     Point,
-    box_space,
     gymnasium,
+    make_box_space,
     spaces,
 )
 
@@ -87,15 +87,15 @@ class Lift(LedHands):
             raise ConfigError("the scene has no [world]: this environment needs a body that MuJoCo moves")
         self.world: Final = bodies.block.owner
         self._body = self.world.moving[0]
-        position_space, force = box_space(POSITION_BOUND_M, 3), self._guard.force_max_n * (1.0 + 1e-9)
+        position_space, force = make_box_space(POSITION_BOUND_M, 3), self._guard.force_max_n * (1.0 + 1e-9)
         parts: dict[str, spaces.Space[Any]] = {
             "body.position": position_space,
-            "body.orientation": box_space(1.0 + 1e-9, 4),
+            "body.orientation": make_box_space(1.0 + 1e-9, 4),
         }
         for name in self.fingers:
             parts |= {
                 f"{name}.position": position_space,
-                f"{name}.force": box_space(force, 3),
+                f"{name}.force": make_box_space(force, 3),
                 f"{name}.goal": position_space,
             }
         self.observation_space = spaces.Dict(parts)

@@ -20,7 +20,7 @@ from softfinger.proxy.records import Records
 from softfinger.server.recording import picture
 from softfinger.server.recording.contents import read_recording
 from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
-from softfinger.server.recording.writer import apply_drive, event_time_ns, parse_scene, times_ns
+from softfinger.server.recording.writer import apply_drive, compute_event_time_ns, compute_times_ns, parse_scene
 from softfinger.server.wire.protocol import WORLD
 
 PLOTTED: Final = (
@@ -69,9 +69,9 @@ class RerunSink:
         radii = {finger.name: finger.radius_m for finger in scene.fingers} if scene else {}
         for name in fingers:
             ball = self._rr.Ellipsoids3D(radii=[radii.get(name, 0.01)], colors=[(230, 140, 90)])
-            stream.log(f"world/{picture.frame_names(name)[0]}", ball, static=True)
+            stream.log(f"world/{picture.list_frame_names(name)[0]}", ball, static=True)
             proxy = self._rr.Points3D([(0.0, 0.0, 0.0)], radii=[0.001], colors=[(255, 255, 255)])
-            stream.log(f"world/{picture.frame_names(name)[1]}", proxy, static=True)
+            stream.log(f"world/{picture.list_frame_names(name)[1]}", proxy, static=True)
         self._draw_objects()
 
     def ticks(self, records: Array, finger: str) -> None:
@@ -88,7 +88,7 @@ class RerunSink:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Log an event, a map as on the wire."""
-        self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(event), "ns"))
+        self._stream.set_time("time", timestamp=np.datetime64(compute_event_time_ns(event), "ns"))
         self._stream.log("events", self._rr.TextLog(f"{event['kind']} {event['name']}: {event.get('message', '')}"))
         if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
             self._scene = driven_scene
@@ -98,7 +98,7 @@ class RerunSink:
         """Log the poses in a message of `world`, a map as on the wire; other topics are not drawn."""
         if topic != WORLD:
             return
-        self._stream.set_time("time", timestamp=np.datetime64(event_time_ns(message), "ns"))
+        self._stream.set_time("time", timestamp=np.datetime64(compute_event_time_ns(message), "ns"))
         self._stream.set_time("tick", sequence=message["tick"])
         for body in message["bodies"]:
             w, x, y, z = body["orientation"]
@@ -107,7 +107,7 @@ class RerunSink:
         self._stream.disable_timeline("tick")
 
     def _send_poses(self, rows: Records, name: str) -> None:
-        tip, proxy = (f"world/{frame}" for frame in picture.frame_names(name))
+        tip, proxy = (f"world/{frame}" for frame in picture.list_frame_names(name))
         rotation = rows["probe.orientation"][:, [1, 2, 3, 0]]  # Rerun expects w last
         transform = self._rr.Transform3D.columns
         self._send(tip, rows, transform(translation=rows["probe.position"], quaternion=rotation))
@@ -118,7 +118,7 @@ class RerunSink:
         self._send(f"world/{name}/force" if name else "world/force", rows, arrows)
 
     def _send(self, path: str, rows: Records, columns: Any) -> None:
-        times = times_ns(np.asarray(rows)).astype("datetime64[ns]")
+        times = compute_times_ns(np.asarray(rows)).astype("datetime64[ns]")
         index = self._rr.TimeColumn
         time_columns = [index("time", timestamp=times), index("tick", sequence=rows["tick"])]
         self._stream.send_columns(path, time_columns, columns)
@@ -127,11 +127,11 @@ class RerunSink:
         for obj in self._scene.object if self._scene else ():
             for kind, primitives in picture.draw_object(obj).items():
                 for number, primitive in enumerate(primitives):
-                    path = f"{_entity_path(obj)}/{kind}{number}"
-                    for part in self._parts(kind, primitive):
+                    path = f"{_make_entity_path(obj)}/{kind}{number}"
+                    for part in self._iter_parts(kind, primitive):
                         self._stream.log(path, part, static=True)
 
-    def _parts(self, kind: str, primitive: Mapping[str, Any]) -> Iterator[Any]:
+    def _iter_parts(self, kind: str, primitive: Mapping[str, Any]) -> Iterator[Any]:
         rr, at = self._rr, primitive["pose"]
         yield rr.Transform3D(
             translation=list(at["position"].values()), quaternion=[at["orientation"][axis] for axis in "xyzw"]
@@ -151,7 +151,7 @@ class RerunSink:
             yield rr.Points3D([(0.0, 0.0, 0.0)], labels=[primitive["text"]], colors=color)
 
 
-def _entity_path(obj: Object) -> str:
+def _make_entity_path(obj: Object) -> str:
     motion = obj.motion
     return f"world/bodies/{motion.body}/{obj.name}" if isinstance(motion, Body) else f"world/objects/{obj.name}"
 

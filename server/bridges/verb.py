@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 def follow(args: argparse.Namespace, show: Callable[[list[str], Scene | None], live.TickReceiver]) -> int:
     """Forward the data of the daemon to a viewer until the daemon ends, times out, or a limit or signal stops it."""
     stop: list[bool] = []
-    lock = keys.keys_from_options(args)
+    lock = keys.read_keys(args)
     addresses = find_addresses(args.endpoint, lock, args.commands)
     job = live.RecordingJob(addresses, lock, args.duration, args.timeout, lambda: bool(stop))
     with signals.stop_on_signal(lambda: stop.append(True)), live.subscribe_all(job) as wire:

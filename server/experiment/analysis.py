@@ -13,7 +13,7 @@ from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import Fit, fit
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.trial_order import list_conditions
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 
 ALL_PARTICIPANTS: Final = "all participants"
 AVERAGED_COLUMNS: Final = ("peak_force_n", "mean_force_n", "path_m", "duration_s")
@@ -66,7 +66,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
         participants.append(ALL_PARTICIPANTS)
     pairs = [(participant, item.name) for participant in participants for item in list_conditions(experiment)]
     groups = []
-    with progress("fitting", len(pairs)) as update:
+    with show_progress("fitting", len(pairs)) as update:
         for number, (participant, condition) in enumerate(pairs):
             update(number)
             group_rows = [
@@ -79,7 +79,7 @@ def fit_groups(experiment: ExperimentFile, rows: Sequence[Entry]) -> list[Group]
                 )
             ]
             if group_rows:
-                fitted, means = fit_answers(experiment, group_rows), mean_columns(group_rows)
+                fitted, means = fit_answers(experiment, group_rows), average_columns(group_rows)
                 groups.append(Group(participant, condition, len(group_rows), fitted, group_rows, means))
     return groups
 
@@ -114,10 +114,10 @@ def fit_answers(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | Powe
     levels = [row["level"] for row in rows]
     if experiment.task.kind == "compare":
         return fit(levels, [row["right"] for row in rows], experiment.observer.lapse)
-    return power_law(levels, [row["answer"] for row in rows])
+    return fit_power_law(levels, [row["answer"] for row in rows])
 
 
-def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
+def fit_power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
     """Fit a line to the logarithms of answers over levels.
 
     Parameters
@@ -138,7 +138,7 @@ def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
     exponent = float(centred @ y) / spread if parameter_count == 2 else 0.0
     residuals, freedom = y - answer - exponent * centred, len(x) - parameter_count
     noise = math.sqrt(float(residuals @ residuals) / freedom) if freedom > 0 else math.nan
-    scaled_noise = student_975(freedom) * noise if freedom > 0 else math.nan
+    scaled_noise = compute_student_975(freedom) * noise if freedom > 0 else math.nan
     exponent_margin, answer_margin = (
         scaled_noise / math.sqrt(spread) if parameter_count == 2 else math.nan,
         scaled_noise / math.sqrt(len(x)),
@@ -154,7 +154,7 @@ def power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
     )
 
 
-def student_975(freedom: int) -> float:
+def compute_student_975(freedom: int) -> float:
     """Return the 97.5 % quantile of Student's t, by bisection of its distribution function.
 
     For integer degrees of freedom the function is a finite sum (Abramowitz and Stegun 1964, 26.7.3, 26.7.4).
@@ -162,11 +162,11 @@ def student_975(freedom: int) -> float:
     low, high = 1.9, 13.0
     for _ in range(60):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _central_probability(middle, freedom) < 0.95 else (low, middle)
+        low, high = (middle, high) if _compute_central_probability(middle, freedom) < 0.95 else (low, middle)
     return 0.5 * (low + high)
 
 
-def _central_probability(t: float, freedom: int) -> float:
+def _compute_central_probability(t: float, freedom: int) -> float:
     """Return the probability that Student's t is between -t and t."""
     angle = math.atan(t / math.sqrt(freedom))
     cosine, sine = math.cos(angle), math.sin(angle)
@@ -179,7 +179,7 @@ def _central_probability(t: float, freedom: int) -> float:
     return 2.0 / math.pi * (angle + sine * total) if odd else sine * total
 
 
-def mean_columns(rows: Sequence[Entry]) -> dict[str, tuple[float, float]]:
+def average_columns(rows: Sequence[Entry]) -> dict[str, tuple[float, float]]:
     """Return mean and standard deviation of the columns in AVERAGED_COLUMNS that the rows have."""
     columns = {name: np.array([row[name] for row in rows if name in row]) for name in AVERAGED_COLUMNS}
     return {name: (float(values.mean()), float(values.std())) for name, values in columns.items() if len(values)}
@@ -203,7 +203,7 @@ def format_interval(value: float, interval: tuple[float, float]) -> str:
     return f"{value:.3g}" if math.isnan(low) else f"{value:.3g} ({low:.3g} to {high:.3g})"
 
 
-def table(groups: Sequence[Group]) -> list[dict[str, Any]]:
+def make_table(groups: Sequence[Group]) -> list[dict[str, Any]]:
     rows_by_group = []
     for group in groups:
         row: dict[str, Any] = {"participant": group.participant, "condition": group.condition, "trials": group.trials}

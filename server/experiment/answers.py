@@ -14,8 +14,8 @@ from softfinger.server.experiment.interfaces import Progress, Response, TouchRes
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Question
 from softfinger.server.experiment.session import is_right_answer
-from softfinger.server.experiment.terminal import CHOICES, is_single, keyboard, parse_answer, print_line
-from softfinger.server.experiment.trial_order import Condition, PlannedTrial, by_condition
+from softfinger.server.experiment.terminal import CHOICES, is_single, parse_answer, print_line, read_keyboard
+from softfinger.server.experiment.trial_order import Condition, PlannedTrial, choose_by_condition
 from softfinger.server.wire.commands import TEXT_ANSWER_MAX, Prompt
 
 NUMBERS: Final = (1e-6, 1e6)
@@ -52,7 +52,7 @@ class Participant:
             )
 
     def prepare(self, progress: Progress, condition: Condition) -> None:
-        screen, task = by_condition(self._experiment.screen, condition), self._experiment.task
+        screen, task = choose_by_condition(self._experiment.screen, condition), self._experiment.task
         self._title = progress.title
         self._prompt = partial(
             Prompt, progress.title, done=progress.trial - 1, of=progress.trials, colour=screen.colour,
@@ -118,15 +118,15 @@ class Participant:
 
     def _ask(self, prompt: Prompt, line: str) -> Response:
         client, typed, single = self._haptics.client, "", is_single(prompt)
-        with keyboard(single) as keys:  # discards keys typed before the question
+        with read_keyboard(single) as keys:  # discards keys typed before the question
             if single and sys.stdin.isatty():
                 self._wait_for_release(keys)
-            number, held_buttons = self._show(prompt), self._buttons()
+            number, held_buttons = self._show(prompt), self._read_buttons()
             print_line(line)
             while (prompted := client.get_prompt()).open and prompted.number == number:
                 self._haptics.wait(POLL_S)
                 typed += keys()
-                buttons = self._buttons()
+                buttons = self._read_buttons()
                 value, typed = parse_answer(prompt, typed, buttons & ~held_buttons)
                 held_buttons &= buttons  # a button that is already down must be released first
                 if value is not None:
@@ -155,7 +155,7 @@ class Participant:
         except CommandRefused as refused:
             print_line(str(refused))
 
-    def _buttons(self) -> int:
+    def _read_buttons(self) -> int:
         buttons = 0
         for sample in self._haptics.latest.values():
             buttons |= int(sample.data.buttons)

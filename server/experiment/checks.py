@@ -14,12 +14,12 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import FaultyConfig, apply_overrides, attempt, build_changed, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.schema.pairing import pair
-from softfinger.config.words import format_value, near
-from softfinger.server.experiment.files import level_extremes, read, read_image, read_survey, resolve_source
+from softfinger.config.schema.pairing import pair_devices
+from softfinger.config.words import format_value, suggest
+from softfinger.server.experiment.files import iter_level_extremes, read, read_image, read_survey, resolve_source
 from softfinger.server.experiment.parameters import check_motors, load_changed_scene, split_rig
 from softfinger.server.experiment.schema import SINGLE_FINGER, ExperimentFile
-from softfinger.server.experiment.session import CONSENT, consent_question
+from softfinger.server.experiment.session import CONSENT, make_consent_question
 from softfinger.server.experiment.trial_order import list_conditions
 
 C = TypeVar("C", bound=Scene | Rig)
@@ -81,22 +81,22 @@ class _Checks:
         elif surveys:
             self.experiment = replace(experiment, survey=tuple(surveys))
         if self._are_sound("rig"):
-            self._rig = self._part(load_rig, experiment.rig, part_faults)
+            self._rig = self._load_part(load_rig, experiment.rig, part_faults)
         names = [experiment.scene] if self._are_sound("scene") else []
         for factor in experiment.factor if is_usable(experiment.factor) else ():
             names += factor.scenes.values() if is_usable(factor) and is_usable(factor.scenes) else []
         for name in dict.fromkeys(names):
-            self._scenes[name] = scene = self._part(load_scene, name, part_faults)
+            self._scenes[name] = scene = self._load_part(load_scene, name, part_faults)
             if scene is not None and self._rig is not None:
                 faults = list[str]()
-                attempt(partial(pair, scene, self._rig), faults)
+                attempt(partial(pair_devices, scene, self._rig), faults)
                 self._faults += [f"scene {name}, rig {experiment.rig}: {fault}" for fault in faults]
         if self._are_sound("screen"):
             images = [experiment.screen.image, *(values.get("image") for values in experiment.screen.by.values())]
             for image in dict.fromkeys(image for image in images if image and isinstance(image, str)):
                 attempt(partial(read_image, image, self._folder), self._faults)
 
-    def _part(self, load: Callable[[str | Path], C], name: str, part_faults: PartFaults) -> C | None:
+    def _load_part(self, load: Callable[[str | Path], C], name: str, part_faults: PartFaults) -> C | None:
         """Return a scene or rig, None if it cannot be loaded."""
         try:
             config = load(resolve_source(self._folder, name))
@@ -112,7 +112,7 @@ class _Checks:
     def check_conditions(self) -> None:
         experiment = self.experiment
         if self._are_sound(*CONDITION_TABLES, "scene"):
-            self._faults += self._parameter_faults()
+            self._faults += self._check_parameters()
         if self._are_sound("motion", "scene", "factor") and None not in self._scenes.values():
             fingers = {finger.name for scene in self._scenes.values() if scene for finger in scene.finger or ()}
             fingers |= {SINGLE_FINGER} if any(scene and not scene.finger for scene in self._scenes.values()) else set()
@@ -126,12 +126,12 @@ class _Checks:
             return
         for table in ("observer", "screen"):
             if self._are_sound(table):
-                self._faults += self._faults_by_condition(table)
+                self._faults += self._check_conditions(table)
 
-    def _parameter_faults(self) -> list[str]:
+    def _check_parameters(self) -> list[str]:
         """Return the faults of the parameters at the extremes of each condition, each fault once."""
         distinct = dict[str, str]()
-        for location, name, values in level_extremes(self.experiment):
+        for location, name, values in iter_level_extremes(self.experiment):
             faults, rig, scene = list[str](), self._rig, self._scenes[name]
             parameters = attempt(partial(split_rig, values, location), faults)
             if parameters is not None and rig is not None:
@@ -143,13 +143,13 @@ class _Checks:
                 distinct.setdefault(fault.removeprefix(f"{location}: "), fault)
         return list(distinct.values())
 
-    def _faults_by_condition(self, key: str) -> list[str]:
+    def _check_conditions(self, key: str) -> list[str]:
         table, names = getattr(self.experiment, key), [condition.name for condition in list_conditions(self.experiment)]
         faults = list[str]()
         for name, values in table.by.items():
             if name not in names:
                 faults.append(
-                    f"{key}.by: no condition is called {format_value(name)}{near(name, names)}; there are "
+                    f"{key}.by: no condition is called {format_value(name)}{suggest(name, names)}; there are "
                     f"{'; '.join(names)}: the levels of all factors, with a comma between them"
                 )
             attempt(partial(apply_overrides, table, values, f"{key}.by.{name}"), faults)
@@ -159,13 +159,13 @@ class _Checks:
 def _answer_faults(experiment: ExperimentFile) -> Iterator[str]:
     questions = {question.name: question for survey in experiment.survey for question in survey.question}
     if experiment.consent:
-        questions |= {CONSENT: consent_question(experiment)}
+        questions |= {CONSENT: make_consent_question(experiment)}
     observer = experiment.observer
     everywhere = [observer.answers, *(values.get("answers", {}) for values in observer.by.values())]
     for name, answer in (item for answers in everywhere if isinstance(answers, Mapping) for item in answers.items()):
         location = f"observer.answers.{name} = {format_value(answer)}"
         if name not in questions:
-            yield f"{location}: no survey has this question{near(name, list(questions))}"
+            yield f"{location}: no survey has this question{suggest(name, list(questions))}"
             continue
         question = questions[name]
         if question.kind == "multi-choice" and answer not in question.options:

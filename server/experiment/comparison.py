@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, Group, PowerLaw, is_counted, student_975
+from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, Group, PowerLaw, compute_student_975, is_counted
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.psychometric import log_likelihoods
 from softfinger.server.experiment.schema import ExperimentFile
@@ -68,7 +68,7 @@ def compare_models(
     for factor in names:
         remaining_factors = [name for name in names if name != factor]
         with_factor, without = (
-            [_maximum(experiment, answers, keys) for answers in by_participant.values()]
+            [_maximize_likelihood(experiment, answers, keys) for answers in by_participant.values()]
             for keys in (names, remaining_factors)
         )
         parameters = sum(count for count, _ in with_factor), sum(count for count, _ in without)
@@ -76,14 +76,14 @@ def compare_models(
         freedom = parameters[0] - parameters[1]
         if freedom > 0:
             chi_squared = max(2.0 * (maxima[0] - maxima[1]), 0.0)  # the two models have grids of different steps
-            p_value = chi_squared_tail(chi_squared, freedom)
+            p_value = compute_chi_squared_tail(chi_squared, freedom)
             comparisons.append(
                 Comparison(factor, parameters, maxima, chi_squared, freedom, p_value, chi_squared - 2.0 * freedom)
             )
     return comparisons
 
 
-def _maximum(experiment: ExperimentFile, rows: Sequence[Entry], keys: Sequence[str]) -> tuple[int, float]:
+def _maximize_likelihood(experiment: ExperimentFile, rows: Sequence[Entry], keys: Sequence[str]) -> tuple[int, float]:
     """Return the number of parameters and the maximum of the log likelihood of a participant's answers.
 
     keys  factors that have an effect
@@ -109,7 +109,7 @@ def _maximum(experiment: ExperimentFile, rows: Sequence[Entry], keys: Sequence[s
     return columns.shape[1] + 1, -0.5 * len(y) * (math.log(2.0 * math.pi * variance) + 1.0)
 
 
-def chi_squared_tail(value: float, freedom: int) -> float:
+def compute_chi_squared_tail(value: float, freedom: int) -> float:
     """Return the probability that chi squared is above a value.
 
     For integer degrees of freedom it is a finite sum (Abramowitz and Stegun 1964, 26.4.4, 26.4.5).
@@ -137,11 +137,11 @@ class Estimate(NamedTuple):
 def estimate_population(groups: Sequence[Group], excluded: Collection[str] = ()) -> list[Estimate]:
     """Return the geometric mean over participants of the threshold, or of the answer, in each condition."""
     values = dict[str, list[float]]()
-    for (_, condition), value in _values_by_condition(groups, excluded).items():
+    for (_, condition), value in _group_values(groups, excluded).items():
         values.setdefault(condition, []).append(value)
     estimates = []
     for condition, level_values in values.items():
-        mean, (low, high) = mean_interval(list(map(math.log, level_values)))
+        mean, (low, high) = compute_mean_interval(list(map(math.log, level_values)))
         estimates.append(Estimate(condition, len(level_values), math.exp(mean), (math.exp(low), math.exp(high))))
     return estimates
 
@@ -162,16 +162,16 @@ class Effect(NamedTuple):
 
 def compare_levels(experiment: ExperimentFile, groups: Sequence[Group], excluded: Collection[str] = ()) -> list[Effect]:
     """Return the ratio of the threshold, or of the answer, at each level of a factor to that at its first level."""
-    values = {key: math.log(value) for key, value in _values_by_condition(groups, excluded).items()}
+    values = {key: math.log(value) for key, value in _group_values(groups, excluded).items()}
     return [
         effect._replace(
             value=math.exp(effect.value), interval_95=(math.exp(effect.interval_95[0]), math.exp(effect.interval_95[1]))
         )
-        for effect in difference_of_levels(experiment, values)
+        for effect in compute_level_differences(experiment, values)
     ]
 
 
-def difference_of_levels(experiment: ExperimentFile, values: Mapping[tuple[str, str], float]) -> list[Effect]:
+def compute_level_differences(experiment: ExperimentFile, values: Mapping[tuple[str, str], float]) -> list[Effect]:
     """Return the mean difference between each level of a factor and its first level.
 
     values  by participant and condition
@@ -198,18 +198,20 @@ def difference_of_levels(experiment: ExperimentFile, values: Mapping[tuple[str, 
                 if all((participant, condition) in values for pair in pairs for condition in pair)
             ]
             if differences:
-                mean, interval = mean_interval(differences)
+                mean, interval = compute_mean_interval(differences)
                 effects.append(Effect(name, str(level), str(baseline), len(differences), mean, interval))
     return effects
 
 
-def mean_interval(values: Sequence[float]) -> tuple[float, tuple[float, float]]:
+def compute_mean_interval(values: Sequence[float]) -> tuple[float, tuple[float, float]]:
     mean, count = float(np.mean(values)), len(values)
-    margin = student_975(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
+    margin = (
+        compute_student_975(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
+    )
     return mean, (mean - margin, mean + margin)
 
 
-def _values_by_condition(groups: Sequence[Group], excluded: Collection[str]) -> dict[tuple[str, str], float]:
+def _group_values(groups: Sequence[Group], excluded: Collection[str]) -> dict[tuple[str, str], float]:
     return {
         (group.participant, group.condition): (
             group.fit.answer if isinstance(group.fit, PowerLaw) else group.fit.threshold

@@ -16,12 +16,12 @@ import msgspec
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.server import signals
-from softfinger.server.experiment.files import level_extremes, resolve_source
+from softfinger.server.experiment.files import iter_level_extremes, resolve_source
 from softfinger.server.experiment.haptics import Haptics
 from softfinger.server.experiment.parameters import check_device_limits, load_changed_scene, split_rig
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import Stopped
-from softfinger.server.progress import progress, report_compilation
+from softfinger.server.progress import report_compilation, show_progress
 from softfinger.server.remote import Client
 from softfinger.server.viewer.door.process import PageProcess
 from softfinger.server.viewer.roles import Role
@@ -69,14 +69,14 @@ def start_daemon(
         )
         if daemon.commands_endpoint is None:
             raise ConfigError(f"{rig}: accepts no commands, but an experiment needs them: remove commands.endpoint")
-        for location, name, parameters in level_extremes(experiment):
+        for location, name, parameters in iter_level_extremes(experiment):
             condition_rig, condition_scene = split_rig(parameters, location)
             scene_at_level = load_changed_scene(scene_of(name), condition_scene, location)
             try:
                 daemon.rendering.check(scene_at_level, load_rig(rig, values | condition_rig))
             except ConfigError as error:
                 raise ConfigError(f"{location}: {error}") from error
-        parameters_by_location = ((location, parameters) for location, _, parameters in level_extremes(experiment))
+        parameters_by_location = ((location, parameters) for location, _, parameters in iter_level_extremes(experiment))
         check_device_limits(parameters_by_location, [device.info for device in daemon.devices])
         stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause))
         with report_compilation("kernels of the scene"):
@@ -103,7 +103,7 @@ def run_doctor(rig: str) -> Any:
     """Run `softfinger doctor` in a separate process; return its report on this machine, or its failure."""
     command = [sys.executable, "-m", "softfinger.server.cli", "doctor", "--json", "--seconds", "1", "--rig", rig]
     try:
-        with progress("checking the machine"):
+        with show_progress("checking the machine"):
             process = subprocess.run(command, capture_output=True, timeout=DOCTOR_TIMEOUT_S, check=False)
         return msgspec.json.decode(process.stdout)
     except (subprocess.TimeoutExpired, msgspec.DecodeError) as error:

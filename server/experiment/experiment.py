@@ -20,7 +20,7 @@ from softfinger.server.experiment.journal import Entry, Journal, MemoryJournal
 from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.session import Session
 from softfinger.server.experiment.trial_order import Condition, list_conditions
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 
 log: Final = logging.getLogger(__name__)
 
@@ -97,7 +97,7 @@ class Experiment:
             Errors that end a daemon.
         """
         participant_folder = ParticipantFolder(
-            Path(folder), self.file, _check_participant(participant), files.hashes(self.file, self._folder)
+            Path(folder), self.file, _check_participant(participant), files.hash_files(self.file, self._folder)
         )
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
         participant_folder.check_answer_kind(running.dry_run)
@@ -126,7 +126,7 @@ class Experiment:
         if running.no_daemon:
             journal, _ = _begin_run(stack, journal, participant_folder, {"about.json": {"daemon": False}}, True)
             session.welcome(journal, simulated)
-            with progress("rehearsing", len(session.trials)) as update:
+            with show_progress("rehearsing", len(session.trials)) as update:
                 session.run(journal, NullApparatus(update), simulated, participant_folder)
             return
         # Before the device is opened: the doctor needs access to it.
@@ -136,7 +136,7 @@ class Experiment:
             run_files |= {"about.json": about}
             journal, number = _begin_run(stack, journal, participant_folder, run_files, running.dry_run)
             participant = (
-                None if running.dry_run else Participant(self.file, haptics, files.images(self.file, self._folder))
+                None if running.dry_run else Participant(self.file, haptics, files.load_images(self.file, self._folder))
             )
             session.welcome(journal, participant or simulated)
             with record_ticks(haptics, f"{participant_folder.label}/{participant_folder.name(number, 'ticks.mcap')}"):
@@ -164,7 +164,7 @@ def _begin_run(
     return journal, number
 
 
-def results(folder: str | Path) -> list[Entry]:
+def load_results(folder: str | Path) -> list[Entry]:
     """Return all answered trials of an experiment's folder, one row each, from its journals."""
     return load(Path(folder))[1]
 

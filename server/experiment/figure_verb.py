@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.files import new_file
-from softfinger.server.experiment.analysis import find_excluded_participants, fit_groups, format_fit, table
+from softfinger.config.files import write_new_file
+from softfinger.server.experiment.analysis import find_excluded_participants, fit_groups, format_fit, make_table
 from softfinger.server.experiment.figures import draw, draw_session
 from softfinger.server.experiment.folder import list_journals, load, read_surveys, write_csv
 from softfinger.server.experiment.report import write_report
 from softfinger.server.experiment.surveys import compare_scores, survey_table
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 
 
 def run(args: argparse.Namespace) -> int:
@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     root = Path(args.folder)
     experiment, rows = load(root)
     groups = fit_groups(experiment, rows)
-    numbers = table(groups)
+    numbers = make_table(groups)
     out = Path(args.out) if args.out else root / "figures"
     journals = list_journals(root)
     answers, excluded = read_surveys(journals), find_excluded_participants(experiment, rows)
@@ -31,18 +31,18 @@ def run(args: argparse.Namespace) -> int:
     text = json.dumps([replace_nan(row) for row in numbers], indent=1)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with progress("drawing", 2 + args.report) as update:
+        with show_progress("drawing", 2 + args.report) as update:
             paths = draw(experiment, groups, out)
             update(1)
             paths += draw_session(experiment, rows, surveys, groups, out)
             update(2)
             if args.report:
                 report, compared = out / "report.html", compare_scores(experiment, answers, excluded)
-                with new_file(report) as file:
+                with write_new_file(report) as file:
                     file.write(write_report(experiment, rows, groups, (surveys, compared), root, paths).encode())
                 paths.append(report)
         write_csv(out / "numbers.csv", numbers)
-        with new_file(out / "numbers.json") as file:
+        with write_new_file(out / "numbers.json") as file:
             file.write(text.encode() + b"\n")
         if surveys:
             write_csv(out / "surveys.csv", surveys)

@@ -23,7 +23,7 @@ from softfinger.server.experiment.analysis import (
 )
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +64,7 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         axes.set(xlabel="difference, as a share of the reference", ylabel="share of right answers", ylim=(0.0, 1.02))
     else:
         axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
-    _plain_ticks(axes)
+    _label_ticks(axes)
     axes.legend(fontsize="small", title=name_factors(experiment))
     figures = {"fit": figure}
     shown_groups = [group for group in groups if group.participant == main_participant]
@@ -113,7 +113,7 @@ def _draw_staircases(plt: Any, rows: Sequence[Entry]) -> Any:
             axes.scatter(*zip(*wrong, strict=True) if wrong else ((), ()), s=14, color=line.get_color(), marker="x")
         axes.set(yscale="log", title=f"{participant}, {condition}", xlabel="trial of the condition")
         axes.title.set_fontsize("small")
-        _plain_ticks(axes)
+        _label_ticks(axes)
     grid[0, 0].set(ylabel="level (x: wrong answer)")
     grid[0, 0].legend(fontsize="x-small")
     return figure
@@ -179,7 +179,7 @@ def name_factors(experiment: ExperimentFile) -> str | None:
     return ", ".join(factor.name for factor in experiment.factor) or None
 
 
-def _plain_ticks(axes: Axes) -> None:
+def _label_ticks(axes: Axes) -> None:
     """Label logarithmic axes with decimal numbers; matplotlib uses powers of ten."""
     from matplotlib.ticker import LogFormatter
 
@@ -245,7 +245,7 @@ def _save(figures: Mapping[str, Any], out: Path) -> list[Path]:
 
     paths = []
     with (
-        progress("drawing", len(SUFFIXES) * len(figures)) as update,
+        show_progress("drawing", len(SUFFIXES) * len(figures)) as update,
         warnings.catch_warnings(record=True) as caught,
     ):
         warnings.simplefilter("always")

@@ -19,8 +19,8 @@ from softfinger.config.sources import EXPERIMENTS, find_in, read_toml
 from softfinger.config.words import format_value
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Survey, SurveyFile
-from softfinger.server.experiment.session import parameters
-from softfinger.server.experiment.trial_order import by_condition, list_conditions
+from softfinger.server.experiment.session import list_parameters
+from softfinger.server.experiment.trial_order import choose_by_condition, list_conditions
 from softfinger.server.wire.commands import IMAGE_BYTES_MAX
 
 IMAGES: Final = {"png": rb"\x89PNG\r\n\x1a\n", "jpeg": rb"\xff\xd8\xff", "webp": rb"RIFF....WEBP"}
@@ -60,9 +60,9 @@ def resolve_source(folder: Path, name: str) -> str | Path:
     return folder / name if name.endswith(".toml") else name
 
 
-def hashes(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
+def hash_files(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
     """Return the SHA-256 of the files of an experiment: scenes, rig and images next to it, and files of the scenes."""
-    images = image_names(experiment)
+    images = list_image_names(experiment)
     scenes = {experiment.scene, *(name for factor in experiment.factor for name in factor.scenes.values())}
     scene_files = {name for name in scenes if name.endswith(".toml")}
     names = {*scene_files, *images, *({experiment.rig} if experiment.rig.endswith(".toml") else ())}
@@ -80,15 +80,15 @@ def _list_files(scene: Scene) -> Iterator[str]:
         yield from (path for table in tables for key in FILE_KEYS if (path := getattr(table, key, None)) is not None)
 
 
-def image_names(experiment: ExperimentFile) -> list[str]:
+def list_image_names(experiment: ExperimentFile) -> list[str]:
     return sorted(
-        {by_condition(experiment.screen, condition).image for condition in list_conditions(experiment)} - {""}
+        {choose_by_condition(experiment.screen, condition).image for condition in list_conditions(experiment)} - {""}
     )
 
 
-def images(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
+def load_images(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
     """Return the images of the participant's page as data URIs, by name; raises ConfigError as `read_image`."""
-    return {name: read_image(name, folder) for name in image_names(experiment)}
+    return {name: read_image(name, folder) for name in list_image_names(experiment)}
 
 
 def read_image(name: str, folder: Path) -> str:
@@ -112,7 +112,7 @@ def read_image(name: str, folder: Path) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def level_extremes(experiment: ExperimentFile) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def iter_level_extremes(experiment: ExperimentFile) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield location, scene and parameters of each condition at its lowest and highest level, and at the reference."""
     task, procedure = experiment.task, experiment.procedure
     levels = procedure.levels if procedure.kind != "staircase" else (procedure.smallest, procedure.largest)
@@ -121,5 +121,5 @@ def level_extremes(experiment: ExperimentFile) -> Iterator[tuple[str, str, dict[
     named_values += [] if task.reference is None else [("reference", task.reference)]
     for condition in list_conditions(experiment):
         for name, value in named_values:
-            values = experiment.overrides | condition.changes | parameters(experiment, value)
+            values = experiment.overrides | condition.changes | list_parameters(experiment, value)
             yield f"condition {condition.name}, {name}", condition.scene or experiment.scene, values

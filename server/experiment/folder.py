@@ -26,9 +26,9 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.files import new_file
+from softfinger.config.files import write_new_file
 from softfinger.config.load import build, describe
-from softfinger.config.materials import flat
+from softfinger.config.materials import flatten_entry
 from softfinger.config.words import format_value
 from softfinger.server.experiment.journal import JSON_ERRORS, RESTORE_REMEDY, Entry, make_write_error, read
 from softfinger.server.experiment.schema import ExperimentFile
@@ -54,10 +54,10 @@ class ParticipantFolder:
         about = {"Name": experiment.title, "BIDSVersion": BIDS_VERSION, "DatasetType": "raw"}
         shared = {"experiment.json": describe(experiment), "files.json": files, "dataset_description.json": about}
         conditions = list_conditions(experiment)
-        self._order = _rows(conditions, plan_trials(experiment, participant))
+        self._order = _make_rows(conditions, plan_trials(experiment, participant))
         design = {"seed": experiment.design.seed, "conditions": [condition._asdict() for condition in conditions]}
-        self._texts = {root / name: _json(values) for name, values in shared.items() if values}
-        self._texts[self.participant_dir / f"{self.label}_design.json"] = _json(design | {"trials": self._order})
+        self._texts = {root / name: _to_json(values) for name, values in shared.items() if values}
+        self._texts[self.participant_dir / f"{self.label}_design.json"] = _to_json(design | {"trials": self._order})
         for path, text in self._texts.items():
             _check_same(path, text)
 
@@ -89,7 +89,7 @@ class ParticipantFolder:
         """Write the files of a new start, by name, and return its number."""
         number = 1 + len(list(self.participant_dir.glob(f"{self.label}_run-*_about.json")))
         for name, values in files.items():
-            _write_new(self.participant_dir / self.name(number, name), _json(values))
+            _write_new(self.participant_dir / self.name(number, name), _to_json(values))
         return number
 
     def name(self, run: int, suffix: str) -> str:
@@ -135,7 +135,7 @@ def list_journals(root: Path) -> list[Path]:
     return journals
 
 
-def _rows(conditions: Sequence[Condition], trials: Sequence[PlannedTrial]) -> list[Entry]:
+def _make_rows(conditions: Sequence[Condition], trials: Sequence[PlannedTrial]) -> list[Entry]:
     """Return the designed trials, one row each; columns of unused features are omitted."""
     unused = {name for name in ("catch", "staircase") if not any(getattr(trial, name) for trial in trials)}
     return [
@@ -145,7 +145,7 @@ def _rows(conditions: Sequence[Condition], trials: Sequence[PlannedTrial]) -> li
     ]
 
 
-def _json(values: Any) -> bytes:
+def _to_json(values: Any) -> bytes:
     return msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n"
 
 
@@ -157,8 +157,8 @@ def _check_same(path: Path, text: bytes) -> None:
         except JSON_ERRORS as error:
             raise ConfigError(f"{path}: is damaged: {error}: {RESTORE_REMEDY}") from error
         raise ConfigError(
-            f"{path}: belongs to an experiment with other values{_different_keys(path, text)}: name another folder "
-            "(--out), or run the experiment with its earlier values"
+            f"{path}: belongs to an experiment with other values{_find_different_keys(path, text)}: name another "
+            "folder (--out), or run the experiment with its earlier values"
         )
 
 
@@ -175,10 +175,12 @@ def _is_same_experiment(path: Path, text: bytes) -> bool:
     return existing == expected
 
 
-def _different_keys(path: Path, text: bytes) -> str:
+def _find_different_keys(path: Path, text: bytes) -> str:
     """Return the keys of a JSON file with other values than in `text`, for a message."""
     try:
-        existing, expected = (dict(flat(msgspec.json.decode(content))) for content in (path.read_bytes(), text))
+        existing, expected = (
+            dict(flatten_entry(msgspec.json.decode(content))) for content in (path.read_bytes(), text)
+        )
     except (*JSON_ERRORS, AttributeError):
         return ""
     keys = [key for key in expected | existing if expected.get(key, msgspec.UNSET) != existing.get(key, msgspec.UNSET)]
@@ -221,7 +223,7 @@ def _write_new(path: Path, data: bytes) -> None:
 def _write(path: Path, data: bytes) -> None:
     """Write or replace a file atomically."""
     try:
-        with new_file(path) as file:
+        with write_new_file(path) as file:
             file.write(data)
     except OSError as error:
         raise make_write_error(path, error) from error

@@ -58,6 +58,6 @@ def interpolate_path(path: tuple[tuple[float, float, float, float], ...], t: flo
     return x, y, z
 
 
-def angle_between(a: Quaternion, b: Quaternion) -> float:
+def compute_angle(a: Quaternion, b: Quaternion) -> float:
     """Return the angle between two orientations (unit quaternions), rad."""
     return 2.0 * math.acos(min(1.0, abs(float(np.dot(a, b)))))

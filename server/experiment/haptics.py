@@ -12,15 +12,15 @@ import numpy as np
 
 from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.config.load import describe, load_scene
-from softfinger.config.overrides import index_entries, value_at
+from softfinger.config.overrides import find_value, to_indexed_key
 from softfinger.config.schema import Scene
-from softfinger.server.experiment.hands import Hands, angle_between
+from softfinger.server.experiment.hands import Hands, compute_angle
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.parameters import load_changed_scene, split_masses, split_rig
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample, Subscription
-from softfinger.server.wire.protocol import CONTACT, FINGERS, finger_of
+from softfinger.server.wire.protocol import CONTACT, FINGERS, find_finger
 
 POLL_S: Final = 0.02
 """Duration of a single wait for telemetry, between which other conditions are checked."""
@@ -95,7 +95,7 @@ class Haptics:
         finally:
             ticks, self._touch_ticks = self._touch_ticks, None
         self._wait_for_disk(ticks)
-        return TouchResult(_summary(ticks, reached_s), ticks)
+        return TouchResult(_summarize(ticks, reached_s), ticks)
 
     def release(self) -> None:
         """Remove the force, and wait until it is zero."""
@@ -137,7 +137,7 @@ class Haptics:
             self._change_rig(rig_values)
             self._rig = rig_values
         restored = (
-            self._scene_values(name, self._set_values.keys() - new_values.keys())
+            self._read_scene_values(name, self._set_values.keys() - new_values.keys())
             if stimulus.scene == self._scene
             else {}
         )
@@ -155,10 +155,10 @@ class Haptics:
         self._scene, self._set_values = stimulus.scene, new_values
         return ramp_s
 
-    def _scene_values(self, name: str, paths: Iterable[str]) -> dict[str, Any]:
+    def _read_scene_values(self, name: str, paths: Iterable[str]) -> dict[str, Any]:
         """Return the values in the scene's file, None for missing ones."""
         scene = describe(load_scene(self._scene_of(name)))
-        return {path: value_at(scene, index_entries(scene, path)) for path in paths}
+        return {path: find_value(scene, to_indexed_key(scene, path)) for path in paths}
 
     def _lead_to_start(self, seconds: float) -> None:
         starts = self._hands.lead_to_start()
@@ -168,7 +168,7 @@ class Haptics:
             math.dist(self.latest[name].data.probe.position, position) <= START_TOLERANCE_M
             and (
                 orientation is None
-                or angle_between(self.latest[name].data.probe.orientation, orientation) <= START_TOLERANCE_RAD
+                or compute_angle(self.latest[name].data.probe.orientation, orientation) <= START_TOLERANCE_RAD
             )
             for name, (position, orientation) in starts.items()
         ):
@@ -214,12 +214,12 @@ class Haptics:
                 raise SafetyStop(f"{fault} within {ZERO_FORCE_TIMEOUT_S:g} s: the session ends")
 
     def _store(self, sample: Sample) -> None:
-        name = finger_of(sample.topic)
+        name = find_finger(sample.topic)
         if name is None:
             return
         self.latest[name] = sample
         if self._touch_ticks is not None:
-            self._touch_ticks.append(_row(name, sample))
+            self._touch_ticks.append(_make_row(name, sample))
 
 
 def to_file_mapping(scene: Scene) -> dict[str, Any]:
@@ -230,7 +230,7 @@ def to_file_mapping(scene: Scene) -> dict[str, Any]:
     return mapping
 
 
-def _row(finger: str, sample: Sample) -> dict[str, Any]:
+def _make_row(finger: str, sample: Sample) -> dict[str, Any]:
     tick = sample.data
     (x, y, z), (fx, fy, fz) = tick.probe.position, tick.force
     return {
@@ -240,7 +240,7 @@ def _row(finger: str, sample: Sample) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _summary(ticks: list[dict[str, Any]], reached_s: float | None) -> dict[str, Any]:
+def _summarize(ticks: list[dict[str, Any]], reached_s: float | None) -> dict[str, Any]:
     """Return the columns of a touch for the table of trials.
 
     With several fingers, the path is that of the first one; the forces are over all.

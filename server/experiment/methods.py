@@ -34,34 +34,34 @@ def write_methods(
         Rows of `surveys.survey_table`.
     """
     paragraphs = [
-        _participants(experiment, rows, excluded, starts),
-        _apparatus(experiment, starts),
-        _task(experiment),
-        _procedure(experiment),
+        _describe_participants(experiment, rows, excluded, starts),
+        _describe_apparatus(experiment, starts),
+        _describe_task(experiment),
+        _describe_procedure(experiment),
         _design(experiment),
-        _surveys(experiment, answers),
-        _analysis(experiment),
+        _describe_surveys(experiment, answers),
+        _describe_analysis(experiment),
     ]
     return [" ".join(sentences) for sentences in paragraphs if sentences]
 
 
-def _participants(
+def _describe_participants(
     experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str], starts: Sequence[Mapping[str, Any]]
 ) -> list[str]:
     count = len({row["participant"] for row in rows})
     simulated = "simulated observer" if any(start.get("simulated") for start in starts) else "participant"
-    text = [f"{_number(count, simulated)} took part."]
+    text = [f"{_format_number(count, simulated)} took part."]
     if experiment.consent:
         text.append("Each gave informed consent before the first trial.")
     if excluded:
         text.append(
-            f"{_number(len(excluded), simulated)} {'was' if len(excluded) == 1 else 'were'} excluded because of wrong "
-            "answers to catch trials."
+            f"{_format_number(len(excluded), simulated)} {'was' if len(excluded) == 1 else 'were'} excluded because of "
+            "wrong answers to catch trials."
         )
     return text
 
 
-def _apparatus(experiment: ExperimentFile, starts: Sequence[Mapping[str, Any]]) -> list[str]:
+def _describe_apparatus(experiment: ExperimentFile, starts: Sequence[Mapping[str, Any]]) -> list[str]:
     text = [f"Contact was rendered by softfinger {version('softfinger')} in the scene “{experiment.scene}”."]
     rendered = [start for start in starts if "device" in start]
     if rendered:
@@ -75,7 +75,7 @@ def _apparatus(experiment: ExperimentFile, starts: Sequence[Mapping[str, Any]]) 
     return text
 
 
-def _task(experiment: ExperimentFile) -> list[str]:
+def _describe_task(experiment: ExperimentFile) -> list[str]:
     task, trial = experiment.task, experiment.trial
     if task.kind == "compare":
         change = "reference × (1 + level)" if task.more == "up" else "reference / (1 + level)"
@@ -99,7 +99,7 @@ def _task(experiment: ExperimentFile) -> list[str]:
     ]
 
 
-def _procedure(experiment: ExperimentFile) -> list[str]:
+def _describe_procedure(experiment: ExperimentFile) -> list[str]:
     procedure = experiment.procedure
     match procedure.kind:
         case "staircase":
@@ -108,9 +108,9 @@ def _procedure(experiment: ExperimentFile) -> list[str]:
             text = [
                 f"Levels were chosen by {f'{len(starts)} interleaved staircases' if is_repeated else 'a staircase'} of "
                 f"{procedure.trials} trials {'together ' if is_repeated else ''}per condition, starting at "
-                f"{_list([f'{start:g}' for start in starts])}: {_number(procedure.down, 'right answer')} in a row "
-                f"decreased the level by a factor of {procedure.step:g} (its square before the second reversal) and a "
-                f"wrong one increased it (Levitt 1971), within {procedure.smallest:g} and {procedure.largest:g}."
+                f"{_list([f'{start:g}' for start in starts])}: {_format_number(procedure.down, 'right answer')} in a "
+                f"row decreased the level by a factor of {procedure.step:g} (its square before the second reversal) "
+                f"and a wrong one increased it (Levitt 1971), within {procedure.smallest:g} and {procedure.largest:g}."
             ]
         case "questplus":
             text = [
@@ -120,7 +120,7 @@ def _procedure(experiment: ExperimentFile) -> list[str]:
         case _:
             text = [
                 f"The levels {_list([f'{level:g}' for level in procedure.levels])} were presented "
-                f"{_number(procedure.repetitions, 'time')} each per condition in random order."
+                f"{_format_number(procedure.repetitions, 'time')} each per condition in random order."
             ]
     if experiment.catch is not None:
         catch = experiment.catch
@@ -153,7 +153,7 @@ def _design(experiment: ExperimentFile) -> list[str]:
     return text
 
 
-def _surveys(experiment: ExperimentFile, answers: Sequence[Entry]) -> list[str]:
+def _describe_surveys(experiment: ExperimentFile, answers: Sequence[Entry]) -> list[str]:
     text, when = [], {
         "before": "before the first trial", "between": "after each block but the last", "after": "after the last trial"
     }  # fmt: skip
@@ -174,7 +174,7 @@ def _surveys(experiment: ExperimentFile, answers: Sequence[Entry]) -> list[str]:
     return text
 
 
-def _analysis(experiment: ExperimentFile) -> list[str]:
+def _describe_analysis(experiment: ExperimentFile) -> list[str]:
     if experiment.task.kind == "compare":
         model = (
             "A Weibull function p = 1/2 + (1/2 - lapse) (1 - exp(-(level / threshold)^slope)) with lapse = "
@@ -200,7 +200,7 @@ def count_trials(rows: Sequence[Entry]) -> tuple[int, int, int]:
     return practice, len(rows) - practice - counted, counted
 
 
-def _number(count: int, noun: str) -> str:
+def _format_number(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 

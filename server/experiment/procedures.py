@@ -12,12 +12,12 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from softfinger.server.experiment.psychometric import GUESS, SLOPES, probability
+from softfinger.server.experiment.psychometric import GUESS, SLOPES, compute_probability
 from softfinger.server.experiment.schema_trials import Procedure
 
-GRID: Final = 60
+GRID_POINTS: Final = 60
 """Number of thresholds in the grid of QUEST+, from half the lowest level to twice the highest, in geometric steps."""
-BIG_STEPS: Final = 2
+BIG_STEP_REVERSALS: Final = 2
 """Number of reversals until which the steps of a staircase are twice as large."""
 
 
@@ -71,7 +71,7 @@ class Staircase:
         self._right, direction = 0, -1 if right else 1
         self.reversals += self._direction not in (0, direction)
         self._direction = direction
-        step = self._procedure.step ** (direction * (1 if self.reversals >= BIG_STEPS else 2))
+        step = self._procedure.step ** (direction * (1 if self.reversals >= BIG_STEP_REVERSALS else 2))
         self._level = min(max(level * step, self._procedure.smallest), self._procedure.largest)
 
 
@@ -87,15 +87,15 @@ class QuestPlus:
 
     def __init__(self, levels: tuple[float, ...], lapse: float) -> None:
         self._levels = np.array(sorted(levels))
-        thresholds = np.geomspace(0.5 * self._levels[0], 2.0 * self._levels[-1], GRID)
+        thresholds = np.geomspace(0.5 * self._levels[0], 2.0 * self._levels[-1], GRID_POINTS)
         threshold, slope = (grid.ravel() for grid in np.meshgrid(thresholds, SLOPES, indexing="ij"))
-        self._right = probability(self._levels[:, None], threshold, slope, GUESS, lapse)
+        self._right = compute_probability(self._levels[:, None], threshold, slope, GUESS, lapse)
         self._posterior = np.full(len(threshold), 1.0 / len(threshold))
 
     def level(self) -> float:
         right = self._right @ self._posterior
-        after_right = _entropy(self._right * self._posterior / right[:, None])
-        after_wrong = _entropy((1.0 - self._right) * self._posterior / (1.0 - right)[:, None])
+        after_right = _compute_entropy(self._right * self._posterior / right[:, None])
+        after_wrong = _compute_entropy((1.0 - self._right) * self._posterior / (1.0 - right)[:, None])
         return float(self._levels[np.argmin(right * after_right + (1.0 - right) * after_wrong)])
 
     def update(self, level: float, right: bool) -> None:
@@ -104,6 +104,6 @@ class QuestPlus:
         self._posterior /= self._posterior.sum()
 
 
-def _entropy(chances: NDArray[np.float64]) -> NDArray[np.float64]:
+def _compute_entropy(chances: NDArray[np.float64]) -> NDArray[np.float64]:
     entropy: NDArray[np.float64] = -(chances * np.log(np.maximum(chances, 1e-300))).sum(axis=-1)
     return entropy

@@ -29,7 +29,7 @@ THRESHOLD_MARGIN: Final = 4.0
 """The grid of thresholds extends from the lowest level over this to the highest level times this."""
 
 
-def probability(
+def compute_probability(
     level: ArrayLike, threshold: ArrayLike, slope: ArrayLike, guess: float = GUESS, lapse: float = 0.0
 ) -> Array:
     """Return the probability of a right answer, a Weibull function of the level: guess + (1 - guess - lapse) F.
@@ -95,12 +95,12 @@ def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> 
     likelihood -= 0.5 * (np.log(slope / SLOPE) / SLOPE_SD) ** 2
     best = likelihood.max()
     weight = np.exp(likelihood - best)
-    low, middle, high = np.exp(_quantiles(np.log(thresholds), weight.sum(axis=1)))
-    flat, slope_middle, steep = np.exp(_quantiles(np.log(SLOPES), weight.sum(axis=0)))
+    low, middle, high = np.exp(_compute_quantiles(np.log(thresholds), weight.sum(axis=1)))
+    flat, slope_middle, steep = np.exp(_compute_quantiles(np.log(SLOPES), weight.sum(axis=0)))
     likely = weight > MIN_RELATIVE_WEIGHT
     x = np.geomspace(unique_levels[0], unique_levels[-1], points) if len(unique_levels) > 1 else unique_levels
-    curves = probability(x[:, None], threshold[likely], slope[likely], GUESS, lapse)
-    band = np.array([_quantiles(row, weight[likely]) for row in curves])
+    curves = compute_probability(x[:, None], threshold[likely], slope[likely], GUESS, lapse)
+    band = np.array([_compute_quantiles(row, weight[likely]) for row in curves])
     return Fit(
         float(middle),
         (float(low), float(high)),
@@ -124,11 +124,13 @@ def log_likelihoods(levels: ArrayLike, right: ArrayLike, lapse: float) -> tuple[
     wrong = np.bincount(index) - correct
     thresholds = np.geomspace(unique_levels[0] / THRESHOLD_MARGIN, unique_levels[-1] * THRESHOLD_MARGIN, THRESHOLDS)
     threshold, slope = np.meshgrid(thresholds, SLOPES, indexing="ij")
-    chance = np.clip(probability(unique_levels, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9)
+    chance = np.clip(
+        compute_probability(unique_levels, threshold[..., None], slope[..., None], GUESS, lapse), 1e-9, 1.0 - 1e-9
+    )
     return thresholds, np.log(chance) @ correct + np.log1p(-chance) @ wrong
 
 
-def _quantiles(values: Array, weights: Array) -> Array:
+def _compute_quantiles(values: Array, weights: Array) -> Array:
     """Return the QUANTILES of values (n,) with weights (n,)."""
     order = np.argsort(values)
     share = np.cumsum(weights[order]) - 0.5 * weights[order]

@@ -23,11 +23,11 @@ from softfinger.server.experiment.comparison import Effect, compare_levels, comp
 from softfinger.server.experiment.figures import name_factors
 from softfinger.server.experiment.journal import JSON_ERRORS, RESTORE_REMEDY, Entry, read
 from softfinger.server.experiment.methods import count_trials, write_methods
-from softfinger.server.experiment.psychometric import probability
+from softfinger.server.experiment.psychometric import compute_probability
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.surveys import format_answers
 from softfinger.server.experiment.trial_order import list_conditions, plan_trials
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 
 STYLE: Final = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
@@ -83,17 +83,17 @@ def write_report(
     excluded = find_excluded_participants(experiment, rows)
     sections: dict[str, Callable[[], str]] = {
         "Design": lambda: _design(experiment),
-        "Participants and exclusions": lambda: _exclusions(experiment, rows, excluded, root),
-        "Estimates": lambda: _estimates(experiment, groups, excluded),
-        "Models with and without a factor": lambda: _models(experiment, rows, excluded),
-        "Surveys": lambda: _surveys(*surveys),
-        "Figures": lambda: "".join(map(_image, (path for path in figures if path.suffix == ".png"))),
+        "Participants and exclusions": lambda: _report_exclusions(experiment, rows, excluded, root),
+        "Estimates": lambda: _report_estimates(experiment, groups, excluded),
+        "Models with and without a factor": lambda: _report_models(experiment, rows, excluded),
+        "Surveys": lambda: _report_surveys(*surveys),
+        "Figures": lambda: "".join(map(_format_image, (path for path in figures if path.suffix == ".png"))),
         "Methods": lambda: "".join(
-            map(_paragraph, write_methods(experiment, rows, excluded, _starts(root), surveys[0]))
+            map(_format_paragraph, write_methods(experiment, rows, excluded, _load_starts(root), surveys[0]))
         ),
     }
     parts = []
-    with progress("writing the report", len(sections)) as update:
+    with show_progress("writing the report", len(sections)) as update:
         for number, (heading, write_section) in enumerate(sections.items(), 1):
             if content := write_section():
                 parts.append(f"<h2>{heading}</h2>\n{content}")
@@ -118,10 +118,12 @@ def _design(experiment: ExperimentFile) -> str:
         "trials of a session": str(len(plan_trials(experiment, 1))),
         "scene, rig": f"{experiment.scene}, {experiment.rig}",
     }
-    return _table((), [pair for pair in facts.items() if pair[1]])
+    return _format_table((), [pair for pair in facts.items() if pair[1]])
 
 
-def _exclusions(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str], root: Path) -> str:
+def _report_exclusions(
+    experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str], root: Path
+) -> str:
     caught, is_comparison = catch_shares(rows), experiment.task.kind == "compare"
     journals = {path.parent.name: read(path) for path in sorted(root.glob("sub-*/sub-*_journal.jsonl"))}
     lines = []
@@ -139,38 +141,42 @@ def _exclusions(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Map
         share = [f"{sum(first) / len(first):.0%}" if first else "none"] if is_comparison else []
         lines.append((participant, str(counted), str(practice), right, *share, why))
     bias = ["answered “first”"] if is_comparison else []
-    return _table(("participant", "analysed trials", "practice", "right catch trials", *bias, "excluded"), lines)
+    return _format_table(("participant", "analysed trials", "practice", "right catch trials", *bias, "excluded"), lines)
 
 
-def _estimates(experiment: ExperimentFile, groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
+def _report_estimates(experiment: ExperimentFile, groups: Sequence[Group], excluded: Mapping[str, str]) -> str:
     if experiment.task.kind == "compare":
-        share = float(probability(1.0, 1.0, 1.0, lapse=experiment.observer.lapse))
+        share = float(compute_probability(1.0, 1.0, 1.0, lapse=experiment.observer.lapse))
         value = "value / reference - 1" if experiment.task.more == "up" else "reference / value - 1"
         quantity = f"A threshold is the level, {value}, at which {100.0 * share:.0f} % of the answers are right."
     else:
         quantity = "An estimate is the answer at the geometric mean of the levels."
-    ratios = _effects([(effect.factor, effect) for effect in compare_levels(experiment, groups, excluded)], "ratio")
-    population = _table(
-        (_condition_head(experiment), "participants", "geometric mean (95 % interval)"),
+    ratios = _format_effects(
+        [(effect.factor, effect) for effect in compare_levels(experiment, groups, excluded)], "ratio"
+    )
+    population = _format_table(
+        (_format_condition_head(experiment), "participants", "geometric mean (95 % interval)"),
         [
             (estimate.condition, str(estimate.participants), format_interval(estimate.mean, estimate.interval_95))
             for estimate in estimate_population(groups, excluded)
         ],
     )
     group_rows = [(group.participant, group.condition, str(group.trials), format_fit(group.fit)) for group in groups]
-    fits = _table(("participant", _condition_head(experiment), "trials", "estimate (95 % interval)"), group_rows)
-    return _paragraph(quantity) + population + ratios + fits
+    fits = _format_table(
+        ("participant", _format_condition_head(experiment), "trials", "estimate (95 % interval)"), group_rows
+    )
+    return _format_paragraph(quantity) + population + ratios + fits
 
 
-def _condition_head(experiment: ExperimentFile) -> str:
+def _format_condition_head(experiment: ExperimentFile) -> str:
     factors = name_factors(experiment)
     return f"condition ({factors})" if factors else "condition"
 
 
-def _models(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str]) -> str:
+def _report_models(experiment: ExperimentFile, rows: Sequence[Entry], excluded: Mapping[str, str]) -> str:
     comparisons = compare_models(experiment, rows, excluded)
     note = "The AIC difference is that without the factor less that with it: above 0 favours the factor."
-    return "" if not comparisons else _paragraph(note) + _table(
+    return "" if not comparisons else _format_paragraph(note) + _format_table(
         ("factor", "parameters with, without", "log likelihood with, without", "likelihood ratio", "AIC difference"),
         [
             (
@@ -189,19 +195,19 @@ def format_p(value: float) -> str:
     return "p < 0.001" if value < 0.001 else f"p = {value:.3f}"
 
 
-def _surveys(table: Sequence[Entry], effects: Sequence[tuple[str, Effect]]) -> str:
+def _report_surveys(table: Sequence[Entry], effects: Sequence[tuple[str, Effect]]) -> str:
     if not table:
         return ""
     lines = [
         (row["survey"], row["question"], row["condition"], str(row["answers"]), format_answers(row)) for row in table
     ]
     head = ("survey", "question", "condition", "answers", "mean ± standard deviation, or answers")
-    return _table(head, lines) + _effects(
+    return _format_table(head, lines) + _format_effects(
         [(f"{survey}: {effect.factor}", effect) for survey, effect in effects], "difference"
     )
 
 
-def _effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
+def _format_effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
     """Return a table of effects of factors, each with a name; `kind` is ratio or difference."""
     joint = {"ratio": "to", "difference": "less"}[kind]
     lines = [
@@ -210,10 +216,10 @@ def _effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
         for name, effect in effects
     ]  # fmt: skip
     head = ("factor", f"{kind} within participants", "participants", "mean (95 % interval)")
-    return _table(head, lines) if lines else ""
+    return _format_table(head, lines) if lines else ""
 
 
-def _starts(root: Path) -> list[dict[str, Any]]:
+def _load_starts(root: Path) -> list[dict[str, Any]]:
     """Return the stored data of each start of a session, with `simulated` for dry runs.
 
     Raises ConfigError if a file is damaged.
@@ -229,17 +235,17 @@ def _starts(root: Path) -> list[dict[str, Any]]:
     return starts
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = ["<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"] if head else []
     lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
     return "<table>\n" + "\n".join(lines) + "\n</table>\n"
 
 
-def _paragraph(text: str) -> str:
+def _format_paragraph(text: str) -> str:
     return f"<p>{html.escape(text)}</p>\n"
 
 
-def _image(path: Path) -> str:
+def _format_image(path: Path) -> str:
     data, caption = base64.b64encode(path.read_bytes()).decode(), html.escape(CAPTIONS[path.stem])
     return (
         f'<figure><img alt="{path.stem}" src="data:image/png;base64,{data}">'

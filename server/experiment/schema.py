@@ -20,7 +20,7 @@ from softfinger.server.experiment.schema_parts import (
     Positive,
     Screen,
     Survey,
-    repeated_names,
+    find_repeated_names,
 )
 from softfinger.server.experiment.schema_trials import LEVELS, Design, Factor, Procedure, Task
 
@@ -116,7 +116,7 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
         if is_usable(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
             fault = f"must be constant: answers of {self.task.kind} are not right or wrong"
             yield "procedure.kind", self.procedure.kind, fault
-        yield from self._participant_faults()
+        yield from self._check_participants()
         if is_usable(self.motion, self.turn):
             for finger in self.turn.keys() - self.motion.keys():
                 fault = "rotates a hand that [motion] does not move: add a path for the finger"
@@ -129,20 +129,20 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
                         yield f"{key}.{finger}", times, "times must increase from point to point"
                     if path and path[-1][0] > self.trial.touch_s:
                         yield f"{key}.{finger}", msgspec.UNSET, f"ends at {path[-1][0]:g} s: set trial.touch_s to that"
-        yield from repeated_names("factor", self.factor)
+        yield from find_repeated_names("factor", self.factor)
         if is_usable(self.factor):
             factors = [factor for factor in self.factor if is_usable(factor)]
             if math.prod(len(factor.levels) for factor in factors if is_usable(factor.levels)) > LEVELS.high:
                 names = [factor.name for factor in factors]
                 yield "factor", names, f"has more than {LEVELS.high:g} combinations"
 
-    def _participant_faults(self) -> Iterator[Complaint]:
+    def _check_participants(self) -> Iterator[Complaint]:
         if is_usable(self.task):
             for key, value in (("catch", self.catch), ("confidence", self.confidence)):
                 if is_usable(value) and value is not None and self.task.kind != "compare":
                     fault = f"applies to compare only: answers of {self.task.kind} are not right or wrong"
                     yield key, msgspec.UNSET, fault
-        yield from repeated_names("survey", self.survey)
+        yield from find_repeated_names("survey", self.survey)
         if is_usable(self.survey, self.design) and is_usable(self.design.order) and self.design.order == "random":
             for survey in self.survey:
                 if is_usable(survey) and is_usable(survey.at) and "between" in survey.at:

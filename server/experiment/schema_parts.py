@@ -24,7 +24,7 @@ Option = Annotated[str, Meta(min_length=1, max_length=CHOICE_LENGTH)]
 Bound = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
-def repeated_names(key: str, tables: Sequence[Any]) -> Iterator[Complaint]:
+def find_repeated_names(key: str, tables: Sequence[Any]) -> Iterator[Complaint]:
     names = [table.name for table in tables if is_usable(table)] if is_usable(tables) else []
     if len(set(names)) < len(names):
         yield key, names, "has a name twice"
@@ -84,7 +84,7 @@ class SurveyFile(Table, frozen=True, kw_only=True):
     question: Annotated[tuple[Question, ...], sized(Range(0, 100, "a questionnaire"), "its questions, in order")] = ()
 
     def faults(self) -> Iterator[Complaint]:
-        yield from repeated_names("question", self.question)
+        yield from find_repeated_names("question", self.question)
 
 
 class Survey(SurveyFile, frozen=True, kw_only=True):

@@ -45,7 +45,7 @@ class Session:
         Raises Stopped if the participant does not agree.
         """
         if self.experiment.consent and not any(entry["agreed"] for entry in journal.entries_of("consent")):
-            answer = answers.ask(self.experiment.title, consent_question(self.experiment), None, 0, (0, 0))
+            answer = answers.ask(self.experiment.title, make_consent_question(self.experiment), None, 0, (0, 0))
             journal.write("consent", agreed=answer.value == AGREE)
             if answer.value != AGREE:
                 raise Stopped("the participant did not agree: no trial was run")
@@ -122,10 +122,10 @@ class Session:
             values.insert(1 if trial.test_first else 0, task.reference)
         results = []
         for touch, value in enumerate(values, 1):
-            progress = self._progress(trial, touch, len(values))
+            progress = self._make_progress(trial, touch, len(values))
             self._report(f"{progress.title}{f': {progress.text}' if progress.text else ''}")
             answers.prepare(progress, condition)
-            changes = condition.changes | parameters(self.experiment, value)
+            changes = condition.changes | list_parameters(self.experiment, value)
             results.append(apparatus.touch(Stimulus(trial.number, touch, condition.scene, changes)))
         test = results[0 if trial.test_first or len(results) == 1 else 1]
         answer, after_s = answers.answer(trial, condition, level, test)
@@ -151,7 +151,7 @@ class Session:
         ticks = [{"touch": touch} | row for touch, result in enumerate(results, 1) for row in result.ticks]
         return entry | test.summary, ticks
 
-    def _progress(self, trial: PlannedTrial, touch: int, touches: int) -> Progress:
+    def _make_progress(self, trial: PlannedTrial, touch: int, touches: int) -> Progress:
         block = self._blocks[trial.number - 1]
         return Progress(trial.number, len(self.trials), block, self._blocks[-1], trial.practice, touch, touches)
 
@@ -161,7 +161,7 @@ class Session:
             procedure.update(entry["level"], entry["right"])
 
 
-def consent_question(experiment: ExperimentFile) -> Question:
+def make_consent_question(experiment: ExperimentFile) -> Question:
     return Question(name=CONSENT, kind="multi-choice", prompt=experiment.consent, options=(AGREE, DECLINE))
 
 
@@ -188,7 +188,7 @@ def number_blocks(trials: Sequence[PlannedTrial], is_mixed: bool) -> list[int]:
     return numbers
 
 
-def parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:
+def list_parameters(experiment: ExperimentFile, value: float) -> dict[str, Any]:
     also: Mapping[str, float] = experiment.task.also
     return {experiment.task.parameter: value} | {path: factor * value for path, factor in also.items()}
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from softfinger.server.experiment.comparison import Effect, difference_of_levels
+from softfinger.server.experiment.comparison import Effect, compute_level_differences
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.schema_parts import Survey
@@ -22,7 +22,7 @@ def survey_table(experiment: ExperimentFile, answers: Sequence[Entry], excluded:
     table = []
     for survey in experiment.survey:
         rows = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
-        scores = _scores(survey, rows)
+        scores = _compute_scores(survey, rows)
         rows += [{"question": "mean", "condition": key[2], "answer": value} for key, value in scores.items()]
         for question in [*(question.name for question in survey.question), *(["mean"] if scores else [])]:
             for condition in dict.fromkeys(row["condition"] for row in rows):
@@ -48,13 +48,15 @@ def compare_scores(
     for survey in experiment.survey:
         rows = [row for row in answers if row["survey"] == survey.name and row["participant"] not in excluded]
         scores = {
-            (participant, at): score for (participant, _, at), score in _scores(survey, rows).items() if at is not None
+            (participant, at): score
+            for (participant, _, at), score in _compute_scores(survey, rows).items()
+            if at is not None
         }
-        effects += [(survey.title or survey.name, effect) for effect in difference_of_levels(experiment, scores)]
+        effects += [(survey.title or survey.name, effect) for effect in compute_level_differences(experiment, scores)]
     return effects
 
 
-def _scores(survey: Survey, answers: Sequence[Entry]) -> dict[tuple[str, int, str | None], float]:
+def _compute_scores(survey: Survey, answers: Sequence[Entry]) -> dict[tuple[str, int, str | None], float]:
     """Return the score by participant, block and condition. A mean of fewer ratings is another quantity: left out."""
     likert = [question.name for question in survey.question if question.kind == "likert"]
     ratings = dict[tuple[str, int, str | None], list[float]]()

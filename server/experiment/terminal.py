@@ -50,7 +50,7 @@ def print_line(line: str) -> None:
 
 
 @contextmanager
-def keyboard(single: bool) -> Iterator[Callable[[], str]]:
+def read_keyboard(single: bool) -> Iterator[Callable[[], str]]:
     """Yield a function that returns the text typed since its last call.
 
     A terminal passes it on key by key if `single`, otherwise line by line.

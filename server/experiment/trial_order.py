@@ -80,12 +80,12 @@ def list_conditions(experiment: ExperimentFile) -> list[Condition]:
     return combinations
 
 
-def by_condition(table: V, condition: Condition) -> V:
+def choose_by_condition(table: V, condition: Condition) -> V:
     """Return [observer] or [screen] in a condition: values of the condition replace the general ones."""
     return replace(table, **table.by.get(condition.name, {}))
 
 
-def williams(count: int, row: int) -> list[int]:
+def make_williams_row(count: int, row: int) -> list[int]:
     """Return a row of a Latin square in which each of `count` items follows each other equally often (Williams 1949).
 
     An odd count needs two squares, the second being the mirror image of the first: rows repeat after 2 count.
@@ -99,12 +99,12 @@ def plan_trials(experiment: ExperimentFile, participant: int) -> list[PlannedTri
     """Return the trials of a participant, practice first."""
     rng = np.random.default_rng([experiment.design.seed, participant, _ORDER])
     count = len(list_conditions(experiment))
-    blocks = [_block(experiment, condition, rng) for condition in range(count)]
+    blocks = [_make_block(experiment, condition, rng) for condition in range(count)]
     match experiment.design.order:
         case "random":
             trials = _mix(blocks, rng)
         case "latin-square":
-            trials = [trial for index in williams(count, participant - 1) for trial in blocks[index]]
+            trials = [trial for index in make_williams_row(count, participant - 1) for trial in blocks[index]]
         case _:
             trials = [trial for block in blocks for trial in block]
     practice = [trials[int(k)] for k in rng.integers(len(trials), size=experiment.design.practice)]
@@ -134,7 +134,7 @@ def describe_session(experiment: ExperimentFile) -> list[tuple[str, str]]:
     ]
 
 
-def _block(experiment: ExperimentFile, condition: int, rng: np.random.Generator) -> list[tuple[int, float | None]]:
+def _make_block(experiment: ExperimentFile, condition: int, rng: np.random.Generator) -> list[tuple[int, float | None]]:
     """Return the trials of a condition: its index, and the level if it is known."""
     procedure = experiment.procedure
     if procedure.kind != "constant":

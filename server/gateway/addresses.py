@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import CommandRefused, ConfigError
-from softfinger.config.schema import COMMANDS_SUFFIX, commands_address_for, is_public, telemetry_of
+from softfinger.config.schema import COMMANDS_SUFFIX, is_public, make_commands_address, make_telemetry_address
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
@@ -54,24 +54,26 @@ def find_addresses(
     within_s    time limit of the search if something listens at the address; the machine may be busy
 
     By default, and for an address that other machines can reach, the command endpoint follows from the telemetry
-    endpoint (`commands_address_for`). Otherwise the daemon is queried. If it does not answer, for
+    endpoint (`make_commands_address`). Otherwise the daemon is queried. If it does not answer, for
     example because it has not started yet, the default is returned.
     """
     if commands is not None:
-        return Addresses(telemetry_of(endpoint), commands)
+        return Addresses(make_telemetry_address(endpoint), commands)
     if endpoint.startswith("ipc://") and endpoint.endswith(COMMANDS_SUFFIX):
-        return _first_answer([_query_commands], endpoint, keys, within_s) or Addresses(telemetry_of(endpoint), endpoint)
-    neighbour = commands_address_for(endpoint)
+        return _find_first_answer([_query_commands], endpoint, keys, within_s) or Addresses(
+            make_telemetry_address(endpoint), endpoint
+        )
+    neighbour = make_commands_address(endpoint)
     if neighbour.startswith("ipc://") and Path(neighbour.removeprefix("ipc://")).is_socket():
         return Addresses(endpoint, neighbour)
     suggestion = Addresses(endpoint, endpoint if to_command else neighbour)
     if is_public(endpoint):
         return suggestion
     queries = [_query_commands, _query_telemetry] if to_command else [_query_telemetry, _query_commands]
-    return _first_answer(queries, endpoint, keys, within_s) or suggestion
+    return _find_first_answer(queries, endpoint, keys, within_s) or suggestion
 
 
-def _first_answer(
+def _find_first_answer(
     queries: Sequence[Callable[[str, ClientKeys | None, float], Addresses | None]],
     endpoint: str,
     keys: ClientKeys | None,
@@ -82,7 +84,7 @@ def _first_answer(
     for query in cycle(queries):
         if (announced := query(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
             return announced
-        if time.monotonic() > until or not _listens(endpoint):
+        if time.monotonic() > until or not _is_listening(endpoint):
             return None
     return None
 
@@ -91,7 +93,7 @@ def _query_telemetry(endpoint: str, keys: ClientKeys | None, wait_s: float) -> A
     """Return both addresses if an endpoint is telemetry: its first message has the command endpoint."""
     with subscribe(endpoint, (SCHEMA_TOPIC,), keys=keys) as samples, suppress(ProtocolError):
         if (sample := samples.receive(wait_s)) is not None:
-            return Addresses(endpoint, sample.data.get("commands", commands_address_for(endpoint)) or None)
+            return Addresses(endpoint, sample.data.get("commands", make_commands_address(endpoint)) or None)
     return None
 
 
@@ -103,7 +105,7 @@ def _query_commands(endpoint: str, keys: ClientKeys | None, wait_s: float) -> Ad
     return None
 
 
-def _listens(endpoint: str) -> bool:
+def _is_listening(endpoint: str) -> bool:
     """Return whether a process listens at an address of this machine; True if that is unknown."""
     scheme, _, address = endpoint.partition("://")
     host, _, port = address.rpartition(":")

@@ -40,7 +40,7 @@ class CommandPath(NamedTuple):
     lock: KeyLock | None = None
 
 
-class Forward:
+class Forwarder:
     """Forwarding of telemetry and commands.
 
     stream    source of the telemetry, if any
@@ -96,11 +96,11 @@ class Forward:
         bound_resources()
         next_check_s = 0.0
         while not ended():
-            handlers = dict(self._handlers())
+            handlers = dict(self._iter_handlers())
             poller = zmq.Poller()
             for socket in handlers:
                 poller.register(socket, zmq.POLLIN)
-            changed, renewals = False, self._renewals()
+            changed, renewals = False, self._count_renewals()
             while not (changed or ended()):
                 for socket, _ in poller.poll(POLL_MS):
                     changed |= bool(handlers[socket]())
@@ -111,12 +111,12 @@ class Forward:
                         peers.refresh_keys()
                     if show is not None:
                         show(describe(self.statistics()))
-                changed |= self._renewals() != renewals
+                changed |= self._count_renewals() != renewals
 
-    def _renewals(self) -> int:
+    def _count_renewals(self) -> int:
         return sum(peers.renewals for peers in self._peer_sockets)
 
-    def _handlers(self) -> Iterator[tuple[Any, Callable[[], Any]]]:
+    def _iter_handlers(self) -> Iterator[tuple[Any, Callable[[], Any]]]:
         """Yield each socket with its handler; a handler returns True if the set of sockets has changed."""
         if self.stream is not None:
             yield self.stream.socket, self.stream.take

@@ -13,9 +13,9 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.record import FIELDS, RECORD_SIZE, columns
+from softfinger.proxy.record import FIELDS, RECORD_SIZE, list_columns
 from softfinger.server.wire.client import Sample, record_of
-from softfinger.server.wire.protocol import EVENT, STATE, ProtocolError, decode, finger_of
+from softfinger.server.wire.protocol import EVENT, STATE, ProtocolError, decode, find_finger
 
 NAME: Final = "softfinger"
 """Name of the stream of a single finger; with several fingers, a hyphen and the finger's name are appended."""
@@ -54,7 +54,7 @@ class Outlets:
     def send(self, topic: bytes, body: bytes) -> None:
         """Send a message to its stream; ignores messages that are neither tick nor event."""
         name = topic.decode("ascii", "replace")
-        finger = finger_of(name)
+        finger = find_finger(name)
         if finger is None and name not in (EVENT, STATE):
             return
         try:
@@ -64,7 +64,7 @@ class Outlets:
         if name == STATE:
             self._set_clock(message.sequence, message.timestamp)
         elif finger is None:
-            self._markers.push_sample([marker(message)], message["timestamp"] + self._to_local_s)
+            self._markers.push_sample([format_marker(message)], message["timestamp"] + self._to_local_s)
             self.markers += 1
         else:
             self._newest = (message.tick, message.timestamp)
@@ -86,7 +86,7 @@ class Outlets:
         info = self._create_stream_info(stream_name(finger), TYPE, RECORD_SIZE, "double64")
         channels = info.desc().append_child("channels")
         units = [field.unit for field in FIELDS for _ in range(field.size)]
-        for label, unit in zip(columns(), units, strict=True):
+        for label, unit in zip(list_columns(), units, strict=True):
             channels.append_child("channel").append_child_value("label", label).append_child_value("unit", unit)
         return info
 
@@ -103,7 +103,7 @@ def _measure_offset(local_clock: Callable[[], float], clock: Callable[[], float]
     return local - (before + after) / 2
 
 
-def marker(event: dict[str, Any]) -> str:
+def format_marker(event: dict[str, Any]) -> str:
     """Return an event as the text of a marker, JSON: `tick`, `kind`, `name` and its other keys."""
     content = {key: value for key, value in event.items() if key not in ("schema", "timestamp")}
     return msgspec.json.encode(content).decode()

@@ -13,7 +13,7 @@ from softfinger.server.wire.protocol import CONTACT, FINGERS, MAX_BYTES
 
 QUEUE: Final = 8192
 """Messages queued for a slow subscriber, 8 s at 1 kHz; beyond that, libzmq drops new messages for it."""
-AT_ONCE: Final = 256
+MESSAGES_PER_TURN: Final = 256
 
 _TICKING: Final = (CONTACT.encode(), FINGERS.encode())
 
@@ -47,7 +47,7 @@ class Stream:
         self._ticks: dict[bytes, int] = {}
 
     def take(self) -> None:
-        for _ in range(AT_ONCE):
+        for _ in range(MESSAGES_PER_TURN):
             try:
                 frames = self.socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:

@@ -17,7 +17,7 @@ log: Final = logging.getLogger(__name__)
 
 RESTART_S: Final = 1.0
 """Shortest time from one start of the process to the next."""
-END_S: Final = 5.0
+EXIT_TIMEOUT_S: Final = 5.0
 """Time for the process to end by itself; libzmq may block it for longer."""
 
 
@@ -59,7 +59,7 @@ class TelemetryProcess:
     def end(self) -> dict[str, Any]:
         """End the process, and return its statistics, if it has printed any; may be called repeatedly."""
         try:
-            printed, _ = self._process.communicate(timeout=END_S)
+            printed, _ = self._process.communicate(timeout=EXIT_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             printed, _ = self._process.communicate()

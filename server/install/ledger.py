@@ -43,15 +43,15 @@ class Ledger:
         self._files: dict[str, str] = {}
         self._folders: list[str] = []
         try:
-            recorded = json.loads(self._at(record).read_bytes())
+            recorded = json.loads(self._resolve(record).read_bytes())
             self._files, self._folders = dict(recorded["files"]), list(recorded["folders"])
         except FileNotFoundError:
             pass
         except PermissionError as error:
-            raise self._permission_error(record, error) from error
+            raise self._make_permission_error(record, error) from error
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(
-                f"{self._at(record)} is damaged ({error}): check its content, and move it away"
+                f"{self._resolve(record)} is damaged ({error}): check its content, and move it away"
             ) from error
 
     @property
@@ -61,16 +61,16 @@ class Ledger:
 
     @property
     def paths(self) -> list[Path]:
-        return [self._at(Path(path)) for path in self._files]
+        return [self._resolve(Path(path)) for path in self._files]
 
     def check(self, paths: Iterable[Path] = ()) -> None:
         """Raise ConfigError if this user may not change a recorded file, the record, or one of `paths`."""
         for path in (*paths, *map(Path, self._files), self._record):
-            folder = self._at(path).parent
+            folder = self._resolve(path).parent
             while not folder.exists():
                 folder = folder.parent
             if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
-                raise self._permission_error(path, PermissionError(13, "Permission denied"))
+                raise self._make_permission_error(path, PermissionError(13, "Permission denied"))
 
     def state(self, file: File) -> State:
         """Return how the file at the path of `file` compares with `file` and with the record."""
@@ -90,7 +90,7 @@ class Ledger:
         states = [self.state(file) for file in files]
         if foreign := [file.path for file, state in zip(files, states, strict=True) if state == "foreign"]:
             raise ConfigError(
-                f"{', '.join(str(self._at(path)) for path in foreign)}: already exists and was not written by "
+                f"{', '.join(str(self._resolve(path)) for path in foreign)}: already exists and was not written by "
                 "this command: move it away first; nothing was written"
             )
         self.check(file.path for file in files)
@@ -100,13 +100,13 @@ class Ledger:
             for file, state in zip(files, states, strict=True):
                 if state == "edited":
                     yield Action(
-                        "edited, therefore not replaced; move it away to install the new one:", self._at(file.path)
+                        "edited, therefore not replaced; move it away to install the new one:", self._resolve(file.path)
                     )
                     continue
                 if state != "unchanged":
                     self._write_file(file.path, file.text)
                 self._files[str(file.path)] = _digest(file.text.encode())
-                yield Action(ACTION_TEXTS[state], self._at(file.path))
+                yield Action(ACTION_TEXTS[state], self._resolve(file.path))
         finally:
             self._save()
 
@@ -125,12 +125,12 @@ class Ledger:
         for path in paths:
             digest = self._digest_at(Path(path))
             if digest is not None and digest != self._files[path]:
-                yield Action("edited, therefore not removed; remove it yourself:", self._at(Path(path)))
+                yield Action("edited, therefore not removed; remove it yourself:", self._resolve(Path(path)))
                 continue
             if digest is not None:
-                self._at(Path(path)).unlink()
+                self._resolve(Path(path)).unlink()
             del self._files[path]
-            yield Action("removed" if digest is not None else "gone already:", self._at(Path(path)))
+            yield Action("removed" if digest is not None else "gone already:", self._resolve(Path(path)))
 
     def _save(self) -> None:
         if self._files:
@@ -139,14 +139,14 @@ class Ledger:
                 self._record, json.dumps({"files": self._files, "folders": self._folders}, indent=1) + "\n"
             )
             return
-        self._at(self._record).unlink(missing_ok=True)
+        self._resolve(self._record).unlink(missing_ok=True)
         for folder in sorted(self._folders, key=len, reverse=True):
             with contextlib.suppress(OSError):  # not empty: it has files of other origin
-                self._at(Path(folder)).rmdir()
+                self._resolve(Path(folder)).rmdir()
 
     def _write_file(self, path: Path, text: str) -> None:
         """Write a file atomically, readable by everybody."""
-        at = self._at(path)
+        at = self._resolve(path)
         part = at.with_name(f".{at.name}.{secrets.token_hex(4)}")
         try:
             self._make_folder(path.parent)
@@ -157,34 +157,34 @@ class Ledger:
         except OSError as error:
             with contextlib.suppress(OSError):
                 part.unlink()
-            raise self._permission_error(path, error) from error
+            raise self._make_permission_error(path, error) from error
 
     def _make_folder(self, folder: Path) -> None:
         if folder == Path("/"):
             self._root.mkdir(parents=True, exist_ok=True)
-        elif not self._at(folder).is_dir():
+        elif not self._resolve(folder).is_dir():
             self._make_folder(folder.parent)
-            self._at(folder).mkdir()
-            self._at(folder).chmod(0o755)
+            self._resolve(folder).mkdir()
+            self._resolve(folder).chmod(0o755)
             self._folders.append(str(folder))
 
     def _digest_at(self, path: Path) -> str | None:
         """Return the digest of the content at a path, or None if it does not exist. Links are not followed."""
-        at = self._at(path)
+        at = self._resolve(path)
         try:
             return "no file" if at.is_symlink() or at.is_dir() else _digest(at.read_bytes())
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise self._permission_error(path, error) from error
+            raise self._make_permission_error(path, error) from error
 
-    def _permission_error(self, path: Path, error: OSError) -> ConfigError:
+    def _make_permission_error(self, path: Path, error: OSError) -> ConfigError:
         return ConfigError(
-            f"{self._at(path)} may not be changed by this user ({error.strerror}): an installation for all users needs "
-            "root: use sudo, or omit --system to install for this user"
+            f"{self._resolve(path)} may not be changed by this user ({error.strerror}): an installation for all users "
+            "needs root: use sudo, or omit --system to install for this user"
         )
 
-    def _at(self, path: Path) -> Path:
+    def _resolve(self, path: Path) -> Path:
         return self._root / path.relative_to("/")
 
 

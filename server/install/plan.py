@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.files import home_folder
+from softfinger.config.files import find_home_folder
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
 from softfinger.config.sources import find, list_shipped
-from softfinger.drivers.system.rules import GROUP, program_command, udev_rules
+from softfinger.drivers.system.rules import GROUP, find_program_command, make_udev_rules
 from softfinger.server.install.ledger import File
-from softfinger.server.install.manual import manual
-from softfinger.server.install.unit import RTPRIO, unit
+from softfinger.server.install.manual import make_manual
+from softfinger.server.install.unit import RTPRIO, make_unit
 
 ACCOUNT: Final = f"""\
 # The account of the service; its group may open the devices and has the limits.
@@ -49,7 +49,7 @@ SYSTEM: Final = InstallPaths(
 )
 
 
-def user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPaths:
+def find_user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPaths:
     """Return the places by the XDG base directories.
 
     Raises ConfigError if one of them needs a home folder and there is none.
@@ -76,37 +76,37 @@ def user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPath
 
 
 def install_paths(system: bool) -> InstallPaths:
-    return SYSTEM if system else user_paths(os.environ, home_folder())
+    return SYSTEM if system else find_user_paths(os.environ, find_home_folder())
 
 
-def files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:
+def list_files(system: bool, rig: str, scene: str, parser: argparse.ArgumentParser) -> list[File]:
     """Return all files to install, for a daemon with that rig and scene; `parser` has the options of all verbs.
 
     Raises the errors of loading the rig or the scene.
     """
-    from softfinger.server.cli import completion
+    from softfinger.server.cli import format_completion
 
     load_scene(scene)
     devices = load_rig(rig).tables.values()
     at = install_paths(system)
     install_files = [
-        File(at.units / "softfinger.service", unit(service(rig, scene), system)),
-        File(at.manuals / "softfinger.1", manual(parser)),
-        File(at.bash / "softfinger", completion("bash")),
-        File(at.zsh / "_softfinger", completion("zsh")),
+        File(at.units / "softfinger.service", make_unit(make_service_command(rig, scene), system)),
+        File(at.manuals / "softfinger.1", make_manual(parser)),
+        File(at.bash / "softfinger", format_completion("bash")),
+        File(at.zsh / "_softfinger", format_completion("zsh")),
     ]
     if system:
         install_files += [
-            File(Path("/etc/udev/rules.d/70-softfinger.rules"), udev_rules(devices)),
+            File(Path("/etc/udev/rules.d/70-softfinger.rules"), make_udev_rules(devices)),
             File(Path("/etc/security/limits.d/70-softfinger.conf"), LIMITS),
             File(Path("/etc/sysusers.d/softfinger.conf"), ACCOUNT),
         ]
     return install_files
 
 
-def service(rig: str, scene: str) -> list[str]:
+def make_service_command(rig: str, scene: str) -> list[str]:
     """Return the command of the unit, independent of the working directory."""
-    return [*program_command(), "run", "--rig", resolve_name(rig, Rig), "--scene", resolve_name(scene, Scene)]
+    return [*find_program_command(), "run", "--rig", resolve_name(rig, Rig), "--scene", resolve_name(scene, Scene)]
 
 
 def resolve_name(name: str, kind: type[Rig] | type[Scene]) -> str:
@@ -114,7 +114,7 @@ def resolve_name(name: str, kind: type[Rig] | type[Scene]) -> str:
     return name if name in list_shipped(kind) else str(find(name, kind).resolve())
 
 
-def first_private_folder(words: Sequence[str]) -> Path | None:
+def find_private_folder(words: Sequence[str]) -> Path | None:
     """Return the first folder that only its owner may enter, on the path of a program, its interpreter or its files.
 
     Returns None if there is none.

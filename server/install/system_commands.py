@@ -24,21 +24,21 @@ RULES: Final[tuple[Command, ...]] = (
 WAIT_S: Final = 60.0
 
 
-def after_writing(system: bool) -> list[Command]:
+def list_activation_commands(system: bool) -> list[Command]:
     """Return the commands that activate new files."""
     if not system:
         return [("systemctl", "--user", "daemon-reload")]
     return [("systemd-sysusers", "/etc/sysusers.d/softfinger.conf"), ("systemctl", "daemon-reload"), *RULES]
 
 
-def before_removing(system: bool) -> list[Command]:
+def list_stop_commands(system: bool) -> list[Command]:
     """Return the commands that stop the service and remove its compiled kernels, but not its recordings."""
     if not system:
         return [("systemctl", "--user", "disable", "--now", SERVICE)]
     return [("systemctl", "disable", "--now", SERVICE), ("systemctl", "clean", "--what=cache", SERVICE)]
 
 
-def after_removing(system: bool, state: Path = STATE) -> list[Command]:
+def list_cleanup_commands(system: bool, state: Path = STATE) -> list[Command]:
     """Return the commands that deactivate removed files, and remove the account if `state` is empty."""
     if not system:
         return [("systemctl", "--user", "daemon-reload")]

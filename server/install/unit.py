@@ -87,7 +87,7 @@ WantedBy=default.target
 """
 
 
-def unit(words: Sequence[str], system: bool) -> str:
+def make_unit(words: Sequence[str], system: bool) -> str:
     """Return the unit that runs a command, given as a list of arguments."""
     program, *arguments = map(_quote, words)
     command = " ".join([program, *(word.replace("$", "$$") for word in arguments)])  # no expansion in the program

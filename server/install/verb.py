@@ -10,12 +10,18 @@ from typing import Final
 
 from softfinger.drivers.system.rules import install_command
 from softfinger.server.install.ledger import Action, Ledger
-from softfinger.server.install.plan import files, first_private_folder, install_paths, service
-from softfinger.server.install.system_commands import STATE, after_removing, after_writing, before_removing, run_all
+from softfinger.server.install.plan import find_private_folder, install_paths, list_files, make_service_command
+from softfinger.server.install.system_commands import (
+    STATE,
+    list_activation_commands,
+    list_cleanup_commands,
+    list_stop_commands,
+    run_all,
+)
 
 ROOT: Final = Path("/")
 
-LATER: Final = """\
+ADMIN_STEPS: Final = """\
 The user at this machine may open a device once it is plugged in again; over ssh, and for the limits, join
 the group and log in again:
   sudo usermod -aG softfinger $USER
@@ -23,7 +29,7 @@ The daemon as a service, and its log:
   sudo systemctl start softfinger
   journalctl -u softfinger -f
 """
-LATER_FOR_ONE: Final = """\
+USER_STEPS: Final = """\
 The daemon as a service, and its log:
   systemctl --user start softfinger
   journalctl --user -u softfinger -f
@@ -43,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
 def install(args: argparse.Namespace, ledger: Ledger) -> None:
     from softfinger.server.cli import make_parser
 
-    files_to_write = files(args.system, args.rig, args.scene, make_parser().complete())
-    commands = after_writing(args.system)
+    files_to_write = list_files(args.system, args.rig, args.scene, make_parser().complete())
+    commands = list_activation_commands(args.system)
     if args.dry_run:
         for file in files_to_write:
             print(f"##### {file.path}: {ledger.state(file)}\n{file.text}")
@@ -53,13 +59,13 @@ def install(args: argparse.Namespace, ledger: Ledger) -> None:
     show(ledger.write(files_to_write))
     if args.root is None:
         run_all(commands)
-    private_folder = first_private_folder(service(args.rig, args.scene)) if args.system else None
+    private_folder = find_private_folder(make_service_command(args.rig, args.scene)) if args.system else None
     if private_folder is not None:
         print(
             f"the service cannot start: {private_folder} is readable by its owner only; "
             "move the program to /opt/softfinger"
         )
-    print(LATER if args.system else LATER_FOR_ONE.format(command=install_command()), end="")
+    print(ADMIN_STEPS if args.system else USER_STEPS.format(command=install_command()), end="")
 
 
 def remove(args: argparse.Namespace, ledger: Ledger) -> None:
@@ -70,10 +76,10 @@ def remove(args: argparse.Namespace, ledger: Ledger) -> None:
     else:
         ledger.check()  # before the service is stopped
         if args.root is None:
-            run_all(before_removing(args.system))
+            run_all(list_stop_commands(args.system))
         show(ledger.remove())
         if args.root is None:
-            run_all(after_removing(args.system))
+            run_all(list_cleanup_commands(args.system))
             if args.system and STATE.exists():
                 print(f"data of the service remain in {STATE}, and so does its account")
 

@@ -5,7 +5,7 @@ from typing import Any
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.seqlock import Slot, store
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, check_budget, step_bodies, write_motion
-from softfinger.server.loop.clock import now_ns
+from softfinger.server.loop.clock import read_clock_ns
 
 
 @jit
@@ -18,6 +18,6 @@ def move_bodies(bodies: Any, tick: int, start_ns: int, motion: Slot, scratch: An
     if bodies is None:
         return
     if step_bodies(bodies) == NO_FAULT:
-        check_budget(bodies, now_ns(timespec) - start_ns)
+        check_budget(bodies, read_clock_ns(timespec) - start_ns)
         write_motion(bodies, tick, scratch)
         store(motion, scratch)

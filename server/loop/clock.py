@@ -32,14 +32,14 @@ _clock_nanosleep = types.ExternalFunction(
 
 
 @jit
-def now_ns(timespec: NDArray[np.int64]) -> int:
+def read_clock_ns(timespec: NDArray[np.int64]) -> int:
     """Return monotonic time in ns; `timespec` (2,) int64 is scratch."""
     _clock_gettime(CLOCK_MONOTONIC, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1]
 
 
 @jit
-def suspended_ns(now: int, timespec: NDArray[np.int64]) -> int:
+def read_suspended_ns(now: int, timespec: NDArray[np.int64]) -> int:
     """Return for how long the machine has been suspended since boot, ns; `now` (ns) is the monotonic time just read."""
     _clock_gettime(CLOCK_BOOTTIME, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1] - now
@@ -63,7 +63,7 @@ class Stopwatch(NamedTuple):
     ns: NDArray[np.int64]
 
 
-def stopwatch(*blocks: int) -> Stopwatch:
+def make_stopwatch(*blocks: int) -> Stopwatch:
     """Return a stopwatch at zero for a number of blocks, or of blocks and parts."""
     return Stopwatch(np.zeros(2, np.int64), np.zeros(blocks, np.int64))
 
@@ -95,18 +95,18 @@ class Pace(NamedTuple):
 
 
 @jit
-def first_pace(now: int, period: int, missed: int, timespec: NDArray[np.int64]) -> Pace:
+def make_first_pace(now: int, period: int, missed: int, timespec: NDArray[np.int64]) -> Pace:
     """Return the pace before the first tick, which is due a period (ns) after the present time `now` (ns).
 
     missed  deadlines missed by the previous loops
     """
-    return Pace(now + period, 0, missed, period / NS_PER_S, suspended_ns(now, timespec))
+    return Pace(now + period, 0, missed, period / NS_PER_S, read_suspended_ns(now, timespec))
 
 
 @jit
 def with_suspension(pace: Pace, woke: int, timespec: NDArray[np.int64]) -> Pace:
     """Return the pace of a tick that starts now, at `woke` (ns); `dt` includes any suspension since the last tick."""
-    suspended = suspended_ns(woke, timespec)
+    suspended = read_suspended_ns(woke, timespec)
     dt, slept = pace.dt, (suspended - pace.suspended) / NS_PER_S
     if slept > SUSPENSION_MIN_S:
         dt += min(slept, SUSPENSION_MAX_S)
@@ -114,7 +114,7 @@ def with_suspension(pace: Pace, woke: int, timespec: NDArray[np.int64]) -> Pace:
 
 
 @jit
-def next_pace(pace: Pace, now: int, period: int) -> Pace:
+def compute_next_pace(pace: Pace, now: int, period: int) -> Pace:
     """Return the pace after a tick that finished at `now` (ns); with a `period` of 0 ns no deadline is missed.
 
     After an overrun the loop resumes at the next deadline of the same grid, without a burst of late ticks.
@@ -126,6 +126,6 @@ def next_pace(pace: Pace, now: int, period: int) -> Pace:
     return Pace(deadline, skipped, pace.missed + skipped, period / NS_PER_S * (1 + skipped), pace.suspended)
 
 
-def period_ns(rate_hz: float) -> int:
+def compute_period_ns(rate_hz: float) -> int:
     """Return the length of a tick, rounded to ns; the nominal dt is this over 1e9 everywhere."""
     return round(NS_PER_S / rate_hz)

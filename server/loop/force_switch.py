@@ -23,7 +23,7 @@ DEADLINE_NS: Final = 1
 """Time, ns on CLOCK_MONOTONIC, at which the force turns off unless the time is extended."""
 IS_ACTIVE: Final = 2
 """Written by the loop: 1 if a hand was given a force in the last tick, or the switch was on."""
-FOREVER: Final = np.iinfo(np.int64).max
+NO_DEADLINE_NS: Final = np.iinfo(np.int64).max
 MAX_OFF_S: Final = 0.006
 """Longest time, s, from the largest force to zero once the switch is off: that of 12 N at the default slew limit. A rig
 with a slower limit, for a softer feel, must not delay `disarm` by it."""
@@ -32,7 +32,7 @@ with a slower limit, for a softer feel, must not delay `disarm` by it."""
 def make_switch(words: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
     """Return the memory of a switch that is on without a time limit."""
     switch = np.zeros(8, np.int64) if words is None else words
-    switch[IS_REQUESTED], switch[DEADLINE_NS] = 1, FOREVER
+    switch[IS_REQUESTED], switch[DEADLINE_NS] = 1, NO_DEADLINE_NS
     return switch
 
 

@@ -112,7 +112,7 @@ def clamp(v: Vec3, largest: float) -> tuple[Vec3, bool]:
 
 
 @jit
-def slew(before: Vec3, goal: Vec3, largest: float) -> tuple[Vec3, bool]:
+def limit_slew(before: Vec3, goal: Vec3, largest: float) -> tuple[Vec3, bool]:
     """Return the point at most `largest` from `before` towards `goal`, and whether it falls short of the goal."""
     step, limited = clamp(vec3.sub(goal, before), largest)
     if limited:
@@ -149,10 +149,10 @@ def guard_wrench(
     torque, clamped = clamp(torque, gain * guard.torque_max)
     if clamped:
         bits |= TORQUE_CLAMPED
-    force, limited = slew(guard_state.force, force, guard.force_slew * period)
+    force, limited = limit_slew(guard_state.force, force, guard.force_slew * period)
     if limited:
         bits |= SLEW_LIMITED
-    torque, limited = slew(guard_state.torque, torque, guard.torque_slew * period)
+    torque, limited = limit_slew(guard_state.torque, torque, guard.torque_slew * period)
     if limited:
         bits |= SLEW_LIMITED
     return GuardState(force, torque, gain), bits

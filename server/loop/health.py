@@ -21,7 +21,7 @@ NO_FORCE_MAX_S: Final = 0.5
 """Time of ticks without a usable pose or a finite force, minus that of good ticks. The force is zero during that time;
 half a second tolerates a cable that was touched, and is too short for a user to wonder whether anything runs."""
 
-JUMP_S: Final = 0.1
+TIME_PER_JUMP_S: Final = 0.1
 """Time that one jump of a pose adds: each removes the force for most of the ramp that follows, so five in a row, or ten
 per second, leave nothing to render."""
 
@@ -79,7 +79,7 @@ def examine(health: Health, bits: int, late: float, dt: float, period: float) ->
     bad = bits & (POSE_REFUSED | POSE_JUMPED | NOT_FINITE)
     without_force = max(health.without_force + (period if bad != 0 else -period), 0.0)
     if bits & POSE_JUMPED:
-        without_force += JUMP_S
+        without_force += TIME_PER_JUMP_S
     gap = min(dt - period, GAP_MAX_S)
     if gap < GAP_MIN_S:
         gap = 0.0

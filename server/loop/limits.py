@@ -3,23 +3,23 @@
 They are the speed of the handle, the heat of the motors, the energy given to the hand, and the edge of the workspace.
 Each costs a few operations per tick and one or two numbers of state. A limit of infinity is off.
 
-Speed. The handle's velocity is smoothed over SPEED_S as a vector: positions that scatter cancel, and one pose that is
-displaced by d counts as d / (SPEED_S + period). The largest jump that passes (`speed_max`, 10 mm in a tick of 1 ms)
-then counts as 0.91 m/s, below the default limit of 2 m/s, so a single outlier does not trip the limit. A hand at speed
-v is detected after -SPEED_S ln(1 - limit / v).
+Speed. The handle's velocity is smoothed over SPEED_TIME_CONSTANT_S as a vector: positions that scatter cancel, and one
+pose that is displaced by d counts as d / (SPEED_TIME_CONSTANT_S + period). The largest jump that passes (`speed_max`,
+10 mm in a tick of 1 ms) then counts as 0.91 m/s, below the default limit of 2 m/s, so a single outlier does not trip
+the limit. A hand at speed v is detected after -SPEED_TIME_CONSTANT_S ln(1 - limit / v).
 
 Heat. A single thermal body is heated by the square of the force, which is proportional to the square of the motors'
 current, and cools in proportion to its temperature: dh/dt = ((F / F_c)^2 - h) / tau, in steps h' = (tau h + dt (F /
-F_c)^2) / (tau + dt). The steady state under the continuous force F_c is h = 1. Above h = WARM, the square of the
+F_c)^2) / (tau + dt). The steady state under the continuous force F_c is h = 1. Above h = WARM_SHARE, the square of the
 allowed force falls linearly to F_c^2 at h = 1, so h never exceeds 1.
 
 Source: the thermal replica of IEC 60255-149, Measuring relays: thermal electrical relays.
 
 Energy. The work of the force on the hand within a contact, as `passivity.py` observes it. Work done by the hand is
-discarded when the contact ends. Energy given to the hand accumulates over several contacts and decays over FORGET_S, so
-that rounding never reaches the limit. Between the limit and twice the limit, the force is scaled down linearly to zero,
-so at most twice the limit is given. The scale depends on the largest energy given, so that the force is also reduced
-during the press of the next bounce on an unstable wall.
+discarded when the contact ends. Energy given to the hand accumulates over several contacts and decays over
+ENERGY_TIME_CONSTANT_S, so that rounding never reaches the limit. Between the limit and twice the limit, the force is
+scaled down linearly to zero, so at most twice the limit is given. The scale depends on the largest energy given, so
+that the force is also reduced during the press of the next bounce on an unstable wall.
 
 A device that displays a force d ticks late generates more energy than is observed here: on a spring, over any path in
 one contact, up to 2 d + 1 times as much, because sum dx_k dx_(k-j) <= sum dx_k^2 for each of the d ticks.
@@ -34,15 +34,15 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
-SPEED_S: Final = 0.01
+SPEED_TIME_CONSTANT_S: Final = 0.01
 """Time constant of the handle's smoothed velocity. A free handle of 0.1 kg driven by 12 N gains 1.2 m/s in it."""
-SLOW: Final = 0.5
+SLOW_SHARE: Final = 0.5
 """Fraction of the speed limit below which the handle counts as slow again."""
-SLOW_S: Final = 0.5
+SLOW_TIME_S: Final = 0.5
 """Time for which the handle must be slow before the force returns automatically."""
-WARM: Final = 0.8
+WARM_SHARE: Final = 0.8
 """Heat above which less than the largest force is allowed."""
-FORGET_S: Final = 1.0
+ENERGY_TIME_CONSTANT_S: Final = 1.0
 """Time constant with which given energy decays: a limit of 0.5 J is one of 0.5 W in the long run."""
 
 
@@ -115,12 +115,12 @@ def smooth_velocity(velocity: Vec3, displacement: Vec3, dt: float) -> Vec3:
     """Return the smoothed velocity (3,) m/s after the handle moved by `displacement` (3,) m in `dt` s."""
     if not dt > 0.0:
         return velocity
-    share = 1.0 / (SPEED_S + dt)
-    return vec3.add_scaled(vec3.scale(SPEED_S * share, velocity), share, displacement)
+    share = 1.0 / (SPEED_TIME_CONSTANT_S + dt)
+    return vec3.add_scaled(vec3.scale(SPEED_TIME_CONSTANT_S * share, velocity), share, displacement)
 
 
 @jit
-def remaining_wait(limits: Limits, wait: float, speed: float, armed: bool, period: float) -> float:
+def compute_remaining_wait(limits: Limits, wait: float, speed: float, armed: bool, period: float) -> float:
     """Return the remaining time (s) for which the handle must be slow, given its speed (m/s); at 0, force is allowed.
 
     wait    s  after the last tick
@@ -128,7 +128,7 @@ def remaining_wait(limits: Limits, wait: float, speed: float, armed: bool, perio
     """
     if wait == 0.0 and speed <= limits.speed:
         return 0.0
-    if speed > SLOW * limits.speed:
+    if speed > SLOW_SHARE * limits.speed:
         return max(limits.slow_s, period)
     if limits.slow_s < inf:
         return max(wait - period, 0.0)
@@ -143,12 +143,12 @@ def update_heat(limits: Limits, heat: float, force: Vec3, dt: float) -> float:
 
 
 @jit
-def heat_limited_force(limits: Limits, heat: float, largest: float) -> float:
+def compute_heat_limit(limits: Limits, heat: float, largest: float) -> float:
     """Return the largest force (N) that the heat allows; `largest` while the motors are cool."""
-    if heat <= WARM or largest <= limits.continuous:
+    if heat <= WARM_SHARE or largest <= limits.continuous:
         return largest
     steady = limits.continuous * limits.continuous
-    headroom = max(1.0 - heat, 0.0) / (1.0 - WARM)
+    headroom = max(1.0 - heat, 0.0) / (1.0 - WARM_SHARE)
     return sqrt(steady + (largest * largest - steady) * headroom)
 
 
@@ -165,7 +165,7 @@ def update_work(work: float, tick_work: float, touched: bool, touches: bool, dt:
     if touched:
         work -= tick_work
     if work < 0.0:
-        return work * FORGET_S / (FORGET_S + dt)
+        return work * ENERGY_TIME_CONSTANT_S / (ENERGY_TIME_CONSTANT_S + dt)
     return work if touches else 0.0
 
 
@@ -175,11 +175,11 @@ def decay_energy(energy_given: float, work: float, dt: float) -> float:
 
     Work of the hand in the next contact does not reduce it.
     """
-    return max(energy_given * FORGET_S / (FORGET_S + dt), -work)
+    return max(energy_given * ENERGY_TIME_CONSTANT_S / (ENERGY_TIME_CONSTANT_S + dt), -work)
 
 
 @jit
-def energy_scale(limits: Limits, energy_given: float) -> float:
+def compute_energy_scale(limits: Limits, energy_given: float) -> float:
     """Return the fraction of the force allowed by the energy given, 0 to 1."""
     if energy_given <= limits.energy:
         return 1.0
@@ -187,7 +187,7 @@ def energy_scale(limits: Limits, energy_given: float) -> float:
 
 
 @jit
-def wall_force(wall: Workspace, handle: Vec3) -> tuple[Vec3, bool]:
+def compute_wall_force(wall: Workspace, handle: Vec3) -> tuple[Vec3, bool]:
     """Return the force (3,) N of the soft wall on a handle at (3,) m, and whether it acts."""
     x, y, z = vec3.sub(handle, wall.center)
     hx, hy, hz = wall.half

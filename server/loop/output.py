@@ -26,16 +26,16 @@ from softfinger.server.loop.guard import (
 from softfinger.server.loop.limits import (
     INITIAL_LIMITS,
     LimitState,
+    compute_energy_scale,
+    compute_heat_limit,
+    compute_remaining_wait,
+    compute_wall_force,
     decay_energy,
-    energy_scale,
-    heat_limited_force,
-    remaining_wait,
     smooth_velocity,
     update_heat,
     update_work,
-    wall_force,
 )
-from softfinger.server.loop.passivity import HandMotion, handle_at, work_on_hand
+from softfinger.server.loop.passivity import HandMotion, compute_work_on_hand, handle_at
 
 
 class Instant(NamedTuple):
@@ -57,7 +57,7 @@ INITIAL_OUTPUT: Final = OutputState(INITIAL_GUARD_STATE, INITIAL_LIMITS)
 
 
 @jit
-def displayed_wrench(guard: Guard, wrench: GuardState) -> GuardState:
+def reduce_to_displayed(guard: Guard, wrench: GuardState) -> GuardState:
     """Return the part of a wrench that reaches the hand: without torque if the device cannot display one."""
     return GuardState(wrench.force, vec3.scale(guard.displays_torque, wrench.torque), wrench.gain)
 
@@ -75,14 +75,16 @@ def update_limits(guard: Guard, output_state: OutputState, motion: HandMotion, m
         velocity = smooth_velocity(velocity, displacement, dt)
     if limits.energy < inf:
         touched = before.touching != 0.0
-        tick_work = work_on_hand(displayed_wrench(guard, output_state.guard_state), motion) if touched else 0.0
+        tick_work = (
+            compute_work_on_hand(reduce_to_displayed(guard, output_state.guard_state), motion) if touched else 0.0
+        )
         work = update_work(work, tick_work, touched, touches, dt)
         energy_given = decay_energy(energy_given, work, dt)
     return LimitState(velocity, before.wait, before.heat, work, energy_given, 1.0 if touches else 0.0)
 
 
 @jit
-def output_wrench(
+def limit_wrench(
     guard: Guard,
     output_state: OutputState,
     motion: HandMotion,
@@ -100,20 +102,22 @@ def output_wrench(
     """
     limits, limit_state, bits = guard.limits, update_limits(guard, output_state, motion, mode, instant.dt), 0
     if limits.workspace.radius < inf:
-        push, out = wall_force(limits.workspace, handle_at(motion.tool, motion.now))
+        push, out = compute_wall_force(limits.workspace, handle_at(motion.tool, motion.now))
         if out:
             force, bits = vec3.add(force, push), WORKSPACE_EDGE
-    share = energy_scale(limits, limit_state.energy_given)
+    share = compute_energy_scale(limits, limit_state.energy_given)
     if share < 1.0:  # scale the limits, too: a stiff wall requests many times their value and would still reach them
         force, _ = clamp(vec3.scale(share, force), share * guard.force_max)
         torque, _ = clamp(vec3.scale(share, torque), share * guard.torque_max)
         bits |= ENERGY_SPENT
-    allowed = heat_limited_force(limits, limit_state.heat, guard.force_max)
+    allowed = compute_heat_limit(limits, limit_state.heat, guard.force_max)
     if allowed < guard.force_max:
         force, reduced = clamp(force, allowed)
         if reduced:
             bits |= MOTOR_HOT
-    wait = remaining_wait(limits, limit_state.wait, vec3.norm(limit_state.velocity), guard.armed != 0.0, instant.period)
+    wait = compute_remaining_wait(
+        limits, limit_state.wait, vec3.norm(limit_state.velocity), guard.armed != 0.0, instant.period
+    )
     guard_state, changed = guard_wrench(guard, output_state.guard_state, force, torque, instant.dt, instant.period)
     if wait > 0.0:
         nothing = (0.0, 0.0, 0.0)

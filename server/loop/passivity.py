@@ -53,7 +53,7 @@ def handle_at(tool: Any, tip: Pose) -> Vec3:
 
 
 @jit
-def work_on_hand(wrench: GuardState, motion: HandMotion) -> float:
+def compute_work_on_hand(wrench: GuardState, motion: HandMotion) -> float:
     """Return the work (J) of a constant wrench on the handle over a motion."""
     displacement = vec3.sub(handle_at(motion.tool, motion.now), handle_at(motion.tool, motion.before))
     turn = log(relative(motion.now.orientation, motion.before.orientation))
@@ -78,7 +78,7 @@ def keep_passive(
     """
     if passivity is None:
         return energy, force
-    work = energy.work - work_on_hand(wrench, motion)
+    work = energy.work - compute_work_on_hand(wrench, motion)
     if mode == FREE:
         work = min(work, 0.0)
     if not work < 0.0 or not dt > 0.0 or not passivity.damping_max > 0.0:

@@ -122,7 +122,9 @@ def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(clamped))
     except OSError as error:
-        return Setting(setting, False, f"priority {clamped}: {_reason(error.errno)}", _fifo_advice(error.errno))
+        return Setting(
+            setting, False, f"priority {clamped}: {_format_reason(error.errno)}", _advise_on_fifo(error.errno)
+        )
     return Setting(setting, True, f"priority {clamped}", "")
 
 
@@ -145,11 +147,11 @@ def _check_required(applied: AppliedSettings) -> None:
 
 
 def _set_timer_slack(applied: AppliedSettings) -> Setting:
-    before = _libc("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
-    if before.result < 0 or (call := _libc("prctl", PR_SET_TIMERSLACK, SLACK_NS, 0, 0, 0)).result < 0:
+    before = _call_libc("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    if before.result < 0 or (call := _call_libc("prctl", PR_SET_TIMERSLACK, SLACK_NS, 0, 0, 0)).result < 0:
         error = before.error or call.error
-        return Setting("timer_slack", False, _reason(error), "allow prctl in the container's seccomp profile")
-    applied._undo_thread.append(lambda: _libc("prctl", PR_SET_TIMERSLACK, before.result, 0, 0, 0))
+        return Setting("timer_slack", False, _format_reason(error), "allow prctl in the container's seccomp profile")
+    applied._undo_thread.append(lambda: _call_libc("prctl", PR_SET_TIMERSLACK, before.result, 0, 0, 0))
     return Setting("timer_slack", True, f"{SLACK_NS} ns (was {before.result} ns)", "")
 
 
@@ -158,8 +160,8 @@ def _set_fifo(applied: AppliedSettings, priority: int) -> Setting:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
-        refusal = f"priority {priority}: {_reason(error.errno)}"
-        return Setting("sched_fifo", False, refusal, _fifo_advice(error.errno))
+        refusal = f"priority {priority}: {_format_reason(error.errno)}"
+        return Setting("sched_fifo", False, refusal, _advise_on_fifo(error.errno))
     applied._undo_thread.append(lambda: os.sched_setscheduler(0, policy, parameters))
     # The kernel's limit for a thread that never sleeps; it does not affect a servo that meets its deadlines.
     runtime = _read(RT_RUNTIME)
@@ -167,20 +169,20 @@ def _set_fifo(applied: AppliedSettings, priority: int) -> Setting:
     return Setting("sched_fifo", True, f"priority {priority}{note}", "")
 
 
-def _fifo_advice(number: int | None) -> str:
+def _advise_on_fifo(number: int | None) -> str:
     if number == errno.EINVAL:
         low, high = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
         return f"set servo.priority between {low} and {high}"
     advice = (
-        f"this user's highest priority is {_limit('RLIMIT_RTPRIO')}: {_group_advice()}; under systemd LimitRTPRIO=95; "
-        "in Docker --cap-add=SYS_NICE or --ulimit rtprio=95"
+        f"this user's highest priority is {_limit('RLIMIT_RTPRIO')}: {_advise_on_group()}; under systemd "
+        "LimitRTPRIO=95; in Docker --cap-add=SYS_NICE or --ulimit rtprio=95"
     )
     if _read(RT_RUNTIME) == "0":
         advice += f"; {RT_RUNTIME} is 0, which forbids it to everyone: write 950000"
     return advice
 
 
-def _group_advice() -> str:
+def _advise_on_group() -> str:
     """Return how a user obtains both limits (priority and locked memory) and access to the latency device."""
     join = f"join that (sudo usermod -aG {GROUP} $USER) and log in again"
     return f"`{install_command()}` gives it to the group {GROUP}: {join}"
@@ -188,26 +190,26 @@ def _group_advice() -> str:
 
 def _lock_memory(applied: AppliedSettings) -> Setting:
     """Lock present pages now and others on first touch, and load the pages that a tick may touch."""
-    for mapping in _mappings():
+    for mapping in _list_mappings():
         # Drop the code of large libraries, such as the compiler. It is mapped from a file and never written: if it is
         # called again, it is read from there. Kernels are code too, but without a file.
         if mapping.size > LOCKED_MAPPING_MAX_BYTES and mapping.permissions == "r-xp" and mapping.inode != 0:
-            _libc("madvise", mapping.begin, mapping.size, MADV_DONTNEED)
+            _call_libc("madvise", mapping.begin, mapping.size, MADV_DONTNEED)
     # Under a finite limit, locking future mappings would make a later malloc fail.
-    capabilities = int(_status("CapEff") or "0", 16)
+    capabilities = int(_read_status("CapEff") or "0", 16)
     has_no_limit = capabilities >> CAP_IPC_LOCK & 1 or _limit("RLIMIT_MEMLOCK") == "unlimited"
     later = MCL_FUTURE if has_no_limit else 0
-    call = _libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
+    call = _call_libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
     if call.result < 0:
-        required, limit = _status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
+        required, limit = _read_status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
         advice = (
-            f"{_group_advice()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
+            f"{_advise_on_group()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
             "--cap-add=IPC_LOCK or --ulimit memlock=-1"
         )
-        return Setting("mlockall", False, f"{_reason(call.error)}: {required} to lock, limit {limit}", advice)
-    applied._undo_process.append(lambda: _libc("munlockall"))
+        return Setting("mlockall", False, f"{_format_reason(call.error)}: {required} to lock, limit {limit}", advice)
+    applied._undo_process.append(lambda: _call_libc("munlockall"))
     _load_small_mappings()
-    locked = f"{_status('VmLck')} locked, {_status('VmRSS')} of them in memory"
+    locked = f"{_read_status('VmLck')} locked, {_read_status('VmRSS')} of them in memory"
     note = "later ones as they come" if later else "memory mapped later is not locked because of a limit"
     return Setting("mlockall", True, f"{locked}; {note}", "")
 
@@ -218,16 +220,18 @@ def _load_small_mappings() -> None:
     The large ones are the compiler, which no tick calls, the stacks of other threads, which no tick writes, and arrays:
     arrays written by a tick were already written when they were created.
     """
-    for mapping in _mappings():
+    for mapping in _list_mappings():
         if mapping.permissions.startswith("r") and mapping.size <= LOCKED_MAPPING_MAX_BYTES:
-            _libc("mlock", mapping.begin, mapping.size)  # refused for pages of the kernel, which are always present
+            _call_libc(
+                "mlock", mapping.begin, mapping.size
+            )  # refused for pages of the kernel, which are always present
     attributes = ctypes.create_string_buffer(PTHREAD_ATTR_BYTES)
     lowest, size = ctypes.c_size_t(), ctypes.c_size_t()
-    if _libc("pthread_getattr_np", threading.get_ident(), ctypes.addressof(attributes)).result == 0:
-        _libc("pthread_attr_getstack", *map(ctypes.addressof, (attributes, lowest, size)))
-        _libc("pthread_attr_destroy", ctypes.addressof(attributes))
+    if _call_libc("pthread_getattr_np", threading.get_ident(), ctypes.addressof(attributes)).result == 0:
+        _call_libc("pthread_attr_getstack", *map(ctypes.addressof, (attributes, lowest, size)))
+        _call_libc("pthread_attr_destroy", ctypes.addressof(attributes))
         used = min(size.value, STACK_BYTES)
-        _libc("mlock", lowest.value + size.value - used, used)
+        _call_libc("mlock", lowest.value + size.value - used, used)
 
 
 def _limit_latency(applied: AppliedSettings) -> Setting:
@@ -236,13 +240,13 @@ def _limit_latency(applied: AppliedSettings) -> Setting:
     try:
         fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
     except OSError as error:
-        advice = f"{_group_advice()}; in Docker --device={LATENCY_DEVICE} for a user that may write it"
-        return Setting(name, False, f"{LATENCY_DEVICE}: {_reason(error.errno)}", advice)
+        advice = f"{_advise_on_group()}; in Docker --device={LATENCY_DEVICE} for a user that may write it"
+        return Setting(name, False, f"{LATENCY_DEVICE}: {_format_reason(error.errno)}", advice)
     try:
         os.write(fd, struct.pack("i", 0))
     except OSError as error:
         os.close(fd)
-        refusal = f"writing {LATENCY_DEVICE}: {_reason(error.errno)}"
+        refusal = f"writing {LATENCY_DEVICE}: {_format_reason(error.errno)}"
         return Setting(name, False, refusal, "see the kernel's log: the device exists but accepts no value")
     applied._undo_process.append(lambda: os.close(fd))
     return Setting(name, True, "0 us: processors stay out of deep sleep while the servo runs", "")
@@ -255,7 +259,7 @@ def _set_affinity(applied: AppliedSettings, cpu: int) -> Setting:
     except OSError as error:
         allowed = ", ".join(str(number) for number in sorted(before))
         advice = f"set servo.cpu to one this process may use: {allowed}; in Docker --cpuset-cpus decides"
-        return Setting("affinity", False, f"processor {cpu}: {_reason(error.errno)}", advice)
+        return Setting("affinity", False, f"processor {cpu}: {_format_reason(error.errno)}", advice)
     applied._undo_thread.append(lambda: os.sched_setaffinity(0, before))
     return Setting("affinity", True, f"processor {cpu}", "")
 
@@ -265,7 +269,7 @@ class _Outcome(NamedTuple):
     error: int
 
 
-def _libc(name: str, *arguments: int) -> _Outcome:
+def _call_libc(name: str, *arguments: int) -> _Outcome:
     """Call a libc function with C longs; the error is 0 on success."""
     function = getattr(ctypes.CDLL(None, use_errno=True), name)
     ctypes.set_errno(0)
@@ -273,7 +277,7 @@ def _libc(name: str, *arguments: int) -> _Outcome:
     return _Outcome(result, ctypes.get_errno() if result < 0 else 0)
 
 
-def _reason(number: int | None) -> str:
+def _format_reason(number: int | None) -> str:
     return f"{os.strerror(number or 0)} ({errno.errorcode.get(number or 0, number)})"
 
 
@@ -293,7 +297,7 @@ class _Mapping(NamedTuple):
     inode: int
 
 
-def _mappings() -> list[_Mapping]:
+def _list_mappings() -> list[_Mapping]:
     mappings = []
     for line in _read("/proc/self/maps").splitlines():
         span, permissions, _, _, inode, *_ = line.split()
@@ -302,7 +306,7 @@ def _mappings() -> list[_Mapping]:
     return mappings
 
 
-def _status(key: str) -> str:
+def _read_status(key: str) -> str:
     """Return one line of this thread's /proc status, empty if it is missing."""
     for line in _read("/proc/thread-self/status").splitlines():
         if line.startswith(f"{key}:"):

@@ -30,13 +30,21 @@ from softfinger.server.loop.all_devices import (
     write_zero_to,
 )
 from softfinger.server.loop.bodies import move_bodies
-from softfinger.server.loop.clock import NS_PER_S, Pace, first_pace, next_pace, now_ns, sleep_until, with_suspension
+from softfinger.server.loop.clock import (
+    NS_PER_S,
+    Pace,
+    compute_next_pace,
+    make_first_pace,
+    read_clock_ns,
+    sleep_until,
+    with_suspension,
+)
 from softfinger.server.loop.force_switch import apply_switch, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import ParameterRamp, advance, set_now, set_target
 from softfinger.server.loop.shared.ring import Ring, push
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
-from softfinger.server.loop.tick import Memory, Tuning, tick
+from softfinger.server.loop.tick import Memory, Tuning, run_tick
 
 _eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
 
@@ -152,14 +160,14 @@ def schedule_next(
     shared: SharedMemory, schedule: Schedule, pace: Pace, woke: int, timespec: NDArray[np.int64]
 ) -> tuple[int, Pace]:
     """Return the duration of the tick that started at `woke`, ns, and the pace of the next tick."""
-    end = now_ns(timespec)
-    pace = next_pace(pace, end, schedule.period_ns)
+    end = read_clock_ns(timespec)
+    pace = compute_next_pace(pace, end, schedule.period_ns)
     store_release(shared.progress, 1, pace.missed)
     return end - woke, pace
 
 
 @entry
-def servo_loop(
+def run_servo_loop(
     tuning_like: Tuning, start: Memory, ios: tuple[Io, ...], schedule: Schedule, shared: SharedMemory, scratch: Scratch
 ) -> tuple[int, int, int]:
     """Run ticks until stopped; return the reason for the end, the last status of a device, and the index of its finger.
@@ -173,14 +181,14 @@ def servo_loop(
     tuning, memory, health = unpack(tuning_like, scratch.ramp.now), start, HEALTHY
     nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
-    pace = first_pace(now_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1), timespec)
+    pace = make_first_pace(read_clock_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1), timespec)
 
     while load_acquire(shared.stop, 0) == 0:
         if number == schedule.ticks:
             ending = FINISHED
             break
         sleep_until(pace.deadline, timespec)
-        woke = now_ns(timespec)
+        woke = read_clock_ns(timespec)
         pace = with_suspension(pace, woke, timespec)
         dt = nominal if schedule.own_clock else pace.dt
 
@@ -193,10 +201,10 @@ def servo_loop(
             break
         memory = Memory(memory.world, fingers_after_read)
         on, tuning_now = with_switch(tuning, buffers, fingers_after_read, shared.switch, woke)
-        memory = tick(tuning_now, start, memory, samples, dt, nominal, number, records)
+        memory = run_tick(tuning_now, start, memory, samples, dt, nominal, number, records)
         writes = ios, buffers, tuning.tools, start.fingers, fingers_after_read, memory.fingers
         hands, statuses_out = unzip(map_each(write_one, writes))
-        wrote = now_ns(timespec)
+        wrote = read_clock_ns(timespec)
         move_bodies(tuning.scene.bodies, number, wrote, shared.motion, scratch.motion, timespec)
         index, status_out = find_first_ended(statuses_out)
         if index >= 0:

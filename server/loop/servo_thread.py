@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
 from softfinger.drivers.base import IGNORED_WRENCH_MAX_S, Device
-from softfinger.proxy.bodies import begin_bodies, motion_size
+from softfinger.proxy.bodies import begin_bodies, count_motion_values
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.all_devices import Io, make_device_buffers
-from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.handover import Handover, Loop
 from softfinger.server.loop.inputs.ramp import flatten_tuning, make_ramp
-from softfinger.server.loop.servo import Schedule, Scratch, SharedMemory, servo_loop
+from softfinger.server.loop.servo import Schedule, Scratch, SharedMemory, run_servo_loop
 from softfinger.server.loop.shared.ring import make_ring, take
 from softfinger.server.loop.shared.rings import Rings
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, LoopEnd
@@ -82,7 +82,7 @@ class ServoThread:
         self._handover: Handover | None = None
         self._finished = threading.Event()
         # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset is valid for the run.
-        self._epoch_ns = _epoch_offset_ns()
+        self._epoch_ns = _read_epoch_offset_ns()
         self.switch: Final = make_switch() if switch is None else switch
         self._words = np.zeros(8, np.int64), np.zeros(8, np.int64), self.switch
         self.missed_before = 0
@@ -94,7 +94,7 @@ class ServoThread:
 
     def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
         """Return a loop for this servo: the first one, or one for `replace` with the same number of fingers."""
-        values, period = flatten_tuning(tuning), period_ns(rate_hz)
+        values, period = flatten_tuning(tuning), compute_period_ns(rate_hz)
         begin_bodies(tuning.scene, period / NS_PER_S)
         row = np.zeros(len(devices) * RECORD_SIZE)
         max_ignored_ticks = int(IGNORED_WRENCH_MAX_S * rate_hz)
@@ -103,7 +103,7 @@ class ServoThread:
         ring = self.records.newest
         if ring is None or len(ring.slots) != capacity:
             ring = make_ring(capacity, len(row))
-        motion = np.zeros(motion_size(tuning.scene))
+        motion = np.zeros(count_motion_values(tuning.scene))
         shared = SharedMemory(*self._words, make_slot(values), ring, self.records.wake_fd, make_slot(motion))
         arguments = (
             tuning,
@@ -126,7 +126,7 @@ class ServoThread:
         """Compile all functions that the loop (by default the first) and its readers call; True if all were cached."""
         _, _, shared, arguments = self._loop if loop is None else loop
         kernels: list[tuple[Any, tuple[Any, ...]]] = [
-            (servo_loop, arguments),
+            (run_servo_loop, arguments),
             (take, (shared.ring, np.empty((1, shared.ring.slots.shape[1])))),
             (publish, (shared.tuning, shared.tuning.values)),
         ]
@@ -142,7 +142,7 @@ class ServoThread:
     @staticmethod
     def has_compiled(tuning: Tuning) -> bool:
         """Return whether this process has compiled the loop for this structure of tuning."""
-        return any(signature[0] == numba.typeof(tuning) for signature in servo_loop.signatures)  # type: ignore[attr-defined]
+        return any(signature[0] == numba.typeof(tuning) for signature in run_servo_loop.signatures)  # type: ignore[attr-defined]
 
     def start(self) -> None:
         """Start the thread and return at once."""
@@ -180,7 +180,7 @@ class ServoThread:
 
     def _run_loops(self) -> LoopEnd:
         while True:
-            ending, status, finger = servo_loop(*self._loop.arguments)
+            ending, status, finger = run_servo_loop(*self._loop.arguments)
             handover = self._handover
             if handover is None or ending != STOPPED or self._stopping:
                 return LoopEnd(ending, status, finger=finger)
@@ -341,5 +341,5 @@ class ServoThread:
         self.records.close()
 
 
-def _epoch_offset_ns() -> int:
+def _read_epoch_offset_ns() -> int:
     return time.time_ns() - time.monotonic_ns()

@@ -131,7 +131,7 @@ def confirm_zero(devices: Sequence[Device]) -> None:
 
 def _raise_first(action: str, failures: Sequence[tuple[Device, BaseException]]) -> None:
     errors = [
-        _device_error(device, action, str(error)) if isinstance(error, TimeoutError) else error
+        _make_device_error(device, action, str(error)) if isinstance(error, TimeoutError) else error
         for device, error in failures
     ]
     for later_error in errors[1:]:
@@ -140,7 +140,7 @@ def _raise_first(action: str, failures: Sequence[tuple[Device, BaseException]]) 
         raise errors[0]
 
 
-def _device_error(device: Device, action: str, text: str) -> DeviceError:
+def _make_device_error(device: Device, action: str, text: str) -> DeviceError:
     return DeviceError(f"{device.info.name} could not {action} ({text}): it may still apply a force: switch it off")
 
 
@@ -151,10 +151,10 @@ def _call_checked(device: Device, act: Callable[[], None], action: str) -> None:
         raise
     except Exception as error:
         text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise _device_error(device, action, text) from error
+        raise _make_device_error(device, action, text) from error
 
 
-def device_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticError | None:
+def describe_failure(device: Device, ended: LoopEnd, finger: str = "") -> HapticError | None:
     """Return the error of a device that failed, with its reason and the remedy; None if no device failed.
 
     finger  name of the device's finger, if there are several

@@ -13,15 +13,15 @@ from softfinger.proxy.kernels.model import Contact, FingerState, Pose, Probe, Sc
 from softfinger.proxy.kernels.numerics.rotations import as_unit
 from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, tip_of
 from softfinger.proxy.kernels.numerics.vec3 import norm
-from softfinger.proxy.kernels.record_writer import put3, write_contact, write_surfaces
+from softfinger.proxy.kernels.record_writer import write_contact, write_surfaces, write_vector
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, POSITION_MAX_M, RECORD_SIZE
 from softfinger.proxy.scene import start_state
 from softfinger.server.loop.guard import INITIAL_GUARD_STATE, POSE_REFUSED, TOO_FAST, Guard, GuardState
-from softfinger.server.loop.limits import INITIAL_LIMITS, SPEED_S, LimitState
-from softfinger.server.loop.output import Instant, OutputState, cool_limits, displayed_wrench, output_wrench
+from softfinger.server.loop.limits import INITIAL_LIMITS, SPEED_TIME_CONSTANT_S, LimitState
+from softfinger.server.loop.output import Instant, OutputState, cool_limits, limit_wrench, reduce_to_displayed
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, HandMotion, keep_passive
-from softfinger.server.loop.reactions import no_reactions, reactions_of, relative_energy
+from softfinger.server.loop.reactions import collect_reactions, compute_relative_energy, make_no_reactions
 
 UNMOVED: Final = (-0.0, -0.0, -0.0)
 """Offset that changes no bit of a sum, including the sign of a zero."""
@@ -78,7 +78,7 @@ def begin(scene: Scene) -> Memory:
     """Return the state before the first tick."""
     state = start_state(scene)
     fingers = tuple(
-        FingerMemory(finger, INITIAL_GUARD_STATE, NO_ENERGY, INITIAL_LIMITS, no_reactions(scene.bodies, finger))
+        FingerMemory(finger, INITIAL_GUARD_STATE, NO_ENERGY, INITIAL_LIMITS, make_no_reactions(scene.bodies, finger))
         for finger in state.fingers
     )
     return Memory(state.world, fingers)
@@ -94,7 +94,7 @@ def continue_memory(start: Memory, guards: tuple[Guard, ...], row: Any) -> Memor
     fingers = []
     for index, (finger, guard) in enumerate(zip(start.fingers, guards, strict=True)):
         record = row[index * RECORD_SIZE :]
-        wait = max(guard.limits.slow_s, SPEED_S) if int(record[AT.servo_guard]) & TOO_FAST else 0.0
+        wait = max(guard.limits.slow_s, SPEED_TIME_CONSTANT_S) if int(record[AT.servo_guard]) & TOO_FAST else 0.0
         limit_state = INITIAL_LIMITS._replace(
             wait=wait, heat=float(record[AT.limits_heat]), energy_given=float(record[AT.limits_energy])
         )
@@ -126,8 +126,8 @@ def record_wrench(tool: Any, guard_state: GuardState, record: Any) -> None:
     """Replace the wrench in a record by the one of the device; the pose remains."""
     at = AT.probe_orientation
     tip = (record[at], record[at + 1], record[at + 2], record[at + 3])
-    put3(record, AT.force, guard_state.force)
-    put3(record, AT.torque, about_tip(tool, tip, guard_state.force, guard_state.torque))
+    write_vector(record, AT.force, guard_state.force)
+    write_vector(record, AT.torque, about_tip(tool, tip, guard_state.force, guard_state.torque))
 
 
 @jit
@@ -145,7 +145,7 @@ def has_pose(sample: Any) -> bool:
 
 
 @jit
-def pose_of(tool: Any, last: Probe, sample: Any) -> Pose:
+def compute_pose(tool: Any, last: Probe, sample: Any) -> Pose:
     """Return the fingertip's pose for a sample of the handle; the last pose if the sample has none."""
     if has_pose(sample):
         position = (sample[0], sample[1], sample[2])
@@ -170,17 +170,17 @@ def with_start_probe(world: World, finger: FingerState, pose: Pose) -> Any:
 def read_pose(hand: FingerMemory, tool: Any, sample: Any, world: World) -> tuple[FingerState, Pose]:
     """Return the state and the pose of a finger before the step."""
     finger = hand.contact
-    pose = pose_of(tool, finger.probe, sample)
+    pose = compute_pose(tool, finger.probe, sample)
     return with_start_probe(world, finger, pose), pose
 
 
 @jit
-def pair(first: Any, second: Any) -> Any:
+def make_pair(first: Any, second: Any) -> Any:
     return first, second
 
 
 @jit
-def command(
+def compute_command(
     hand: FingerMemory,
     start: FingerMemory,
     sample: Any,
@@ -197,11 +197,11 @@ def command(
         now = Pose(position, orientation)
         last = Pose(before.probe.position, before.probe.orientation) if before.started != 0.0 else now
         motion = HandMotion(last, now, tool)
-        energy = relative_energy(output.passivity, output.bodies, hand.energy, hand.reactions)
+        energy = compute_relative_energy(output.passivity, output.bodies, hand.energy, hand.reactions)
         energy, force = keep_passive(
             output.passivity,
             energy,
-            displayed_wrench(guard, hand.guard_state),
+            reduce_to_displayed(guard, hand.guard_state),
             motion,
             contact.mode,
             contact.force,
@@ -209,7 +209,7 @@ def command(
         )
         torque = about_handle(tool, orientation, force, contact.torque)
         output_state = OutputState(hand.guard_state, hand.limit_state)
-        output_state, bits = output_wrench(guard, output_state, motion, contact.mode, force, torque, instant)
+        output_state, bits = limit_wrench(guard, output_state, motion, contact.mode, force, torque, instant)
         guard_state, limit_state = output_state.guard_state, output_state.limit_state
     else:
         position, orientation = before.probe.position, before.probe.orientation
@@ -224,16 +224,16 @@ def command(
     record[AT.limits_speed] = norm(limit_state.velocity)
     record[AT.limits_heat] = limit_state.heat
     record[AT.limits_energy] = limit_state.energy_given
-    displayed = displayed_wrench(guard, guard_state)
+    displayed = reduce_to_displayed(guard, guard_state)
     displayed_at_tip = GuardState(
         displayed.force, about_tip(tool, orientation, displayed.force, displayed.torque), displayed.gain
     )
-    reactions = reactions_of(output.passivity, output.bodies, hand.reactions, contact, displayed_at_tip, position)
+    reactions = collect_reactions(output.passivity, output.bodies, hand.reactions, contact, displayed_at_tip, position)
     return FingerMemory(state, guard_state, energy, limit_state, reactions)
 
 
 @jit
-def tick(
+def run_tick(
     tuning: Tuning, start: Memory, memory: Memory, samples: Any, dt: float, period: float, number: int, records: Any
 ) -> Memory:
     """Run contact step, passivity and guard of all fingers, and fill the contact part of their records.
@@ -249,10 +249,10 @@ def tick(
     """
     fingers, poses = unzip(map_each(read_pose, (memory.fingers, tuning.tools, samples), memory.world))
     state, contacts = step(tuning.scene, State(memory.world, fingers), poses, dt)
-    stepped = map_each(pair, (state.fingers, contacts))
+    stepped = map_each(make_pair, (state.fingers, contacts))
     hands = map_each(
-        command,
-        (memory.fingers, start.fingers, samples, stepped, map_each(pair, (tuning.guards, tuning.tools)), records),
+        compute_command,
+        (memory.fingers, start.fingers, samples, stepped, map_each(make_pair, (tuning.guards, tuning.tools)), records),
         Output(tuning.passivity, tuning.scene.bodies),
         Instant(number, dt, period),
     )

@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.limits import NO_WALL, SLOW_S, Limits, Workspace
+from softfinger.server.loop.limits import NO_WALL, SLOW_TIME_S, Limits, Workspace
 from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import UNMOVED, Tuning
 
@@ -54,7 +54,9 @@ def make_tuning(
     made_tools = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
     made_tools = made_tools or (None,) * len(scene.fingers)
     COMPILE_PROGRESS.expect(estimate_kernels(scene))
-    return Tuning(build_scene(scene), guards, _passivity(scene.passivity), made_tools, (UNMOVED,) * len(scene.fingers))
+    return Tuning(
+        build_scene(scene), guards, _make_passivity(scene.passivity), made_tools, (UNMOVED,) * len(scene.fingers)
+    )
 
 
 def estimate_kernels(scene: schema.Scene) -> int:
@@ -70,7 +72,7 @@ def estimate_kernels(scene: schema.Scene) -> int:
 
 
 def with_scene(tuning: Tuning, scene: schema.Scene) -> Tuning:
-    return tuning._replace(scene=build_scene(scene, tuning.scene), passivity=_passivity(scene.passivity))
+    return tuning._replace(scene=build_scene(scene, tuning.scene), passivity=_make_passivity(scene.passivity))
 
 
 def _warn_of_lost_geoms(scene: schema.Scene) -> None:
@@ -116,18 +118,18 @@ def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard
     if device is None or not device.has_persistent_force:
         return limits
     pose_checks = {"speed_max": guard.speed_max_m_per_s, "turn_max": guard.turn_max_rad_per_s, "frozen": guard.frozen_s}
-    return limits._replace(**pose_checks, limits=hand_limits(guard))
+    return limits._replace(**pose_checks, limits=make_hand_limits(guard))
 
 
-def hand_limits(guard: schema.Guard) -> Limits:
+def make_hand_limits(guard: schema.Guard) -> Limits:
     """Return the limits that protect a hand: its speed, the heat of the motors, the energy given, and the workspace."""
-    slow_s = SLOW_S if guard.arm == "automatic" else inf
+    slow_s = SLOW_TIME_S if guard.arm == "automatic" else inf
     continuous = inf if guard.continuous_force_n is None else guard.continuous_force_n
-    speed, wall = guard.handle_speed_max_m_per_s, _wall(guard.workspace)
+    speed, wall = guard.handle_speed_max_m_per_s, _make_wall(guard.workspace)
     return Limits(speed, slow_s, continuous, guard.heat_time_s, guard.energy_max_j, wall)
 
 
-def _wall(workspace: schema.Workspace | None) -> Workspace:
+def _make_wall(workspace: schema.Workspace | None) -> Workspace:
     if workspace is None:
         return NO_WALL
     x, y, z = (0.0, 0.0, 0.0) if workspace.size_m is None else workspace.size_m
@@ -145,7 +147,7 @@ def with_offsets(tuning: Tuning, offsets: tuple[Vec3, ...]) -> Tuning:
     return tuning._replace(offsets=offsets, guards=tuple(guards))
 
 
-def _passivity(passivity: schema.Passivity | None) -> Passivity | None:
+def _make_passivity(passivity: schema.Passivity | None) -> Passivity | None:
     if passivity is None:
         return None
     if passivity.mode == "observe":

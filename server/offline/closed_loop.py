@@ -18,18 +18,26 @@ from numba.extending import overload
 
 from softfinger.config.arrays import Array
 from softfinger.drivers.simulated.options import Simulation
-from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, Plant, PlantInputs, PlantState, advance, goal_at, sense
+from softfinger.drivers.simulated.plant import (
+    DELAY_LINE_SIZE,
+    Plant,
+    PlantInputs,
+    PlantState,
+    advance,
+    compute_goal,
+    sense,
+)
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, PLAIN, entry, jit
-from softfinger.proxy.kernels.jit.pack import Packed, flatten, pack, unpack
+from softfinger.proxy.kernels.jit.pack import PackedTree, flatten, pack, unpack
 from softfinger.proxy.kernels.jit.tuples import map_each, rows_of
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.loop.clock import NS_PER_S, period_ns
-from softfinger.server.loop.tick import FingerMemory, Memory, Tuning, begin, tick
+from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
+from softfinger.server.loop.tick import FingerMemory, Memory, Tuning, begin, run_tick
 from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
-from softfinger.server.progress import CHUNK, progress
+from softfinger.server.progress import CHUNK, show_progress
 
 FIGURES: Final = ("ticks", "exit_tick", "excursion", "force", "energy")
 """Figures of a case that `close_many` writes: fields of `ClosedLoopResult`."""
@@ -103,10 +111,10 @@ def close_loop(
     for tick_number in range(run.first, run.first + run.ticks):
         x, q = sense(plant, state), state.orientation
         sample: Any = (x[0], x[1], x[2], q[0], q[1], q[2], q[3])
-        contact = tick(tuning, start, contact, (sample,), dt, dt, tick_number, (NULL_RECORD,))
+        contact = run_tick(tuning, start, contact, (sample,), dt, dt, tick_number, (NULL_RECORD,))
         step_bodies(tuning.scene.bodies)
         force = contact.fingers[0].guard_state.force
-        goal, orientation = goal_at(drive.intention, drive.poses, tick_number + 1)
+        goal, orientation = compute_goal(drive.intention, drive.poses, tick_number + 1)
         previous_position = state.position
         state = advance(plant, state, force, goal, orientation, drive.line)
         tick_count += 1
@@ -141,7 +149,7 @@ def sense_device(hand: DrivenPlant, state: Any) -> Any:
 def advance_device(hand: DrivenPlant, state: Any, finger: FingerMemory, tick_number: int) -> Any:
     """Return the state of a device at a tick under the wrench of its FingerMemory."""
     plant, drive = hand.plant, hand.drive
-    goal, orientation = goal_at(drive.intention, drive.poses, tick_number)
+    goal, orientation = compute_goal(drive.intention, drive.poses, tick_number)
     return advance(plant, state, finger.guard_state.force, goal, orientation, drive.line)
 
 
@@ -166,7 +174,7 @@ def record_ticks(
     memory, states = unpack(state, state_values)
     for i in range(records.shape[0]):
         rows = rows_of(memory.fingers, records[i], 0)
-        memory = tick(tuning, start, memory, map_each(sense_device, (hands, states)), dt, dt, first + i, rows)
+        memory = run_tick(tuning, start, memory, map_each(sense_device, (hands, states)), dt, dt, first + i, rows)
         step_bodies(tuning.scene.bodies)
         records[i, :, 0] = (first + i) * dt
         states = map_each(advance_device, (hands, states, memory.fingers), first + i + 1)
@@ -232,14 +240,14 @@ def run_closed_loop(
     Yields blocks (m, fingers, RECORD_SIZE) of at most CHUNK ticks. The timestamp is the tick times dt; the fields of
     servo timing and device are 0. `messages` receives the messages of the scene's topics.
     """
-    dt = period_ns(rate_hz) / NS_PER_S
+    dt = compute_period_ns(rate_hz) / NS_PER_S
     begin_bodies(tuning.scene, dt)
     loop = ClosedLoop(tuning, [device.state for device in devices])
     hands = tuple(
         DrivenPlant(simulation.plant, PlantInputs(simulation.intention, simulation.poses, np.zeros(DELAY_LINE_SIZE)))
         for simulation in devices
     )
-    with progress("simulating", ticks) as advance:
+    with show_progress("simulating", ticks) as advance:
         for first in range(0, ticks, CHUNK):
             records = np.zeros((min(CHUNK, ticks - first), len(devices), RECORD_SIZE))
             for first_tick, part in messages.split(tuning.scene, first, records):
@@ -250,10 +258,10 @@ def run_closed_loop(
 
 @entry
 def close_many(
-    tunings: Packed,
+    tunings: PackedTree,
     start: Memory,
-    plants: Packed,
-    states: Packed,
+    plants: PackedTree,
+    states: PackedTree,
     drive: PlantInputs,
     ticks: int,
     bound: float,

@@ -13,16 +13,16 @@ from softfinger.config import schema
 from softfinger.config.arrays import Array
 from softfinger.proxy.kernels.contact.fingertip import minkowski_objects
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.jit.pack import Packed, flatten, pack, packed, unpack
+from softfinger.proxy.kernels.jit.pack import PackedTree, flatten, pack, packed, unpack
 from softfinger.proxy.kernels.jit.tuples import first_of
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.objects import closest_to_within
+from softfinger.proxy.kernels.query.objects import find_closest_within
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import FREE
 from softfinger.proxy.scene import build_scene, start_state
-from softfinger.server.loop.clock import Stopwatch, now_ns, sleep_until, stopwatch, thread_cpu_ns
+from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns, sleep_until, thread_cpu_ns
 
 BLOCK: Final = 10_000
 """Steps per block: one pass over the poses."""
@@ -51,8 +51,8 @@ class Cost(NamedTuple):
 
 @entry
 def time_steps(
-    scene: Packed,
-    start: Packed,
+    scene: PackedTree,
+    start: PackedTree,
     poses: Array,
     dt: float,
     watch: Stopwatch,
@@ -75,8 +75,8 @@ def time_steps(
         cpu_start_ns = thread_cpu_ns(timespec)
         for stretch in range(short_ns.shape[1]):
             if pause_ns > 0:
-                sleep_until(now_ns(timespec) + pause_ns, timespec)
-            start_ns = now_ns(timespec)
+                sleep_until(read_clock_ns(timespec) + pause_ns, timespec)
+            start_ns = read_clock_ns(timespec)
             for i in range(stretch * length, (stretch + 1) * length):
                 pose = poses[i]
                 position, orientation = (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5], pose[6])
@@ -86,7 +86,7 @@ def time_steps(
                 contact = contacts[0]
                 total += contact.force[0] + contact.force[2] + contact.torque[2]
                 touching += contact.mode != FREE
-            short_ns[block, stretch] = now_ns(timespec) - start_ns
+            short_ns[block, stretch] = read_clock_ns(timespec) - start_ns
         cpu_ns[block] = thread_cpu_ns(timespec) - cpu_start_ns
     pack(start.values, state)
     return total, touching
@@ -104,7 +104,7 @@ def follow_surface(scene: Any, values: Array, points: Array, height: float) -> N
     objects = minkowski_objects(finger.form, finger.radius, parameters.objects, (1.0, 0.0, 0.0, 0.0))
     for i in range(points.shape[0]):
         x = (points[i, 0], points[i, 1], points[i, 2])
-        _, nearest, normal, _ = closest_to_within(objects, 0.0, x, BUDGET)
+        _, nearest, normal, _ = find_closest_within(objects, 0.0, x, BUDGET)
         at = vec3.add_scaled(nearest, height, normal)
         points[i, 0], points[i, 1], points[i, 2] = at
 
@@ -148,8 +148,8 @@ def measure(
     parameters, state = packed(tree), packed(start_state(tree))
     stretches = max(1, len(poses) // STRETCH_STEPS)
     steps = len(poses) // stretches * stretches
-    watch, cpu = stopwatch(blocks, stretches), np.zeros(blocks, np.int64)
-    time_steps(parameters, state, poses, 0.001, stopwatch(1, stretches), cpu[:1].copy())
+    watch, cpu = make_stopwatch(blocks, stretches), np.zeros(blocks, np.int64)
+    time_steps(parameters, state, poses, 0.001, make_stopwatch(1, stretches), cpu[:1].copy())
     touching = 0
     for block in range(blocks):
         row = slice(block, block + 1)
@@ -164,7 +164,7 @@ def measure(
     )
 
 
-def without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
+def iter_without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
     """Yield the name of each part of the scene, and the scene without it."""
     replace = msgspec.structs.replace
 
@@ -176,13 +176,13 @@ def without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
     if any(obj.material.normal for obj in scene.object):
         yield "law of the normal force", replace(scene, object=material(normal=None))
     if any(finger.radii_m for finger in scene.fingers):
-        yield "ellipsoid", _with_tips(scene, _spherical)
+        yield "ellipsoid", _with_tips(scene, _make_spherical)
     if scene.soft:
-        yield "patch", _with_tips(scene, _rigid)
+        yield "patch", _with_tips(scene, _make_rigid)
     if any(obj.material.torsion for obj in scene.object):
         yield "torsion", replace(scene, object=material(torsion=None))
     if any(obj.material.friction for obj in scene.object):
-        yield "friction and rolling", replace(scene, rolling=None, object=_frictionless(scene))
+        yield "friction and rolling", replace(scene, rolling=None, object=_remove_friction(scene))
     if scene.effect:
         yield "effects of the workspace", replace(scene, effect=())
     if any(obj.effect for obj in scene.object):
@@ -190,7 +190,7 @@ def without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
     if any(obj.motion for obj in scene.object):
         yield "motion", replace(scene, object=tuple(replace(obj, motion=None) for obj in scene.object))
     if any(getattr(obj, "texture", None) for obj in scene.object):
-        yield "texture", replace(scene, object=tuple(_without_texture(obj) for obj in scene.object))
+        yield "texture", replace(scene, object=tuple(_remove_texture(obj) for obj in scene.object))
     if len(scene.object) > 1:
         yield f"all objects but '{scene.object[0].name}'", replace(scene, object=scene.object[:1])
 
@@ -198,10 +198,10 @@ def without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]]:
 def keep_contact(scene: schema.Scene) -> schema.Scene:
     """Return the scene with only its first object, with a linear normal force and no other part."""
     replace = msgspec.structs.replace
-    obj = _without_texture(scene.object[0])
+    obj = _remove_texture(scene.object[0])
     plain = replace(obj.material, normal=None, friction=None, torsion=None)
     first_object = replace(obj, material=plain, effect=(), motion=None)
-    plain_tips = _with_tips(_with_tips(scene, _rigid), _spherical)
+    plain_tips = _with_tips(_with_tips(scene, _make_rigid), _make_spherical)
     return replace(plain_tips, rolling=None, effect=(), object=(first_object,))
 
 
@@ -210,19 +210,19 @@ def _with_tips(scene: schema.Scene, change: Callable[[Any], Any]) -> schema.Scen
     return msgspec.structs.replace(scene, fingertip=tip, finger=tuple(change(finger) for finger in scene.finger))
 
 
-def _rigid(tip: Any) -> Any:
+def _make_rigid(tip: Any) -> Any:
     return msgspec.structs.replace(tip, patch=None)
 
 
-def _spherical(tip: Any) -> Any:
+def _make_spherical(tip: Any) -> Any:
     return msgspec.structs.replace(tip, radius_m=tip.reaches_m[0], radii_m=None, orientation_wxyz=None)
 
 
-def _without_texture(obj: schema.Object) -> schema.Object:
+def _remove_texture(obj: schema.Object) -> schema.Object:
     return msgspec.structs.replace(obj, texture=None) if isinstance(obj, schema.Textured) else obj
 
 
-def _frictionless(scene: schema.Scene) -> tuple[Any, ...]:
+def _remove_friction(scene: schema.Scene) -> tuple[Any, ...]:
     replace = msgspec.structs.replace
     objects = []
     for obj in scene.object:

@@ -10,8 +10,8 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.config.materials import LibraryEntry, Measurement
 from softfinger.config.schema import Fingertip, Material
-from softfinger.server.offline.figures import figure, legends_below, save
-from softfinger.server.offline.library_texts import entries, find_entry, library_table
+from softfinger.server.offline.figures import draw_legends_below, make_figure, save
+from softfinger.server.offline.library_texts import find_entry, load_entries, make_library_table
 
 LOAD_N: Final = (0.1, 20.0)
 """Range of loads in the figures: from a touch to a firm grip."""
@@ -22,25 +22,25 @@ SHEAR_PER_YOUNG: Final = 1.0 / 3.0
 def draw(name: str, path: Path) -> None:
     """Draw an entry and save it as .png or .svg. Raises ConfigError if the name is unknown."""
     kind, entry = find_entry(name)
-    drawing = figure(9.0, 3.6)
+    drawing = make_figure(9.0, 3.6)
     axes = drawing.subplots(1, 2)
     if kind == "material":
-        material = library_table(kind, name)
-        friction(axes[0], entry, material)
-        depth(axes[1], entry, material)
+        material = make_library_table(kind, name)
+        draw_friction(axes[0], entry, material)
+        draw_depth(axes[1], entry, material)
     else:
-        tip = library_table(kind, name)
-        patch(axes[0], {name: (entry, tip)})
-        torsion(axes[1], {name: tip})
+        tip = make_library_table(kind, name)
+        draw_patch(axes[0], {name: (entry, tip)})
+        draw_torsion(axes[1], {name: tip})
     drawing.suptitle(f"{name}: {entry.about}\nholds for {entry.holds}", fontsize="x-small")
-    legends_below(drawing, axes, "x-small")
+    draw_legends_below(drawing, axes, "x-small")
     save(drawing, path)
 
 
 # --- materials -----------------------------------------------------------------------------------------
 
 
-def friction(axes: Any, entry: LibraryEntry, material: Material) -> None:
+def draw_friction(axes: Any, entry: LibraryEntry, material: Material) -> None:
     """Draw static and kinetic friction over the load, and the published coefficients at their loads."""
     law = material.friction
     assert law is not None  # every material of the library has friction
@@ -51,12 +51,12 @@ def friction(axes: Any, entry: LibraryEntry, material: Material) -> None:
     for index, study in enumerate(points):
         load = free_loads[index] if study.load_n is None else float(np.sqrt(study.load_n[0] * study.load_n[1]))
         load_note = "" if study.load_n else ", load unknown"
-        point(axes, load, study, f"C{index + 1}", f"{study.of}{load_note} ({study.paper})")
+        draw_point(axes, load, study, f"C{index + 1}", f"{study.of}{load_note} ({study.paper})")
     axes.set(xscale="log", xlabel="load [N]", ylabel="coefficient of friction")
     axes.set_ylim(0.0, 1.1 * axes.get_ylim()[1])
 
 
-def point(axes: Any, x: float, study: Measurement, color: str, label: str) -> None:
+def draw_point(axes: Any, x: float, study: Measurement, color: str, label: str) -> None:
     """Draw a published coefficient with its deviation and the range of loads that it averages."""
     load_range = None if study.load_n is None else [[x - study.load_n[0]], [study.load_n[1] - x]]
     axes.errorbar(x, study.friction, spread(study), load_range, fmt="o", ms=4, capsize=3, color=color, label=label)
@@ -68,10 +68,10 @@ def spread(study: Measurement) -> list[list[float]]:
     return [[deviation if study.low is None or study.friction is None else study.friction - study.low], [deviation]]
 
 
-def overview(axes: Any) -> None:
+def draw_overview(axes: Any) -> None:
     """Draw the coefficients of all materials with a published coefficient on skin, and these coefficients."""
     measured_entries = [
-        (name, entry) for name, (_, entry) in entries().items() if any(study.friction for study in entry.measured)
+        (name, entry) for name, (_, entry) in load_entries().items() if any(study.friction for study in entry.measured)
     ]
     rows = dict(zip((name for name, _ in measured_entries), range(len(measured_entries), 0, -1), strict=True))
     laws = np.array([[entry.values["friction"][key] for key in ("kinetic", "static")] for _, entry in measured_entries])
@@ -93,7 +93,7 @@ def overview(axes: Any) -> None:
     axes.set(xlabel="coefficient of friction", xlim=(0.0, 1.8))
 
 
-def depth(axes: Any, entry: LibraryEntry, material: Material) -> None:
+def draw_depth(axes: Any, entry: LibraryEntry, material: Material) -> None:
     """Draw the normal force over the depth, and that of an elastic sphere for the range of measured moduli.
 
     There are no published points of force over depth: no table of them was accessible.
@@ -104,7 +104,7 @@ def depth(axes: Any, entry: LibraryEntry, material: Material) -> None:
     axes.plot(line, force, color="C0", label=f"model: {origin}")
     for study in entry.measured:
         if study.youngs_modulus_pa is not None:
-            low, high = (1e3 * hertz_depth(force, young, RADIUS_M) for young in study.youngs_modulus_pa)
+            low, high = (1e3 * compute_hertz_depth(force, young, RADIUS_M) for young in study.youngs_modulus_pa)
             axes.fill_betweenx(force, high, low, color="C1", alpha=0.25, lw=0, label=label_band(study))
     axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
 
@@ -119,7 +119,7 @@ RADIUS_M: Final = 0.01
 """Radius of the finger pad for which the materials are computed."""
 
 
-def hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Array:
+def compute_hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Array:
     """Return the depth, m, of an incompressible elastic sphere on a rigid plane under `force`, N.
 
     (3 F / (4 E* sqrt(r)))^(2/3), E* = E / (1 - 1/4)
@@ -132,14 +132,14 @@ def hertz_depth(force: Array, youngs_modulus_pa: float, radius_m: float) -> Arra
 # --- fingertips ----------------------------------------------------------------------------------------
 
 
-def patch(axes: Any, tips: dict[str, tuple[LibraryEntry, Fingertip]]) -> None:
+def draw_patch(axes: Any, tips: dict[str, tuple[LibraryEntry, Fingertip]]) -> None:
     """Draw the patch radius over the load, and the bands that follow from measured moduli and exponents."""
     load = np.linspace(0.0, 10.0, 31)
     drawn_labels: set[str] = set()
     for name, (entry, tip) in tips.items():
-        axes.plot(load, 1e3 * patch_radius(tip, load), label=f"{name}, computed")
+        axes.plot(load, 1e3 * compute_patch_radius(tip, load), label=f"{name}, computed")
         for study in entry.measured:
-            band = patch_band(study, tip)
+            band = compute_patch_band(study, tip)
             if band is not None and (text := label_band(study)) not in drawn_labels:
                 drawn_labels.add(text)
                 loads, low, high = band
@@ -148,7 +148,7 @@ def patch(axes: Any, tips: dict[str, tuple[LibraryEntry, Fingertip]]) -> None:
     axes.set_ylim(bottom=0.0)
 
 
-def patch_band(study: Measurement, tip: Fingertip) -> tuple[Array, Array, Array] | None:
+def compute_patch_band(study: Measurement, tip: Fingertip) -> tuple[Array, Array, Array] | None:
     """Return loads (n,) N, and smallest and largest radius (n,) m for a published range; None for another quantity.
 
     A modulus gives the radius by Hertz's law on this fingertip; an exponent scales the radius of this fingertip at 1 N.
@@ -156,41 +156,41 @@ def patch_band(study: Measurement, tip: Fingertip) -> tuple[Array, Array, Array]
     load = np.linspace(*(study.load_n or (0.0, 10.0)), 9)
     if study.youngs_modulus_pa is not None:
         moduli = (SHEAR_PER_YOUNG * young for young in study.youngs_modulus_pa)
-        soft, stiff = (hertz_radius(load, modulus, tip.radius_m or 0.0) for modulus in moduli)
+        soft, stiff = (compute_hertz_radius(load, modulus, tip.radius_m or 0.0) for modulus in moduli)
         return load, stiff, soft
     if study.patch_exponent is not None:
-        ends = [patch_radius(tip, np.ones(1))[0] * load**exponent for exponent in study.patch_exponent]
+        ends = [compute_patch_radius(tip, np.ones(1))[0] * load**exponent for exponent in study.patch_exponent]
         return load, np.minimum(*ends), np.maximum(*ends)
     return None
 
 
-def patch_radius(tip: Fingertip, load: Array) -> Array:
+def compute_patch_radius(tip: Fingertip, load: Array) -> Array:
     """Return the patch radius (n,) m under `load` (n,) N on a rigid plane, according to the contact model."""
     radius, pad = tip.radius_m or 0.0, tip.patch
     assert pad is not None  # every fingertip of the library has a patch
     if pad.radius_m is None:
-        return np.minimum(hertz_radius(load, pad.shear_modulus_pa, radius), radius)
+        return np.minimum(compute_hertz_radius(load, pad.shear_modulus_pa, radius), radius)
     exponent = 1.0 / 3.0 if pad.exponent is None else pad.exponent
     return np.minimum(pad.radius_m * load**exponent, radius)
 
 
-def hertz_radius(load: Array, shear_modulus_pa: float, radius_m: float) -> Array:
+def compute_hertz_radius(load: Array, shear_modulus_pa: float, radius_m: float) -> Array:
     """Return the patch radius, m, of an incompressible elastic sphere on a rigid plane: (3 F r / (16 G))^(1/3)."""
     radius: Array = (3.0 * load * radius_m / (16.0 * shear_modulus_pa)) ** (1.0 / 3.0)
     return radius
 
 
-def torsion(axes: Any, tips: dict[str, Fingertip]) -> None:
+def draw_torsion(axes: Any, tips: dict[str, Fingertip]) -> None:
     """Draw the torsional limit divided by the coefficient of friction, over the load."""
     load = np.linspace(0.0, 4.0, 61)[1:]
     for name, tip in tips.items():
         assert tip.patch is not None
-        arm = mean_distance(tip.patch.pressure_exponent or 2.0) * patch_radius(tip, load)
+        arm = compute_mean_distance(tip.patch.pressure_exponent or 2.0) * compute_patch_radius(tip, load)
         axes.plot(load, 1e3 * arm * load, label=f"{name}, computed")
     axes.set(xlabel="load [N]", ylabel="torsional limit over friction [N mm]")
 
 
-def mean_distance(exponent: float, steps: int = 4000) -> float:
+def compute_mean_distance(exponent: float, steps: int = 4000) -> float:
     """Return the mean distance from the centre under the pressure (1 - s^k)^(1/k) on a patch of radius 1.
 
     Uses the midpoint rule.

@@ -9,12 +9,12 @@ from argparse import ArgumentTypeError
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.files import new_file
+from softfinger.config.files import write_new_file
 
 FORMATS: Final = (".png", ".svg")
 
 
-def reason_unsavable(path: Path) -> str | None:
+def check_figure_path(path: Path) -> str | None:
     """Return why no figure can be saved as `path`; None if one can."""
     if path.suffix not in FORMATS:
         return f"a figure is {' or '.join(FORMATS)} by its file name"
@@ -28,18 +28,18 @@ def reason_unsavable(path: Path) -> str | None:
 def plot_file(text: str) -> Path:
     """Type of the option `--plot`: raises ArgumentTypeError before the work starts, not after it."""
     path = Path(text)
-    if (reason := reason_unsavable(path)) is not None:
+    if (reason := check_figure_path(path)) is not None:
         raise ArgumentTypeError(f"{path}: {reason}")
     return path
 
 
-def figure(width: float = 8.0, height: float = 4.5) -> Any:
+def make_figure(width: float = 8.0, height: float = 4.5) -> Any:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def legends_below(drawing: Any, axes: Any, size: str) -> None:
+def draw_legends_below(drawing: Any, axes: Any, size: str) -> None:
     """Draw the legends of two axes side by side below both, where long texts cover no data."""
     for side, panel in zip(("left", "right"), axes, strict=True):
         drawing.legend(*panel.get_legend_handles_labels(), loc=f"outside lower {side}", frameon=False, fontsize=size)
@@ -52,7 +52,7 @@ def save(drawing: Any, path: Path) -> None:
     coordinates to a hundredth.
     """
     if path.suffix != ".svg":
-        with new_file(path) as file:
+        with write_new_file(path) as file:
             drawing.savefig(file, format=path.suffix[1:])
         return
     from matplotlib import rc_context
@@ -61,5 +61,5 @@ def save(drawing: Any, path: Path) -> None:
     with rc_context({"svg.hashsalt": "softfinger", "svg.fonttype": "none"}):
         drawing.savefig(text, format="svg", metadata={"Date": None, "Creator": "softfinger"})
     rounded = re.sub(r"(\.\d\d)\d+|^ +| +$", r"\1", text.getvalue(), flags=re.MULTILINE)
-    with new_file(path) as file:
+    with write_new_file(path) as file:
         file.write(rounded.encode())

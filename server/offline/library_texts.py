@@ -8,39 +8,39 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.fields import unit
+from softfinger.config.fields import find_unit
 from softfinger.config.load import build, describe
-from softfinger.config.materials import FINGERTIPS, MATERIALS, LibraryEntry, Measurement, flat, papers
+from softfinger.config.materials import FINGERTIPS, MATERIALS, LibraryEntry, Measurement, flatten_entry, load_papers
 from softfinger.config.schema import Fingertip, Material
 from softfinger.config.schema.contact import Form
-from softfinger.config.words import format_value, near
+from softfinger.config.words import format_value, suggest
 
 LIBRARIES: Final = {"material": MATERIALS, "fingertip": FINGERTIPS}
 _TABLES: Final[dict[str, type[msgspec.Struct]]] = {"material": Material, "fingertip": Fingertip}
 
 
-def entries() -> dict[str, tuple[str, LibraryEntry]]:
+def load_entries() -> dict[str, tuple[str, LibraryEntry]]:
     """Return all entries by name, each with its kind, `material` or `fingertip`."""
     return {name: (kind, entry) for kind, library in LIBRARIES.items() for name, entry in library.entries().items()}
 
 
 def find_entry(name: str) -> tuple[str, LibraryEntry]:
-    """Return one of `entries`. Raises ConfigError if the name is unknown."""
-    by_name = entries()
+    """Return one of `load_entries`. Raises ConfigError if the name is unknown."""
+    by_name = load_entries()
     if name not in by_name:
         raise ConfigError(
-            f"no material or fingertip is called {format_value(name)}{near(name, by_name)}; "
+            f"no material or fingertip is called {format_value(name)}{suggest(name, by_name)}; "
             f"there are {', '.join(by_name)}"
         )
     return by_name[name]
 
 
-def library_table(kind: str, name: str) -> Any:
+def make_library_table(kind: str, name: str) -> Any:
     """Return the table of an entry, as built from a scene that gives only its name."""
     return build(_TABLES[kind], {LIBRARIES[kind].key: name}, name)
 
 
-def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
+def make_entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
     """Return rows for `check`: the entry that a table of a scene names, and the values that differ from it.
 
     Returns no rows if the table names none.
@@ -52,9 +52,9 @@ def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
         return []
     if name not in library.entries():
         return [("  library", f"{name}, which is not in the library of this version; the scene gives the values")]
-    library_values = dict(flat(describe(library_table(kind, name))))
+    library_values = dict(flatten_entry(describe(make_library_table(kind, name))))
     keys = _TABLES[kind].__struct_fields__
-    scene_values = {key: value for key, value in flat(mapping) if key.partition(".")[0] in keys}
+    scene_values = {key: value for key, value in flatten_entry(mapping) if key.partition(".")[0] in keys}
     changed = [
         f"{key} {format_value(value)}"
         for key, value in scene_values.items()
@@ -67,9 +67,9 @@ def entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
     return [("  library", f"{name}; of the scene itself: {', '.join(changes)}" if changes else f"{name}, all of it")]
 
 
-def value_rows(entry: LibraryEntry) -> list[tuple[str, str]]:
+def make_value_rows(entry: LibraryEntry) -> list[tuple[str, str]]:
     """Return each value that a scene gets from an entry, with its unit."""
-    return [(key, f"{value:g} {unit(key)}".rstrip()) for key, value in flat(entry.values)]
+    return [(key, f"{value:g} {find_unit(key)}".rstrip()) for key, value in flatten_entry(entry.values)]
 
 
 def format_measured(study: Measurement) -> str:
@@ -88,10 +88,10 @@ def format_measured(study: Measurement) -> str:
     return f"{text}: {study.of} ({study.paper})"
 
 
-def paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
+def make_paper_rows(names: Collection[str]) -> list[tuple[str, str]]:
     return [
         (name, f"{paper.text}{f', doi {paper.doi}' if paper.doi else ''} (read: {paper.read})")
-        for name, paper in papers().items()
+        for name, paper in load_papers().items()
         if name in names
     ]
 
@@ -101,5 +101,5 @@ def list_cited_papers(entry: LibraryEntry) -> set[str]:
     return {
         *entry.papers,
         *(study.paper for study in entry.measured),
-        *(paper for paper in papers() if paper in entry.holds),
+        *(paper for paper in load_papers() if paper in entry.holds),
     }

@@ -13,22 +13,22 @@ from softfinger.config.errors import ConfigError, HapticError, RecordingError
 from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import attempt
 from softfinger.config.schema import DeviceConfig, Mesh, Rig, Scene, Servo
-from softfinger.server.offline.summary import object_rows
+from softfinger.server.offline.summary import make_object_rows
 
 PLAYERS: Final = ("replay", "simulated")
 """Drivers with an option `recording`, which they read when the device is opened."""
 
 
-def part_faults(config: Any, file: str) -> list[str]:
+def check_parts(config: Any, file: str) -> list[str]:
     """Return the faults of the parts of a scene or rig; `file` is its name in messages."""
-    checks = _scene_checks(config) if isinstance(config, Scene) else _rig_checks(config, file)
+    checks = _iter_scene_checks(config) if isinstance(config, Scene) else _iter_rig_checks(config, file)
     faults = list[str]()
     for check in checks:
         attempt(check, faults)
     return faults
 
 
-def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
+def _iter_scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
     for item in scene.object if is_usable(scene.object) else ():
         if (
             is_complete(item)
@@ -36,20 +36,20 @@ def _scene_checks(scene: Scene) -> Iterator[Callable[[], object]]:
             and not _has_complaint(item, "file")
             and not (isinstance(item, Mesh) and item.elastic is not None and any(item.elastic.faults()))
         ):
-            yield partial(object_rows, item, has_patch=False)
+            yield partial(make_object_rows, item, has_patch=False)
     if scene.world is not None and is_complete(scene.world) and not _has_complaint(scene.world, "model"):
         from softfinger.config.mjcf import read_model
 
         yield partial(read_model, scene.world)
 
 
-def _rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
+def _iter_rig_checks(rig: Any, file: str) -> Iterator[Callable[[], object]]:
     if not isinstance(rig, Rig):
         return
     if rig.security is not None and is_complete(rig.security):
-        from softfinger.server.socket_process.allowed import key_folders
+        from softfinger.server.socket_process.allowed import list_key_folders
 
-        yield partial(key_folders, rig.security)
+        yield partial(list_key_folders, rig.security)
     rate_hz = rig.servo.rate_hz if is_complete(rig.servo) else Servo().rate_hz
     tables = rig.tables if is_usable(rig.device, rig.devices) else {}
     for table, device in tables.items():

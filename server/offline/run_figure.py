@@ -9,7 +9,7 @@ import numpy as np
 
 from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT, FREE, MODE_NAMES
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.figures import make_figure, save
 
 POINTS_MAX: Final = 2000
 """Largest number of ticks drawn; evenly selected from a longer run."""
@@ -30,7 +30,7 @@ COLUMNS: Final = (
 def draw_run(curves: Array, path: Path) -> None:
     """Draw the COLUMNS (n, 9) of one run's records and save the figure as `path`."""
     tick, dt, penetration, x, y, z, rolled, spin, mode = curves.T
-    drawing = figure(8.0, 5.5)
+    drawing = make_figure(8.0, 5.5)
     depth, forces, turns = drawing.subplots(3, 1, sharex=True)
     seconds = (tick - tick[0]) * dt[0]
     few = np.unique(np.linspace(0, len(tick) - 1, min(len(tick), POINTS_MAX)).astype(int))

@@ -11,7 +11,7 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.arrays import Array
-from softfinger.proxy.bodies import body_maps, motion_size
+from softfinger.proxy.bodies import count_motion_values, decode_motion
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.query.bodies import write_motion
 from softfinger.proxy.record import AT
@@ -56,13 +56,13 @@ class SceneMessages:
         tick = int(rows[0, AT.tick])
         head = {"schema": SCHEMA, "timestamp": float(rows[0, AT.timestamp]), "tick": tick}
         if scene.bodies is not None:
-            motion = np.empty(motion_size(scene))
+            motion = np.empty(count_motion_values(scene))
             write_motion(scene.bodies, tick, motion)
-            self.pending.append((WORLD, head | {"bodies": body_maps(scene.bodies.block.owner.names, motion)}))
+            self.pending.append((WORLD, head | {"bodies": decode_motion(scene.bodies.block.owner.names, motion)}))
         if self._elastic_object is not None:
-            from softfinger.proxy.elastic.loads import contact_loads, has_changed
+            from softfinger.proxy.elastic.loads import compute_contact_loads, has_changed
 
-            loads = contact_loads(self._elastic_object, dict(zip(self._fingers, rows, strict=True)))
+            loads = compute_contact_loads(self._elastic_object, dict(zip(self._fingers, rows, strict=True)))
             if has_changed(self._loads, loads):
                 self._loads = loads
                 self.pending.append((DEFORMATION, head | {"loads": [load._asdict() for load in loads]}))

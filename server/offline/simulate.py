@@ -14,28 +14,34 @@ from softfinger.config import schema
 from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import SceneSource, build, load_rig, load_scene
-from softfinger.config.schema.pairing import FingerDevice, pair
+from softfinger.config.schema.pairing import FingerDevice, pair_devices
 from softfinger.drivers import registry
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.bodies import begin_bodies, check_bodies
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.jit.pack import Packed, pack, packed, unpack
+from softfinger.proxy.kernels.jit.pack import PackedTree, pack, packed, unpack
 from softfinger.proxy.kernels.jit.tuples import rows_of
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.pose_checks import check_poses
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
-from softfinger.server.loop.clock import NS_PER_S, period_ns
-from softfinger.server.loop.tick import Tuning, begin, tick
+from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
+from softfinger.server.loop.tick import Tuning, begin, run_tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
-from softfinger.server.progress import CHUNK, progress
+from softfinger.server.progress import CHUNK, show_progress
 
 
 @entry
-def tick_many(
-    tuning_packed: Packed, memory_packed: Packed, poses: Array, dts: Array, period: float, first: int, records: Array
+def run_ticks(
+    tuning_packed: PackedTree,
+    memory_packed: PackedTree,
+    poses: Array,
+    dts: Array,
+    period: float,
+    first: int,
+    records: Array,
 ) -> None:
     """Run a tick for each of `poses` (n, fingers, 7), `dts` (n,) s after the previous one, and write `records`.
 
@@ -48,7 +54,7 @@ def tick_many(
     memory = unpack(start, memory_packed.values)
     for i in range(poses.shape[0]):
         samples, rows = rows_of(memory.fingers, poses[i], 0), rows_of(memory.fingers, records[i], 0)
-        memory = tick(tuning, start, memory, samples, dts[i], period, first + i, rows)
+        memory = run_tick(tuning, start, memory, samples, dts[i], period, first + i, rows)
         step_bodies(tuning.scene.bodies)
     pack(memory_packed.values, memory)
 
@@ -91,17 +97,17 @@ def simulate_poses(
     """
     for index in range(poses.shape[1]):
         check_poses(poses[:, index])
-    dt = period_ns(rate_hz) / NS_PER_S
+    dt = compute_period_ns(rate_hz) / NS_PER_S
     dts = np.full(min(len(poses), CHUNK), dt)
     begin_bodies(tuning.scene, dt)
     scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
-    with progress("simulating", len(poses)) as advance:
+    with show_progress("simulating", len(poses)) as advance:
         for first in range(0, len(poses), CHUNK):
             block = np.ascontiguousarray(poses[first : first + CHUNK])
             records = np.zeros((*block.shape[:2], RECORD_SIZE))
             records[:, :, AT.timestamp] = np.arange(first, first + len(block))[:, None] * dt
             for first_tick, part in messages.split(tuning.scene, first, records):
-                tick_many(scene_and_guard, memory, block[part], dts, dt, first_tick, records[part])
+                run_ticks(scene_and_guard, memory, block[part], dts, dt, first_tick, records[part])
                 check_bodies(tuning.scene)
             yield records
             advance(first + len(block))
@@ -242,7 +248,7 @@ def simulate_devices(
     # Compiled on import, which a run over poses does not need.
     from softfinger.server.offline.closed_loop import run_closed_loop
 
-    rate, pairs = rig.servo.rate_hz, pair(scene, rig)
+    rate, pairs = rig.servo.rate_hz, pair_devices(scene, rig)
     with ExitStack() as stack:
         devices = [stack.enter_context(_open_simulated(paired, rate)) for paired in pairs]
         ticks = max(1, round(seconds * rate))

@@ -10,30 +10,30 @@ from msgspec import Struct
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.config.words import format_value
-from softfinger.server.offline.library_texts import entry_rows
+from softfinger.server.offline.library_texts import make_entry_rows
 
 if TYPE_CHECKING:  # with the kernels behind them, which no rig needs
     from softfinger.proxy.meshes.report import MeshReport
 
 
-OVERSHOOT: Final = 0.02
+OVERSHOOT_SHARE: Final = 0.02
 """Share of a map's height by which its surface may leave its pixels before the summary mentions it."""
 
 
-def scene_summary(scene: schema.Scene) -> list[tuple[str, str]]:
+def summarize_scene(scene: schema.Scene) -> list[tuple[str, str]]:
     """Return rows on the parts that the contact step models, and on the omitted ones."""
     tables = [scene.fingertip] if scene.fingertip is not None else scene.finger
     rows = []
     for finger, table in zip(scene.fingers, tables, strict=True):
-        first, *others = _finger_rows(scene, finger)
-        rows += [first, *entry_rows(table), *others]
+        first, *others = _make_finger_rows(scene, finger)
+        rows += [first, *make_entry_rows(table), *others]
     for item in scene.object:
-        rows += object_rows(item, scene.soft)
-    rows += [(f"effect {effect.kind}", _values(effect)) for effect in scene.effect]
-    return rows + ([] if scene.world is None else _world_rows(scene.world))
+        rows += make_object_rows(item, scene.soft)
+    rows += [(f"effect {effect.kind}", _format_values(effect)) for effect in scene.effect]
+    return rows + ([] if scene.world is None else _make_world_rows(scene.world))
 
 
-def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[str, str]]:
+def _make_finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[str, str]]:
     coupling, probe = finger.coupling, finger.probe
     rolling = "absent: rotation moves no contact"
     if scene.rolling is not None:
@@ -51,15 +51,15 @@ def _finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[
     )
     within = "" if not finger.name else "  "
     return [
-        (label, f"{_form(finger)}{moved_text}"),
-        (f"{within}patch", "absent" if finger.patch is None else _values(finger.patch)),
+        (label, f"{_describe_form(finger)}{moved_text}"),
+        (f"{within}patch", "absent" if finger.patch is None else _format_values(finger.patch)),
         (f"{within}rolling", rolling),
         (f"{within}coupling", drags),
         (f"{within}velocity filter", smoothing),
     ]
 
 
-def _form(finger: schema.FingerParts) -> str:
+def _describe_form(finger: schema.FingerParts) -> str:
     if finger.radii_m is None:
         return f"sphere, radius {finger.radius_m:g} m"
     turn = (
@@ -75,55 +75,55 @@ def _size(item: schema.ObjectBase) -> str:
     return "".join(f", {name} {format_value(getattr(item, name))}" for name in names if getattr(item, name) is not None)
 
 
-def object_rows(item: schema.Object, has_patch: bool) -> list[tuple[str, str]]:
+def make_object_rows(item: schema.Object, has_patch: bool) -> list[tuple[str, str]]:
     """Return the rows of an object. Raises ConfigError for a file of it that cannot be used."""
     material = item.material
     friction, torsion = "absent: frictionless", "absent: no moment about the normal"
     if material.friction is not None:
-        friction = _values(material.friction)
+        friction = _format_values(material.friction)
     if material.torsion is not None:
-        torsion = f"of the patch, model {material.torsion.model}" if has_patch else _values(material.torsion)
+        torsion = f"of the patch, model {material.torsion.model}" if has_patch else _format_values(material.torsion)
     place = ", ".join(f"{value:g}" for value in item.position_m)
     damping = f"{material.damping_ns_per_m:g} N s/m" if material.damping_ns_per_m else "undamped"
     description = f"{item.shape} at ({place}) m{_size(item)}, {material.stiffness_n_per_m:g} N/m, {damping}"
-    rows = [(f"object '{item.name}'", description), *entry_rows(material)]
+    rows = [(f"object '{item.name}'", description), *make_entry_rows(material)]
     rows += [("  friction", friction), ("  torsion", torsion)]
     if material.normal is not None:
-        rows.insert(-2, ("  normal force", _values(material.normal)))
-    rows += [(f"  effect {effect.kind}", _values(effect)) for effect in item.effect]
+        rows.insert(-2, ("  normal force", _format_values(material.normal)))
+    rows += [(f"  effect {effect.kind}", _format_values(effect)) for effect in item.effect]
     if item.motion is not None:
-        rows.append((f"  motion {item.motion.kind}", _values(item.motion)))
+        rows.append((f"  motion {item.motion.kind}", _format_values(item.motion)))
     if isinstance(item, schema.Heightmap):
-        rows += _heightmap_rows(item)
+        rows += _make_heightmap_rows(item)
     if isinstance(item, schema.Textured) and item.texture is not None:
-        rows += _texture_rows(item, item.texture)
+        rows += _make_texture_rows(item, item.texture)
     if isinstance(item, schema.Mesh):
-        rows += [(f"  {name}", text) for name, text in mesh_report(item).rows(item.inside)]
+        rows += [(f"  {name}", text) for name, text in report_mesh(item).rows(item.inside)]
         if item.elastic is not None:
-            rows += _elastic_rows(item, item.elastic)
+            rows += _make_elastic_rows(item, item.elastic)
     return rows
 
 
-def mesh_report(item: schema.Mesh) -> MeshReport:
-    from softfinger.proxy.meshes.prepared import about
-    from softfinger.server.progress import progress
+def report_mesh(item: schema.Mesh) -> MeshReport:
+    from softfinger.proxy.meshes.prepared import describe_mesh
+    from softfinger.server.progress import show_progress
 
     if item.elastic is not None:
-        from softfinger.proxy.elastic.prepared import body_of
+        from softfinger.proxy.elastic.prepared import prepare_body
 
-        body_of(item)  # shows its own progress
-    with progress(f"reading {item.file}"):
-        return about(item).report
+        prepare_body(item)  # shows its own progress
+    with show_progress(f"reading {item.file}"):
+        return describe_mesh(item).report
 
 
-def _elastic_rows(item: schema.Mesh, elastic: schema.Elastic) -> list[tuple[str, str]]:
-    from softfinger.proxy.elastic.prepared import body_of
+def _make_elastic_rows(item: schema.Mesh, elastic: schema.Elastic) -> list[tuple[str, str]]:
+    from softfinger.proxy.elastic.prepared import prepare_body
 
-    report, force = body_of(item).report, schema.Guard().force_max_n
+    report, force = prepare_body(item).report, schema.Guard().force_max_n
     softest = max(report.compliances) / elastic.youngs_pa
     error = "not estimated: the file has one mesh" if report.error is None else f"{100.0 * report.error:.2g} %"
     rows = [
-        ("  elastic", _values(elastic)),
+        ("  elastic", _format_values(elastic)),
         ("  volume mesh",
          f"{report.tetrahedra:,} tetrahedra of {report.vertices:,} vertices, {report.nodes:,} compliant; "
          f"quality {report.worst_quality:.2g} at worst, {report.mean_quality:.2g} on average; estimated error {error}"),
@@ -135,27 +135,27 @@ def _elastic_rows(item: schema.Mesh, elastic: schema.Elastic) -> list[tuple[str,
     return rows
 
 
-def _heightmap_rows(item: schema.Heightmap) -> list[tuple[str, str]]:
-    from softfinger.proxy.heightmaps import overshoot, read_heights, tightest
+def _make_heightmap_rows(item: schema.Heightmap) -> list[tuple[str, str]]:
+    from softfinger.proxy.heightmaps import bound_curvature, measure_overshoot, read_heights
 
     heights = read_heights(item)
     rows, columns = heights.shape
     size = f"{columns} x {rows} pixels, {columns * item.pitch_m:g} x {rows * item.pitch_m:g} m"
     low, high = float(heights.min()), float(heights.max())
-    valley = tightest(heights, item.pitch_m)
+    valley = bound_curvature(heights, item.pitch_m)
     bends = "no valley" if valley == 0.0 else f"valleys bend with {1.0 / valley:.3g} m or more"
     lines = [
         ("  map", f"{size}, heights {low:g} to {high:g} m"),
         ("    bends", f"{bends}; where that is less than the fingertip's radius it touches in several places"),
     ]
-    if (over := overshoot(heights)) > OVERSHOOT * (high - low):
+    if (over := measure_overshoot(heights)) > OVERSHOOT_SHARE * (high - low):
         beyond = f"the smooth surface is up to {over:.3g} m higher or lower than the neighbouring pixels"
         lines.append(("    steps", f"{beyond}; a step spread over more pixels has less"))
     return lines
 
 
-def _texture_rows(item: schema.Textured, texture: schema.Texture) -> list[tuple[str, str]]:
-    from softfinger.proxy.textures import FREQUENCY_MAX_HZ, REST, bounds, cutoff_m, make
+def _make_texture_rows(item: schema.Textured, texture: schema.Texture) -> list[tuple[str, str]]:
+    from softfinger.proxy.textures import FREQUENCY_MAX_HZ, REMAINING_SHARE, compute_bounds, compute_cutoff_m, make
 
     rows, columns = make(item).values.shape
     width, depth = texture.size_m
@@ -163,12 +163,12 @@ def _texture_rows(item: schema.Textured, texture: schema.Texture) -> list[tuple[
         ("  texture", f"{texture.file}, {columns} x {rows} on {width:g} x {depth:g} m, border {texture.border}"),
         (
             "    filter",
-            f"Gaussian, {REST:g} left at a wavelength of {cutoff_m(texture):g} m: {texture.speed_m_per_s:g} m/s at "
-            f"{FREQUENCY_MAX_HZ:g} Hz",
+            f"Gaussian, {REMAINING_SHARE:g} left at a wavelength of {compute_cutoff_m(texture):g} m: "
+            f"{texture.speed_m_per_s:g} m/s at {FREQUENCY_MAX_HZ:g} Hz",
         ),
     ]
     if texture.height_m is not None:
-        rendered_height, slope, bend = bounds(item)
+        rendered_height, slope, bend = compute_bounds(item)
         stiffness = item.material.stiffness_under(schema.Guard().force_max_n) * slope**2
         lines.append(
             (
@@ -182,7 +182,7 @@ def _texture_rows(item: schema.Textured, texture: schema.Texture) -> list[tuple[
     return lines
 
 
-def _values(table: Struct) -> str:
+def _format_values(table: Struct) -> str:
     """Format keys and values of a table, except None and nested tables."""
     pairs = ((name, getattr(table, name)) for name in table.__struct_fields__)
     return ", ".join(
@@ -190,7 +190,7 @@ def _values(table: Struct) -> str:
     )
 
 
-def rig_summary(rig: schema.Rig) -> list[tuple[str, str]]:
+def summarize_rig(rig: schema.Rig) -> list[tuple[str, str]]:
     servo, guard, telemetry = rig.servo, rig.guard, rig.telemetry
     processor = "any processor" if servo.cpu is None else f"processor {servo.cpu}"
     heat = "no heat limit"
@@ -198,19 +198,19 @@ def rig_summary(rig: schema.Rig) -> list[tuple[str, str]]:
         heat = f"{guard.continuous_force_n:g} N continuous, heated in {guard.heat_time_s:g} s"
     hand = f"handle up to {guard.handle_speed_max_m_per_s:g} m/s, {guard.energy_max_j:g} J given, {heat}"
     return [
-        *(row for table, device in rig.tables.items() for row in _device(table, device)),
+        *(row for table, device in rig.tables.items() for row in _describe_device(table, device)),
         ("servo", f"{servo.rate_hz:g} Hz, real time {servo.realtime}, priority {servo.priority}, {processor}"),
         ("guard, force", f"{guard.force_max_n:g} N, {guard.force_slew_n_per_s:g} N/s, ramp {guard.ramp_s:g} s"),
         ("guard, torque", f"{guard.torque_max_nm:g} N m, {guard.torque_slew_nm_per_s:g} N m/s"),
         ("guard, hand", hand),
-        ("guard, workspace", _workspace(guard.workspace)),
+        ("guard, workspace", _describe_workspace(guard.workspace)),
         ("telemetry", telemetry.endpoint + (f", one tick in {telemetry.every}" if telemetry.every > 1 else "")),
         ("commands", rig.commands_endpoint or "off"),
         ("metrics", rig.metrics.endpoint or "off"),
     ]
 
 
-def _workspace(workspace: schema.Workspace | None) -> str:
+def _describe_workspace(workspace: schema.Workspace | None) -> str:
     if workspace is None:
         return "no soft wall"
     form = (
@@ -222,16 +222,16 @@ def _workspace(workspace: schema.Workspace | None) -> str:
     return f"{form} about {format_value(workspace.center_m)} m of the device, {wall}"
 
 
-def _device(table: str, device: schema.DeviceConfig) -> list[tuple[str, str]]:
+def _describe_device(table: str, device: schema.DeviceConfig) -> list[tuple[str, str]]:
     options, tool = ", ".join(f"{key} = {format_value(value)}" for key, value in device.options.items()), device.tool
-    rows = [(table, device.driver + (f" ({options})" if options else "")), *_driver_rows(table, device)]
+    rows = [(table, device.driver + (f" ({options})" if options else "")), *_make_driver_rows(table, device)]
     if tool is not None:
         turned_text = f"turned by {format_value(tool.orientation_wxyz)}"
         rows.append(("  tool", f"tip at {format_value(tool.offset_m)} m of the handle, {turned_text}"))
     return rows
 
 
-def _driver_rows(table: str, device: schema.DeviceConfig) -> list[tuple[str, str]]:
+def _make_driver_rows(table: str, device: schema.DeviceConfig) -> list[tuple[str, str]]:
     """Return the rows of a driver (`rows`), such as the effect of a maker's service on forces."""
     from softfinger.drivers import registry
 
@@ -240,7 +240,7 @@ def _driver_rows(table: str, device: schema.DeviceConfig) -> list[tuple[str, str
     return [] if rows is None else list(rows(build(driver.Options, device.options, f"[{table}]")))
 
 
-def _world_rows(world: schema.World) -> list[tuple[str, str]]:
+def _make_world_rows(world: schema.World) -> list[tuple[str, str]]:
     """Return rows of the model, its time step and start, and of the geoms that differ from MuJoCo's."""
     from softfinger.config.mjcf import compile_model
     from softfinger.config.mjcf_geoms import convert_geoms
@@ -248,7 +248,9 @@ def _world_rows(world: schema.World) -> list[tuple[str, str]]:
     geoms = list(convert_geoms(world))
     touched = sum(geom.object is not None for geom in geoms)
     rows = [("world", f"{world.model}, {touched} of {len(geoms)} geoms touched, substeps {world.substeps}")]
-    rows.append(("  timestep", _timestep(world, float(compile_model(world.model, world.root).model.opt.timestep))))
+    rows.append(
+        ("  timestep", _format_timestep(world, float(compile_model(world.model, world.root).model.opt.timestep)))
+    )
     if world.keyframe is not None:
         rows.append(("  keyframe", world.keyframe))
     return rows + [(f"  geom '{geom.name}'", geom.note) for geom in geoms if geom.note]
@@ -261,7 +263,7 @@ def check_start(world: schema.World, rate_hz: float = schema.Servo().rate_hz) ->
     RigidBodies(world).begin(1.0 / rate_hz)
 
 
-def _timestep(world: schema.World, model_step: float) -> str:
+def _format_timestep(world: schema.World, model_step: float) -> str:
     if world.timestep == "file":
         return f"{model_step:g} s, the model's own: a tick at servo.rate_hz = {1.0 / (model_step * world.substeps):g}"
     step = 1.0 / (schema.Servo().rate_hz * world.substeps)

@@ -14,10 +14,10 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.config.schema import Object, Plane, Scene, Workspace
 from softfinger.drivers.kinematics.subspace import MotionSubspace
-from softfinger.proxy.pictures import Filed, picture_of
-from softfinger.proxy.rotation import matrix_of
-from softfinger.server.offline.figures import figure, save
-from softfinger.server.surface_meshes import plane, surface_mesh
+from softfinger.proxy.pictures import Filed, make_picture
+from softfinger.proxy.rotation import make_matrix
+from softfinger.server.offline.figures import make_figure, save
+from softfinger.server.surface_meshes import make_plane, make_surface
 
 VIEWS: Final = (("from the front", 0, "x"), ("from the right", 1, "y"))
 """Name of each view, and index and name of the axis that points right; z points up."""
@@ -41,38 +41,40 @@ class PlacedObject(NamedTuple):
     points: Array
 
 
-def half_sizes(wall: Workspace) -> Array:
+def compute_half_sizes(wall: Workspace) -> Array:
     """Return half the size (3,) m of the bounding box of the workspace."""
     return np.full(3, wall.radius_m) if wall.size_m is None else 0.5 * np.array(wall.size_m)
 
 
-def signed_distance(wall: Workspace, points: Array) -> Array:
+def compute_signed_distance(wall: Workspace, points: Array) -> Array:
     """Return the distance (n,) m of points (n, 3) beyond the wall, negative inside."""
     offsets = points - np.array(wall.center_m)
     if wall.size_m is None:
         assert wall.radius_m is not None
         return np.asarray(np.linalg.norm(offsets, axis=1) - wall.radius_m)
-    excess = np.abs(offsets) - half_sizes(wall)
+    excess = np.abs(offsets) - compute_half_sizes(wall)
     return np.asarray(np.linalg.norm(np.maximum(excess, 0.0), axis=1) + np.minimum(excess.max(axis=1), 0.0))
 
 
 def place_objects(wall: Workspace, scene: Scene) -> list[PlacedObject]:
     """Return the objects of a scene at their initial poses, without shapes that have no picture here."""
-    cell = 2.0 * VIEW_SCALE * float(half_sizes(wall).max()) / COLUMNS
+    cell = 2.0 * VIEW_SCALE * float(compute_half_sizes(wall).max()) / COLUMNS
     placed_objects = []
     for obj in scene.object:
-        corners = _corners(obj, 8.0 * float(half_sizes(wall).max()) + 2.0 * float(np.abs(wall.center_m).max()))
+        corners = _compute_corners(
+            obj, 8.0 * float(compute_half_sizes(wall).max()) + 2.0 * float(np.abs(wall.center_m).max())
+        )
         if corners is not None:
-            corners_w = corners @ np.array(matrix_of(obj.orientation_wxyz)).T + np.array(obj.position_m)
+            corners_w = corners @ np.array(make_matrix(obj.orientation_wxyz)).T + np.array(obj.position_m)
             placed_objects.append(PlacedObject(obj.name, corners_w, _sample_triangles(corners_w, 0.5 * cell)))
     return placed_objects
 
 
-def rows(wall: Workspace, objects: list[PlacedObject]) -> list[tuple[str, str]]:
+def make_rows(wall: Workspace, objects: list[PlacedObject]) -> list[tuple[str, str]]:
     """Return for each object whether the fingertip's centre can reach it inside the wall."""
     reach_rows = []
     for number, obj in zip(NUMBERS, objects, strict=False):
-        distances = 1e3 * signed_distance(wall, obj.points)
+        distances = 1e3 * compute_signed_distance(wall, obj.points)
         if distances.max() <= 0.0:
             reach = "inside"
         elif distances.min() > 0.0:
@@ -83,14 +85,14 @@ def rows(wall: Workspace, objects: list[PlacedObject]) -> list[tuple[str, str]]:
     return reach_rows
 
 
-def reachable_curve(wall: Workspace, freedom: MotionSubspace) -> Array:
+def compute_reachable_curve(wall: Workspace, freedom: MotionSubspace) -> Array:
     """Return points (n, 3) m inside the wall, on the arc of a device or on the edge of its plane."""
     angles = np.linspace(-np.pi, np.pi, DIRECTIONS)[:, None]
-    normal, half = freedom.axis, float(half_sizes(wall).max())
+    normal, half = freedom.axis, float(compute_half_sizes(wall).max())
     if freedom.degrees == 1:
         arm = freedom.centre - freedom.origin
         points = freedom.origin + np.cos(angles) * arm + np.sin(angles) * np.cross(normal, arm)
-        return np.asarray(points[signed_distance(wall, points) <= 0.0])
+        return np.asarray(points[compute_signed_distance(wall, points) <= 0.0])
     centre = np.array(wall.center_m)
     centre = centre - (centre - freedom.origin) @ normal * normal
     tangent = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
@@ -98,15 +100,15 @@ def reachable_curve(wall: Workspace, freedom: MotionSubspace) -> Array:
     rays = np.cos(angles) * tangent + np.sin(angles) * np.cross(normal, tangent)
     reach = np.linspace(0.0, 2.0 * half, DIRECTIONS)
     points = centre + reach[None, :, None] * rays[:, None, :]
-    inside = signed_distance(wall, points.reshape(-1, 3)).reshape(points.shape[:2]) <= 0.0
+    inside = compute_signed_distance(wall, points.reshape(-1, 3)).reshape(points.shape[:2]) <= 0.0
     if not inside[0, 0]:  # the plane does not intersect the workspace
         return np.zeros((0, 3))
     return np.asarray(points[np.arange(DIRECTIONS), inside.sum(axis=1) - 1])
 
 
-def text(wall: Workspace, objects: list[PlacedObject], freedom: MotionSubspace | None = None) -> list[str]:
+def draw_text(wall: Workspace, objects: list[PlacedObject], freedom: MotionSubspace | None = None) -> list[str]:
     views = [_view(wall, objects, axis, freedom) for _, axis, _ in VIEWS]
-    half = 1e3 * VIEW_SCALE * float(half_sizes(wall).max())
+    half = 1e3 * VIEW_SCALE * float(compute_half_sizes(wall).max())
     heads = [f"{name}: {letter} to the right, z up; {2 * half:.0f} mm wide" for name, _, letter in VIEWS]
     lines = ["   ".join(head.ljust(COLUMNS) for head in heads).rstrip()]
     lines += ["   ".join(pair).rstrip() for pair in zip(*views, strict=True)]
@@ -121,8 +123,8 @@ def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: Moti
     """Draw both views as a figure, .png or .svg, axes in mm."""
     from matplotlib.collections import PolyCollection
 
-    drawing = figure(9.0, 4.8)
-    half = 1e3 * VIEW_SCALE * float(half_sizes(wall).max())
+    drawing = make_figure(9.0, 4.8)
+    half = 1e3 * VIEW_SCALE * float(compute_half_sizes(wall).max())
     for axes, (name, axis, letter) in zip(drawing.subplots(1, 2), VIEWS, strict=True):
         middle = 1e3 * np.array([wall.center_m[axis], wall.center_m[2]])
         for number, obj in enumerate(objects):
@@ -133,12 +135,12 @@ def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: Moti
             )
             axes.plot([], [], color=colour, label=obj.name)
         u, v = np.meshgrid(*(np.linspace(m - half, m + half, 201) for m in middle))
-        distances = signed_distance(wall, 1e-3 * _project_points(1e3 * np.array(wall.center_m), axis, u, v)).reshape(
-            u.shape
-        )
+        distances = compute_signed_distance(
+            wall, 1e-3 * _project_points(1e3 * np.array(wall.center_m), axis, u, v)
+        ).reshape(u.shape)
         axes.contour(u, v, distances, [0.0], colors="black", linestyles="dashed")
         if freedom is not None:
-            line = 1e3 * reachable_curve(wall, freedom)
+            line = 1e3 * compute_reachable_curve(wall, freedom)
             axes.plot(line[:, axis], line[:, 2], "r-", linewidth=1.5)
         axes.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], aspect="equal", title=name)
         axes.set(xlabel=f"{letter} [mm]", ylabel="z [mm]")
@@ -151,16 +153,18 @@ def plot(wall: Workspace, objects: list[PlacedObject], path: Path, freedom: Moti
 
 def _view(wall: Workspace, objects: list[PlacedObject], axis: int, freedom: MotionSubspace | None) -> list[str]:
     """Return a view as ROWS lines of COLUMNS characters."""
-    center, half = np.array(wall.center_m), VIEW_SCALE * float(half_sizes(wall).max())
+    center, half = np.array(wall.center_m), VIEW_SCALE * float(compute_half_sizes(wall).max())
     right, up = np.meshgrid(np.linspace(-half, half, COLUMNS), np.linspace(half, -half, ROWS))
     inside = (
-        signed_distance(wall, _project_points(center, axis, center[axis] + right, center[2] + up)).reshape(right.shape)
+        compute_signed_distance(wall, _project_points(center, axis, center[axis] + right, center[2] + up)).reshape(
+            right.shape
+        )
         <= 0.0
     )
     cells = np.where(inside, WALL_MARK, " ")
     marks = [(number, obj.points) for number, obj in zip(NUMBERS, objects, strict=False)]
     if freedom is not None:
-        marks.append((CURVE_MARK, reachable_curve(wall, freedom)))
+        marks.append((CURVE_MARK, compute_reachable_curve(wall, freedom)))
     for mark, points in marks:
         column = np.rint((points[:, axis] - center[axis] + half) / (2.0 * half) * (COLUMNS - 1))
         row = np.rint((half - points[:, 2] + center[2]) / (2.0 * half) * (ROWS - 1))
@@ -177,13 +181,13 @@ def _project_points(center: Array, axis: int, right: Array, up: Array) -> Array:
     return points
 
 
-def _corners(obj: Object, edge: float) -> Array | None:
+def _compute_corners(obj: Object, edge: float) -> Array | None:
     """Return the corners (n, 3, 3) of an object's triangles, m, in its frame; for a plane a square of edge `edge` m."""
     if isinstance(obj, Filed):
-        (vertices, faces), _ = picture_of(obj)
+        (vertices, faces), _ = make_picture(obj)
         corners: Array = np.asarray(vertices, float)[np.asarray(faces, int)]
         return corners
-    mesh = plane(edge) if isinstance(obj, Plane) else surface_mesh(obj)
+    mesh = make_plane(edge) if isinstance(obj, Plane) else make_surface(obj)
     return None if mesh is None else np.asarray(mesh.vertices[mesh.faces])
 
 

@@ -15,11 +15,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.arrays import Array
-from softfinger.config.files import check_owner, home_folder
+from softfinger.config.files import check_owner, find_home_folder
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.recording.writer import RecordingFile, round_integer_fields
 from softfinger.server.wire.events import RecordEvents
-from softfinger.server.wire.stamps import now_s
+from softfinger.server.wire.stamps import read_clock_s
 
 HISTORY_S: Final = 10.0
 """Duration of the stored ticks, events and log lines."""
@@ -36,7 +36,7 @@ SUFFIX: Final = ".mcap"
 PART_SUFFIX: Final = ".part"
 
 
-def folder() -> Path | None:
+def find_folder() -> Path | None:
     """Return the folder of the files, which need not exist; None for a user without a home folder.
 
     It is $SOFTFINGER_BLACKBOX_DIR, or a folder in the user's state folder (XDG).
@@ -44,13 +44,13 @@ def folder() -> Path | None:
     configured = os.environ.get("SOFTFINGER_BLACKBOX_DIR")
     if configured:
         return Path(configured).absolute()
-    state, home = os.environ.get("XDG_STATE_HOME", ""), home_folder()
+    state, home = os.environ.get("XDG_STATE_HOME", ""), find_home_folder()
     if not state.startswith("/") and home is None:
         return None
     return Path(state if state.startswith("/") else f"{home}/.local/state") / "softfinger" / "blackbox"
 
 
-def files(directory: Path) -> list[Path]:
+def list_files(directory: Path) -> list[Path]:
     """Return the files of a folder, oldest first; empty if the folder does not exist."""
     with contextlib.suppress(OSError):
         timed_paths = [(path.stat().st_mtime, path) for path in directory.glob(f"*{SUFFIX}")]
@@ -76,7 +76,7 @@ class LogBuffer(logging.Handler):
         self.setFormatter(logging.Formatter("%(message)s"))
 
     def emit(self, record: logging.LogRecord) -> None:
-        at_s = now_s() - (time.time() - record.created)
+        at_s = read_clock_s() - (time.time() - record.created)
         self._lines.append(LogLine(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
 
     def lines(self, since_s: float) -> list[LogLine]:
@@ -119,7 +119,7 @@ class BlackBox:
 
     def event(self, event: Mapping[str, Any]) -> None:
         """Store an event, a map as on the wire, that does not follow from the ticks; thread-safe."""
-        since = now_s() - HISTORY_S
+        since = read_clock_s() - HISTORY_S
         with self._lock:
             while self._events and self._events[0]["timestamp"] < since:
                 self._events.popleft()
@@ -148,7 +148,7 @@ class BlackBox:
                 recording = RecordingFile(file, self._fingers, about)
                 for event in self._write_ticks(recording, rows):
                     recording.event(event)
-                since = now_s() - HISTORY_S
+                since = read_clock_s() - HISTORY_S
                 for event in list(self._events):
                     if event["timestamp"] >= since:
                         recording.event(event)
@@ -182,7 +182,7 @@ def prepare_folder(directory: Path) -> None:
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     check_owner(directory, directory.stat(), "could select the file that this program replaces")
     files_left, bytes_left = FILES_MAX - 1, BYTES_MAX
-    for path in reversed(files(directory)):
+    for path in reversed(list_files(directory)):
         with contextlib.suppress(OSError):  # another daemon may delete files, too
             bytes_left -= path.stat().st_size
             if files_left <= 0 or bytes_left < 0:

@@ -23,12 +23,12 @@ from softfinger.config import schema
 from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import apply_overrides, describe
-from softfinger.config.overrides import index_entries
+from softfinger.config.overrides import to_indexed_key
 from softfinger.drivers.base import HELD, WITHHELD, DeviceInfo
 from softfinger.proxy.bodies import begin_bodies, check_bodies
-from softfinger.proxy.kernels.jit.pack import Packed, flatten, packed
+from softfinger.proxy.kernels.jit.pack import PackedTree, flatten, packed
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE
-from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
 from softfinger.server.loop.guard import (
     DISARMED,
     FORCE_CLAMPED,
@@ -40,26 +40,26 @@ from softfinger.server.loop.guard import (
 )
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.simulate import tick_many
-from softfinger.server.progress import CHUNK, progress
+from softfinger.server.offline.simulate import run_ticks
+from softfinger.server.progress import CHUNK, show_progress
 from softfinger.server.recording.run import Run
 
 Mask = NDArray[np.bool_]
 
-COMPARED: Final = ("force", "torque", "contact.mode", "contact.object", "contact.point")
-FIELDS: Final = ("timestamp", "servo.guard", "servo.device", "servo.missed", *COMPARED)
+COMPARED_FIELDS: Final = ("force", "torque", "contact.mode", "contact.object", "contact.point")
+READ_FIELDS: Final = ("timestamp", "servo.guard", "servo.device", "servo.missed", *COMPARED_FIELDS)
 """Fields of a recording that a comparison reads."""
 
-COMMAND_S: Final = 0.5
+COMMAND_TOLERANCE_S: Final = 0.5
 """The event of a command is published after its execution, so the force may differ for this time before the event.
 The answering thread has normal priority; on a busy machine its longest delays are tenths of a second.
 """
 COMMAND_TICKS: Final = 2
 """The tick named by an event may have started before the command; the second tick after it has not."""
-FORGET_TIME_CONSTANTS: Final = 40.0
+MEMORY_TIME_CONSTANTS: Final = 40.0
 """Number of time constants after which the velocity filter has no memory: exp(-40) is below the last bit of float64."""
 
-_STORED: Final = ("servo.guard", *COMPARED)
+_STORED: Final = ("servo.guard", *COMPARED_FIELDS)
 _SLICES: Final[dict[str, slice]] = {
     name: slice(end - NAMED[name].size, end)
     for name, end in zip(_STORED, accumulate(NAMED[name].size for name in _STORED), strict=True)
@@ -127,7 +127,7 @@ class ReplayResult(NamedTuple):
         return self.columns[:, finger_index, _SLICES[name]]
 
 
-def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
+def compare_run(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
     """Compute every tick of a run with today's step and guard, and report the progress.
 
     Raises ConfigError if the scene has other fingers.
@@ -142,12 +142,12 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
     poses[_has_bit(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # the device's pose is not recorded
     free = np.all(np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1) == FREE, axis=1)
     recorded_guards = np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1)
-    devices, settling_ticks = _device_infos(run), _find_settling_ticks(scene, run.rate_hz)
+    devices, settling_ticks = _read_device_infos(run), _find_settling_ticks(scene, run.rate_hz)
     columns = np.empty((len(ticks), len(names), len(_COLUMNS)))
     bodies = np.full_like(run.bodies.poses, np.nan)
     comparable, left_out = np.zeros(len(ticks), dtype=bool), list[SkippedTicks]()
     ramp = round(rig.commands.ramp_s * run.rate_hz)
-    with progress("replaying", len(ticks)) as advance:
+    with show_progress("replaying", len(ticks)) as advance:
         for part in _split_run(run, scene, ticks, ramp):
             block = slice(part.start, part.stop)
             tuning = make_tuning(part.scene, rig.guard, devices)
@@ -163,13 +163,13 @@ def replay(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
                 start += int(np.argmax(is_at_rest)) if is_at_rest.any() else len(is_at_rest)
             comparable[start : part.stop] = True
             left_out += _span(ticks, part.start, start, part.why)
-    for row in _command_changes(run, scene, ticks, ramp):  # may be executed before its event
-        first = max(0, row - ramp - round(COMMAND_S * run.rate_hz))
+    for row in _list_command_changes(run, scene, ticks, ramp):  # may be executed before its event
+        first = max(0, row - ramp - round(COMMAND_TOLERANCE_S * run.rate_hz))
         comparable[first:row] = False
         left_out += _span(
             ticks, first, row, "the time of the following command is not recorded, or it was not yet executed"
         )
-    withheld = _withheld(run)
+    withheld = _find_withheld(run)
     comparable[withheld] = False
     if withheld.any():
         left_out.append(
@@ -194,21 +194,21 @@ def _simulate(
     (`ReplayResult`) into `out`.
     """
     columns, bodies = out
-    period = period_ns(run.rate_hz) / NS_PER_S
+    period = compute_period_ns(run.rate_hz) / NS_PER_S
     first, initial_memory = run.first, begin(tuning.scene)
     begin_bodies(tuning.scene, period)
     first_tick = int(first["tick"][part.start])
     # A device with its own clock is stepped one period per tick; other devices also for each missed deadline.
-    has_own_clock = all(info.own_clock for info in _device_infos(run))
+    has_own_clock = all(info.own_clock for info in _read_device_infos(run))
     skipped = 0.0 if has_own_clock or "servo.missed" not in first else float(first["servo.missed"][part.start])
     memory = initial_memory._replace(world=initial_memory.world._replace(time=(first_tick + skipped) * period))
     dts = np.ascontiguousarray(first["dt"][part.start : part.stop])
-    scene_and_guard, carried = packed(tuning), Packed(initial_memory, flatten(memory))
+    scene_and_guard, carried = packed(tuning), PackedTree(initial_memory, flatten(memory))
     records = np.zeros((min(len(poses), CHUNK), poses.shape[1], RECORD_SIZE))
     for start, end in _split_ticks(run.bodies.ticks - first_tick, len(poses)):
         block = slice(start, end)
         rows = records[: end - start]
-        tick_many(scene_and_guard, carried, poses[block], dts[block], period, first_tick + start, rows)
+        run_ticks(scene_and_guard, carried, poses[block], dts[block], period, first_tick + start, rows)
         check_bodies(tuning.scene)
         columns[block] = rows[:, :, _COLUMNS]
         advance(part.start + end)
@@ -236,7 +236,7 @@ def _has_bit(run: Run, bit: int) -> Mask:
     return has
 
 
-def _withheld(run: Run) -> Mask:
+def _find_withheld(run: Run) -> Mask:
     """Return the ticks (n,) in which a hand received another force than the step's, for reasons not in the poses."""
     device = np.stack([fields["servo.device"] for fields in run.fingers.values()], axis=1)
     withheld: Mask = np.any(np.isin(device, (WITHHELD, HELD)) | _has_bit(run, DISARMED), axis=1)
@@ -247,7 +247,7 @@ def _withheld(run: Run) -> Mask:
     return withheld
 
 
-def _device_infos(run: Run) -> list[DeviceInfo]:
+def _read_device_infos(run: Run) -> list[DeviceInfo]:
     """Return the properties of the devices, if the recording has them."""
     fingers = run.notes.get("fingers")
     try:
@@ -264,7 +264,7 @@ def _find_settling_ticks(scene: schema.Scene, rate_hz: float) -> int | None:
     if any(isinstance(effect, schema.StickSlip) for effect in effects):
         return None
     slowest = max(finger.probe.velocity_time_constant_s for finger in scene.fingers)
-    return math.ceil(FORGET_TIME_CONSTANTS * slowest * rate_hz) + 1
+    return math.ceil(MEMORY_TIME_CONSTANTS * slowest * rate_hz) + 1
 
 
 def compare(
@@ -363,10 +363,10 @@ def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: in
     breaks = {0: "the recording starts in the middle of a run"}
     for row in (np.flatnonzero(np.diff(ticks) != 1) + 1).tolist():
         breaks[row] = f"{ticks[row] - ticks[row - 1] - 1} ticks before it are missing"
-    for row in _rows_after(_withheld(run)):
+    for row in _find_rows_after(_find_withheld(run)):
         breaks[row] = "the force was withheld or disarmed"
-    armed = set(_rows_after(np.any(_has_bit(run, DISARMED), axis=1)))
-    changes = _command_changes(run, scene, ticks, ramp)
+    armed = set(_find_rows_after(np.any(_has_bit(run, DISARMED), axis=1)))
+    changes = _list_command_changes(run, scene, ticks, ramp)
     breaks |= dict.fromkeys(changes, "a command precedes it")
     end = _find_known_end(run, scene, ticks)
     starts = sorted(row for row in breaks if row < end)
@@ -376,12 +376,14 @@ def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: in
         yield _Segment(start, stop, scene, breaks[start], start in armed)
 
 
-def _rows_after(mask: Mask) -> list[int]:
+def _find_rows_after(mask: Mask) -> list[int]:
     """Return the row after each stretch of true values."""
     return (np.flatnonzero(mask[:-1] & ~mask[1:]) + 1).tolist()
 
 
-def _command_changes(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int) -> dict[int, dict[str, Any]]:
+def _list_command_changes(
+    run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int
+) -> dict[int, dict[str, Any]]:
     """Return the changes made by commands: dotted keys by the first row with the full effect, after `ramp` ticks."""
     changes: dict[int, dict[str, Any]] = {}
     for event in run.events:
@@ -400,7 +402,7 @@ def _read_changes(scene: schema.Scene, event: Mapping[str, Any]) -> dict[str, An
         if not all(isinstance(change, dict) and "to" in change for change in content.values()):
             return None
         mapping = describe(scene)
-        return {index_entries(mapping, key): change["to"] for key, change in content.items()}
+        return {to_indexed_key(mapping, key): change["to"] for key, change in content.items()}
     if event["name"] == "drive":
         scene_index = next((i for i, obj in enumerate(scene.object) if obj.name == content.get("object")), None)
         return None if scene_index is None else {
@@ -417,5 +419,5 @@ def _find_known_end(run: Run, scene: schema.Scene, ticks: NDArray[np.int64]) -> 
         if kind == "command" and name in _STATE_COMMANDS:
             unknown = _read_changes(scene, event) is None
         if unknown:
-            return int(np.searchsorted(ticks, event["tick"] - COMMAND_S * run.rate_hz))
+            return int(np.searchsorted(ticks, event["tick"] - COMMAND_TOLERANCE_S * run.rate_hz))
     return len(ticks)

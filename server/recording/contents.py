@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from softfinger.drivers.poses import find_recording, load_poses
-from softfinger.server.recording.layout import TickField, tick_layout
+from softfinger.server.recording.layout import TickField, make_tick_layout
 from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, read_contents
 from softfinger.server.recording.results import NoResults, list_fingers, read_results
 
@@ -33,7 +33,7 @@ def read_recording(recording: str | Path) -> Iterator[TickBlock | Event | Record
     path = find_recording(recording)
     if path.suffix.lower() in (".csv", ".npz"):
         if fingers := list_fingers(path):
-            parts = tick_layout().parts
+            parts = make_tick_layout().parts
             yield from (TickBlock(finger, parts, read_results(path, finger)) for finger in fingers)
         else:
             yield _read_table(path)
@@ -44,7 +44,7 @@ def read_recording(recording: str | Path) -> Iterator[TickBlock | Event | Record
 
 def _read_table(path: Path) -> TickBlock:
     try:
-        return TickBlock("", tick_layout().parts, read_results(path))
+        return TickBlock("", make_tick_layout().parts, read_results(path))
     except NoResults:  # poses, or an invalid file
         poses = load_poses(path)
         numbers = np.arange(len(poses.t))

@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.files import new_file
+from softfinger.config.files import write_new_file
 from softfinger.server.recording.contents import read_recording
 from softfinger.server.recording.reader import End, TickBlock, explain_no_tick, translate_errors
 from softfinger.server.recording.results import RESULTS_MAX, write_csv_rows
@@ -52,12 +52,12 @@ def export(recording: str | Path, out: Path, finger: str = "") -> int:
     ticks = _read_finger(recording, finger)
     first = next(ticks)
     writers: dict[str, Callable[[IO[bytes], Iterator[TickBlock]], int]] = {
-        ".csv": _csv,
-        ".parquet": _parquet,
-        ".npz": partial(_npz, out),
+        ".csv": _write_csv,
+        ".parquet": _write_parquet,
+        ".npz": partial(_write_npz, out),
     }
     write = writers[out.suffix.lower()]
-    with translate_errors(out), new_file(out) as file:
+    with translate_errors(out), write_new_file(out) as file:
         return write(file, chain([first], ticks))
 
 
@@ -83,21 +83,21 @@ def _read_finger(recording: str | Path, finger: str) -> Iterator[TickBlock]:
         log.warning("%s is incomplete: %s", recording, end.cut)
 
 
-def column_names(ticks: TickBlock) -> list[str]:
+def list_column_names(ticks: TickBlock) -> list[str]:
     return [f"{p.name}[{i}]" if p.size > 1 else p.name for p in ticks.parts for i in range(p.size)]
 
 
-def _csv(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
+def _write_csv(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     count = 0
     for part in ticks:
         if not count:
-            file.write((",".join(column_names(part)) + "\n").encode())
+            file.write((",".join(list_column_names(part)) + "\n").encode())
         write_csv_rows(file, part.rows)
         count += len(part.rows)
     return count
 
 
-def _parquet(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
+def _write_parquet(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     import pyarrow
     import pyarrow.parquet
 
@@ -115,7 +115,7 @@ def _parquet(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
             pyarrow.array(column.astype(np.int64) if is_integer else column)
             for column, is_integer in zip(part.rows.T, integer_flags, strict=True)
         ]
-        table = pyarrow.table(arrays, names=column_names(part))
+        table = pyarrow.table(arrays, names=list_column_names(part))
         writer = writer or pyarrow.parquet.ParquetWriter(file, table.schema)
         pending.append(table)
         count += len(part.rows)
@@ -127,7 +127,7 @@ def _parquet(file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     return count
 
 
-def _npz(out: Path, file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
+def _write_npz(out: Path, file: IO[bytes], ticks: Iterator[TickBlock]) -> int:
     """Write one array per field, like results; all ticks are in memory, so their number is limited."""
     parts: list[TickBlock] = []
     count = 0

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.arrays import Array
-from softfinger.proxy.record import FIELDS, columns
-from softfinger.server.recording.schemas import TICK, message_class
+from softfinger.proxy.record import FIELDS, list_columns
+from softfinger.server.recording.schemas import TICK, make_message_class
 
 Bytes = NDArray[np.uint8]
 
@@ -56,7 +56,7 @@ class Layout:
         # Sort by the order of a record, which the message may not have; unknown fields follow.
         for part in sorted(fields, key=lambda part: _ORDER.get(part.name, len(_ORDER))):
             kind = "<i8" if part.is_integer else "<f8"
-            at += [encoded.index(np.array(_marker(part.at + i), kind).tobytes()) for i in range(part.size)]
+            at += [encoded.index(np.array(_make_marker(part.at + i), kind).tobytes()) for i in range(part.size)]
             parts.append(part._replace(at=column))
             column += part.size
         self.parts: Final = parts
@@ -65,8 +65,8 @@ class Layout:
         # Adjacent numbers are copied as one piece: (bytes, offset in a row, offset in a message).
         starts = [0, *(i for i in range(1, self.width) if at[i] != at[i - 1] + 8), self.width]
         pieces = [(8 * (b - a), 8 * a, at[a]) for a, b in pairwise(starts)]
-        self._row = _piece_dtype(8 * self.width, [(size, row) for size, row, _ in pieces])
-        self._message = _piece_dtype(len(encoded), [(size, offset) for size, _, offset in pieces])
+        self._row = _make_piece_dtype(8 * self.width, [(size, row) for size, row, _ in pieces])
+        self._message = _make_piece_dtype(len(encoded), [(size, offset) for size, _, offset in pieces])
         self._template = np.frombuffer(encoded, dtype=np.uint8)
         self.size: Final = len(encoded)
         fixed = np.ones(len(encoded), dtype=bool)
@@ -82,7 +82,7 @@ class Layout:
             integers = counts.astype("<i8")
         if not np.array_equal(integers, counts):
             row, column = (int(i) for i in np.argwhere(integers != counts)[0])
-            name = columns()[int(np.flatnonzero(self._integer_columns)[column])]
+            name = list_columns()[int(np.flatnonzero(self._integer_columns)[column])]
             raise ValueError(f"record {row}: {name} = {counts[row, column]}, must be an integer")
         values[:, self._integer_columns] = integers.view("<f8")  # the bit pattern of the integer
         out[:] = self._template
@@ -126,7 +126,7 @@ class Layout:
             if at + size > COLUMNS_MAX:
                 raise ValueError(f"more than {COLUMNS_MAX} numbers in a message")
             if size:
-                markers: list[Any] = [_marker(at + i) for i in range(size)]
+                markers: list[Any] = [_make_marker(at + i) for i in range(size)]
                 markers = [int(marker) for marker in markers] if is_integer else markers
                 if field.is_repeated:
                     inner[:] = markers
@@ -137,9 +137,9 @@ class Layout:
 
 
 @cache
-def tick_layout() -> Layout:
+def make_tick_layout() -> Layout:
     """Return the layout of this version's ticks, with the columns of a record."""
-    message = message_class(TICK)()
+    message = make_message_class(TICK)()
     for field in FIELDS:
         if field.size > 1:
             *parents, leaf = field.name.split(".")
@@ -150,7 +150,7 @@ def tick_layout() -> Layout:
     return Layout(message)
 
 
-def _piece_dtype(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.void]:
+def _make_piece_dtype(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.void]:
     """Return a type that splits `size` bytes into pieces, each given by its length and offset."""
     return np.dtype(
         {
@@ -162,6 +162,6 @@ def _piece_dtype(size: int, pieces: Sequence[tuple[int, int]]) -> np.dtype[np.vo
     )
 
 
-def _marker(number: int) -> float:
+def _make_marker(number: int) -> float:
     """Return a number that occurs only once in an encoded message and is exact as float64 and as integer."""
     return float(0x5AA5_3CC3_0000 + 0x0101 * (number + 1))

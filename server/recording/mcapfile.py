@@ -130,7 +130,7 @@ class McapFile:
             return
         data = self._pending[0] if len(self._pending) == 1 else b"".join(self._pending)
         # Readers do not depend on message order, so the chunk's times are its minimum and maximum.
-        first, last = _bounds(self._index)
+        first, last = _find_bounds(self._index)
         compressed = self._compressor.compress(data)
         chunk = _record(
             records.Chunk(
@@ -212,7 +212,7 @@ class McapFile:
             (Opcode.SCHEMA, map(_record, self._schemas)),
             (Opcode.CHANNEL, map(_record, self._channels)),
             (Opcode.STATISTICS, [_record(statistics)]),
-            (Opcode.CHUNK_INDEX, self._chunk_indices()),
+            (Opcode.CHUNK_INDEX, self._list_chunk_indices()),
             (Opcode.METADATA_INDEX, map(_record, self._metadata)),
         ]
         crc, offsets = 0, b""
@@ -231,7 +231,7 @@ class McapFile:
         crc = zlib.crc32(offsets + footer, crc)
         self._write(offsets + footer + crc.to_bytes(4, "little") + MCAP0_MAGIC)
 
-    def _chunk_indices(self) -> Iterator[bytes]:
+    def _list_chunk_indices(self) -> Iterator[bytes]:
         self._chunks.seek(0)
         yield from iter(partial(self._chunks.read, INDEX_MEMORY_BYTES), b"")
 
@@ -267,7 +267,7 @@ def _record(record: Any) -> bytes:
     return bytes(builder.end())
 
 
-def _bounds(index: Mapping[int, list[NDArray[np.uint64]]]) -> tuple[int, int]:
+def _find_bounds(index: Mapping[int, list[NDArray[np.uint64]]]) -> tuple[int, int]:
     """Return the minimum and maximum time of a chunk; 0 without messages."""
     times = [pairs[:, 0] for entries in index.values() for pairs in entries]
     return min((int(t.min()) for t in times), default=0), max((int(t.max()) for t in times), default=0)

@@ -21,7 +21,7 @@ CHUNK_ROWS: Final = 4096
 """Number of rows transposed at a time; they fit into the processor's cache."""
 
 
-def prefix(finger: str) -> str:
+def make_prefix(finger: str) -> str:
     """Return the prefix of the names of a finger's columns and arrays."""
     return f"{finger}." if finger else ""
 
@@ -48,7 +48,7 @@ def write_npz(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Itera
                 shape = (columns.count, size)[: 2 if size > 1 else 1]
                 part = slice(index * RECORD_SIZE + at, index * RECORD_SIZE + at + size)
                 varies = bool(columns.varying[part].any())
-                _add_array(archive, prefix(finger) + name, shape, columns.read(part), varies or name == "records")
+                _add_array(archive, make_prefix(finger) + name, shape, columns.read(part), varies or name == "records")
 
 
 class _Columns:

@@ -101,7 +101,7 @@ class McapPoses:
             self._rows.clear()
 
 
-def poses_file(path: Path) -> PosesFile:
+def open_poses_file(path: Path) -> PosesFile:
     """Open a file of the type given by its suffix; raises ConfigError for other suffixes."""
     kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
     if path.suffix.lower() not in kinds:

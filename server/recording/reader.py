@@ -20,13 +20,13 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
-from softfinger.drivers.containers import RECORD_BYTES_MAX, mcap_records
+from softfinger.drivers.containers import RECORD_BYTES_MAX, iter_mcap_records
 from softfinger.proxy.record import FIELDS
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.server.recording.layout import Layout, TickField
 from softfinger.server.recording.schemas import decode_event, decode_world, load_message_class
 from softfinger.server.recording.writer import EVENT_TOPIC, JSON, MARK_TOPIC
-from softfinger.server.wire.protocol import WORLD, finger_of
+from softfinger.server.wire.protocol import WORLD, find_finger
 
 METADATA_MAX: Final = 256
 """Maximum of metadata tables read; this program writes about ten."""
@@ -101,7 +101,7 @@ def explain_no_tick(end: End) -> str:
     """Return why a file has no tick, for a message: its damage, or its topics."""
     if end.cut:
         return f"has no tick: {end.cut}"
-    if not end.topics or any(finger_of(topic.name) is not None for topic in end.topics):
+    if not end.topics or any(find_finger(topic.name) is not None for topic in end.topics):
         return "has no tick"
     names = ", ".join(repr(topic.name[:40]) for topic in end.topics[:5]) + ", ..." * (len(end.topics) > 5)
     return f"has no tick on topic 'contact' or 'finger/NAME': its topics are {names}"
@@ -110,7 +110,7 @@ def explain_no_tick(end: End) -> str:
 class _Channel:
     def __init__(self, topic: str, schema: Any) -> None:
         self.topic, self.schema, self.messages = topic, schema, 0
-        self.finger = finger_of(topic)
+        self.finger = find_finger(topic)
         self.layout: Layout | None = None
         self._message_type: Any = None
 
@@ -166,14 +166,14 @@ def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorl
     with (
         translate_errors(path, "read"),
         open_input(path) as file,
-        progress(f"reading {Path(path).name}", os.fstat(file.fileno()).st_size) as advance,
+        show_progress(f"reading {Path(path).name}", os.fstat(file.fileno()).st_size) as advance,
     ):
-        for part in _contents(Path(path), file):
+        for part in _read_contents(Path(path), file):
             advance(file.tell())
             yield part
 
 
-def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
+def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     from mcap.exceptions import EndOfFile
     from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
 
@@ -195,7 +195,7 @@ def _contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | Recor
                     channels[record.id] = _Channel(record.topic, schemas.get(record.schema_id))
 
     try:
-        for outer in mcap_records(file, skip_damage):
+        for outer in iter_mcap_records(file, skip_damage):
             messages_by_channel: dict[int, list[bytes]] = {}
             for record in _unpack_chunk(outer.data) if isinstance(outer, Chunk) else (outer,):
                 if isinstance(record, tuple):

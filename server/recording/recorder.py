@@ -30,7 +30,7 @@ QUEUE_EVENTS: Final = 4096
 """Maximum of waiting events; further ones are dropped."""
 BLOCK_ROWS: Final = 1024
 """Ticks encoded per block, in less than the interpreter's switch interval of 5 ms."""
-END: Final = "end"
+END_TABLE: Final = "end"
 """Table of metadata of a recording with a regular end: number of written and of dropped ticks."""
 NEW_RECORDING_REMEDY: Final = "make room on the disk or choose another disk, then start another recording"
 
@@ -171,7 +171,7 @@ class Recorder:
                     self._write(recording)
                 self._write(recording)
                 end = {"ticks": self._ticks, "dropped": self._dropped, "events_dropped": self._events_dropped}
-                recording.note(END, end)
+                recording.note(END_TABLE, end)
                 recording.close()
                 self._count(recording)
             except Exception:

@@ -29,15 +29,15 @@ from numpy.typing import NDArray
 from softfinger.config.arrays import Array
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
-from softfinger.config.files import new_file, open_input, open_output
+from softfinger.config.files import open_input, open_output, write_new_file
 from softfinger.drivers.closing import Closeable
 from softfinger.drivers.poses import LINE_MAX
-from softfinger.proxy.record import RECORD_SIZE, columns
-from softfinger.server.progress import progress
-from softfinger.server.recording.npz_results import prefix, write_npz
+from softfinger.proxy.record import RECORD_SIZE, list_columns
+from softfinger.server.progress import show_progress
+from softfinger.server.recording.npz_results import make_prefix, write_npz
 from softfinger.server.recording.reader import End, TickBlock, read_contents, translate_errors
 from softfinger.server.recording.writer import RecordingFile
-from softfinger.server.wire.protocol import contact_topic
+from softfinger.server.wire.protocol import name_contact_topic
 
 SUFFIXES: Final = (".csv", ".npz", ".mcap")
 RESULTS_MAX: Final = 2_000_000
@@ -82,8 +82,8 @@ def write_blocks(
     writers: dict[str, Callable[..., None]] = {".csv": _write_csv, ".npz": write_npz, ".mcap": write_mcap}
     writer = writers.get(target.suffix.lower())
     if writer is None:
-        raise RecordingError(_unknown_suffix(target))
-    with translate_errors(target), new_file(target) as file:
+        raise RecordingError(_make_suffix_error(target))
+    with translate_errors(target), write_new_file(target) as file:
         writer(target, file, fingers, blocks)
 
 
@@ -110,7 +110,7 @@ def read_results(path: str | Path, finger: str = "") -> Array:
     source = Path(path)
     reader = {".csv": _read_csv, ".npz": _read_npz, ".mcap": _read_mcap}.get(source.suffix.lower())
     if reader is None:
-        raise RecordingError(_unknown_suffix(source))
+        raise RecordingError(_make_suffix_error(source))
     with translate_errors(source, "read"):
         return reader(source, finger)
 
@@ -120,7 +120,7 @@ def list_fingers(path: Path) -> list[str]:
 
     Raises RecordingError if the file cannot be read.
     """
-    first, others = columns()[0], (columns()[-1], "records")  # of a .csv, of an .npz
+    first, others = list_columns()[0], (list_columns()[-1], "records")  # of a .csv, of an .npz
     with translate_errors(path, "read"), open_input(path) as file:
         if path.suffix.lower() == ".csv":
             names = file.readline(LINE_MAX).decode("ascii", "replace").rstrip("\n").split(",")
@@ -144,20 +144,20 @@ def _check_count(path: Path, count: int) -> None:
         raise RecordingError(f"{path}: more than {RESULTS_MAX:,} records, the limit for reading")
 
 
-def _unknown_suffix(path: Path) -> str:
+def _make_suffix_error(path: Path) -> str:
     reason = f"'{path.suffix}' is no format of results" if path.suffix else "has no suffix"
     return f"{path}: {reason}: use one of {', '.join(SUFFIXES)}"
 
 
 def _write_csv(path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array]) -> None:
-    file.write((",".join(prefix(name) + column for name in fingers for column in columns()) + "\n").encode())
+    file.write((",".join(make_prefix(name) + column for name in fingers for column in list_columns()) + "\n").encode())
     for block in blocks:
         write_csv_rows(file, block.reshape(len(block), -1))
 
 
 def write_csv_rows(file: IO[bytes], rows: Array) -> None:
     """Write rows (n, width) as lines of CSV, which restore every float64 exactly; report the progress."""
-    with progress("writing csv", len(rows)) as advance:
+    with show_progress("writing csv", len(rows)) as advance:
         for at in range(0, len(rows), CSV_CHUNK_ROWS):
             file.write(_format_chunk(rows[at : at + CSV_CHUNK_ROWS]))
             advance(at)
@@ -200,12 +200,12 @@ def _read_csv(path: Path, finger: str) -> Array:
     try:
         with open_input(path) as file:
             header = file.readline(LINE_MAX).decode("ascii", "replace").rstrip("\n").split(",")
-            expected = [prefix(finger) + column for column in columns()]
+            expected = [make_prefix(finger) + column for column in list_columns()]
             first = header.index(expected[0]) if expected[0] in header else 0
             if header[first : first + RECORD_SIZE] != expected or len(header) % RECORD_SIZE:
                 of_finger = f" of a finger '{finger}'" if finger else ""
                 raise NoResults(f"{path}, line 1: the columns differ from those of this version{of_finger}")
-            with progress(f"reading {path.name}", os.fstat(file.fileno()).st_size) as advance:
+            with show_progress(f"reading {path.name}", os.fstat(file.fileno()).st_size) as advance:
                 while line := file.readline(LINE_MAX):
                     if not len(values) % (CSV_CHUNK_ROWS * RECORD_SIZE):
                         advance(file.tell())
@@ -222,7 +222,7 @@ def _read_csv(path: Path, finger: str) -> Array:
 def _read_npz(path: Path, finger: str) -> Array:
     try:
         with open_input(path) as file:
-            records = open_npz(file)[prefix(finger) + "records"]
+            records = open_npz(file)[make_prefix(finger) + "records"]
     except OSError:
         raise
     except KeyError as error:
@@ -260,7 +260,7 @@ def _read_mcap(path: Path, finger: str) -> Array:
         elif isinstance(part, End) and part.cut and count:
             log.warning("%s is truncated or damaged (%s): %d messages read", path, part.cut, count)
     if not count:
-        raise RecordingError(f"{path}: has no message on topic '{contact_topic(finger)}'")
+        raise RecordingError(f"{path}: has no message on topic '{name_contact_topic(finger)}'")
     return np.concatenate(blocks)
 
 

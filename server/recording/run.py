@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.poses import POSES_MAX, rate_from_period
+from softfinger.drivers.poses import POSES_MAX, find_rate
 from softfinger.server.recording.reader import (
     End,
     Event,
@@ -66,7 +66,7 @@ class Run(NamedTuple):
     def rate_hz(self) -> float:
         """Rate of the loop, as in the metadata, else from the shortest time step."""
         rate = self.notes.get("rate_hz")
-        return float(rate) if isinstance(rate, int | float) else rate_from_period(float(self.first["dt"].min()))
+        return float(rate) if isinstance(rate, int | float) else find_rate(float(self.first["dt"].min()))
 
 
 def load_run(path: Path, fields: tuple[str, ...]) -> Run:
@@ -82,7 +82,7 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
     for part in read_contents(path):
         match part:
             case TickBlock():
-                blocks.setdefault(part.finger, []).append(dict(_fields(part, fields)))
+                blocks.setdefault(part.finger, []).append(dict(_list_fields(part, fields)))
                 count += len(part.rows)
                 if count > POSES_MAX:
                     raise RecordingError(f"{path}: more than {POSES_MAX:,} ticks, the limit for reading")
@@ -118,7 +118,7 @@ def _read_body_poses(worlds: list[dict[str, Any]]) -> BodyPoses:
     )
 
 
-def _fields(ticks: TickBlock, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:
+def _list_fields(ticks: TickBlock, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:
     for name in dict.fromkeys((*_REQUIRED, *fields)):
         column = ticks.column(name)
         if column is not None:

@@ -27,7 +27,7 @@ FRAME: Final = "foxglove.FrameTransform"
 SCENE: Final = "foxglove.SceneUpdate"
 LOG: Final = "foxglove.Log"
 
-MORE: Final = "more"
+REST_KEY: Final = "more"
 """Field of an event with all values that have no other field, as JSON: maps, and keys that are in no table."""
 
 # Message: types and names of its fields in the order of their numbers, from 1. [X]: repeated; A|B: an enumeration.
@@ -89,7 +89,7 @@ _PLAIN: Final = {"int": "sfixed64", "float": "double", "str": "string"}
 
 
 @cache
-def descriptor_set(name: str) -> bytes:
+def make_descriptor_set(name: str) -> bytes:
     """Return a message type and its dependencies as a serialized FileDescriptorSet.
 
     Dotted names of ticks become nested messages. Integers are sfixed64, so that every tick has the same length and
@@ -112,14 +112,14 @@ def descriptor_set(name: str) -> bytes:
             for key, kind in _EVENT_FIELDS.items():
                 plain, _, size = kind.partition("[")
                 _add_field(message, key, f"[{_PLAIN[plain]}]" if size else _PLAIN[plain])
-            _add_field(message, MORE, "string")
+            _add_field(message, REST_KEY, "string")
     return bytes(files.SerializeToString(deterministic=True))
 
 
 @cache
-def message_class(name: str) -> Any:
+def make_message_class(name: str) -> Any:
     """Return the class of a message type of this program's recordings."""
-    return load_message_class(descriptor_set(name), name)
+    return load_message_class(make_descriptor_set(name), name)
 
 
 def load_message_class(descriptors: bytes, name: str) -> Any:
@@ -132,25 +132,25 @@ def load_message_class(descriptors: bytes, name: str) -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
 
-def event_message(event: Mapping[str, Any]) -> bytes:
+def encode_event(event: Mapping[str, Any]) -> bytes:
     """Encode an event, a map as on the wire."""
-    names = {key.name for key in _keys_of(event)}
+    names = {key.name for key in _list_keys(event)}
     fields = {key: value for key, value in event.items() if key in names and key in _EVENT_FIELDS}
     # A value may have a type of the wire, such as the change of a parameter.
     more = msgspec.to_builtins({key: value for key, value in event.items() if key not in fields})
     # `from` is a keyword in Python and cannot be a keyword argument.
-    message = message_class(EVENT)(**fields | ({MORE: json.dumps(more)} if more else {}))
+    message = make_message_class(EVENT)(**fields | ({REST_KEY: json.dumps(more)} if more else {}))
     return bytes(message.SerializeToString())
 
 
-def topic_message(topic: str, message: Mapping[str, Any]) -> bytes:
+def encode_topic(topic: str, message: Mapping[str, Any]) -> bytes:
     """Encode a message of a topic of the scene, a map as on the wire."""
-    return bytes(message_class(TOPIC_TYPES[topic])(**message).SerializeToString())
+    return bytes(make_message_class(TOPIC_TYPES[topic])(**message).SerializeToString())
 
 
 def log_message(time_ns: int, level: int, name: str, text: str) -> bytes:
     """Encode a line of the log; Foxglove numbers levels from 1, `logging` in steps of ten."""
-    message = message_class(LOG)(level=min(max(level // 10, 0), 5), message=text, name=name)
+    message = make_message_class(LOG)(level=min(max(level // 10, 0), 5), message=text, name=name)
     message.timestamp.FromNanoseconds(time_ns)
     return bytes(message.SerializeToString())
 
@@ -158,7 +158,7 @@ def log_message(time_ns: int, level: int, name: str, text: str) -> bytes:
 def decode_event(message: Any) -> dict[str, Any]:
     """Return the map of a decoded event, without keys that the file does not have."""
     head = {"kind": message.kind}
-    names = [key.name for key in _keys_of(head) if key.name in message.DESCRIPTOR.fields_by_name]
+    names = [key.name for key in _list_keys(head) if key.name in message.DESCRIPTOR.fields_by_name]
     event = {name: getattr(message, name) for name in names if name in _EVENT_FIELDS}
     event = {name: list(value) if _EVENT_FIELDS[name].endswith("]") else value for name, value in event.items()}
     more = json.loads(message.more) if message.more else {}
@@ -176,7 +176,7 @@ def decode_world(message: Any) -> dict[str, Any]:
     return {"schema": message.schema, "timestamp": message.timestamp, "tick": message.tick, "bodies": bodies}
 
 
-def _keys_of(event: Mapping[str, Any]) -> Iterator[Key]:
+def _list_keys(event: Mapping[str, Any]) -> Iterator[Key]:
     yield from EVENT_KEYS
     yield from EVENT_EXTRA_KEYS.get(event["kind"], ())
 

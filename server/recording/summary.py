@@ -14,7 +14,7 @@ from softfinger.drivers.poses import find_recording
 from softfinger.proxy.record import MODE_NAMES
 from softfinger.server.recording.contents import read_recording
 from softfinger.server.recording.reader import End, Event, Note, TickBlock, explain_no_tick
-from softfinger.server.recording.recorder import END
+from softfinger.server.recording.recorder import END_TABLE
 
 _COPIED_TABLES = ("scene_name", "rate_hz", "every", "versions", "machine", "settings", "device", "scene", "rig", "lost")
 
@@ -63,7 +63,7 @@ class _Finger:
         return {"ticks": self.ticks, "modes": modes} | self.peaks | (extent if np.isfinite(self.low).all() else {})
 
 
-def summary(recording: str | Path) -> dict[str, Any]:
+def summarize(recording: str | Path) -> dict[str, Any]:
     """Return the summary of a file or a shipped recording, which `softfinger info --json` prints.
 
     missing         ticks that the file lacks, in `gaps` gaps
@@ -101,7 +101,7 @@ def summary(recording: str | Path) -> dict[str, Any]:
         raise RecordingError(f"{path}: {explain_no_tick(end)}")
     first_finger = next(iter(fingers.values()))
     every = notes.get("every") if isinstance(notes.get("every"), int) else 1
-    end_table = (notes.get(END) if isinstance(notes.get(END), dict) else None) or {}
+    end_table = (notes.get(END_TABLE) if isinstance(notes.get(END_TABLE), dict) else None) or {}
     is_thinned = every != 1
     return {
         "file": str(path),
@@ -124,7 +124,7 @@ def summary(recording: str | Path) -> dict[str, Any]:
     } | {key: notes.get(key) for key in _COPIED_TABLES}
 
 
-def extent_text(low_m: Iterable[float], high_m: Iterable[float]) -> str:
+def format_extent(low_m: Iterable[float], high_m: Iterable[float]) -> str:
     """Return the range of positions (3,), m, as text in mm."""
     axes = (f"{axis} {1e3 * low:.4g} to {1e3 * high:.4g}" for axis, low, high in zip("xyz", low_m, high_m, strict=True))
     return f"{', '.join(axes)} mm"

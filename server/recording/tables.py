@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.files import new_file, open_input
+from softfinger.config.files import open_input, write_new_file
 from softfinger.drivers.poses import LINE_MAX, POSE_COLUMNS, POSES_MAX, Poses, check_poses
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.server.recording.reader import translate_errors
 from softfinger.server.recording.results import CSV_CHUNK_ROWS, write_csv_rows
 
@@ -102,13 +102,13 @@ def read_table(path: Path, layout: TableFormat) -> Poses:
     with (
         translate_errors(path, "read"),
         open_input(path) as file,
-        progress(f"reading {path.name}", path.stat().st_size) as advance,
+        show_progress(f"reading {path.name}", path.stat().st_size) as advance,
     ):
         for number, line in enumerate(iter(partial(file.readline, LINE_MAX), b""), 1):
             if not number % CSV_CHUNK_ROWS:
                 advance(file.tell())
             if number == 1:
-                line = _without_mark(path, line)
+                line = _strip_mark(path, line)
             if number <= layout.skip or _is_comment(line, len(layout.columns)):
                 continue
             if len(numbers) >= POSES_MAX:
@@ -131,7 +131,7 @@ def read_table(path: Path, layout: TableFormat) -> Poses:
     )
 
 
-def _without_mark(path: Path, line: bytes) -> bytes:
+def _strip_mark(path: Path, line: bytes) -> bytes:
     """Return the first line without a byte order mark. Raises RecordingError for text of another kind."""
     if wide := next((name for mark, name in _WIDE.items() if line.startswith(mark)), None):
         raise RecordingError(f"{path}: is text in {wide}: save it as UTF-8")
@@ -155,7 +155,7 @@ def _parse_row(location: str, line: bytes, layout: TableFormat, dialect: _Dialec
         raise RecordingError(f"{location}: not a text file (not UTF-8)") from error
     is_first = dialect.separator == ""
     row = []
-    for name, cell in zip(layout.columns, _cells(location, text, len(layout.columns), dialect), strict=True):
+    for name, cell in zip(layout.columns, _split_cells(location, text, len(layout.columns), dialect), strict=True):
         if name != SKIPPED and not _NUMBER.fullmatch(cell):
             fault = "the cell is empty: fill it, or delete the line"
             if cell:
@@ -169,7 +169,7 @@ def _parse_row(location: str, line: bytes, layout: TableFormat, dialect: _Dialec
     return row
 
 
-def _cells(location: str, text: str, columns: int, dialect: _Dialect) -> list[str]:
+def _split_cells(location: str, text: str, columns: int, dialect: _Dialect) -> list[str]:
     """Return the cells of a line, without empty ones at its end that exceed the number of columns.
 
     A comma between quotation marks is a decimal comma, or in a text that is not read.
@@ -200,6 +200,6 @@ def _cells(location: str, text: str, columns: int, dialect: _Dialect) -> list[st
 
 def write_poses(path: Path, poses: Poses) -> None:
     """Write the table for a replay; the file appears complete or not at all."""
-    with translate_errors(path), new_file(path) as file:
+    with translate_errors(path), write_new_file(path) as file:
         file.write(",".join(POSE_COLUMNS).encode() + b"\n")
         write_csv_rows(file, np.column_stack(poses))

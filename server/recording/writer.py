@@ -24,9 +24,9 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.proxy.record import AT, FIELDS
 from softfinger.server.recording import picture, schemas
-from softfinger.server.recording.layout import tick_layout
+from softfinger.server.recording.layout import make_tick_layout
 from softfinger.server.recording.mcapfile import McapFile
-from softfinger.server.wire.protocol import WORLD, contact_topic
+from softfinger.server.wire.protocol import WORLD, name_contact_topic
 
 Bytes = NDArray[np.uint8]
 Times = NDArray[np.int64]
@@ -51,7 +51,7 @@ PACKAGES: Final = ("softfinger", "numpy", "numba", "llvmlite", "msgspec", "pyzmq
 
 
 @cache
-def package_versions() -> dict[str, str]:
+def list_package_versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that determine results: the table `versions` of a recording."""
     return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
 
@@ -90,9 +90,9 @@ class Topics:
         with_pictures: bool = True,
     ) -> None:
         self._sink = sink
-        self._layout = tick_layout()
-        ticks = schemas.descriptor_set(schemas.TICK)
-        self._ticks = {finger: sink.channel(contact_topic(finger), schemas.TICK, ticks) for finger in fingers}
+        self._layout = make_tick_layout()
+        ticks = schemas.make_descriptor_set(schemas.TICK)
+        self._ticks = {finger: sink.channel(name_contact_topic(finger), schemas.TICK, ticks) for finger in fingers}
         self._topics: dict[str, int] = {}
         self._with_pictures = with_pictures
         self._last_pictures: dict[str, float] = {}
@@ -103,7 +103,7 @@ class Topics:
         """Write records (n, RECORD_SIZE) of a finger; raises ValueError if an integer field has a fraction."""
         messages = np.empty((len(records), self._layout.size), np.uint8)
         self._layout.encode(records, messages)
-        times = times_ns(records)
+        times = compute_times_ns(records)
         sequences = records[:, AT.tick].astype(np.int64) & 0xFFFFFFFF
         self._sink.block(self._ticks[finger], times, messages, sequences)
         if self._with_pictures:
@@ -112,21 +112,21 @@ class Topics:
     def event(self, event: Mapping[str, Any]) -> None:
         """Write an event, a map as on the wire."""
         topic = MARK_TOPIC if event["kind"] == "mark" else EVENT_TOPIC
-        self._add(topic, schemas.EVENT, event_time_ns(event), schemas.event_message(event))
+        self._add(topic, schemas.EVENT, compute_event_time_ns(event), schemas.encode_event(event))
         if self._scene is not None and (driven_scene := apply_drive(self._scene, event)) is not None:
             self.set_scene(driven_scene)
 
     def message(self, topic: str, message: Mapping[str, Any]) -> None:
         """Write a message of a topic of the scene, a map as on the wire."""
-        time_ns = event_time_ns(message)
-        self._add(topic, schemas.TOPIC_TYPES[topic], time_ns, schemas.topic_message(topic, message))
+        time_ns = compute_event_time_ns(message)
+        self._add(topic, schemas.TOPIC_TYPES[topic], time_ns, schemas.encode_topic(topic, message))
         if self._with_pictures and topic == WORLD:
-            for frame in picture.body_messages(message["bodies"], time_ns):
+            for frame in picture.encode_bodies(message["bodies"], time_ns):
                 self._add(FRAME_TOPIC, schemas.FRAME, time_ns, frame)
 
     def log(self, time_s: float, level: int, name: str, text: str) -> None:
         """Write a line of the log: time (s) since the epoch, level of `logging`, name of the logger, text."""
-        time_ns = event_time_ns({"timestamp": time_s})
+        time_ns = compute_event_time_ns({"timestamp": time_s})
         self._add(LOG_TOPIC, schemas.LOG, time_ns, schemas.log_message(time_ns, level, name, text))
 
     def set_scene(self, scene: schema.Scene) -> None:
@@ -137,18 +137,18 @@ class Topics:
         for row in rows:
             time_ns = int(times[row])
             at = f"{POSE_TOPIC}/{finger}" if finger else POSE_TOPIC
-            self._add(at, schemas.POSE, time_ns, picture.pose_message(records[row], time_ns))
-            for message in picture.frame_messages(records[row], time_ns, finger):
+            self._add(at, schemas.POSE, time_ns, picture.encode_pose(records[row], time_ns))
+            for message in picture.encode_frames(records[row], time_ns, finger):
                 self._add(FRAME_TOPIC, schemas.FRAME, time_ns, message)
-            self._add(FORCE_TOPIC, schemas.SCENE, time_ns, picture.force_message(records[row], time_ns, finger))
+            self._add(FORCE_TOPIC, schemas.SCENE, time_ns, picture.encode_force(records[row], time_ns, finger))
             now = float(records[row, AT.timestamp])
             if self._scene is not None and now >= self._scene_due_s:
                 self._scene_due_s = now + SCENE_PERIOD_S
-                self._add(SCENE_TOPIC, schemas.SCENE, time_ns, picture.scene_message(self._scene, time_ns))
+                self._add(SCENE_TOPIC, schemas.SCENE, time_ns, picture.encode_scene(self._scene, time_ns))
 
     def _add(self, topic: str, kind: str, time_ns: int, message: bytes) -> None:
         if topic not in self._topics:
-            self._topics[topic] = self._sink.channel(topic, kind, schemas.descriptor_set(kind))
+            self._topics[topic] = self._sink.channel(topic, kind, schemas.make_descriptor_set(kind))
         self._sink.message(self._topics[topic], time_ns, message)
 
 
@@ -217,13 +217,13 @@ def round_integer_fields(records: Array) -> Array:
     return records
 
 
-def times_ns(records: Array) -> NDArray[np.int64]:
+def compute_times_ns(records: Array) -> NDArray[np.int64]:
     """Return the times of records (n, RECORD_SIZE) in nanoseconds since the epoch, clamped to the range of MCAP."""
     seconds = np.nan_to_num(records[:, AT.timestamp], nan=0.0, posinf=0.0, neginf=0.0)
     return np.rint(np.clip(seconds, 0.0, _TIME_MAX_S) * _NS).astype(np.int64)
 
 
-def event_time_ns(event: Mapping[str, Any]) -> int:
+def compute_event_time_ns(event: Mapping[str, Any]) -> int:
     """Return the time of an event or message in nanoseconds since the epoch, clamped to the range of MCAP."""
     return round(min(max(float(event["timestamp"]), 0.0), _TIME_MAX_S) * _NS)
 

@@ -15,7 +15,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import DISARMED, TOO_FAST
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
-from softfinger.server.states import FAST, UNARMED, States, Trigger
+from softfinger.server.states import NOT_ARMED_REASON, TOO_FAST_REASON, States, Trigger
 
 _WORD: Final = 2.0**53
 """Upper bound of the bits of the buttons; a device may report nan."""
@@ -42,12 +42,12 @@ class Arming:
                 b & TOO_FAST and not b & DISARMED for b in bits
             )
             if fast and by != "automatic":
-                self._rendering.disarm(FAST)
+                self._rendering.disarm(TOO_FAST_REASON)
             pressed |= self._was_pressed(values[1::2])
         if by == "automatic":
-            self._rendering.force.note_guard(FAST, fast)
+            self._rendering.force.note_guard(TOO_FAST_REASON, fast)
         elif by == "button" and pressed:
-            self._rendering.arm(UNARMED, FAST)
+            self._rendering.arm(NOT_ARMED_REASON, TOO_FAST_REASON)
         self._states.fire(Trigger.TICK, "the first tick")
         self._rendering.force.update_state()
 

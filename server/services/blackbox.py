@@ -13,16 +13,16 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.loop.servo_thread import ServoThread
-from softfinger.server.recording.blackbox import BlackBox, folder, format_file_name, prepare_folder
+from softfinger.server.recording.blackbox import BlackBox, find_folder, format_file_name, prepare_folder
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
 
 log: Final = logging.getLogger(__name__)
 
 POLL_S: Final = 0.1
-AFTER_S: Final = 0.5
+TIME_AFTER_FAULT_S: Final = 0.5
 """Time after a fault that is also included in its file."""
-APART_S: Final = 5.0
+MIN_INTERVAL_S: Final = 5.0
 """Minimum time between files; faults at shorter intervals share a file."""
 
 
@@ -42,7 +42,7 @@ class BlackBoxes(Worker):
         self.box: Final = BlackBox(fingers, GUARD_NAMES, NS_PER_S / servo.period_ns)
         self.sink: Final = Sink("blackbox", lambda records, drops: self.box.take(records))
         self._due: tuple[float, Path] | None = None
-        self._written_s = -APART_S
+        self._written_s = -MIN_INTERVAL_S
         self._number = 0
         self._lock = threading.Lock()
         logging.getLogger().addHandler(self.box.log)
@@ -55,11 +55,11 @@ class BlackBoxes(Worker):
         """Return the file that will contain a present fault; empty if none can be created. Callable from any thread."""
         with self._lock:
             if self._due is None:
-                directory = folder()
+                directory = find_folder()
                 if directory is None:
                     return ""
                 self._number += 1
-                self._due = time.monotonic() + AFTER_S, directory / format_file_name(fault, self._number)
+                self._due = time.monotonic() + TIME_AFTER_FAULT_S, directory / format_file_name(fault, self._number)
             return str(self._due[1])
 
     def work(self) -> None:
@@ -73,7 +73,7 @@ class BlackBoxes(Worker):
 
     def _write_due(self, last: bool = False) -> None:
         due, now = self._due, time.monotonic()
-        if due is None or not (last or now >= max(due[0], self._written_s + APART_S)):
+        if due is None or not (last or now >= max(due[0], self._written_s + MIN_INTERVAL_S)):
             return
         with self._lock:
             path, self._due = due[1], None

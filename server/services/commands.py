@@ -1,8 +1,8 @@
 """Command service: receives, queues and answers the requests of the command endpoint.
 
-The thread that serves the publisher receives requests. It answers the methods AT_ONCE, which turn the force off or keep
-it on; these read no file and never wait. Another thread answers all other methods in order of arrival, so that they do
-not delay `disarm`. A third thread (`compilation.py`) reads, compiles and answers `set_scene`.
+The thread that serves the publisher receives requests. It answers the methods URGENT_METHODS, which turn the force off
+or keep it on; these read no file and never wait. Another thread answers all other methods in order of arrival, so that
+they do not delay `disarm`. A third thread (`compilation.py`) reads, compiles and answers `set_scene`.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from softfinger.server.loop import shutdown
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.command_handlers import CommandHandlers, DaemonInterface
 from softfinger.server.services.compilation import CompilerFailure, SupersededRequest
-from softfinger.server.services.rendering import Rendering, Replacing
-from softfinger.server.socket_process.brake import SHORT
-from softfinger.server.states import SILENT
-from softfinger.server.wire.envelope import Declined, Request, encode_answer, encode_refusal, parse
+from softfinger.server.services.rendering import Rendering, SceneReplacement
+from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES
+from softfinger.server.states import NO_HEARTBEAT_REASON
+from softfinger.server.wire.envelope import DeclinedRequest, Request, encode_answer, encode_refusal, parse
 from softfinger.server.wire.link import RequestHandlers
 
 log: Final = logging.getLogger(__name__)
 
 LOG_PERIOD_S: Final = 10.0
 
-AT_ONCE: Final = frozenset({"get_state", "heartbeat", "arm", "disarm", "zero", "stop"})
+URGENT_METHODS: Final = frozenset({"get_state", "heartbeat", "arm", "disarm", "zero", "stop"})
 """Methods answered before all others. Requests longer than SHORT are none of these; they take milliseconds to decode,
 and are queued first."""
 WAITING_MAX: Final = 100
@@ -86,12 +86,12 @@ class CommandService:
         """Answer a request, or queue it; never waits."""
         command_id, arrived_s = "", time.monotonic()
         try:
-            if body is not None and len(body) > SHORT:
+            if body is not None and len(body) > SHORT_REQUEST_BYTES:
                 self._enqueue(client, body, arrived_s)
                 return None
             request = self._parse(body, arrived_s)
             command_id = request.command_id
-            if request.method in AT_ONCE:
+            if request.method in URGENT_METHODS:
                 return self._handle(request)
             self._enqueue(client, request, arrived_s)
             return None
@@ -99,7 +99,7 @@ class CommandService:
             return encode_refusal(self._as_declined(error), command_id)
 
     def _parse(self, body: bytes | None, arrived_s: float) -> Request:
-        """Return the parsed request and count it as a sign of life at its arrival; raises Declined."""
+        """Return the parsed request and count it as a sign of life at its arrival; raises DeclinedRequest."""
         request = parse(body)
         self._check_heartbeat()  # a heartbeat missed before this request counts as missed
         self._note_alive(arrived_s)
@@ -113,7 +113,7 @@ class CommandService:
     def _enqueue(self, client: bytes, message: Request | bytes, arrived_s: float) -> None:
         with self._counts_lock:
             if self._pending_counts[client] >= WAITING_MAX:
-                raise Declined("busy", "too many requests of this client are waiting: wait for answers first")
+                raise DeclinedRequest("busy", "too many requests of this client are waiting: wait for answers first")
             self._pending_counts[client] += 1
         self._queue.put((client, message, arrived_s))
 
@@ -153,24 +153,24 @@ class CommandService:
             answer = encode_answer(command_id, outcome)
         self._daemon.publisher.reply(client, answer)
 
-    def _as_declined(self, error: Exception) -> Declined:
+    def _as_declined(self, error: Exception) -> DeclinedRequest:
         match error:
-            case Declined():
+            case DeclinedRequest():
                 return error
             case SupersededRequest():
-                return Declined("superseded", str(error))
+                return DeclinedRequest("superseded", str(error))
             case CompilerFailure():
-                return Declined("failed", str(error))
+                return DeclinedRequest("failed", str(error))
             case ConfigError():
-                return Declined("bad_params", str(error))
-            case Replacing():
-                return Declined("busy", str(error))
+                return DeclinedRequest("bad_params", str(error))
+            case SceneReplacement():
+                return DeclinedRequest("busy", str(error))
             case HapticError():
-                return Declined("refused", str(error))
+                return DeclinedRequest("refused", str(error))
         if time.monotonic() - self._logged_s > LOG_PERIOD_S:  # rarely, because a client must not fill the log
             self._logged_s = time.monotonic()
             log.error("a command failed", exc_info=error)
-        return Declined("failed", f"{type(error).__name__}: {error}"[:500])
+        return DeclinedRequest("failed", f"{type(error).__name__}: {error}"[:500])
 
     def _check_periodically(self) -> None:
         try:
@@ -188,8 +188,8 @@ class CommandService:
         """
         if self._heartbeat_s is None or time.monotonic() - self._last_request_s <= self._heartbeat_s:
             return
-        if not self._rendering.force.is_inhibited_by(SILENT):
-            self._rendering.disarm(SILENT)
+        if not self._rendering.force.is_inhibited_by(NO_HEARTBEAT_REASON):
+            self._rendering.disarm(NO_HEARTBEAT_REASON)
             log.warning(
                 "commands: none for %.2f s: zero force until the next heartbeat",
                 time.monotonic() - self._last_request_s,

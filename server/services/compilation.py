@@ -21,15 +21,15 @@ from typing import IO, Final, NamedTuple
 from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.config.load import build, describe, load_rig
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers.registry import open_device
 from softfinger.proxy import progress as preparation
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
-from softfinger.proxy.kernels.jit.decorators import KEPT
+from softfinger.proxy.kernels.jit.decorators import KERNEL_FOLDER
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S, progress_text
+from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S, format_progress
 from softfinger.server.services.base import Worker
 from softfinger.server.signals import call_at_end_of_input
 
@@ -83,7 +83,7 @@ class SceneChanges(Worker):
             self._end_compiler()
             self._changed.notify()
         if before is not None:
-            before.reply(_superseded_error())
+            before.reply(_make_superseded_error())
 
     def stop(self) -> None:
         with self._changed:
@@ -94,7 +94,7 @@ class SceneChanges(Worker):
 
     def work(self) -> None:
         before, preparation.display = preparation.display, self._display
-        while (change := self._next_change()) is not None:
+        while (change := self._take_next_change()) is not None:
             try:
                 scene = change.read()
                 self._compile(scene, change.name)
@@ -112,11 +112,11 @@ class SceneChanges(Worker):
     def _display(self, operation: str, total: int) -> Iterator[Callable[[int], None]]:
         log.info("%s", operation)
         try:
-            yield lambda number: self._report(progress_text(operation, number, total))
+            yield lambda number: self._report(format_progress(operation, number, total))
         finally:
             self._report("")
 
-    def _next_change(self) -> SceneRequest | None:
+    def _take_next_change(self) -> SceneRequest | None:
         with self._changed:
             while self._next is None and not self.closing.is_set():
                 self._changed.wait()
@@ -125,7 +125,7 @@ class SceneChanges(Worker):
 
     def _compile(self, scene: schema.Scene, name: str) -> None:
         """Compile the loop of a scene into the cache; raises Superseded if a later scene has been requested."""
-        if ServoThread.has_compiled(make_tuning(scene, schema.Guard())) or KEPT.problem() is not None:
+        if ServoThread.has_compiled(make_tuning(scene, schema.Guard())) or KERNEL_FOLDER.problem() is not None:
             return  # if the cache cannot be written, a separate process is useless
         with tempfile.TemporaryFile("w+") as errors:
             code = self._run_compiler(scene, name, errors)
@@ -138,7 +138,7 @@ class SceneChanges(Worker):
         """Run a process that fills the cache and return its exit code; its errors are in `errors`."""
         with self._changed:
             if self._next is not None or self.closing.is_set():
-                raise _superseded_error()
+                raise _make_superseded_error()
             compiler = self._compiler = subprocess.Popen(
                 [sys.executable, "-P", "-m", __name__],
                 stdin=subprocess.PIPE,
@@ -168,7 +168,7 @@ class SceneChanges(Worker):
             with suppress(BrokenPipeError):
                 compiler.stdin.close()  # type: ignore[union-attr]
         if is_superseded:
-            raise _superseded_error()
+            raise _make_superseded_error()
         return code
 
     def _end_compiler(self) -> None:
@@ -176,7 +176,7 @@ class SceneChanges(Worker):
             self._compiler.kill()
 
 
-def _superseded_error() -> SupersededRequest:
+def _make_superseded_error() -> SupersededRequest:
     return SupersededRequest("another scene was requested, or the daemon ends, before this one was compiled")
 
 
@@ -186,7 +186,7 @@ def compile_loop(scene: schema.Scene) -> Tuning:
     Any device will do, since the compiled loop is the same for all.
     """
     rig = load_rig("replay")
-    with open_device(single_device(rig), rig.servo.rate_hz) as device:
+    with open_device(find_single_device(rig), rig.servo.rate_hz) as device:
         tuning = make_tuning(scene, rig.guard)
         servo = ServoThread([device] * len(scene.fingers), tuning, rig.servo.rate_hz)
         servo.compile()
@@ -201,13 +201,13 @@ def main() -> None:
     loaded.
     """
     os.nice(NICE)
-    COMPILE_PROGRESS.on_first = lambda: threading.Thread(target=_report, daemon=True).start()
+    COMPILE_PROGRESS.on_first = lambda: threading.Thread(target=_report_progress, daemon=True).start()
     scene = build(schema.Scene, json.loads(sys.stdin.readline()), "the scene")
     call_at_end_of_input(lambda: os._exit(1))
     compile_loop(scene)
 
 
-def _report() -> None:
+def _report_progress() -> None:
     print("compiling kernels that are not cached, in another process", flush=True)
     wait = QUIET_S
     while True:

@@ -41,15 +41,15 @@ class Deformation:
             return
         from softfinger.proxy.elastic.loads import has_changed
 
-        loads = self._loads_on(elastic_object, rows)
+        loads = self._read_loads(elastic_object, rows)
         if has_changed(self._loads, loads):
             self._loads, self._due_s = loads, now + 1.0 / PICTURE_HZ
             self._publish(DEFORMATION, int(rows[0, AT.tick]), {"loads": [load._asdict() for load in loads]})
 
-    def _loads_on(self, elastic_object: schema.Mesh | None, rows: NDArray[np.float64]) -> list[ContactLoad]:
+    def _read_loads(self, elastic_object: schema.Mesh | None, rows: NDArray[np.float64]) -> list[ContactLoad]:
         """Return the loads; none in ticks of the scene before."""
         if elastic_object is None or rows[0, AT.tick] < self._rendering.since:
             return []
-        from softfinger.proxy.elastic.loads import contact_loads
+        from softfinger.proxy.elastic.loads import compute_contact_loads
 
-        return contact_loads(elastic_object, dict(zip(self._fingers, rows, strict=True)))
+        return compute_contact_loads(elastic_object, dict(zip(self._fingers, rows, strict=True)))

@@ -9,11 +9,11 @@ import llvmlite.binding as llvm
 import msgspec
 
 from softfinger.config.load import describe
-from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KERNEL_FOLDER
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.proxy.scene import explain
 from softfinger.server.loop.clock import NS_PER_S
-from softfinger.server.recording.writer import package_versions
+from softfinger.server.recording.writer import list_package_versions
 from softfinger.server.services.rendering import Rendering
 
 
@@ -40,12 +40,12 @@ def describe_daemon(rendering: Rendering, scene_name: str) -> dict[str, Any]:
         "armed": rendering.force.is_requested,
         "state": rendering.force.state,
         "ticks": servo.ticks,
-        "versions": package_versions(),
+        "versions": list_package_versions(),
         "machine": {"system": platform.platform(), "cpu": llvm.get_host_cpu_name()},
         "compiled": {
             "model": explain(scene),
             "source": SOURCE_HASH,
             "cache": str(CACHE_DIR),
-            "not_kept": KEPT.problem() or "",
+            "not_kept": KERNEL_FOLDER.problem() or "",
         },
     } | ({} if faults is None else {"faults": describe(faults)["fault"]})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema.pairing import pair
+from softfinger.config.schema.pairing import pair_devices
 from softfinger.drivers import registry
 from softfinger.drivers.base import Device
 from softfinger.server.loop import shutdown
@@ -14,7 +14,7 @@ def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
     """Open the device of each finger; on an error, close the devices opened before."""
     devices = list[Device]()
     with shutdown.close_on_error(devices):
-        for finger in pair(scene, rig):
+        for finger in pair_devices(scene, rig):
             devices.append(registry.open_device(finger.device, rig.servo.rate_hz, finger.table))
     return tuple(devices)
 
@@ -40,16 +40,16 @@ def inject_faults(
     return tuple(FaultInjector(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
 
 
-def tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
-    return [finger.device.tool for finger in pair(scene, rig)]
+def make_tools(scene: schema.Scene, rig: schema.Rig) -> list[schema.Tool | None]:
+    return [finger.device.tool for finger in pair_devices(scene, rig)]
 
 
 def check_replacement(
     scene: schema.Scene, rig: schema.Rig, running_scene: schema.Scene, running_rig: schema.Rig
 ) -> None:
     """Raise ConfigError if a scene and a rig cannot replace the running ones, as far as known without compiling."""
-    for finger_device in pair(scene, rig):
-        registry.options(finger_device.device, finger_device.table)
+    for finger_device in pair_devices(scene, rig):
+        registry.read_options(finger_device.device, finger_device.table)
     new_names, old_names = ([finger.name for finger in described.fingers] for described in (scene, running_scene))
     if new_names != old_names and max(len(new_names), len(old_names)) > 1:
         raise ConfigError(

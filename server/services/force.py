@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.loop.force_switch import DEADLINE_NS, FOREVER, IS_ACTIVE, IS_REQUESTED
-from softfinger.server.states import UNARMED, States
+from softfinger.server.loop.force_switch import DEADLINE_NS, IS_ACTIVE, IS_REQUESTED, NO_DEADLINE_NS
+from softfinger.server.states import NOT_ARMED_REASON, States
 
 SWITCH_TICKS: Final = 2
 """The first tick may have started before the switch was written; the second has read it."""
@@ -31,7 +31,7 @@ class Force:
     def __init__(self, unarmed: bool, states: States, switch: NDArray[np.int64], ticks: Callable[[], int]) -> None:
         self._states, self._switch, self._ticks = states, switch, ticks
         self._lock = threading.Lock()
-        self._reasons = {UNARMED} if unarmed else set[str]()
+        self._reasons = {NOT_ARMED_REASON} if unarmed else set[str]()
         self._guard_reasons = set[str]()
         """Reasons for which the guard itself inhibits the force."""
         self._suspended = False
@@ -69,7 +69,7 @@ class Force:
             self._reasons.difference_update(why)
             self._write()
 
-    def end_at(self, time_ns: int = FOREVER) -> None:
+    def end_at(self, time_ns: int = NO_DEADLINE_NS) -> None:
         """Set the time, ns on CLOCK_MONOTONIC, after which the loop turns the force off unless it is extended."""
         self._switch[DEADLINE_NS] = time_ns
 

@@ -31,7 +31,7 @@ class Hotplug:
 
     def changes(self) -> list[tuple[str, SystemDevice]]:
         """Return the changes since the last call: `detached` or `attached`, and the device."""
-        names = discovery.names(self._root)
+        names = discovery.list_names(self._root)
         detached = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
         attached = []
         for name in sorted(names - self._known.keys()):
@@ -44,7 +44,7 @@ class Hotplug:
         return [*detached, *attached]
 
 
-def event_fields(device: SystemDevice) -> dict[str, Any]:
+def make_event_fields(device: SystemDevice) -> dict[str, Any]:
     """Return the keys of an event that identify the device."""
     claim = find_claim(device)
     return {
@@ -66,11 +66,11 @@ class HotplugWatch(Worker):
 
     def work(self) -> None:
         for device in self._hotplug.present:
-            self._event("device", "present", **event_fields(device))
+            self._event("device", "present", **make_event_fields(device))
         while not self.closing.wait(PERIOD_S):
             for action, device in self._hotplug.changes():
                 log.info("%s: %s", action, device)
-                self._event("device", action, **event_fields(device))
+                self._event("device", action, **make_event_fields(device))
 
     def handle_failure(self, error: Exception) -> None:
         """Publish an event; the run continues, because rendering does not depend on this service."""

@@ -26,7 +26,7 @@ SEND_S: Final = 0.1
 """Time for which a message waits: a service manager that hangs must not delay the end of the daemon."""
 
 
-class Notify(Worker):
+class ServiceNotifier(Worker):
     """Service that notifies systemd of a servo; start it before the servo and stop it after the servo.
 
     environment  with NOTIFY_SOCKET, and WATCHDOG_USEC and WATCHDOG_PID if there is a watchdog
@@ -35,8 +35,8 @@ class Notify(Worker):
     def __init__(self, servo: ServoThread, environment: Mapping[str, str]) -> None:
         super().__init__("notify")
         self._servo = servo
-        self._address = _address(environment["NOTIFY_SOCKET"])
-        self._period_s = min(_watchdog_s(environment) / 4.0, 1.0)
+        self._address = _parse_address(environment["NOTIFY_SOCKET"])
+        self._period_s = min(_read_watchdog_s(environment) / 4.0, 1.0)
 
     def work(self) -> None:
         ready, reported_ticks, next_report_s = False, 0, 0.0
@@ -67,12 +67,12 @@ class Notify(Worker):
         return True
 
 
-def _address(name: str) -> str:
+def _parse_address(name: str) -> str:
     """Return the address for a value of NOTIFY_SOCKET: a path, or an abstract name after an `@`."""
     return f"\0{name[1:]}" if name.startswith("@") else name
 
 
-def _watchdog_s(environment: Mapping[str, str]) -> float:
+def _read_watchdog_s(environment: Mapping[str, str]) -> float:
     """Return the time after which systemd considers a silent daemon dead, s; infinite without a watchdog."""
     if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return float("inf")

@@ -10,7 +10,7 @@ from msgspec import structs
 
 from softfinger.config.words import format_value
 from softfinger.server.wire import commands as wire
-from softfinger.server.wire.envelope import Declined, Request
+from softfinger.server.wire.envelope import DeclinedRequest, Request
 
 
 class Prompts:
@@ -22,38 +22,40 @@ class Prompts:
 
     def __init__(self, publish: Callable[[str, str, Mapping[str, Any]], None], ticks: Callable[[], int]) -> None:
         self._publish, self._ticks = publish, ticks
-        self._current = wire.Prompted(0, wire.Prompt(), open=False)
+        self._current = wire.PromptResult(0, wire.Prompt(), open=False)
         self._shown_s = 0.0
 
-    def get(self, request: Request) -> wire.Prompted:
+    def get(self, request: Request) -> wire.PromptResult:
         return self._current
 
-    def set(self, request: Request) -> wire.Prompted:
+    def set(self, request: Request) -> wire.PromptResult:
         prompt: wire.Prompt = request.params
         if bool(prompt.choices) + (prompt.number is not None) + bool(prompt.text_length) > 1:
-            raise Declined("bad_params", "set either choices, number or text_length: a prompt has one answer")
+            raise DeclinedRequest("bad_params", "set either choices, number or text_length: a prompt has one answer")
         if prompt.number is not None and not prompt.number[0] < prompt.number[1]:
-            raise Declined("bad_params", f"number is {list(prompt.number)}: must be the smallest, then the largest")
+            raise DeclinedRequest(
+                "bad_params", f"number is {list(prompt.number)}: must be the smallest, then the largest"
+            )
         is_open = bool(prompt.choices) or prompt.number is not None or prompt.text_length > 0
-        self._current, self._shown_s = wire.Prompted(self._current.number + 1, prompt, is_open), time.monotonic()
+        self._current, self._shown_s = wire.PromptResult(self._current.number + 1, prompt, is_open), time.monotonic()
         self._publish("set_prompt", request.command_id, {"prompt": self._current.number})
         return self._current
 
-    def answer(self, request: Request) -> wire.Applied:
-        """Store the answer; raises Declined if no question is open or the answer is not valid."""
+    def answer(self, request: Request) -> wire.AppliedResult:
+        """Store the answer; raises DeclinedRequest if no question is open or the answer is not valid."""
         params: wire.Answer = request.params
         if not self._current.open or params.prompt not in (None, self._current.number):
-            raise Declined("refused", "this question is not open: answer the one that is shown")
-        if (expected := self._expected_answer(params.value)) is not None:
-            raise Declined("bad_params", f"value is {format_value(params.value)}: give {expected}")
+            raise DeclinedRequest("refused", "this question is not open: answer the one that is shown")
+        if (expected := self._describe_expected_answer(params.value)) is not None:
+            raise DeclinedRequest("bad_params", f"value is {format_value(params.value)}: give {expected}")
         after_s = time.monotonic() - self._shown_s
         self._current = structs.replace(self._current, open=False, answer=params.value, after_s=after_s)
         # A free text may be personal: it is neither published nor recorded.
         value = {} if self._current.prompt.text_length else {"value": params.value}
         self._publish("answer", request.command_id, {"prompt": self._current.number} | value)
-        return wire.Applied(self._ticks())
+        return wire.AppliedResult(self._ticks())
 
-    def _expected_answer(self, value: str | float) -> str | None:
+    def _describe_expected_answer(self, value: str | float) -> str | None:
         """Return a description of the valid answers, None if the value is valid."""
         now = self._current.prompt
         if now.text_length:

@@ -24,7 +24,7 @@ from softfinger.server.services.rendering import Rendering
 
 log: Final = logging.getLogger(__name__)
 
-ENDING: Final = ".mcap"
+SUFFIX: Final = ".mcap"
 STOP_S: Final = 0.5
 """Time for which the answer to `record_stop` waits for the disk."""
 CLOSE_S: Final = 2.0
@@ -127,8 +127,8 @@ class Recordings:
             recorder.note("settings", settings)
 
     def _begin(self, path: Path, folder: Path | None, scene_name: str) -> Path:
-        if path.suffix.lower() != ENDING:
-            raise RecordingError(f"{path}: a recording is an MCAP file: its name must end in {ENDING}")
+        if path.suffix.lower() != SUFFIX:
+            raise RecordingError(f"{path}: a recording is an MCAP file: its name must end in {SUFFIX}")
         with self._changing:
             if self._recorder is not None and not self._recorder.recorded.error:
                 raise RecordingError(f"{self._path} is being recorded: stop that first")

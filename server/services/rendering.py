@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import apply_overrides
-from softfinger.config.schema.pairing import pair
+from softfinger.config.schema.pairing import pair_devices
 from softfinger.drivers.base import Device
-from softfinger.drivers.simulated.lead import RequestedPose, hold, lead
+from softfinger.drivers.simulated.lead import RequestedPose, hold, lead_hand
 from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.record import AT
-from softfinger.proxy.scene import other_model
+from softfinger.proxy.scene import describe_model_change
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.force_switch import MAX_OFF_S
@@ -29,9 +29,9 @@ from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene
 from softfinger.server.progress import report_compilation
 from softfinger.server.services.base import JOIN_S
-from softfinger.server.services.devices import check_replacement, inject_faults, open_devices, tools
+from softfinger.server.services.devices import check_replacement, inject_faults, make_tools, open_devices
 from softfinger.server.services.force import Force
-from softfinger.server.states import UNARMED, States
+from softfinger.server.states import NOT_ARMED_REASON, States
 
 PAUSE_TICKS: Final = 3
 """The first tick may have started earlier and still have a force; the second is zero; the third confirms the write."""
@@ -43,15 +43,15 @@ CHANGE_WAIT_S: Final = 0.5
 """Time for which a change of parameters waits for another change or a replacement; both take milliseconds."""
 
 
-class Replacing(HapticError):
+class SceneReplacement(HapticError):
     """Change that is refused while another change is in progress."""
 
 
 @contextmanager
 def _acquire(lock: threading.Lock) -> Iterator[None]:
-    """Acquire a lock; raise Replacing after a timeout."""
+    """Acquire a lock; raise SceneReplacement after a timeout."""
     if not lock.acquire(timeout=CHANGE_WAIT_S):
-        raise Replacing("the rendering is being replaced or paused: nothing was changed; try again")
+        raise SceneReplacement("the rendering is being replaced or paused: nothing was changed; try again")
     try:
         yield
     finally:
@@ -100,7 +100,7 @@ class Rendering:
         """Number of ticks started when an offset was last set."""
         devices = self._open(scene, rig)
         with shutdown.close_on_error(devices), report_compilation("kernels that call the device"):
-            self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], tools(scene, rig))
+            self._tuning = make_tuning(scene, rig.guard, [device.info for device in devices], make_tools(scene, rig))
             self.servo: Final = ServoThread(
                 devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
             )
@@ -132,7 +132,7 @@ class Rendering:
             servo.check_running()
             rig, new_scene = rig or self.rig, scene or self.scene
             self.check(new_scene, rig)
-            new_pairs, old_pairs = pair(new_scene, rig), pair(self.scene, self.rig)
+            new_pairs, old_pairs = pair_devices(new_scene, rig), pair_devices(self.scene, self.rig)
             keeps_devices = [finger.device for finger in new_pairs] == [finger.device for finger in old_pairs]
             keeps_devices = keeps_devices and rig.servo.rate_hz == self.rig.servo.rate_hz
             # Compiled with the present devices: the compiled loop does not depend on them.
@@ -150,7 +150,7 @@ class Rendering:
             with self._parameters_lock, self._tuning_lock:
                 new_scene = scene or self.scene
                 if not keeps_devices and rig.guard.arm != "automatic":  # it may be another hand
-                    self.force.inhibit(UNARMED)
+                    self.force.inhibit(NOT_ARMED_REASON)
                 with self.force.suspend():
                     self._await_no_force()
                     first = servo.replace(make, keeps_devices)
@@ -185,16 +185,16 @@ class Rendering:
         ------
         ConfigError
             If a value is out of its range, or would need another loop.
-        Replacing
+        SceneReplacement
             If another change is in progress.
         """
         with _acquire(self._parameters_lock):
             before, after = self.scene, apply_overrides(self.scene, changes, where)
-            if pair(after, self.rig) != pair(before, self.rig):
+            if pair_devices(after, self.rig) != pair_devices(before, self.rig):
                 raise ConfigError(f"{where}: name and device of a finger cannot be set: use set_scene")
             tuning = with_scene(self._tuning, after)
             if not self.servo.is_compiled_for(tuning):
-                raise ConfigError(f"{where}: {other_model(before, changes)}: use set_scene")
+                raise ConfigError(f"{where}: {describe_model_change(before, changes)}: use set_scene")
             with _acquire(self._tuning_lock):
                 # An offset may have been set in the meantime.
                 self._tuning = self._tuning._replace(scene=tuning.scene, passivity=tuning.passivity)
@@ -216,13 +216,13 @@ class Rendering:
         record    latest record of the finger
         returns   a lower bound of the number of ticks started without the change
 
-        Raises Replacing if another change is in progress or the force is not off.
+        Raises SceneReplacement if another change is in progress or the force is not off.
         """
         with _acquire(self._tuning_lock):
             if not self.force.is_off:
-                raise Replacing("the force is being disabled: nothing was changed; try again")
+                raise SceneReplacement("the force is being disabled: nothing was changed; try again")
             if position is not None and record[AT.tick] < self._offset_tick + 2:
-                raise Replacing("the position of the probe is still unknown: nothing was changed; try again")
+                raise SceneReplacement("the position of the probe is still unknown: nothing was changed; try again")
             offsets = list(self._tuning.offsets)
             offsets[finger] = UNMOVED
             if position is not None:
@@ -236,10 +236,10 @@ class Rendering:
         """Move the computed hand of a finger to a pose and hold it there; None: resume its default motion.
 
         Raises NoSimulatedHand if the device computes none, ConfigError if the device cannot reach or sense the pose, or
-        Replacing.
+        SceneReplacement.
         """
         with _acquire(self._tuning_lock):
-            lead(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], target)
+            lead_hand(self.servo.devices[finger], self._tuning.tools[finger], self.offsets[finger], target)
 
     def hold_hand(self, finger: int) -> Pose:
         """Hold the computed hand of a finger at its present goal and return that pose; errors as for `lead_hand`."""
@@ -265,7 +265,7 @@ class Rendering:
     def _loop(self, scene: schema.Scene, rig: schema.Rig, new_devices: Sequence[Device] = ()) -> Loop:
         devices = new_devices or self.servo.devices
         infos = [device.info for device in devices]
-        tuning = make_tuning(scene, rig.guard, infos, tools(scene, rig))
+        tuning = make_tuning(scene, rig.guard, infos, make_tools(scene, rig))
         if not new_devices:  # an offset belongs to its device
             tuning = with_offsets(tuning, self._tuning.offsets)
         return self.servo.loop(devices, tuning, rig.servo.rate_hz)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from softfinger.config.errors import SafetyStop
-from softfinger.drivers.base import names
+from softfinger.drivers.base import list_names
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.records import Sink
@@ -24,7 +24,7 @@ class TelemetryService:
 
     def start(self) -> None:
         self._publisher.attach(self._servo.records)
-        self._publisher.event("lifecycle", "started", device=names(self._servo.devices))
+        self._publisher.event("lifecycle", "started", device=list_names(self._servo.devices))
         self._announced = True
 
     def stop(self) -> None:

@@ -19,7 +19,7 @@ SWAP_PERIOD_S: Final = 1.0
 DEVICE_WARNING: Final = "device_warning"
 SWAPPED: Final = "swapped"
 STATUS: Final = Path("/proc/self/status")
-ADVICE: Final = (
+SWAP_REMEDY: Final = (
     "ticks that need this memory wait for the disk: end programs that fill the memory, or let the daemon lock its "
     "memory (see `softfinger doctor`)"
 )
@@ -69,7 +69,7 @@ class DeviceWarnings(_Check):
         self._reported = now
 
 
-class Swapping(_Check):
+class SwapWatch(_Check):
     """Service that checks for memory of the daemon in swap, and reports it once until all of it is back.
 
     status  of the process, in the format of proc_pid_status(5)
@@ -85,7 +85,7 @@ class Swapping(_Check):
     def check(self) -> None:
         kilobytes = parse_swapped_kb(self._status.read_text())
         if kilobytes and not self._reported:
-            self.warn(f"{kilobytes} kB of the daemon are in swap: {ADVICE}")
+            self.warn(f"{kilobytes} kB of the daemon are in swap: {SWAP_REMEDY}")
         self._reported = kilobytes > 0
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numba
 import numpy as np
 
-from softfinger.proxy.bodies import body_maps, motion_size
+from softfinger.proxy.bodies import count_motion_values, decode_motion
 from softfinger.proxy.kernels.jit.seqlock import Slot, read
 from softfinger.proxy.kernels.model import Scene
 from softfinger.server.loop.servo_thread import ServoThread
@@ -51,7 +51,7 @@ class WorldState(Worker):
         """
         shared, scene = self._servo.shared, self._servo.tuning.scene
         self._report_fault(scene)
-        if scene.bodies is None or len(shared.motion.values) != motion_size(scene):
+        if scene.bodies is None or len(shared.motion.values) != count_motion_values(scene):
             self._motion = None
             return IDLE_S
         if self._motion is not shared.motion:  # the first loop, or another one has started
@@ -61,7 +61,7 @@ class WorldState(Worker):
         newest = read(self._motion, self._sequence, self._values)
         if newest != self._sequence:
             self._sequence = newest
-            bodies = body_maps(scene.bodies.block.owner.names, self._values)
+            bodies = decode_motion(scene.bodies.block.owner.names, self._values)
             self._publish(WORLD, int(self._values[0]), {"bodies": bodies})
         return 1.0 / PICTURE_HZ
 

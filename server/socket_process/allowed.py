@@ -19,13 +19,13 @@ log: Final = logging.getLogger(__name__)
 
 REREAD_MIN_S: Final = 0.1
 """Shortest time between two reads because of unknown keys, unless the folder has just changed."""
-SETTLED_NS: Final = 1_000_000_000
+FILE_COMPLETE_NS: Final = 1_000_000_000
 """A new file in the folder is complete after this time."""
 _NO_FILES: Final = (errno.EMFILE, errno.ENFILE)
 """Peers may have used up all file descriptors: then the keys are assumed unchanged."""
 
 
-class Allowed:
+class AllowedKeys:
     """Keys in the files `*.key` of a folder; raises ConfigError if other users may write to it."""
 
     def __init__(self, folder: str | Path) -> None:
@@ -41,7 +41,7 @@ class Allowed:
     def callback(self, domain: str, key: bytes) -> bool:
         """Return whether a peer with this key (Z85) may connect; called by libzmq's authenticator, in its thread."""
         # A rejected client does not connect again, so a key that was just added must be found now.
-        if key not in self._names and (time.monotonic() - self._read_s > REREAD_MIN_S or self._changes()):
+        if key not in self._names and (time.monotonic() - self._read_s > REREAD_MIN_S or self._has_changed()):
             self._read()
         if key not in self._names:
             return False
@@ -63,13 +63,13 @@ class Allowed:
         """Refuse a key (Z85) until the gateway is restarted."""
         self._revoked.add(key)
 
-    def _changes(self) -> bool:
+    def _has_changed(self) -> bool:
         """Return whether the folder has changed since the last read.
 
         A change shortly before the read counts, too: a file may have been incomplete.
         """
         try:
-            return os.stat(self.folder).st_mtime_ns > self._read_ns - SETTLED_NS
+            return os.stat(self.folder).st_mtime_ns > self._read_ns - FILE_COMPLETE_NS
         except OSError:
             return False
 
@@ -111,9 +111,9 @@ class Allowed:
             log.warning("%s", text)
 
 
-def key_folders(security: Security) -> tuple[str, str]:
+def list_key_folders(security: Security) -> tuple[str, str]:
     """Return a rig's folders of readers and commanders, '' for none; raises ConfigError for unusable keys."""
     read_pair(security.key)
     for folder in filter(None, (security.readers, security.commanders)):
-        Allowed(folder)
+        AllowedKeys(folder)
     return security.readers or "", security.commanders or ""

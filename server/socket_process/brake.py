@@ -14,7 +14,7 @@ import msgspec
 from softfinger.server.loop.switch_fields import STOPS_RECEIVED
 
 FORCE_OFF_METHODS: Final = ("disarm", "stop")
-SHORT: Final = 4096
+SHORT_REQUEST_BYTES: Final = 4096
 """Longest such request in bytes; longer requests are not decoded."""
 
 
@@ -27,7 +27,7 @@ _decoder: Final = msgspec.msgpack.Decoder(_MethodName)
 
 def takes_force_off(body: bytes) -> bool:
     """Return whether an encoded request turns the force off."""
-    if len(body) > SHORT or not (b"disarm" in body or b"stop" in body):
+    if len(body) > SHORT_REQUEST_BYTES or not (b"disarm" in body or b"stop" in body):
         return False
     try:
         return _decoder.decode(body).method in FORCE_OFF_METHODS

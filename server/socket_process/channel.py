@@ -81,7 +81,7 @@ class Channel:
 
     def receive(self) -> Iterator[Message]:
         """Yield the messages received, including messages that an earlier caller did not consume."""
-        yield from self._messages()
+        yield from self._iter_messages()
         while not self.ended:
             try:
                 data = self._end.recv(_READ_BYTES)
@@ -91,11 +91,11 @@ class Channel:
                 data = b""
             self.ended = not data
             self._received += data
-            yield from self._messages()
+            yield from self._iter_messages()
             if len(data) < _READ_BYTES:
                 return
 
-    def _messages(self) -> Iterator[Message]:
+    def _iter_messages(self) -> Iterator[Message]:
         while len(self._received) >= _HEAD.size:
             size, kind, of_key = _HEAD.unpack_from(self._received)
             if size > _LONGEST or of_key > size:

@@ -21,7 +21,7 @@ BURST: Final = 100
 """Most requests of a client in BURST_S: a thousand per second, one in each tick of the usual loop. More are busy."""
 REQUESTS_PER_TURN: Final = 64
 """Requests read in one turn."""
-BUSY: Final = "busy: too many requests from this client: send them more slowly"
+BUSY_MESSAGE: Final = "busy: too many requests from this client: send them more slowly"
 
 
 class _CommandId(msgspec.Struct):
@@ -35,7 +35,7 @@ class Clients:
     """Command clients of one endpoint.
 
     on_request  is called with a client, its request (None: not two frames), and whether it sends too many; returns
-                whether the request was accepted; others are answered with BUSY
+                whether the request was accepted; others are answered with BUSY_MESSAGE
     """
 
     def __init__(
@@ -85,4 +85,4 @@ def encode_busy(body: bytes | None) -> bytes:
         command_id = _decoder.decode(body or b"").command_id
     except (msgspec.DecodeError, ValueError, RecursionError):
         command_id = ""
-    return msgspec.msgpack.encode({"command_id": command_id, "success": False, "result": {}, "error": BUSY})
+    return msgspec.msgpack.encode({"command_id": command_id, "success": False, "result": {}, "error": BUSY_MESSAGE})

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # they take time to import, and most daemons use no keys
     from zmq.auth.thread import ThreadAuthenticator
 
     from softfinger.server.keys import KeyPair
-    from softfinger.server.socket_process.allowed import Allowed
+    from softfinger.server.socket_process.allowed import AllowedKeys
 
 HANDSHAKE_MS: Final = 2000
 LINGER_MS: Final = 200
@@ -51,7 +51,7 @@ class KeyLock(NamedTuple):
     """Key pair of the server, and the keys of peers that may connect."""
 
     pair: KeyPair
-    allowed: Allowed
+    allowed: AllowedKeys
 
 
 class SocketContext(NamedTuple):

@@ -81,7 +81,7 @@ class Publishing:
         context: zmq.Context[Any] = zmq.Context()
         files.callback(context.destroy, LINGER_MS)
         gate = SocketContext(
-            context, _authenticator(context, files) if any(entrance.key for entrance in setup.entrances) else None
+            context, _start_authenticator(context, files) if any(entrance.key for entrance in setup.entrances) else None
         )
         self._readers: list[Readers] = []
         self._clients: list[Clients] = []
@@ -122,7 +122,7 @@ class Publishing:
     def run(self) -> None:
         """Publish until the daemon requests the end or exits."""
         poll, bell = self._poll(), self._rows.bell
-        renewals, report_s, keys_s = self._renewals(), 0.0, time.monotonic() + KEY_CHECK_S
+        renewals, report_s, keys_s = self._count_renewals(), 0.0, time.monotonic() + KEY_CHECK_S
         has_events, requests = False, 0
         while not self._ended:
             limit_step()
@@ -148,8 +148,8 @@ class Publishing:
                 keys_s = now + KEY_CHECK_S
                 for peers in self._peer_sockets:
                     peers.refresh_keys()
-            if self._renewals() != renewals:
-                poll, renewals = self._poll(), self._renewals()
+            if self._count_renewals() != renewals:
+                poll, renewals = self._poll(), self._count_renewals()
             if requests:  # a flood uses at most half of a processor
                 time.sleep(min(time.monotonic() - start_s, REST_MAX_S))
 
@@ -163,7 +163,7 @@ class Publishing:
                 poll.register(socket.FD, select.POLLIN)
         return poll
 
-    def _renewals(self) -> int:
+    def _count_renewals(self) -> int:
         return sum(peers.renewals for peers in self._peer_sockets)
 
     def _send_ticks(self) -> None:
@@ -238,7 +238,7 @@ class Publishing:
         self._channel.send(Kind.FIGURES, body=msgspec.msgpack.encode(figures))  # always: it is a sign of life, too
 
 
-def _authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:
+def _start_authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:
     from zmq.auth.thread import ThreadAuthenticator
 
     authenticator = ThreadAuthenticator(context)
@@ -249,9 +249,9 @@ def _authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:
 
 def _lock(listener: ListeningSocket) -> KeyLock:
     from softfinger.server.keys import read_pair
-    from softfinger.server.socket_process.allowed import Allowed
+    from softfinger.server.socket_process.allowed import AllowedKeys
 
-    return KeyLock(read_pair(listener.key), Allowed(listener.folder))
+    return KeyLock(read_pair(listener.key), AllowedKeys(listener.folder))
 
 
 class _DaemonLogHandler(logging.Handler):

@@ -20,7 +20,7 @@ SUBSCRIPTIONS_PER_S: Final = 256
 """New topics of one key; above this the key is barred. A program has one or two for each connection."""
 TOPICS_MAX: Final = 256
 """Topics counted for one connection: bounds the memory for a peer that subscribes without end."""
-AT_ONCE: Final = 256
+EVENTS_PER_TURN: Final = 256
 
 
 class Readers:
@@ -72,7 +72,7 @@ class Readers:
             self._since_s, self._new = now, Counter()
             connected = set(self.peers.connected.values())
             self._topics = {number: topics for number, topics in self._topics.items() if number in connected}
-        for _ in range(AT_ONCE):
+        for _ in range(EVENTS_PER_TURN):
             if not self.peers.has_message:
                 return
             frame = self.peers.socket.recv(zmq.NOBLOCK, copy=False)
@@ -84,7 +84,7 @@ class Readers:
             self._count(file, frame_bytes[:1], frame_bytes[1:])
             if frame_bytes[:1] == b"\1" and self._on_subscription is not None:
                 self._on_subscription(frame_bytes[1:])
-            if self.peers.lock is not None and self._floods(frame):
+            if self.peers.lock is not None and self._is_flooding(frame):
                 return
 
     def _count(self, file: int, kind: bytes, topic: bytes) -> None:
@@ -105,7 +105,7 @@ class Readers:
             if not topics[topic]:
                 del topics[topic]
 
-    def _floods(self, frame: zmq.Frame) -> bool:
+    def _is_flooding(self, frame: zmq.Frame) -> bool:
         lock = self.peers.lock
         assert lock is not None
         try:

@@ -14,11 +14,11 @@ import msgspec
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.load import FaultyConfig, describe, load_rig, load_scene
 from softfinger.config.schema import Guard, Mesh, Object, Rig, Scene, Servo
-from softfinger.config.sources import EXPERIMENTS, find, find_in, list_shipped, names_in, read_toml
-from softfinger.config.words import format_value, near
-from softfinger.server.offline.part_faults import part_faults
-from softfinger.server.offline.summary import check_start, mesh_report, rig_summary, scene_summary
-from softfinger.server.progress import progress, report_compilation
+from softfinger.config.sources import EXPERIMENTS, find, find_in, list_names, list_shipped, read_toml
+from softfinger.config.words import format_value, suggest
+from softfinger.server.offline.part_faults import check_parts
+from softfinger.server.offline.summary import check_start, report_mesh, summarize_rig, summarize_scene
+from softfinger.server.progress import report_compilation, show_progress
 
 _SCENE_KEYS: Final = frozenset(Scene.__struct_fields__)
 _RIG_KEYS: Final = frozenset(Rig.__struct_fields__)
@@ -94,8 +94,8 @@ def _draw_walls(findings: list[FileReport], plot: Path | None, quiet: bool) -> N
                 workspace.plot(wall, objects, plot, freedom)
             if not quiet:
                 print(f"the soft wall of {name} in {scene}")
-                _print_rows(workspace.rows(wall, objects))
-                print("\n".join(f"  {line}" for line in workspace.text(wall, objects, freedom)))
+                _print_rows(workspace.make_rows(wall, objects))
+                print("\n".join(f"  {line}" for line in workspace.draw_text(wall, objects, freedom)))
 
 
 def examine_file(file: str) -> FileReport:
@@ -103,25 +103,25 @@ def examine_file(file: str) -> FileReport:
     kind = ""
     try:
         path = _locate(file)
-        kind = kind_of(read_toml(path, file), file)
+        kind = find_kind(read_toml(path, file), file)
         if kind == "experiment":
             from softfinger.server.experiment.checks import load
             from softfinger.server.experiment.trial_order import describe_session
 
-            experiment = load(path, {}, part_faults)[0]
+            experiment = load(path, {}, check_parts)[0]
             return FileReport(file, "experiment", describe_session(experiment), [], describe(experiment), {})
         with report_compilation("kernels that call the device") if kind == "rig" else nullcontext():
             config = load_scene(path) if kind == "scene" else load_rig(path)
-            if faults := part_faults(config, file):
+            if faults := check_parts(config, file):
                 return FileReport(file, kind, [], faults, {}, {})
-            summary = scene_summary(config) if isinstance(config, Scene) else rig_summary(config)
+            summary = summarize_scene(config) if isinstance(config, Scene) else summarize_rig(config)
     except FaultyConfig as error:
-        faults = [*map(str, error.faults), *part_faults(error.config, file)]
+        faults = [*map(str, error.faults), *check_parts(error.config, file)]
         return FileReport(file, kind, [], faults, {}, {})
     except (ConfigError, DeviceError) as error:
         return FileReport(file, kind, [], [str(error)], {}, {})
     meshes = [mesh for mesh in config.object if isinstance(mesh, Mesh)] if isinstance(config, Scene) else []
-    reports = {mesh.name: msgspec.to_builtins(mesh_report(mesh)) for mesh in meshes}
+    reports = {mesh.name: msgspec.to_builtins(report_mesh(mesh)) for mesh in meshes}
     return FileReport(file, kind, summary, [], describe(config), reports)
 
 
@@ -129,11 +129,11 @@ def with_costs(finding: FileReport) -> FileReport:
     """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
-    from softfinger.server.offline.cost import keep_contact, make_touching_poses, measure, without_parts
+    from softfinger.server.offline.cost import iter_without_parts, keep_contact, make_touching_poses, measure
 
     scene = load_scene(_locate(finding.file))
-    parts = list(without_parts(scene))
-    with progress(f"measuring {finding.file}", len(parts) + 2) as update:
+    parts = list(iter_without_parts(scene))
+    with show_progress(f"measuring {finding.file}", len(parts) + 2) as update:
         poses = make_touching_poses(scene)
         whole_ns = measure(scene, poses).median_ns
         rows = [("cost of a tick", f"{whole_ns:.0f} ns, back to back, pressed into the first object")]
@@ -142,11 +142,11 @@ def with_costs(finding: FileReport) -> FileReport:
             rows.append((f"  {name}", f"{whole_ns - measure(reduced_scene, poses).median_ns:+.0f} ns"))
             update(number + 2)
         rows.append(("  bare contact", f"{measure(keep_contact(scene), poses).median_ns:.0f} ns"))
-    rows += [_stability_row(obj) for obj in scene.object]
+    rows += [_make_stability_row(obj) for obj in scene.object]
     return finding._replace(summary=finding.summary + rows)
 
 
-def _stability_row(item: Object) -> tuple[str, str]:
+def _make_stability_row(item: Object) -> tuple[str, str]:
     """Return the stiffness of the normal force at the guard's default limit, and the device damping for passivity."""
     force, rate = Guard().force_max_n, Servo().rate_hz
     normal = item.material.normal
@@ -159,7 +159,7 @@ def _stability_row(item: Object) -> tuple[str, str]:
     )
 
 
-def kind_of(mapping: dict[str, Any], where: str) -> str:
+def find_kind(mapping: dict[str, Any], where: str) -> str:
     """Return `scene`, `rig` or `experiment`, according to the tables of a file.
 
     Raises ConfigError if the tables belong to none of them, or to two.
@@ -184,18 +184,18 @@ def kind_of(mapping: dict[str, Any], where: str) -> str:
 
 def _locate(file: str) -> Path:
     """Return the path of a file, or of a shipped scene, rig or experiment."""
-    names = [*list_shipped(Scene), *list_shipped(Rig), *names_in(EXPERIMENTS)]
-    if file not in names and "." not in file and "/" not in file and not _exists(file):
+    names = [*list_shipped(Scene), *list_shipped(Rig), *list_names(EXPERIMENTS)]
+    if file not in names and "." not in file and "/" not in file and not _check_exists(file):
         raise ConfigError(
-            f"no scene, rig or experiment is named {format_value(file)}{near(file, names)}; "
+            f"no scene, rig or experiment is named {format_value(file)}{suggest(file, names)}; "
             f"shipped are {', '.join(names)}; give the path of another file with its suffix .toml"
         )
-    if file in names_in(EXPERIMENTS):
+    if file in list_names(EXPERIMENTS):
         return find_in(EXPERIMENTS, "experiment", file)
     return find(file, Rig if file in list_shipped(Rig) else Scene)
 
 
-def _exists(file: str) -> bool:
+def _check_exists(file: str) -> bool:
     try:
         return Path(file).exists()
     except (OSError, ValueError):  # not a valid file name

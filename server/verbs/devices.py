@@ -11,11 +11,11 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceBusy, HapticError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import DeviceConfig
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers import registry
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import Claim, find_claim
-from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, options_for
+from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, read_options
 from softfinger.drivers.system.discovery import SystemDevice
 
 OPENABLE_STATES: Final = ("usable", "firmware")
@@ -34,7 +34,7 @@ ListedDevice = tuple[SystemDevice, Claim | None, Diagnosis, Mapping[str, Any] | 
 
 
 def run(args: argparse.Namespace) -> int:
-    rig = None if args.rig is None else single_device(load_rig(args.rig))
+    rig = None if args.rig is None else find_single_device(load_rig(args.rig))
     devices: list[ListedDevice] = []
     for device in discovery.list_attached():
         claim = find_claim(device)
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"usb": discovery.has_usb(), "devices": [as_map(*row) for row in devices]}, indent=2))
     else:
-        print("\n".join(lines(devices)))
+        print("\n".join(format_lines(devices)))
     return 0
 
 
@@ -69,7 +69,7 @@ def identify_device(
 
     The identification is None if the driver has no `identify`, or if the device could not be opened.
     """
-    driver, options = registry.load(claim.driver), options_for(claim, rig)
+    driver, options = registry.load(claim.driver), read_options(claim, rig)
     identify = getattr(driver, "identify", None)
     if identify is None:
         return diagnose_requirements(claim, options), None
@@ -102,7 +102,7 @@ def _format_value(value: Any) -> str:
     return (" and ".join(value) or "none") if isinstance(value, list) else str(value)
 
 
-def lines(devices: list[ListedDevice]) -> list[str]:
+def format_lines(devices: list[ListedDevice]) -> list[str]:
     """Return the list as text: devices with a driver first, then the others."""
     text = []
     for device, claim, diagnosis, identification in sorted(devices, key=lambda row: row[1] is None):

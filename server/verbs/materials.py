@@ -12,12 +12,12 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.materials import LibraryEntry
 from softfinger.server.offline.feel_figure import draw
 from softfinger.server.offline.library_texts import (
-    entries,
     find_entry,
     format_measured,
     list_cited_papers,
-    paper_rows,
-    value_rows,
+    load_entries,
+    make_paper_rows,
+    make_value_rows,
 )
 
 
@@ -40,8 +40,8 @@ def run(args: argparse.Namespace) -> int:
     print(f"{args.name}: {kind}. {entry.about}")
     rows = [("holds", entry.holds)]
     rows += [("friction of", entry.friction_of)] if entry.friction_of else []
-    rows += [*value_rows(entry), *(("measured", format_measured(measurement)) for measurement in entry.measured)]
-    rows += paper_rows(list_cited_papers(entry))
+    rows += [*make_value_rows(entry), *(("measured", format_measured(measurement)) for measurement in entry.measured)]
+    rows += make_paper_rows(list_cited_papers(entry))
     width = max(len(name) for name, _ in rows)
     for name, text in rows:
         print(f"  {name:{width}}  {text}")
@@ -59,21 +59,21 @@ def as_json(name: str, kind: str, entry: LibraryEntry) -> dict[str, Any]:
         "kind": kind,
         **plain,
         "measured": measured,
-        "papers": dict(paper_rows(list_cited_papers(entry))),
+        "papers": dict(make_paper_rows(list_cited_papers(entry))),
     }
 
 
 def _list(is_json: bool) -> None:
-    all_entries = entries()
+    all_entries = load_entries()
     if is_json:
         print(json.dumps([as_json(name, *entry) for name, entry in all_entries.items()], indent=1))
         return
     width = max(map(len, all_entries))
     for name, (kind, entry) in all_entries.items():
-        print(f"{name:{width}}  {kind:9}  {_short(entry):32}  {entry.about}")
+        print(f"{name:{width}}  {kind:9}  {_shorten(entry):32}  {entry.about}")
 
 
-def _short(entry: LibraryEntry) -> str:
+def _shorten(entry: LibraryEntry) -> str:
     values = entry.values
     if "friction" in values:
         friction = values["friction"]

@@ -22,7 +22,7 @@ from softfinger.proxy.record import MODE_NAMES
 from softfinger.server import keys
 from softfinger.server.gateway.addresses import find_addresses
 from softfinger.server.wire.client import NoTelemetry, Sample, explain_no_telemetry, subscribe
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, finger_of
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, find_finger
 
 if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
     from rich.console import RenderableType
@@ -46,11 +46,11 @@ def run(args: argparse.Namespace) -> int:
     """
     try:
         if args.json:
-            _show_until_end(args, lambda board: print(_json(board), flush=True), _LINE_PERIOD_S)
+            _show_until_end(args, lambda board: print(_to_json(board), flush=True), _LINE_PERIOD_S)
         elif args.once or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
-            _show_until_end(args, lambda board: print(line(board), flush=True), _LINE_PERIOD_S)
+            _show_until_end(args, lambda board: print(format_line(board), flush=True), _LINE_PERIOD_S)
         else:
-            _dashboard(args)
+            _format_dashboard(args)
     except KeyboardInterrupt:
         return 0
     except BrokenPipeError:  # the reader (head, grep -m1) closed the pipe
@@ -78,7 +78,7 @@ class Board:
     def update(self, sample: Sample) -> None:
         self.messages += 1
         self._arrived_s = time.monotonic()
-        finger = finger_of(sample.topic)
+        finger = find_finger(sample.topic)
         if finger is not None:
             self.fingers[finger], self.stopped = sample, False
             self.lost += sample.lost
@@ -116,14 +116,14 @@ class Board:
         named_fingers = {name: sample for name, sample in self.fingers.items() if name}
         fingers = {
             "fingers": {
-                name: {"mode": _mode_name(sample["contact.mode"]), "contact": sample.as_map()}
+                name: {"mode": _name_mode(sample["contact.mode"]), "contact": sample.as_map()}
                 for name, sample in named_fingers.items()
             }
         }
         return (fingers if named_fingers else {}) | {
             "endpoint": self.endpoint,
             "silent_s": round(self.silent_s, 3),
-            "mode": _mode_name(self.contact["contact.mode"]) if self.contact else None,
+            "mode": _name_mode(self.contact["contact.mode"]) if self.contact else None,
             "contact": self.contact.as_map() if self.contact else None,
             "health": self.health.as_map() if self.health else None,
             "lost": self.lost,
@@ -139,7 +139,7 @@ def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], per
     first = math.inf  # time of the first message: the daemon may start later
     next_show = started + period_s
     topics = CONTACT, EVENT, HEALTH, FINGERS
-    lock = keys.keys_from_options(args)
+    lock = keys.read_keys(args)
     endpoint = find_addresses(args.endpoint, lock, within_s=args.timeout).telemetry
     with subscribe(endpoint, topics, keys=lock) as subscription:
         board = Board(endpoint)
@@ -164,12 +164,12 @@ def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], per
                 return
 
 
-def _json(board: Board) -> str:
+def _to_json(board: Board) -> str:
     # msgspec writes null for nan, json.dumps writes invalid JSON.
     return msgspec.json.encode(board.summary(), enc_hook=str).decode()
 
 
-def line(board: Board) -> str:
+def format_line(board: Board) -> str:
     parts = [time.strftime("%H:%M:%S")]
     if board.outage_text:
         parts.append(f"{board.outage_text};")
@@ -177,7 +177,7 @@ def line(board: Board) -> str:
         data = sample.data
         parts.append(
             (f"{name}: " if name else "")
-            + f"tick {data.tick} {_mode_name(data.contact.mode)} object {data.contact.object} "
+            + f"tick {data.tick} {_name_mode(data.contact.mode)} object {data.contact.object} "
             f"normal {_format_fixed(data.contact.normal_force, 0, 3)} N "
             f"tangential {_format_fixed(data.contact.tangential_force, 0, 3)} N "
             f"depth {_format_fixed(data.contact.penetration * 1e3, 0, 3)} mm"
@@ -196,22 +196,22 @@ def line(board: Board) -> str:
     return " ".join(parts)
 
 
-def _mode_name(mode: int) -> str:
+def _name_mode(mode: int) -> str:
     return MODE_NAMES[mode] if 0 <= mode < len(MODE_NAMES) else f"mode {mode}"
 
 
 def _format_event(event: Sample) -> str:
     common = ("schema", "timestamp", "tick", "kind", "name")
-    more = " ".join(f"{key}={_short(value)}" for key, value in event.data.items() if key not in common)
+    more = " ".join(f"{key}={_shorten(value)}" for key, value in event.data.items() if key not in common)
     text = f"{event.kind} {event.name} {more}".rstrip()
     return text if text.isprintable() else repr(text)  # text from the wire must not control the terminal
 
 
-def _short(value: Any) -> str:
+def _shorten(value: Any) -> str:
     if isinstance(value, float):
         return "0" if abs(value) < _ROUNDING else f"{value:.3g}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_short(item) for item in value)}]"
+        return f"[{', '.join(_shorten(item) for item in value)}]"
     return str(value)
 
 
@@ -220,7 +220,7 @@ def _format_fixed(value: float, width: int, digits: int) -> str:
     return f"{round(value, digits) + 0.0:{width}.{digits}f}"
 
 
-def _dashboard(args: argparse.Namespace) -> None:
+def _format_dashboard(args: argparse.Namespace) -> None:
     from rich.console import Console
     from rich.live import Live
 
@@ -245,7 +245,7 @@ def render(board: Board, width: int, height: int) -> RenderableType:
     for name, sample in sorted(board.fingers.items()):
         if name:
             rows.add_row("finger", Text(name, style="bold"))
-        _contact_rows(rows, sample.data, board)
+        _format_contacts(rows, sample.data, board)
     if board.health is not None:
         health = board.health.data
         for name, values in (("late", health.late), ("exec", health.exec)):
@@ -262,11 +262,11 @@ def render(board: Board, width: int, height: int) -> RenderableType:
     if board.outage_text:
         title.append(f"  {board.outage_text}", style="bold red")
     # Each frame takes two rows, and the terminal needs one for the cursor.
-    events = _event_lines(board, width - 4, height - rows.row_count - 5)
+    events = _format_events(board, width - 4, height - rows.row_count - 5)
     return Group(Panel(rows, title=title, title_align="left"), Panel(events, title="events", title_align="left"))
 
 
-def _event_lines(board: Board, width: int, height: int) -> str:
+def _format_events(board: Board, width: int, height: int) -> str:
     """Return the latest events that fit completely, the latest one last."""
     lines: list[str] = []
     for event in reversed(board.events):
@@ -279,16 +279,16 @@ def _event_lines(board: Board, width: int, height: int) -> str:
     return "\n".join(lines) or "none yet"
 
 
-def _contact_rows(rows: Any, data: Any, board: Board) -> None:
+def _format_contacts(rows: Any, data: Any, board: Board) -> None:
     from rich.text import Text
 
     contact = data.contact
     style = "dim" if board.outage_text else ""  # outdated values
-    rows.add_row("mode", Text(_mode_name(contact.mode), style=style or _MODE_STYLES.get(contact.mode, "")))
+    rows.add_row("mode", Text(_name_mode(contact.mode), style=style or _MODE_STYLES.get(contact.mode, "")))
     rows.add_row("object", f"number {contact.object} of the scene" if contact.object >= 0 else "none")
     rows.add_row("tick", str(data.tick))
     for name, value in (("normal", contact.normal_force), ("tangential", contact.tangential_force)):
-        bar = _bar(0.0 if board.outage_text else value, board.force_peak_n)
+        bar = _format_bar(0.0 if board.outage_text else value, board.force_peak_n)
         rows.add_row(name, Text(f"{bar} {_format_fixed(value, 7, 3)} N", style=style))
     rows.add_row("force", Text("  ".join(_format_fixed(value, 8, 3) for value in data.force) + "  N", style=style))
     rows.add_row("torque", Text("  ".join(_format_fixed(v * 1e3, 8, 3) for v in data.torque) + "  N mm", style=style))
@@ -296,6 +296,6 @@ def _contact_rows(rows: Any, data: Any, board: Board) -> None:
     rows.add_row("spin", f"{_format_fixed(math.degrees(contact.spin), 8, 2)}  deg")
 
 
-def _bar(value: float, full: float) -> str:
+def _format_bar(value: float, full: float) -> str:
     cells = round(_BAR_CELLS * min(max(value / full, 0.0), 1.0)) if math.isfinite(value) else 0
     return "█" * cells + "·" * (_BAR_CELLS - cells)

@@ -20,15 +20,15 @@ from typing import Final
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import is_same_file
 from softfinger.drivers.closing import Closeable
-from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, rate_from_period
+from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, find_rate
 from softfinger.server import keys, signals
-from softfinger.server.arguments import files_by_finger
+from softfinger.server.arguments import parse_files_by_finger
 from softfinger.server.gateway.addresses import find_addresses
-from softfinger.server.progress import counter
-from softfinger.server.recording.poses_file import PosesFile, poses_file
+from softfinger.server.progress import show_counter
+from softfinger.server.recording.poses_file import PosesFile, open_poses_file
 from softfinger.server.recording.verbs.live import RecordingJob, record_live
 from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, explain_no_telemetry, subscribe
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, finger_of
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, find_finger
 
 log: Final = logging.getLogger(__name__)
 
@@ -45,14 +45,14 @@ def run(args: argparse.Namespace) -> int:
     """
     if (args.file is None) == (args.poses is None):
         raise ConfigError("record needs either a FILE or --poses FILE")
-    stop, lock = threading.Event(), keys.keys_from_options(args)
+    stop, lock = threading.Event(), keys.read_keys(args)
     addresses = find_addresses(args.endpoint, lock, args.commands, within_s=args.timeout)
     if args.file is not None and Path(args.file).suffix.lower() == ".mcap":
         job = RecordingJob(addresses, lock, args.duration, args.timeout, stop.is_set)
         with signals.stop_on_signal(stop.set):
             log.info("%s", record_live(job, Path(args.file)))
         return signals.stop_exit_code()
-    files = {name: Path(file) for name, file in files_by_finger(args.poses or [args.file], "--poses").items()}
+    files = {name: Path(file) for name, file in parse_files_by_finger(args.poses or [args.file], "--poses").items()}
     for (name, file), (second_name, second_file) in combinations(files.items(), 2):
         if is_same_file(file, second_file):
             raise ConfigError(
@@ -125,11 +125,13 @@ def record(
     start = first.tick + (len(files) > 1)
     sample: Sample | None = first
     with ExitStack() as stack:
-        writers = {name: stack.enter_context(PoseWriter(poses_file(path), duration_s)) for name, path in files.items()}
+        writers = {
+            name: stack.enter_context(PoseWriter(open_poses_file(path), duration_s)) for name, path in files.items()
+        }
         all_stats = [writer.stats for writer in writers.values()]
         received_s = time.monotonic()
         shown_s = received_s - SHOW_PERIOD_S
-        show = stack.enter_context(counter())
+        show = stack.enter_context(show_counter())
         while not all(stats.end_reason for stats in all_stats):
             now = time.monotonic()
             if sample is None:
@@ -156,7 +158,7 @@ def record(
 
 
 def _dispatch(sample: Sample, writers: Mapping[str, PoseWriter], start: int) -> None:
-    finger = finger_of(sample.topic)
+    finger = find_finger(sample.topic)
     for name, writer in writers.items():
         is_before_start = finger is not None and writer.stats.first_tick < 0 and sample.tick < start
         if finger in (name, None) and not is_before_start and not writer.stats.end_reason:
@@ -174,7 +176,7 @@ def _receive_first(
     until = time.monotonic() + timeout_s
     while time.monotonic() < until and not is_stopped():
         sample = samples.receive(POLL_S)
-        finger = None if sample is None else finger_of(sample.topic)
+        finger = None if sample is None else find_finger(sample.topic)
         if sample is None or finger is None:
             continue
         if (finger == "") != ("" in files):
@@ -208,7 +210,7 @@ class PoseWriter(Closeable):
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
                 stats.end_reason = "the server stopped"
             return
-        if finger_of(sample.topic) is None:
+        if find_finger(sample.topic) is None:
             return
         if sample.tick <= stats.last_tick:
             stats.end_reason = "the server started again"
@@ -247,7 +249,7 @@ class PoseWriter(Closeable):
         stats = self.stats
         if step:
             self._periods += step - 1 + max(1, round(sample.dt / self._period))
-        t = self._periods / rate_from_period(self._period)
+        t = self._periods / find_rate(self._period)
         if self._duration_s is not None and t > self._duration_s - self._period / 2:
             stats.end_reason = f"{self._duration_s:g} s are over"
             stats.last_tick = self._written_tick

@@ -14,16 +14,16 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_faults, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.drivers import base
-from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KERNEL_FOLDER
 from softfinger.proxy.scene import explain
 from softfinger.server import signals
 from softfinger.server.app import Daemon
-from softfinger.server.arguments import default_rig
+from softfinger.server.arguments import find_default_rig
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.realtime import Setting
-from softfinger.server.progress import counter, name_warmup, report_compilation
+from softfinger.server.progress import name_warmup, report_compilation, show_counter
 from softfinger.server.verbs.options import OVERRIDES, RIG, VIEW_RIG
-from softfinger.server.viewer.door.process import PageProcess, check_viewer, monitor_command, program_name
+from softfinger.server.viewer.door.process import PageProcess, check_viewer, find_program_name, monitor_command
 from softfinger.server.watcher import Watcher
 
 log: Final = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     if args.view:
         check_viewer()
     with report_compilation("kernels that call the device"):  # compiled when the driver is imported
-        rig = load_rig(args.rig or default_rig(args.scene, VIEW_RIG if args.view else RIG), changes, sources)
+        rig = load_rig(args.rig or find_default_rig(args.scene, VIEW_RIG if args.view else RIG), changes, sources)
     scene = load_scene(args.scene)
     rate = rig.servo.rate_hz
     ticks = None if args.duration is None else max(1, round(args.duration * rate))
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         with name_warmup(args.scene), report_compilation("kernels of the scene"):
             is_cached = daemon.servo.compile()
         if not is_cached:
-            cache_text = f"kept in {CACHE_DIR}" if KEPT.problem() is None else "not kept"
+            cache_text = f"kept in {CACHE_DIR}" if KERNEL_FOLDER.problem() is None else "not kept"
             log.info("compiled in %.0f s; %s", time.monotonic() - start_s, cache_text)
         with signals.stop_on_signal(daemon.stop, daemon.pause):
             daemon.start()
@@ -98,10 +98,12 @@ def announce(daemon: Daemon, scene_name: str, is_page_open: bool) -> None:
     if not is_page_open:
         log.info(
             "--view opens a browser page on which the mouse moves the hand: `%s run --view`, `make run ARGS=--view`",
-            program_name(),
+            find_program_name(),
         )
     log.info("scene %s: %s", scene_name, explain(rendering.scene))
-    log.info("device %s at %g Hz; telemetry on %s", base.names(daemon.devices), rendering.rig.servo.rate_hz, telemetry)
+    log.info(
+        "device %s at %g Hz; telemetry on %s", base.list_names(daemon.devices), rendering.rig.servo.rate_hz, telemetry
+    )
     log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
     if (daemon.commands_endpoint or "").startswith("tcp:"):
         log.warning("commands by tcp are open to every user of this machine; ipc:///PATH excludes other users")
@@ -146,7 +148,7 @@ def show_progress(daemon: Daemon, page: PageProcess | None, watchers: Sequence[W
 
     The progress is a line updated in place on a terminal, otherwise a log line at intervals.
     """
-    with counter() as show:
+    with show_counter() as show:
         shown_s = time.monotonic()
         while not daemon.wait(TERMINAL_PERIOD_S):
             for text in filter(None, (watcher.supervise() for watcher in watchers)):

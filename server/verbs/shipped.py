@@ -13,7 +13,7 @@ from typing import Any, Final
 from softfinger.config.schema import Faults, Rig, Scene
 from softfinger.config.sources import EXPERIMENTS, FOLDERS
 from softfinger.drivers.poses import SHIPPED
-from softfinger.server.offline.library_texts import entries
+from softfinger.server.offline.library_texts import load_entries
 
 FOLDER_OF: Final = {
     "scenes": FOLDERS[Scene],
@@ -58,21 +58,21 @@ def list_shipped(verb: str) -> list[dict[str, Any]]:
     if verb == "recordings":
         files = sorted(folder.glob("*.csv"))
         motions = tomllib.loads((folder / "motions.toml").read_text("utf-8"))
-        descriptions = {file.name: f"{_seconds(file):.1f} s: {motions[file.stem]['motion']}" for file in files}
+        descriptions = {file.name: f"{_measure_duration(file):.1f} s: {motions[file.stem]['motion']}" for file in files}
     else:
         files = sorted(folder.glob("*.toml"))
-        descriptions = {file.name: first_sentence(file.read_text("utf-8")) for file in files}
+        descriptions = {file.name: extract_first_sentence(file.read_text("utf-8")) for file in files}
     return [{"name": file.stem, "file": str(file), "description": descriptions[file.name]} for file in files]
 
 
-def first_sentence(text: str) -> str:
+def extract_first_sentence(text: str) -> str:
     lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
     comment = " ".join(line.lstrip("# ") for line in lines)
     match = _SENTENCE.match(comment)
     return (match[1] if match else comment).rstrip(".")
 
 
-def _seconds(recording: Path) -> float:
+def _measure_duration(recording: Path) -> float:
     """Return the duration of a recording, s: the first column of its last row."""
     return float(recording.read_text("utf-8").rstrip().rpartition("\n")[2].partition(",")[0])
 
@@ -83,14 +83,14 @@ def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         if isinstance(verbs, argparse._SubParsersAction):
             for verb, action in ((name, option) for name, its in verbs.choices.items() for option in its._actions):
                 for option in OPTIONS.keys() & set(action.option_strings):
-                    action.complete = _completion(OPTIONS[option])
+                    action.complete = _format_completion(OPTIONS[option])
                 if (verb, action.dest) in POSITIONALS:
-                    action.complete = _completion(POSITIONALS[verb, action.dest])
+                    action.complete = _format_completion(POSITIONALS[verb, action.dest])
     return parser
 
 
-def _completion(verb: str) -> dict[str, Any]:
-    items = list(entries()) if verb == "materials" else [item["name"] for item in list_shipped(verb)]
+def _format_completion(verb: str) -> dict[str, Any]:
+    items = list(load_entries()) if verb == "materials" else [item["name"] for item in list_shipped(verb)]
     names, function = " ".join(items), f"_softfinger_{verb}"
     body = f'{function}() {{ compgen -W "{names}" -- $1; compgen -f -- $1; }}'
     return {"bash": function, "zsh": f"({names})", "tcsh": f"({names})", "preamble": {"bash": body}}

@@ -11,14 +11,14 @@ from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES
-from softfinger.server.arguments import check_distinct, default_rig, files_by_finger
+from softfinger.server.arguments import check_distinct, find_default_rig, parse_files_by_finger
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.run_figure import COLUMNS, draw_run
 from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.offline.simulate import load_finger_poses, simulate_devices, simulate_poses
 from softfinger.server.progress import name_warmup
 from softfinger.server.recording.results import RunContext, write_blocks
-from softfinger.server.recording.writer import package_versions
+from softfinger.server.recording.writer import list_package_versions
 
 DURATION_S = 10.0
 """Default duration of a run with simulated devices."""
@@ -27,7 +27,7 @@ DURATION_S = 10.0
 def run(args: argparse.Namespace) -> int:
     scene_changes = {} if args.method is None else {"rolling.method": args.method}
     rig_changes = {} if args.rate is None else {"servo.rate_hz": args.rate}
-    rig_name = args.rig or ("replay" if args.device is None else default_rig(args.scene, "simulated"))
+    rig_name = args.rig or ("replay" if args.device is None else find_default_rig(args.scene, "simulated"))
     if args.device is not None:
         rig_changes |= {f"{table}.driver": args.device for table in load_rig(rig_name).tables}
     elif args.duration is not None:
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     rate = rig.servo.rate_hz
     messages = SceneMessages(scene, rate) if args.out.suffix.lower() == ".mcap" else NO_MESSAGES
     if args.device is None:
-        files = files_by_finger(args.poses, "--poses")
+        files = parse_files_by_finger(args.poses, "--poses")
         check_distinct("--out", args.out, files.values())
         poses = load_finger_poses(fingers, files, rate)
         blocks = simulate_poses(make_tuning(scene, rig.guard), poses, rate, messages)
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     summaries = [Summary(args.plot is not None) for _ in fingers]
     about = {
         "scene": describe(scene), "scene_name": str(args.scene), "rig": describe(rig), "rate_hz": rate,
-        "versions": package_versions(),
+        "versions": list_package_versions(),
     }  # fmt: skip
     with name_warmup(args.scene):
         write_blocks(args.out, fingers, add_summaries(blocks, summaries), RunContext(about, messages.pending))

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     recording = None if args.recording is None else load(args.recording, args.scene)
     if args.host == PAGE_HOST:  # probably on the machine of a servo, which may run without real-time priority
         os.nice(NICE)
-    lock = keys.keys_from_options(args)
+    lock = keys.read_keys(args)
     stop_requests = list[bool]()
     token = sys.stdin.readline().strip() or None if args.until_eof else None
     if args.until_eof:

@@ -14,8 +14,8 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.config.sources import list_shipped
-from softfinger.proxy.engine import compiled
-from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
+from softfinger.proxy.engine import compile_steps
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KERNEL_FOLDER
 from softfinger.proxy.scene import start_state
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.progress import report_compilation
@@ -42,10 +42,10 @@ def run(args: argparse.Namespace) -> int:
         with report_compilation(f"scene {number} of {len(names)}, {name}"):
             tuning = compile_loop(scene)
             simulate(tuning, np.array([[[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]] * len(scene.fingers)]), RATE_HZ)
-            compiled(tuning.scene, start_state(tuning.scene))
+            compile_steps(tuning.scene, start_state(tuning.scene))
         print(f"{name}: ready after {time.monotonic() - start_s:.1f} s")
     Relay(1).close()
-    if (problem := KEPT.problem()) is not None:
+    if (problem := KERNEL_FOLDER.problem()) is not None:
         raise ConfigError(f"compiled kernels are not cached: {problem}")
     print(f"kernels are in {CACHE_DIR}")
     return 0

@@ -37,12 +37,12 @@ class LowDofDevice(NamedTuple):
         return (
             f"displayed: {np.linalg.norm(displayed):.2f} N {DISPLAYED_ALONG[self.freedom.degrees]}; "
             f"not displayed (grey dashes): {missing:.2f} N. "
-            f'<a href="{documentation_url()}/{GUIDE}" target="_blank" rel="noreferrer" '
+            f'<a href="{find_documentation_url()}/{GUIDE}" target="_blank" rel="noreferrer" '
             f'style="color: inherit">A device of {degrees} of freedom</a>'
         )
 
 
-def documentation_url() -> str:
+def find_documentation_url() -> str:
     urls = dict(str(line).split(", ", 1) for line in metadata("softfinger").get_all("Project-URL") or ())
     return urls["Documentation"]
 

@@ -45,7 +45,7 @@ def parse_drive(event: Mapping[str, Any], scene: schema.Scene) -> DriveEvent | N
     )
 
 
-def initial_poses(scene: schema.Scene) -> dict[int, PoseTuple]:
+def find_initial_poses(scene: schema.Scene) -> dict[int, PoseTuple]:
     """Return the driven objects of a scene by index, with their initial poses."""
     return {
         scene_index: (obj.position_m, obj.orientation_wxyz)
@@ -58,7 +58,7 @@ class DrivenPoses:
     """Poses of the driven objects at each tick of a recording, from its events in order of time."""
 
     def __init__(self, scene: schema.Scene, events: Iterable[Mapping[str, Any]]) -> None:
-        self._poses = {scene_index: [pose] for scene_index, pose in initial_poses(scene).items()}
+        self._poses = {scene_index: [pose] for scene_index, pose in find_initial_poses(scene).items()}
         self._ticks: dict[int, list[int]] = {scene_index: [] for scene_index in self._poses}
         for drive in filter(None, (parse_drive(event, scene) for event in events)):
             if drive.scene_index in self._poses:

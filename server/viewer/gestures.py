@@ -114,17 +114,17 @@ def press(stage: Stage, finger: str) -> Gesture:
 
 def roll(stage: Stage, finger: str) -> Gesture:
     """Press, roll along x like a ball and back, and lift off."""
-    yield from _stroke(stage, finger, Nudge(roll_x=ROLL_M))
+    yield from _make_stroke(stage, finger, Nudge(roll_x=ROLL_M))
 
 
 def slide(stage: Stage, finger: str) -> Gesture:
     """Press, slide along x and back at constant orientation, and lift off."""
-    yield from _stroke(stage, finger, Nudge(x=SLIDE_M))
+    yield from _make_stroke(stage, finger, Nudge(x=SLIDE_M))
 
 
 def spin(stage: Stage, finger: str) -> Gesture:
     """Press, rotate about the vertical axis and back, and lift off."""
-    yield from _stroke(stage, finger, Nudge(spin=SPIN_RAD))
+    yield from _make_stroke(stage, finger, Nudge(spin=SPIN_RAD))
 
 
 ONE_FINGER: Final = {"press": press, "roll": roll, "slide": slide, "spin": spin}
@@ -177,7 +177,7 @@ def _lift_off(stage: Stage, finger: str) -> Gesture:
     yield from carry(stage, {finger: stage.target(finger).position + 2.0 * HOVER_M * UP})
 
 
-def _stroke(stage: Stage, finger: str, stroke: Nudge) -> Gesture:
+def _make_stroke(stage: Stage, finger: str, stroke: Nudge) -> Gesture:
     """Touch, move by `stroke` and back at the same depth, and lift off; reversed at x > 0, to stay near the origin."""
     yield from _touch(stage, finger)
     start = stage.target(finger)
@@ -194,6 +194,6 @@ def _stroke(stage: Stage, finger: str, stroke: Nudge) -> Gesture:
     yield from _lift_off(stage, finger)
 
 
-def half_width(size_m: tuple[float, float, float], orientation: tuple[float, float, float, float]) -> float:
+def compute_half_width(size_m: tuple[float, float, float], orientation: tuple[float, float, float, float]) -> float:
     """Return the half width of a rotated box along x, m."""
     return 0.5 * float(np.abs(rotate(orientation, np.diag(size_m))[:, 0]).sum())

@@ -14,7 +14,7 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.inputs import Nudge, is_in_list, is_on_slider
-from softfinger.server.viewer.nodes.glyphs import inverse, product
+from softfinger.server.viewer.nodes.glyphs import invert, multiply
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.target import (
     Target,
@@ -135,7 +135,7 @@ class HandControls:
             async def on_drag(event: Any, mode: str | None = mode) -> None:  # in order: viser awaits each call
                 if event.phase == "start":
                     self.on_interrupt()
-                self.hold_then(partial(self._on_drag, finger, event, mode or self._selected_drag_mode()))
+                self.hold_then(partial(self._on_drag, finger, event, mode or self._find_drag_mode()))
 
             ball.on_drag("left", modifier=modifier)(on_drag)
 
@@ -150,7 +150,7 @@ class HandControls:
         self._poses[finger] = Target(row[AT.probe_position : AT.probe_position + 3], (w, x, y, z))
         now = time.monotonic()
         if first or (
-            finger == self._chosen_finger()
+            finger == self._find_chosen_finger()
             and now - self._sliders_updated_s > SLIDER_UPDATE_S
             and now - self._control_used_s > CONTROL_USED_S
         ):
@@ -174,7 +174,7 @@ class HandControls:
             if finger not in self._pending_holds:  # a finger of a previous scene
                 return
             pose = self._target(finger)
-            if pose is not None and finger == self._chosen_finger():
+            if pose is not None and finger == self._find_chosen_finger():
                 self._target_offsets = dict.fromkeys(("sliders", "handles"), target.position - pose.position)
             self._targets[finger], self._last_command_s = target, time.monotonic()
             self._pending_holds.discard(finger)
@@ -194,7 +194,7 @@ class HandControls:
 
     def nudge(self, nudge: Nudge) -> None:
         self.on_interrupt()
-        nudges = dict.fromkeys(self._moved_fingers(), nudge._replace(close=0.0))
+        nudges = dict.fromkeys(self._list_moved_fingers(), nudge._replace(close=0.0))
         self.hold_then(partial(self._nudge, nudges, nudge.close))
 
     def nudge_each(self, left: Nudge, right: Nudge, close: float) -> None:
@@ -205,14 +205,14 @@ class HandControls:
 
     def sides(self) -> tuple[str, ...]:
         """Return the fingers that were leftmost and rightmost at first; empty until all have been measured."""
-        targets = self._targets_of(self._fingers)
+        targets = self._list_targets(self._fingers)
         if not self._sides and len(targets) == len(self._fingers) > 1:
             by_x = sorted(targets, key=lambda finger: float(targets[finger].position[0]))
             self._sides = (by_x[0], by_x[-1])
         return self._sides
 
     def _nudge(self, nudges: dict[str, Nudge], close: float) -> None:
-        targets = self._targets_of(self._fingers)
+        targets = self._list_targets(self._fingers)
         if close != 0.0 and targets:
             targets = _move_towards_centre(targets, close)
             for drag in self._active_drags.values():  # a drag in progress continues from there
@@ -222,16 +222,16 @@ class HandControls:
                 self.send_target(finger, nudge_target(start, nudges.get(finger, Nudge()), self._fingers[finger].radius))
         self._show()
 
-    def _selected_drag_mode(self) -> str:
+    def _find_drag_mode(self) -> str:
         return DRAG_MODES[self._drag_mode.value] if is_in_list(self._drag_mode) else "move"
 
-    def _chosen_finger(self) -> str:
+    def _find_chosen_finger(self) -> str:
         return str(self._finger.value) if self._finger.value in self._fingers else next(iter(self._fingers), "")
 
-    def _moved_fingers(self) -> list[str]:
-        return list(self._fingers) if self._finger.value == BOTH else [self._chosen_finger()]
+    def _list_moved_fingers(self) -> list[str]:
+        return list(self._fingers) if self._finger.value == BOTH else [self._find_chosen_finger()]
 
-    def _targets_of(self, fingers: Iterable[str]) -> dict[str, Target]:
+    def _list_targets(self, fingers: Iterable[str]) -> dict[str, Target]:
         return {finger: target for finger in fingers if (target := self._target(finger)) is not None}
 
     def _target(self, finger: str) -> Target | None:
@@ -247,7 +247,7 @@ class HandControls:
 
     def chosen_finger(self) -> str | None:
         """Return the name of the chosen finger, which may be empty; None if no finger can be moved."""
-        return self._chosen_finger() if self._fingers else None
+        return self._find_chosen_finger() if self._fingers else None
 
     def send_target(self, finger: str, target: Target) -> None:
         """Command a finger to a target, clamped to its reach."""
@@ -260,8 +260,8 @@ class HandControls:
 
     def _on_drag(self, finger: str, event: Any, mode: str) -> None:
         if event.phase == "start":
-            moved = self._moved_fingers()
-            targets = self._targets_of({finger, *moved} if finger in moved else {finger})
+            moved = self._list_moved_fingers()
+            targets = self._list_targets({finger, *moved} if finger in moved else {finger})
             if finger in targets:
                 self._active_drags[finger] = (targets, np.array(event.start_position) / CM)
         if finger not in self._active_drags or finger not in self._fingers:
@@ -276,12 +276,12 @@ class HandControls:
         if target is not None:
             self.send_target(finger, target)
             displacement = target.position - start.position
-            rotation = product(target.orientation, inverse(start.orientation))
+            rotation = multiply(target.orientation, invert(start.orientation))
             for follower in starts.keys() & self._fingers.keys() - {finger}:
                 position, orientation = starts[follower]
                 motion = mirror_motion(displacement, position - start.position) if mode == "pinch" else displacement
-                self.send_target(follower, Target(position + motion, product(rotation, orientation)))
-            if finger == self._chosen_finger():
+                self.send_target(follower, Target(position + motion, multiply(rotation, orientation)))
+            if finger == self._find_chosen_finger():
                 self._update_sliders()
         if event.phase == "end":
             del self._active_drags[finger]
@@ -302,7 +302,7 @@ class HandControls:
     def _apply_control(self, control: str, pose: Target, update_others: Callable[[], None]) -> None:
         """Move the chosen finger to the pose shown by sliders or handles, and update the other ones."""
         position = pose.position + self._target_offsets.get(control, 0.0)
-        self.send_target(self._chosen_finger(), Target(position, pose.orientation))
+        self.send_target(self._find_chosen_finger(), Target(position, pose.orientation))
         update_others()
 
     def _on_gizmo(self, event: Any) -> None:
@@ -327,7 +327,7 @@ class HandControls:
 
     def _update_sliders(self) -> None:
         self._target_offsets.pop("sliders", None)
-        target = self._target(self._chosen_finger())
+        target = self._target(self._find_chosen_finger())
         if target is not None:
             angles = (degrees(angle) for angle in to_angles(target.orientation))
             for slider, value in zip(self._sliders, (*(1000.0 * target.position), *angles), strict=True):
@@ -337,7 +337,7 @@ class HandControls:
 
     def _update_handles(self) -> None:
         self._target_offsets.pop("handles", None)
-        target = self._target(self._chosen_finger())
+        target = self._target(self._find_chosen_finger())
         if target is not None:
             self._gizmo.position, self._gizmo.wxyz = CM * target.position, target.orientation
 

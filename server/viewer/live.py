@@ -19,23 +19,23 @@ from softfinger.server import surface_meshes
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
 from softfinger.server.viewer.displayed import find_low_dof_devices
-from softfinger.server.viewer.driven import ObjectControls, initial_poses, parse_drive
+from softfinger.server.viewer.driven import ObjectControls, find_initial_poses, parse_drive
 from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Gamepad, TwoHands, add_keys
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.page import Page, parse_scene, parse_scene_start
-from softfinger.server.viewer.play import ORIENTATION_DOF, PageActions, Play
+from softfinger.server.viewer.play import ORIENTATION_DOF, GesturePlayer, PageActions
 from softfinger.server.viewer.prompt import PromptPanel
 from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.target import Target
 from softfinger.server.viewer.tuning import SceneControls
 from softfinger.server.viewer.wire import CommandQueue, QueuedCommand, TelemetryReceiver, ignore
-from softfinger.server.wire.commands import Held, Triangles
+from softfinger.server.wire.commands import HandPose, MeshResult
 
-WAITING: Final = "no daemon answers: check that `softfinger run` is running with these endpoints"
-SILENT: Final = "no tick for 3 s: the picture shows the last one; check that `softfinger run` is running"
+NO_DAEMON_TEXT: Final = "no daemon answers: check that `softfinger run` is running with these endpoints"
+NO_TICKS_TEXT: Final = "no tick for 3 s: the picture shows the last one; check that `softfinger run` is running"
 SILENCE_S: Final = 3.0
-PREPARING: Final = "the new scene is being prepared; the old one is rendered until then"
+NEW_SCENE_TEXT: Final = "the new scene is being prepared; the old one is rendered until then"
 REQUEST_PERIOD_S: Final = 1.0
 SCENE_COMMANDS: Final = ("set_params", "set_scene")
 POSE_KEYS: Final = ("position_m", "orientation_wxyz")
@@ -56,7 +56,7 @@ class LivePage:
         self._force_commands = CommandQueue(commands, keys, allowed_methods=allowed_methods)
         self._description: dict[str, Any] | None = None
         self._has_new_description = threading.Event()
-        self._received_meshes = deque[tuple[int, int, Triangles]]()
+        self._received_meshes = deque[tuple[int, int, MeshResult]]()
         """Received triangles of objects from files: scene number, object index."""
         self._scene: schema.Scene | None = None
         self._is_outdated = True
@@ -73,7 +73,7 @@ class LivePage:
             actions = PageActions(
                 page.show_message, self._reset_world, lambda name: self._set_scene("scene", {"scene": name})
             )
-            self._play = Play(gui, self._hand, actions)
+            self._play = GesturePlayer(gui, self._hand, actions)
             add_keys(gui, self._hand.nudge)
             self._object_controls = ObjectControls(gui, page.server.scene, self._drive_object)
             gui.add_button_group("force", ("on", "off")).on_click(self._switch_force)
@@ -81,7 +81,7 @@ class LivePage:
             self._tuning = SceneControls(gui, self._set_params, self._set_scene)
         page.add_views()
         self._gamepad, self._two_hands = Gamepad(gui), TwoHands(gui)
-        page.show_message(WAITING)
+        page.show_message(NO_DAEMON_TEXT)
 
     def step(self, dt: float) -> None:
         """Show the data received in the last `dt` s."""
@@ -121,9 +121,9 @@ class LivePage:
         self._silent_s = 0.0 if has_ticks else self._silent_s + dt
         if self._scene is not None and (self._silent_s > SILENCE_S) != was_silent:
             if was_silent:
-                self._page.clear_message(SILENT)
+                self._page.clear_message(NO_TICKS_TEXT)
             else:
-                self._page.show_message(SILENT)
+                self._page.show_message(NO_TICKS_TEXT)
 
     def _request_description(self) -> None:
         self._since_request_s, self._is_outdated = 0.0, False
@@ -148,13 +148,15 @@ class LivePage:
             return
         if self._scene is None:
             self._page.show_message("")
-        elif description["since"] >= self._first_tick and _visible_parts(scene) == _visible_parts(self._scene):
+        elif description["since"] >= self._first_tick and _select_visible_parts(scene) == _select_visible_parts(
+            self._scene
+        ):
             self._update_scene(scene, description)
             return
         self._scene, self._first_tick = scene, int(description["since"])
         self._scene_number += 1
         self._page.change(scene, parse_scene_start(description), find_low_dof_devices(description))
-        self._object_controls.change(initial_poses(scene))
+        self._object_controls.change(find_initial_poses(scene))
         self._tuning.change(scene, description["scene_name"])
         for scene_index, obj in enumerate(scene.object):
             if isinstance(obj, Filed):
@@ -167,7 +169,7 @@ class LivePage:
         finger_parts = {finger.name: finger for finger in scene.fingers}
         self._hand.change(
             [
-                _movable_finger(finger, finger_parts[finger["name"]])
+                _find_movable_finger(finger, finger_parts[finger["name"]])
                 for finger in description["fingers"]
                 if finger["led"]
             ]
@@ -185,16 +187,16 @@ class LivePage:
         if description["since"] != self._first_tick:
             self._first_tick = int(description["since"])
             self._page.restart(parse_scene_start(description))
-            for scene_index in initial_poses(scene):
+            for scene_index in find_initial_poses(scene):
                 obj = scene.object[scene_index]
                 self._page.drive(scene_index, obj.position_m, obj.orientation_wxyz)
-            self._object_controls.change(initial_poses(scene))
+            self._object_controls.change(find_initial_poses(scene))
             self._play.change(scene, self._page.bodies, description)
 
-    def _store_mesh(self, scene_number: int, scene_index: int, triangles: Triangles) -> None:
+    def _store_mesh(self, scene_number: int, scene_index: int, triangles: MeshResult) -> None:
         self._received_meshes.append((scene_number, scene_index, triangles))
 
-    def _draw_mesh(self, scene_number: int, scene_index: int, mesh: Triangles) -> None:
+    def _draw_mesh(self, scene_number: int, scene_index: int, mesh: MeshResult) -> None:
         """Draw the triangles of an object, unless the scene was replaced."""
         if scene_number != self._scene_number:
             return
@@ -224,7 +226,7 @@ class LivePage:
         self._send(f"hand {finger}", "hand", params)
 
     def _hold_hand(self, finger: str, on_pose: Callable[[Target], None], on_failure: Callable[[], None]) -> None:
-        def on_hold(answer: Held) -> None:
+        def on_hold(answer: HandPose) -> None:
             on_pose(Target(np.array(answer.position_m), answer.orientation_wxyz))
 
         def on_refused(text: str) -> None:
@@ -251,13 +253,13 @@ class LivePage:
         self._send(name, "set_params", values, lambda _: self._request_description())
 
     def _set_scene(self, name: str, values: dict[str, Any]) -> None:
-        self._page.show_message(PREPARING)
+        self._page.show_message(NEW_SCENE_TEXT)
 
         def on_refused(text: str) -> None:
-            self._page.clear_message(PREPARING)
+            self._page.clear_message(NEW_SCENE_TEXT)
             self._show_refusal(text)
 
-        request = QueuedCommand("set_scene", values, lambda _: self._page.clear_message(PREPARING), on_refused)
+        request = QueuedCommand("set_scene", values, lambda _: self._page.clear_message(NEW_SCENE_TEXT), on_refused)
         self._scene_commands.submit(name, request)
 
     def _show_refusal(self, text: str) -> None:
@@ -270,9 +272,9 @@ class LivePage:
             part.close()
 
 
-def _visible_parts(scene: schema.Scene) -> dict[str, Any]:
+def _select_visible_parts(scene: schema.Scene) -> dict[str, Any]:
     """Return the visible part of a scene, without the poses of driven objects, which events report."""
-    plain, driven = describe(scene), initial_poses(scene)
+    plain, driven = describe(scene), find_initial_poses(scene)
     objects = [
         {
             key: value
@@ -285,7 +287,7 @@ def _visible_parts(scene: schema.Scene) -> dict[str, Any]:
     return {key: plain.get(key) for key in ("fingertip", "finger")} | {"object": objects, "model": model}
 
 
-def _movable_finger(description: dict[str, Any], finger: schema.FingerParts) -> MovableFinger:
+def _find_movable_finger(description: dict[str, Any], finger: schema.FingerParts) -> MovableFinger:
     low, high = (
         np.array(description["device"][f"workspace_{end}_m"]) + description["offset_m"] for end in ("min", "max")
     )

@@ -26,7 +26,7 @@ from softfinger.server.viewer.displayed import LowDofDevice
 from softfinger.server.viewer.door.access import Access
 from softfinger.server.viewer.inputs import is_on_slider
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
-from softfinger.server.viewer.nodes.camera import Camera, initial_camera
+from softfinger.server.viewer.nodes.camera import Camera, place_camera
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import Looks
@@ -193,7 +193,7 @@ class Page:
         """Set the camera for new and open pages, if the scene requires another one."""
         if self._scene is None or self.bodies is None:
             return
-        camera = initial_camera(self._scene, self._file_vertices, self.bodies.drawn_objects())
+        camera = place_camera(self._scene, self._file_vertices, self.bodies.drawn_objects())
         if camera == self._camera:
             return
         self._camera = camera

@@ -11,7 +11,7 @@ import numpy as np
 from softfinger.config import schema
 from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.gestures import ONE_FINGER, Gesture, LiftedBox, Stage, half_width, lift
+from softfinger.server.viewer.gestures import ONE_FINGER, Gesture, LiftedBox, Stage, compute_half_width, lift
 from softfinger.server.viewer.hand import HandControls
 from softfinger.server.viewer.nodes.bodies import BodyNodes
 
@@ -35,7 +35,7 @@ class PageActions(NamedTuple):
     scene: Callable[[str], None]
 
 
-class Play:
+class GesturePlayer:
     """Gesture buttons; call `update` for each tick of a finger and `step` for each frame."""
 
     def __init__(self, gui: Any, hand: HandControls, actions: PageActions) -> None:
@@ -102,7 +102,9 @@ class Play:
         finger = self._hand.chosen_finger()
         if finger is None:
             return "the page cannot move this fingertip; use `softfinger run --view`"
-        stage = Stage(self._hand.target, self._proxy, self._normal_force, self._hand.radius, self._height)
+        stage = Stage(
+            self._hand.target, self._read_proxy, self._read_normal_force, self._hand.radius, self._measure_height
+        )
         if name == LIFT:
             return self._try_lift(stage)
         obstacle = self._find_obstacle(name, finger)
@@ -113,20 +115,20 @@ class Play:
     def _start(self, gesture: Gesture) -> None:
         self._gesture, self._is_new = gesture, True
 
-    def _proxy(self, finger: str) -> Array:
+    def _read_proxy(self, finger: str) -> Array:
         return self._rows[finger][AT.proxy_position : AT.proxy_position + 3]
 
-    def _normal_force(self, finger: str) -> float:
+    def _read_normal_force(self, finger: str) -> float:
         return float(self._rows[finger][AT.contact_normal_force])
 
-    def _height(self, point: Array) -> float | None:
+    def _measure_height(self, point: Array) -> float | None:
         projection = None if self._bodies is None else self._bodies.below(point)
         return None if projection is None else float(projection.point[2])
 
     def _find_obstacle(self, name: str, finger: str) -> str:
         """Return why a finger cannot perform a gesture here, else empty."""
         assert self._scene is not None and self._bodies is not None
-        projection = self._bodies.below(self._proxy(finger))
+        projection = self._bodies.below(self._read_proxy(finger))
         if projection is None:
             return "no object is below the fingertip: move it over one first"
         if projection.scene_index >= len(self._scene.object):
@@ -145,8 +147,8 @@ class Play:
         sides = self._hand.sides()
         for scene_index, obj in enumerate(self._scene.object):
             if len(sides) > 1 and isinstance(obj, schema.Box) and isinstance(obj.motion, schema.Body):
-                half = half_width(obj.size_m, self._bodies.poses[scene_index][1])
-                box = LiftedBox(partial(self._box_centre, scene_index), half, self._actions.reset_world)
+                half = compute_half_width(obj.size_m, self._bodies.poses[scene_index][1])
+                box = LiftedBox(partial(self._find_box_centre, scene_index), half, self._actions.reset_world)
                 self._start(lift(stage, sides[0], sides[1], box))
                 return ""
         if tuple(finger.name for finger in self._scene.fingers) != FINGERS or not sides:
@@ -155,6 +157,6 @@ class Play:
         self._actions.scene(LIFT_SCENE)
         return ""
 
-    def _box_centre(self, scene_index: int) -> Array:
+    def _find_box_centre(self, scene_index: int) -> Array:
         assert self._bodies is not None
         return np.array(self._bodies.poses[scene_index][0])

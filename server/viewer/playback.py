@@ -12,7 +12,7 @@ from softfinger.config import schema
 from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.load import build, load_scene
-from softfinger.proxy.pictures import Filed, picture_of
+from softfinger.proxy.pictures import Filed, make_picture
 from softfinger.proxy.record import AT
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.contents import read_recording
@@ -23,7 +23,7 @@ from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
 from softfinger.server.viewer.inputs import is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page, parse_scene_start
-from softfinger.server.viewer.timeline import Events, band, pointer
+from softfinger.server.viewer.timeline import Events, format_band, format_pointer
 
 TRACE_TICKS: Final = 2000
 """Ticks before the new position that are drawn as a trace after a seek."""
@@ -128,11 +128,11 @@ class Player:
         self._time = gui.add_markdown("")
         self._play = gui.add_checkbox("play", False)
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
-        self._pointer = gui.add_html(pointer(0.0))
+        self._pointer = gui.add_html(format_pointer(0.0))
         radii = {finger.name: max(finger.radii_m or (finger.radius_m,)) for finger in recording.scene.fingers}
         if len(radii) == 1:  # the records may have another name for a single finger
             radii = dict.fromkeys(recording.fingers, next(iter(radii.values())))
-        gui.add_html(band(recording.fingers, radii))
+        gui.add_html(format_band(recording.fingers, radii))
         gui.add_button_group("event", EVENTS).on_click(self._on_event_button)
         self._event_list = gui.add_html("")
 
@@ -165,7 +165,7 @@ class Player:
         first = max(0, current - TRACE_TICKS) if is_seek else self._last_drawn + 1
         self._last_drawn = current
         self._time.content = f"{current / self._rate_hz:.3f} s of {(self._count - 1) / self._rate_hz:.3f} s"
-        self._pointer.content = pointer(current / max(self._count - 1, 1))
+        self._pointer.content = format_pointer(current / max(self._count - 1, 1))
         self._event_list.content = self._events.format_html(current)
         return {name: rows[first : current + 1] for name, rows in self._fingers.items()}, is_seek
 
@@ -202,7 +202,7 @@ class RecordedPage:
     def _draw(self, scene_index: int, obj: Filed) -> None:
         """Draw the triangles of an object from a file, if the file exists."""
         try:
-            vertices, triangles = picture_of(obj).arrays
+            vertices, triangles = make_picture(obj).arrays
         except ConfigError as error:
             self._page.show_message(str(error))
             return

@@ -14,7 +14,7 @@ from softfinger.server.viewer.roles import ALLOWED, Role
 from softfinger.server.viewer.scripts import run_script
 from softfinger.server.viewer.wire import CommandQueue, QueuedCommand, TelemetryReceiver
 from softfinger.server.wire.client_requests import parse_number
-from softfinger.server.wire.commands import Prompt, Prompted
+from softfinger.server.wire.commands import Prompt, PromptResult
 from softfinger.server.wire.protocol import EVENT
 
 TEXT: Final = (
@@ -65,8 +65,8 @@ class PromptPanel:
             self._text = gui.add_html("")
             self._bar = gui.add_progress_bar(0.0, visible=False)
         self._controls: list[Any] = []
-        self.shown: Prompted | None = None
-        self._received: Prompted | None = None
+        self.shown: PromptResult | None = None
+        self._received: PromptResult | None = None
 
     def request(self) -> None:
         self._commands.submit("prompt", QueuedCommand("get_prompt", {}, self._store))
@@ -76,7 +76,7 @@ class PromptPanel:
         if event["kind"] == "lifecycle" or event["name"] in ("set_prompt", "answer"):
             self.request()
 
-    def _store(self, prompted: Prompted) -> None:
+    def _store(self, prompted: PromptResult) -> None:
         self._received = prompted
 
     def step(self) -> None:

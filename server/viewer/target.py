@@ -10,7 +10,7 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.below import UP
-from softfinger.server.viewer.nodes.glyphs import IDENTITY, Quaternion, axis_angle_rotation, product
+from softfinger.server.viewer.nodes.glyphs import IDENTITY, Quaternion, multiply, rotate_about
 
 MIN_VIEW_SINE: Final = 0.05
 """Minimum sine of the angle between view ray and plane; below it, one pixel would be a long distance."""
@@ -53,20 +53,22 @@ def drag_target(start: Target, eye: Array, grabbed: Array, pointer: Array, mode:
     displacement = (hit_point - grabbed) * (1.0, 1.0, 0.0)
     if mode == "move":
         return Target(start.position + displacement, start.orientation)
-    return Target(start.position + displacement, product(rolling_rotation(displacement, radius), start.orientation))
+    return Target(
+        start.position + displacement, multiply(compute_rolling_rotation(displacement, radius), start.orientation)
+    )
 
 
-def rolling_rotation(displacement: Array, radius: float) -> Quaternion:
+def compute_rolling_rotation(displacement: Array, radius: float) -> Quaternion:
     """Return the rotation of a ball that rolls horizontally by `displacement` (3,) m; the identity for zero."""
     length = float(np.linalg.norm(displacement))
-    return IDENTITY if length == 0.0 else axis_angle_rotation(np.cross(UP, displacement), length / radius)
+    return IDENTITY if length == 0.0 else rotate_about(np.cross(UP, displacement), length / radius)
 
 
 def nudge_target(start: Target, nudge: Nudge, radius: float) -> Target:
     """Return the target moved by an increment; a ball of `radius` (m) for rolling."""
     roll = np.array([nudge.roll_x, nudge.roll_y, 0.0])
-    rotation = product(axis_angle_rotation(UP, nudge.spin), rolling_rotation(roll, radius))
-    return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), product(rotation, start.orientation))
+    rotation = multiply(rotate_about(UP, nudge.spin), compute_rolling_rotation(roll, radius))
+    return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), multiply(rotation, start.orientation))
 
 
 def mirror_motion(displacement: Array, line: Array) -> Array:
@@ -85,9 +87,7 @@ def move_towards(position: Array, centre: Array, distance_m: float) -> Array:
 def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
     """Return the rotation about the world axes x, then y, then z; rad."""
     x, y, z = np.eye(3)
-    return product(
-        axis_angle_rotation(z, spin), product(axis_angle_rotation(y, roll_y), axis_angle_rotation(x, roll_x))
-    )
+    return multiply(rotate_about(z, spin), multiply(rotate_about(y, roll_y), rotate_about(x, roll_x)))
 
 
 def to_angles(q: Quaternion) -> tuple[float, float, float]:

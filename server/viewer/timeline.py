@@ -35,7 +35,7 @@ def find_state_runs(rows: Array, radius: float) -> list[tuple[int, VisibleState]
     return runs
 
 
-def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
+def format_band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
     """Return the HTML of a band per finger, of the length of the recording, with a legend."""
     count = max(len(rows) for rows in fingers.values())
     lines = []
@@ -43,7 +43,7 @@ def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
         runs = find_state_runs(rows, radii[name])
         ends = [first for first, _ in runs[1:]] + [len(rows)]
         boxes = "".join(
-            f'<rect x="{first}" width="{end - first}" height="1" fill="{_css(state)}"/>'
+            f'<rect x="{first}" width="{end - first}" height="1" fill="{_format_css(state)}"/>'
             for (first, state), end in zip(runs, ends, strict=True)
         )
         title = f'<div style="opacity: 0.75">{html.escape(name)}</div>' if name else ""
@@ -51,11 +51,11 @@ def band(fingers: dict[str, Array], radii: dict[str, float]) -> str:
             f'{title}<svg viewBox="0 0 {count} 1" preserveAspectRatio="none" '
             f'style="display: block; width: 100%; height: {HEIGHT}px">{boxes}</svg>'
         )
-    legend = " ".join(f'<span style="color: {_css(state)}">&#9632;</span> {state}' for state in VisibleState)
+    legend = " ".join(f'<span style="color: {_format_css(state)}">&#9632;</span> {state}' for state in VisibleState)
     return f'<div style="padding: 0 0.75em; font-size: 0.75em">{"".join(lines)}{legend}</div>'
 
 
-def pointer(share: float) -> str:
+def format_pointer(share: float) -> str:
     """Return the HTML of a pointer above a band at the position `share`, 0 to 1."""
     return (
         f'<div style="padding: 0 0.75em"><div style="margin-left: {100.0 * share:.2f}%; width: 0; '
@@ -64,7 +64,7 @@ def pointer(share: float) -> str:
     )
 
 
-def _css(state: VisibleState) -> str:
+def _format_css(state: VisibleState) -> str:
     return f"rgb{COLOURS[state]}"
 
 

@@ -30,7 +30,7 @@ class Knob(NamedTuple):
             self.slider.value = value
 
 
-def _friction(material: schema.Material, static: float) -> dict[str, float]:
+def _tune_friction(material: schema.Material, static: float) -> dict[str, float]:
     friction = material.friction
     share = friction.kinetic / friction.static if friction is not None and friction.static > 0.0 else 1.0
     return {"friction.static": static, "friction.kinetic": static * share}
@@ -59,7 +59,7 @@ class SceneControls:
             "friction": Knob(
                 gui.add_slider("friction", 0.0, 1.5, 0.01, 0.0),
                 lambda material: None if material.friction is None else material.friction.static,
-                _friction,
+                _tune_friction,
             ),
             "torsion": Knob(
                 gui.add_slider("torsion, N m/rad", 0.0, 0.2, 0.001, 0.0),
@@ -82,7 +82,7 @@ class SceneControls:
         self._object.visible = len(names) > 1
         self.show()
 
-    def _scene_index(self) -> int:
+    def _find_scene_index(self) -> int:
         return self._object.options.index(self._object.value) if self._object.value in self._object.options else 0
 
     def show(self) -> None:
@@ -90,7 +90,7 @@ class SceneControls:
         if self._scene is None:
             return
         for knob in self._knobs.values():
-            knob.show(self._scene.object[self._scene_index()].material)
+            knob.show(self._scene.object[self._find_scene_index()].material)
         self._rolling.value = NO_ROLLING if self._scene.rolling is None else self._scene.rolling.method
         names = tuple(list_shipped(schema.Scene))
         if self._name not in names:
@@ -105,7 +105,7 @@ class SceneControls:
         if not is_on_slider(self._knobs[name].slider):
             self.show()
             return
-        scene_index, knob = self._scene_index(), self._knobs[name]
+        scene_index, knob = self._find_scene_index(), self._knobs[name]
         changed = knob.keys(self._scene.object[scene_index].material, float(knob.slider.value))
         self._params(name, {f"object.{scene_index}.material.{key}": value for key, value in changed.items()})
 

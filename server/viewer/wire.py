@@ -14,7 +14,7 @@ from softfinger.config.errors import HapticError
 from softfinger.server.keys import ClientKeys
 from softfinger.server.wire.client import record_of, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, WORLD, finger_of
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, WORLD, find_finger
 
 QUEUE_MAX: Final = 8192
 """Maximum of queued ticks per finger, and of queued events."""
@@ -62,7 +62,7 @@ class TelemetryReceiver:
                 continue
             if sample is None:
                 continue
-            finger = finger_of(sample.topic)
+            finger = find_finger(sample.topic)
             if sample.topic == WORLD:
                 self._bodies = {body.name: (body.position, body.orientation) for body in sample.data.bodies}
             elif sample.topic == HEALTH:

@@ -35,11 +35,11 @@ from softfinger.server.wire.protocol import (
     SCENE_TOPICS,
     TOPICS,
     ProtocolError,
-    contact_topic,
     decode,
-    finger_of,
+    find_finger,
+    name_contact_topic,
 )
-from softfinger.server.wire.waits import milliseconds
+from softfinger.server.wire.waits import to_milliseconds
 
 _RECEIVE_BACKLOG: Final = 40960  # same as the publisher's: a short pause of the client loses nothing
 _LARGEST_FRAME: Final = 1 << 20  # ZeroMQ disconnects a peer that sends more, before it allocates
@@ -169,7 +169,7 @@ class Subscription(Closeable):
         """
         if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait forever
             self._connect()
-        wait_ms = milliseconds(timeout_s)
+        wait_ms = to_milliseconds(timeout_s)
         if wait_ms != self._wait_ms:  # timeout of the socket: polling first would take half as long again
             self._socket.rcvtimeo = self._wait_ms = wait_ms
         try:
@@ -184,11 +184,11 @@ class Subscription(Closeable):
         topic, body = frames
         message = decode(topic, body)
         name = topic.decode()
-        if finger_of(name) is None:
+        if find_finger(name) is None:
             return Sample(name, message)
-        return Sample(name, message, self._lost_before(name, message.tick, message.every))
+        return Sample(name, message, self._count_lost(name, message.tick, message.every))
 
-    def _lost_before(self, topic: str, tick: int, every: int) -> int:
+    def _count_lost(self, topic: str, tick: int, every: int) -> int:
         before, self._ticks[topic] = self._ticks.get(topic), tick
         if before is None or tick <= before:  # the first tick, or the server was restarted
             return 0
@@ -259,14 +259,14 @@ def explain_no_telemetry(endpoint: str, waited_s: float) -> str:
 def record_of(sample: Sample) -> list[float]:
     """Convert a contact message to the record (RECORD_SIZE,) that was published."""
     message = sample.data
-    row = _flat(_VALUES_BEFORE(message))
+    row = _flatten(_VALUES_BEFORE(message))
     for patch in message.contacts:
-        row += _flat(_PATCH_VALUES(patch))
+        row += _flatten(_PATCH_VALUES(patch))
     row += _NO_PATCH * (PATCHES - len(message.contacts))
-    return row + _flat(_VALUES_AFTER(message))
+    return row + _flatten(_VALUES_AFTER(message))
 
 
-def _flat(values: tuple[Any, ...]) -> list[float]:
+def _flatten(values: tuple[Any, ...]) -> list[float]:
     row: list[float] = []
     for value in values:
         if isinstance(value, tuple):
@@ -312,7 +312,7 @@ class Window(Closeable):
         self._tick = -1
         self.lost = 0
         """Published ticks that did not arrive since the window was opened."""
-        self._subscription = Subscription(endpoint, (contact_topic(finger),), keys=keys)
+        self._subscription = Subscription(endpoint, (name_contact_topic(finger),), keys=keys)
 
     def update(self, timeout_s: float = 0.0) -> int:
         """Read the ticks that have arrived.

@@ -11,12 +11,12 @@ import numpy as np
 import zmq
 
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
-from softfinger.config.schema import Telemetry, commands_address_for, runtime_folder
+from softfinger.config.schema import Telemetry, find_runtime_folder, make_commands_address
 from softfinger.server.keys import ClientKeys
 from softfinger.server.socket_process.brake import FORCE_OFF_METHODS
 from softfinger.server.socket_process.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import check_runtime_folder
-from softfinger.server.wire.envelope import expiry
+from softfinger.server.wire.envelope import compute_expiry
 
 R = TypeVar("R")
 
@@ -36,9 +36,9 @@ class NoAnswer(HapticError):
     exit_code = 9
 
 
-def default_commands() -> str:
+def find_default_commands() -> str:
     """Return the default command endpoint of a daemon of this user."""
-    return commands_address_for(Telemetry().endpoint)
+    return make_commands_address(Telemetry().endpoint)
 
 
 def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
@@ -51,7 +51,7 @@ def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> 
     if keys is not None:
         keys.apply_to(socket)
     try:
-        if endpoint.startswith(f"ipc://{runtime_folder()}/"):
+        if endpoint.startswith(f"ipc://{find_runtime_folder()}/"):
             check_runtime_folder()
     except ConfigError:
         socket.close()
@@ -68,9 +68,9 @@ def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> 
 def encode_request(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:
     """Return the id and the frames of a request; raises ConfigError if it cannot be encoded."""
     command_id = uuid.uuid4().hex
-    request = {"command_id": command_id, "method": method, "params": params, "expires": expiry(wait_s)}
+    request = {"command_id": command_id, "method": method, "params": params, "expires": compute_expiry(wait_s)}
     try:
-        body = msgspec.msgpack.encode(request, enc_hook=_plain)
+        body = msgspec.msgpack.encode(request, enc_hook=_to_plain)
     except (TypeError, ValueError, OverflowError) as error:  # text that is not valid Unicode raises a ValueError
         raise ConfigError(f"{method}: cannot be sent: {error}") from error
     if len(body) > REQUEST_MAX:
@@ -78,7 +78,7 @@ def encode_request(method: str, params: Any, wait_s: float) -> tuple[str, list[b
     return command_id, [b"", body]
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     """Convert arrays and numbers of NumPy, as they come from records and telemetry."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
@@ -94,14 +94,14 @@ def decode_answer(frames: list[bytes]) -> dict[str, Any]:
     return answer if isinstance(answer, dict) else {}
 
 
-def result_of(answer: dict[str, Any], kind: type[R]) -> R:
+def extract_result(answer: dict[str, Any], kind: type[R]) -> R:
     """Return the result in an answer; raises CommandRefused if the daemon refused the request."""
     if answer.get("success") is not True:
         raise CommandRefused(str(answer.get("error")))
     return msgspec.convert(answer.get("result"), kind)
 
 
-def no_answer_error(method: str, endpoint: str, waited_s: float) -> NoAnswer:
+def make_no_answer_error(method: str, endpoint: str, waited_s: float) -> NoAnswer:
     """Return the error, with possible causes."""
     return NoAnswer(
         f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
@@ -109,14 +109,14 @@ def no_answer_error(method: str, endpoint: str, waited_s: float) -> NoAnswer:
     )
 
 
-def timeout_for(method: str, timeout_s: float | None) -> float:
+def choose_timeout(method: str, timeout_s: float | None) -> float:
     """Return the time (s) to wait for an answer: the user's value, or the default of the method."""
     if timeout_s is not None:
         return timeout_s
     return SCENE_TIMEOUT_S if method in ("set_scene", "reset_world") else TIMEOUT_S
 
 
-def or_unset(value: R | None) -> R | msgspec.UnsetType:
+def to_unset(value: R | None) -> R | msgspec.UnsetType:
     """Return a parameter, or UNSET for None."""
     return msgspec.UNSET if value is None else value
 

@@ -44,7 +44,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
-class State(Struct, frozen=True):
+class StateResult(Struct, frozen=True):
     """State of the first fingertip.
 
     `timestamp` is in s on CLOCK_MONOTONIC; position (m), velocity (m/s) and force (N) are in the world frame;
@@ -60,7 +60,7 @@ class State(Struct, frozen=True):
     field_state: dict[str, Any]
 
 
-class Alive(Struct, frozen=True):
+class HeartbeatResult(Struct, frozen=True):
     """Time within which the next command must arrive, ms; 0: no heartbeat is required."""
 
     timeout_ms: int
@@ -80,7 +80,7 @@ class Change(Struct, frozen=True, rename={"before": "from", "after": "to"}):
     after: Any
 
 
-class Changed(Struct, frozen=True):
+class SetParamsResult(Struct, frozen=True):
     """Keys with a new value.
 
     `changed` has `from` and `to` of each. Parameters that act on the force reach their value `ramp_s` after `tick`.
@@ -103,7 +103,7 @@ class SetScene(Struct, frozen=True, forbid_unknown_fields=True):
     name: Annotated[str, Meta(max_length=64)] = ""
 
 
-class SceneSet(Struct, frozen=True):
+class SetSceneResult(Struct, frozen=True):
     """The new scene, and the first tick that renders it."""
 
     active_field: str
@@ -121,7 +121,7 @@ class Drive(Struct, frozen=True, forbid_unknown_fields=True):
     orientation_wxyz: Quaternion | msgspec.UnsetType = msgspec.UNSET
 
 
-class Hand(Struct, frozen=True, forbid_unknown_fields=True):
+class HandTarget(Struct, frozen=True, forbid_unknown_fields=True):
     """Goal pose of the fingertip in the world.
 
     Without `orientation_wxyz` the orientation does not change. `release` returns the hand to the motion of its rig.
@@ -142,7 +142,7 @@ class Hold(Struct, frozen=True, forbid_unknown_fields=True):
     finger: Name | Annotated[int, Meta(ge=0)] | msgspec.UnsetType = msgspec.UNSET
 
 
-class Held(Struct, frozen=True):
+class HandPose(Struct, frozen=True):
     """Goal pose of the hand in the world. In a grip it is deeper in the object than the fingertip."""
 
     position_m: Vector
@@ -150,13 +150,13 @@ class Held(Struct, frozen=True):
     tick: int
 
 
-class Applied(Struct, frozen=True):
+class AppliedResult(Struct, frozen=True):
     """At least `tick` ticks had started without the change; the second tick after it has the change."""
 
     tick: int
 
 
-class Armed(Struct, frozen=True):
+class ArmResult(Struct, frozen=True):
     """`armed` is true if the force is on or fading in."""
 
     armed: bool
@@ -170,7 +170,7 @@ class Zero(Struct, frozen=True, forbid_unknown_fields=True):
     reset: bool = False
 
 
-class Zeroed(Struct, frozen=True):
+class ZeroResult(Struct, frozen=True):
     """`offset_m` is added to the position that the device reports."""
 
     offset_m: Vector
@@ -227,7 +227,7 @@ class PromptScreen(TypedDict, total=False):
     volume: float
 
 
-class Prompted(Struct, frozen=True):
+class PromptResult(Struct, frozen=True):
     """Current prompt.
 
     `number` counts prompts; `open` is true while the prompt waits for an answer. `answer` arrived `after_s` after the
@@ -261,14 +261,14 @@ class RecordStart(Struct, frozen=True, forbid_unknown_fields=True):
     file: Name
 
 
-class RecordStarted(Struct, frozen=True):
+class RecordStartResult(Struct, frozen=True):
     """File name, and the first tick that is recorded."""
 
     file: str
     tick: int
 
 
-class RecordStopped(Struct, frozen=True):
+class RecordStopResult(Struct, frozen=True):
     """Result of a recording.
 
     `ticks` were written; `dropped` ticks and `events_dropped` events were lost because the disk was too slow. `error`
@@ -286,13 +286,13 @@ class RecordStopped(Struct, frozen=True):
     worst_write_s: float
 
 
-class OfObject(Struct, frozen=True, forbid_unknown_fields=True):
+class ObjectReference(Struct, frozen=True, forbid_unknown_fields=True):
     """An object of shape `mesh` or `heightmap`."""
 
     object: Name | Annotated[int, Meta(ge=0)]
 
 
-class Triangles(Struct, frozen=True):
+class MeshResult(Struct, frozen=True):
     """Triangles of an object.
 
     `vertices` are x, y, z of each vertex in the object frame (m, float32), `triangles` three vertex indices each
@@ -305,7 +305,7 @@ class Triangles(Struct, frozen=True):
     of: int
 
 
-class Stopping(Struct, frozen=True):
+class StopResult(Struct, frozen=True):
     """The daemon is shutting down."""
 
     shutting_down: bool
@@ -320,34 +320,36 @@ class Method(NamedTuple):
 
 
 METHODS: Final = {
-    "get_state": Method(Empty, State, "Return the latest tick of the first finger."),
-    "heartbeat": Method(Empty, Alive, "Send a heartbeat; restores the force that a missed one removed."),
-    "set_params": Method(Values, Changed, "Change parameters of the scene, all between the same two ticks or none."),
-    "set_scene": Method(SetScene, SceneSet, "Compile another scene, then switch to it at zero force."),
-    "reset_world": Method(Empty, Applied, "Return the bodies of [world] to their initial poses, at zero force."),
-    "drive": Method(Drive, Applied, "Set the pose of a driven object."),
-    "hand": Method(Hand, Applied, "Set the goal of the hand on a simulated device."),
-    "hold": Method(Hold, Held, "Keep the current goal of the hand on a simulated device, and return it."),
-    "arm": Method(Empty, Armed, "Fade the force in."),
-    "disarm": Method(Empty, Armed, "Reduce the force to zero and keep it there."),
-    "zero": Method(Zero, Zeroed, "Define the current position of the probe; only while disarmed."),
-    "mark": Method(Mark, Applied, "Publish an event with a label."),
-    "get_prompt": Method(Empty, Prompted, "Return the prompt and its answer."),
-    "set_prompt": Method(Prompt, Prompted, "Show a text or a question on every page."),
-    "answer": Method(Answer, Applied, "Answer the question of the prompt; the first answer counts."),
-    "record_start": Method(RecordStart, RecordStarted, "Record every tick and event into a new MCAP file."),
-    "record_stop": Method(Empty, RecordStopped, "End the recording."),
+    "get_state": Method(Empty, StateResult, "Return the latest tick of the first finger."),
+    "heartbeat": Method(Empty, HeartbeatResult, "Send a heartbeat; restores the force that a missed one removed."),
+    "set_params": Method(
+        Values, SetParamsResult, "Change parameters of the scene, all between the same two ticks or none."
+    ),
+    "set_scene": Method(SetScene, SetSceneResult, "Compile another scene, then switch to it at zero force."),
+    "reset_world": Method(Empty, AppliedResult, "Return the bodies of [world] to their initial poses, at zero force."),
+    "drive": Method(Drive, AppliedResult, "Set the pose of a driven object."),
+    "hand": Method(HandTarget, AppliedResult, "Set the goal of the hand on a simulated device."),
+    "hold": Method(Hold, HandPose, "Keep the current goal of the hand on a simulated device, and return it."),
+    "arm": Method(Empty, ArmResult, "Fade the force in."),
+    "disarm": Method(Empty, ArmResult, "Reduce the force to zero and keep it there."),
+    "zero": Method(Zero, ZeroResult, "Define the current position of the probe; only while disarmed."),
+    "mark": Method(Mark, AppliedResult, "Publish an event with a label."),
+    "get_prompt": Method(Empty, PromptResult, "Return the prompt and its answer."),
+    "set_prompt": Method(Prompt, PromptResult, "Show a text or a question on every page."),
+    "answer": Method(Answer, AppliedResult, "Answer the question of the prompt; the first answer counts."),
+    "record_start": Method(RecordStart, RecordStartResult, "Record every tick and event into a new MCAP file."),
+    "record_stop": Method(Empty, RecordStopResult, "End the recording."),
     "describe": Method(Empty, dict[str, Any], "Return protocol, rig, scene, fingers, versions and compiled features."),
-    "mesh": Method(OfObject, Triangles, "Return the triangles of a mesh or height map, for display."),
-    "stop": Method(Empty, Stopping, "End the daemon in order."),
+    "mesh": Method(ObjectReference, MeshResult, "Return the triangles of a mesh or height map, for display."),
+    "stop": Method(Empty, StopResult, "End the daemon in order."),
 }
 
 
-def state_of(record: NDArray[np.float64], epoch_s: float, scene: str) -> State:
+def make_state(record: NDArray[np.float64], epoch_s: float, scene: str) -> StateResult:
     """Return the state of a record (RECORD_SIZE,); `epoch_s` is the offset of the epoch from CLOCK_MONOTONIC, s."""
     row = record.tolist()
     mode, touched, depth = row[AT.contact_mode], row[AT.contact_object], row[AT.contact_penetration]
-    return State(
+    return StateResult(
         timestamp=row[AT.timestamp] - epoch_s,
         sequence=int(row[AT.tick]),
         position=tuple(row[AT.probe_position : AT.probe_position + 3]),
@@ -359,7 +361,7 @@ def state_of(record: NDArray[np.float64], epoch_s: float, scene: str) -> State:
 
 
 @cache
-def schema() -> dict[str, Any]:
+def make_schema() -> dict[str, Any]:
     """Return all methods with the JSON Schema of their parameters and results, and all errors.
 
     It takes 6 ms, and each answer to `describe` contains it.
@@ -381,16 +383,16 @@ def schema() -> dict[str, Any]:
     }
 
 
-def fields(kind: Any) -> str:
+def describe_fields(kind: Any) -> str:
     """Describe the fields of a map of this type for people; optional ones are in brackets."""
     info = inspect.type_info(kind)
     if isinstance(info, inspect.StructType):
-        return ", ".join(map(_field, info.fields))
-    return "a value for each dotted key" if kind is Values else _type_text(info)
+        return ", ".join(map(_describe_field, info.fields))
+    return "a value for each dotted key" if kind is Values else _describe_type(info)
 
 
-def _field(field: inspect.Field) -> str:
-    text = f"{field.encode_name}: {_type_text(field.type)}"
+def _describe_field(field: inspect.Field) -> str:
+    text = f"{field.encode_name}: {_describe_type(field.type)}"
     return text if field.required else f"[{text}]"
 
 
@@ -402,12 +404,14 @@ _PLAIN: Final = {
 }
 
 
-def _type_text(info: inspect.Type) -> str:
+def _describe_type(info: inspect.Type) -> str:
     match info:
         case inspect.Metadata():
-            return _type_text(info.type)
+            return _describe_type(info.type)
         case inspect.UnionType():
-            return " or ".join(_type_text(member) for member in info.types if not isinstance(member, inspect.NoneType))
+            return " or ".join(
+                _describe_type(member) for member in info.types if not isinstance(member, inspect.NoneType)
+            )
         case inspect.TupleType():
             return f"{len(info.item_types)} numbers"
         case inspect.DictType() | inspect.StructType():
@@ -417,6 +421,6 @@ def _type_text(info: inspect.Type) -> str:
     return _PLAIN.get(type(info), "true or false")
 
 
-def table() -> Mapping[str, tuple[str, str, str]]:
+def make_table() -> Mapping[str, tuple[str, str, str]]:
     """Return parameters, result and description of each method as text."""
-    return {name: (fields(m.params), fields(m.result), m.meaning) for name, m in METHODS.items()}
+    return {name: (describe_fields(m.params), describe_fields(m.result), m.meaning) for name, m in METHODS.items()}

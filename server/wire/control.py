@@ -32,16 +32,16 @@ from softfinger.server.wire.client_requests import (
     TIMEOUT_S,
     NoAnswer,
     R,
+    choose_timeout,
     connect,
     decode_answer,
-    default_commands,
     encode_request,
-    no_answer_error,
-    or_unset,
-    result_of,
-    timeout_for,
+    extract_result,
+    find_default_commands,
+    make_no_answer_error,
+    to_unset,
 )
-from softfinger.server.wire.waits import milliseconds
+from softfinger.server.wire.waits import to_milliseconds
 
 P = ParamSpec("P")
 
@@ -63,7 +63,7 @@ class Control(Closeable):
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s, self._keys = endpoint or default_commands(), timeout_s, keys
+        self.endpoint, self.timeout_s, self._keys = endpoint or find_default_commands(), timeout_s, keys
         self._connect()
 
     def _connect(self) -> None:
@@ -87,25 +87,25 @@ class Control(Closeable):
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
         if self._process != os.getpid():  # a socket does not survive a fork: libzmq would wait forever
             self._connect()
-        wait_s = timeout_for(method, self.timeout_s)
+        wait_s = choose_timeout(method, self.timeout_s)
         if wait_s > TIMEOUT_S and self.timeout_s is None:
             self._check_answers(method)
-        until = time.monotonic() + milliseconds(wait_s) / 1000.0
+        until = time.monotonic() + to_milliseconds(wait_s) / 1000.0
         command_id, frames = encode_request(method, params, wait_s)
         send_at = now = time.monotonic()
         while now < until:
             # Sending is impossible if the peer is not a ROUTER or has left a thousand requests unanswered, and libzmq
             # may disconnect at any moment.
-            if now >= send_at and self._socket.poll(milliseconds(until - now), zmq.POLLOUT):
+            if now >= send_at and self._socket.poll(to_milliseconds(until - now), zmq.POLLOUT):
                 with contextlib.suppress(zmq.Again):
                     self._socket.send_multipart(frames, zmq.NOBLOCK)
                     send_at = now + RESEND_S if method in RESENT else until
-            elif self._socket.poll(milliseconds(min(send_at, until) - now)):
+            elif self._socket.poll(to_milliseconds(min(send_at, until) - now)):
                 answer = decode_answer(self._socket.recv_multipart())
                 if answer.get("command_id") == command_id:  # not a late answer to an earlier request
-                    return result_of(answer, kind)
+                    return extract_result(answer, kind)
             now = time.monotonic()
-        raise no_answer_error(method, self.endpoint, wait_s)
+        raise make_no_answer_error(method, self.endpoint, wait_s)
 
     def post(self, method: str) -> None:
         """Send a request without parameters and ignore its answer."""
@@ -115,43 +115,43 @@ class Control(Closeable):
     def _check_answers(self, method: str) -> None:
         """Raise NoAnswer if a short request gets no answer, instead of waiting for as long as `method` may take."""
         try:
-            self._ask("get_state", commands.Empty(), commands.State)
+            self._ask("get_state", commands.Empty(), commands.StateResult)
         except CommandRefused:  # this is an answer, too
             return
         except NoAnswer as error:
-            raise no_answer_error(method, self.endpoint, TIMEOUT_S) from error
+            raise make_no_answer_error(method, self.endpoint, TIMEOUT_S) from error
 
-    def get_state(self) -> commands.State:
+    def get_state(self) -> commands.StateResult:
         """Return the latest tick of the first finger: position, velocity, force, contact."""
-        return self._ask("get_state", commands.Empty(), commands.State)
+        return self._ask("get_state", commands.Empty(), commands.StateResult)
 
-    def heartbeat(self) -> commands.Alive:
+    def heartbeat(self) -> commands.HeartbeatResult:
         """Send a sign of life, for a rig with `heartbeat_s`; restores the force that a missed heartbeat removed."""
-        return self._ask("heartbeat", commands.Empty(), commands.Alive)
+        return self._ask("heartbeat", commands.Empty(), commands.HeartbeatResult)
 
-    def set_params(self, values: Mapping[str, Any]) -> commands.Changed:
+    def set_params(self, values: Mapping[str, Any]) -> commands.SetParamsResult:
         """Change parameters of the scene by dotted key, all between the same two ticks or none; return the changes."""
-        return self._ask("set_params", values, commands.Changed)
+        return self._ask("set_params", values, commands.SetParamsResult)
 
     def set_scene(
         self, scene: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None, name: str = ""
-    ) -> commands.SceneSet:
+    ) -> commands.SetSceneResult:
         """Replace the scene, starting from zero force: a shipped scene by name, or a mapping like a file.
 
         The new scene is compiled first.
         """
         source = scene if isinstance(scene, str) else dict(scene)
-        return self._ask("set_scene", commands.SetScene(source, dict(overrides or {}), name), commands.SceneSet)
+        return self._ask("set_scene", commands.SetScene(source, dict(overrides or {}), name), commands.SetSceneResult)
 
-    def reset_world(self) -> commands.Applied:
+    def reset_world(self) -> commands.AppliedResult:
         """Reset the bodies of the scene's [world] to their initial poses, at zero force."""
-        return self._ask("reset_world", commands.Empty(), commands.Applied)
+        return self._ask("reset_world", commands.Empty(), commands.AppliedResult)
 
     def drive(
         self, what: str | int, position_m: commands.Vector, orientation_wxyz: commands.Quaternion | None = None
-    ) -> commands.Applied:
+    ) -> commands.AppliedResult:
         """Set the pose of a driven object, by name or index: position (m, world) and orientation (w, x, y, z)."""
-        return self._ask("drive", commands.Drive(what, position_m, or_unset(orientation_wxyz)), commands.Applied)
+        return self._ask("drive", commands.Drive(what, position_m, to_unset(orientation_wxyz)), commands.AppliedResult)
 
     def hand(
         self,
@@ -159,7 +159,7 @@ class Control(Closeable):
         orientation_wxyz: commands.Quaternion | None = None,
         finger: str | int | None = None,
         release: bool = False,
-    ) -> commands.Applied:
+    ) -> commands.AppliedResult:
         """Set the goal pose of the fingertip for the hand on a simulated device.
 
         Refused for any other device, and for a hand that is moved by a puck.
@@ -177,38 +177,38 @@ class Control(Closeable):
         """
         return self._ask(
             "hand",
-            commands.Hand(or_unset(position_m), or_unset(orientation_wxyz), or_unset(finger), release),
-            commands.Applied,
+            commands.HandTarget(to_unset(position_m), to_unset(orientation_wxyz), to_unset(finger), release),
+            commands.AppliedResult,
         )
 
-    def hold(self, finger: str | int | None = None) -> commands.Held:
+    def hold(self, finger: str | int | None = None) -> commands.HandPose:
         """Hold the hand on a simulated device at its present goal, with its grip force; return that goal."""
-        return self._ask("hold", commands.Hold(or_unset(finger)), commands.Held)
+        return self._ask("hold", commands.Hold(to_unset(finger)), commands.HandPose)
 
-    def arm(self) -> commands.Armed:
+    def arm(self) -> commands.ArmResult:
         """Let the force fade in along the guard's ramp."""
-        return self._ask("arm", commands.Empty(), commands.Armed)
+        return self._ask("arm", commands.Empty(), commands.ArmResult)
 
-    def disarm(self) -> commands.Armed:
+    def disarm(self) -> commands.ArmResult:
         """Turn off the force of all fingers until `arm`; ticks continue. Not an emergency stop."""
-        return self._ask("disarm", commands.Empty(), commands.Armed)
+        return self._ask("disarm", commands.Empty(), commands.ArmResult)
 
     def zero(
         self, position_m: commands.Vector = (0.0, 0.0, 0.0), finger: str | int | None = None, reset: bool = False
-    ) -> commands.Zeroed:
+    ) -> commands.ZeroResult:
         """Define the present position (m, world) of the probe; `reset` removes the offset.
 
         `finger` is a name or an index. Refused while the force may be on: `disarm` first.
         """
-        return self._ask("zero", commands.Zero(position_m, or_unset(finger), reset), commands.Zeroed)
+        return self._ask("zero", commands.Zero(position_m, to_unset(finger), reset), commands.ZeroResult)
 
-    def mark(self, label: str, data: Mapping[str, Any] | None = None) -> commands.Applied:
+    def mark(self, label: str, data: Mapping[str, Any] | None = None) -> commands.AppliedResult:
         """Publish an event with a label, which is also part of every recording."""
-        return self._ask("mark", commands.Mark(label, dict(data or {})), commands.Applied)
+        return self._ask("mark", commands.Mark(label, dict(data or {})), commands.AppliedResult)
 
-    def get_prompt(self) -> commands.Prompted:
+    def get_prompt(self) -> commands.PromptResult:
         """Return the prompt that pages show the participant, and its answer."""
-        return self._ask("get_prompt", commands.Empty(), commands.Prompted)
+        return self._ask("get_prompt", commands.Empty(), commands.PromptResult)
 
     def set_prompt(
         self,
@@ -219,38 +219,38 @@ class Control(Closeable):
         number: tuple[float, float] | None = None,
         text_length: int = 0,
         **screen: Unpack[commands.PromptScreen],
-    ) -> commands.Prompted:
+    ) -> commands.PromptResult:
         """Show a title, a text, progress (done, total) and a question on all pages.
 
         The answer is one of `choices`, a number in the range `number`, or a text of at most `text_length` characters.
         `screen` is what the participant's page adds: `colour`, `image`, `masking_noise`, `volume`, as in `Prompt`.
         """
         prompt = commands.Prompt(title, text, *progress, tuple(choices), number, text_length, **screen)
-        return self._ask("set_prompt", prompt, commands.Prompted)
+        return self._ask("set_prompt", prompt, commands.PromptResult)
 
-    def answer(self, value: str | float, prompt: int | None = None) -> commands.Applied:
+    def answer(self, value: str | float, prompt: int | None = None) -> commands.AppliedResult:
         """Answer the question with this prompt number, by default the present one; refused if none is open."""
-        return self._ask("answer", commands.Answer(value, prompt), commands.Applied)
+        return self._ask("answer", commands.Answer(value, prompt), commands.AppliedResult)
 
-    def record_start(self, file: str) -> commands.RecordStarted:
+    def record_start(self, file: str) -> commands.RecordStartResult:
         """Record every tick and event into a new .mcap file below the rig's [recording] directory."""
-        return self._ask("record_start", commands.RecordStart(file), commands.RecordStarted)
+        return self._ask("record_start", commands.RecordStart(file), commands.RecordStartResult)
 
-    def record_stop(self) -> commands.RecordStopped:
+    def record_stop(self) -> commands.RecordStopResult:
         """End the recording; return its number of ticks and other statistics."""
-        return self._ask("record_stop", commands.Empty(), commands.RecordStopped)
+        return self._ask("record_stop", commands.Empty(), commands.RecordStopResult)
 
     def describe(self) -> dict[str, Any]:
         """Return rig, scene, device, fingers, versions, and the protocol as data."""
         return self._ask("describe", commands.Empty(), dict)
 
-    def mesh(self, what: str | int) -> commands.Triangles:
+    def mesh(self, what: str | int) -> commands.MeshResult:
         """Return the triangles of an object that is a mesh or a height map, by name or index, for display."""
-        return self._ask("mesh", commands.OfObject(what), commands.Triangles)
+        return self._ask("mesh", commands.ObjectReference(what), commands.MeshResult)
 
-    def stop(self) -> commands.Stopping:
+    def stop(self) -> commands.StopResult:
         """End the daemon in order."""
-        return self._ask("stop", commands.Empty(), commands.Stopping)
+        return self._ask("stop", commands.Empty(), commands.StopResult)
 
     def close(self) -> None:
         """Disconnect; may be called repeatedly."""
@@ -276,7 +276,7 @@ class AsyncControl:
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s, self._keys = endpoint or default_commands(), timeout_s, keys
+        self.endpoint, self.timeout_s, self._keys = endpoint or find_default_commands(), timeout_s, keys
         self._connect()
 
     def _connect(self) -> None:
@@ -294,30 +294,30 @@ class AsyncControl:
         if self._process != os.getpid():  # as in Control
             self._connect()
             self._reader = asyncio.create_task(self._read())
-        wait_s = timeout_for(method, self.timeout_s)
+        wait_s = choose_timeout(method, self.timeout_s)
         if wait_s > TIMEOUT_S and self.timeout_s is None:
             await self._check_answers(method)
         command_id, frames = encode_request(method, params, wait_s)
         answer = self._waiting[command_id] = asyncio.get_running_loop().create_future()
         try:
-            async with asyncio.timeout(milliseconds(wait_s) / 1000.0):
+            async with asyncio.timeout(to_milliseconds(wait_s) / 1000.0):
                 await self._socket.send_multipart(frames)  # waits as long as sending is impossible
                 while method in RESENT and not (await asyncio.wait([answer], timeout=RESEND_S))[0]:
                     await self._socket.send_multipart(frames)
-                return result_of(await answer, kind)
+                return extract_result(await answer, kind)
         except TimeoutError:
-            raise no_answer_error(method, self.endpoint, wait_s) from None
+            raise make_no_answer_error(method, self.endpoint, wait_s) from None
         finally:
             del self._waiting[command_id]
 
     async def _check_answers(self, method: str) -> None:
         """Raise NoAnswer as in Control."""
         try:
-            await self._ask("get_state", commands.Empty(), commands.State)
+            await self._ask("get_state", commands.Empty(), commands.StateResult)
         except CommandRefused:
             return
         except NoAnswer as error:
-            raise no_answer_error(method, self.endpoint, TIMEOUT_S) from error
+            raise make_no_answer_error(method, self.endpoint, TIMEOUT_S) from error
 
     async def _read(self) -> None:
         while True:

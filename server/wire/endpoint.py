@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.files import check_owner
-from softfinger.config.schema import runtime_folder
-from softfinger.drivers.system.discovery import holder
+from softfinger.config.schema import find_runtime_folder
+from softfinger.drivers.system.discovery import find_holder
 
 LISTEN_BACKLOG: Final = 128
 """Connections that the system queues until they are accepted."""
@@ -75,7 +75,7 @@ def make_runtime_folder() -> None:
 
     Raises ConfigError if it cannot be created, and as `check_runtime_folder` does.
     """
-    folder = runtime_folder()
+    folder = find_runtime_folder()
     try:
         folder.mkdir(mode=0o700)
     except FileExistsError:
@@ -93,7 +93,7 @@ def check_runtime_folder() -> None:
 
     A missing folder is valid.
     """
-    folder = runtime_folder()
+    folder = find_runtime_folder()
     try:
         status = folder.lstat()
     except FileNotFoundError:
@@ -128,7 +128,7 @@ def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> 
             listener.listen(LISTEN_BACKLOG)
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                raise _in_use_error(endpoint, key) from error
+                raise _make_in_use_error(endpoint, key) from error
             raise ConfigError(
                 f"{key} = {endpoint!r} cannot be bound: {error.strerror or error}; choose another"
             ) from error
@@ -150,7 +150,7 @@ def _listen_tcp(address: str) -> socket.socket:
 
 
 def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack, own: bool) -> socket.socket:
-    if path.parent == runtime_folder():
+    if path.parent == find_runtime_folder():
         make_runtime_folder()
     files.callback(os.close, _claim(path, endpoint, key))
     path.unlink(missing_ok=True)  # left by a server that has exited: this process has the lock
@@ -187,13 +187,13 @@ def _claim(path: Path, endpoint: str, key: str) -> int:
         fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(lock_file)
-        raise _in_use_error(endpoint, key) from error
+        raise _make_in_use_error(endpoint, key) from error
     return lock_file
 
 
-def _in_use_error(endpoint: str, key: str) -> AddressInUse:
+def _make_in_use_error(endpoint: str, key: str) -> AddressInUse:
     scheme, _, address = endpoint.partition("://")
-    program = holder(f"{address}.lock") if scheme == "ipc" else _find_listener(int(address.rpartition(":")[2]))
+    program = find_holder(f"{address}.lock") if scheme == "ipc" else _find_listener(int(address.rpartition(":")[2]))
     free = "another path" if endpoint.startswith("ipc:") else "another port (tcp://127.0.0.1:* selects a free one)"
     return AddressInUse(
         f"{key} {endpoint} is in use: stop {program or 'the softfinger or other program that holds it'}, "

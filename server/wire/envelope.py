@@ -27,7 +27,7 @@ ERROR_MAX: Final = 4096
 """Longest text of an error: a scene may have a thousand faults."""
 
 
-class Declined(Exception):
+class DeclinedRequest(Exception):
     """Rejection of a request; nothing has changed."""
 
     def __init__(self, name: ErrorName, text: str, command_id: str = "") -> None:
@@ -52,7 +52,7 @@ class _Envelope(Struct, frozen=True):
     expires: tuple[str, float] | None = None
 
 
-def expiry(wait_s: float) -> tuple[str, float] | None:
+def compute_expiry(wait_s: float) -> tuple[str, float] | None:
     """Return the expiry of a request: boot id of the client's machine, and time on its CLOCK_MONOTONIC, s.
 
     None if the boot id is unknown or the wait is infinite.
@@ -60,32 +60,32 @@ def expiry(wait_s: float) -> tuple[str, float] | None:
     return (_BOOT, time.monotonic() + wait_s) if _BOOT and wait_s < math.inf else None
 
 
-def _boot() -> str:
+def _read_boot_id() -> str:
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
     except OSError:
         return ""
 
 
-_BOOT: Final = _boot()
+_BOOT: Final = _read_boot_id()
 
 
 def parse(body: bytes | None) -> Request:
     """Decode and validate the body of a request, of bounded size; None is a message with other frames.
 
-    Raises Declined if it is invalid or has expired.
+    Raises DeclinedRequest if it is invalid or has expired.
     """
     if body is None:
-        raise Declined("malformed", "a request has two frames: an empty one and a msgpack map")
+        raise DeclinedRequest("malformed", "a request has two frames: an empty one and a msgpack map")
     try:
         # msgpack, not msgspec: it checks a declared length before it allocates, and bounds its stack.
         decoded = msgpack.unpackb(body)
     except Exception as error:  # a dozen classes are possible
-        raise Declined("malformed", f"no msgpack: {type(error).__name__} {error}"[:200]) from error
+        raise DeclinedRequest("malformed", f"no msgpack: {type(error).__name__} {error}"[:200]) from error
     command_id = decoded.get("command_id") if isinstance(decoded, dict) else None
     command_id = command_id if isinstance(command_id, str) and len(command_id) <= 128 else ""
     if not _is_plain(decoded):
-        raise Declined(
+        raise DeclinedRequest(
             "malformed",
             f"deeper than {DEPTH_MAX}, or of more than {NODES_MAX} values, or of unsupported types",
             command_id,
@@ -93,18 +93,18 @@ def parse(body: bytes | None) -> Request:
     try:
         envelope = msgspec.convert(decoded, _Envelope)
     except msgspec.ValidationError as error:
-        raise Declined("malformed", str(error), command_id) from error
+        raise DeclinedRequest("malformed", str(error), command_id) from error
     method = METHODS.get(envelope.method)
     if method is None:
-        raise Declined("unknown_method", f"{envelope.method!r}: there are {', '.join(METHODS)}", command_id)
+        raise DeclinedRequest("unknown_method", f"{envelope.method!r}: there are {', '.join(METHODS)}", command_id)
     try:
         params = msgspec.convert(envelope.params, method.params)
     except msgspec.ValidationError as error:
-        raise Declined("bad_params", f"{envelope.method}: {error}", command_id) from error
+        raise DeclinedRequest("bad_params", f"{envelope.method}: {error}", command_id) from error
     # The clock of another machine is unknown. A request that turns the force off does not expire.
     until = envelope.expires if envelope.method not in FORCE_OFF_METHODS else None
     if until is not None and until[0] == _BOOT and until[1] < time.monotonic():
-        raise Declined("expired", "its client stopped waiting: nothing was done", command_id)
+        raise DeclinedRequest("expired", "its client stopped waiting: nothing was done", command_id)
     return Request(command_id, envelope.method, params)
 
 
@@ -141,6 +141,6 @@ def encode_answer(command_id: str, result: Any) -> bytes:
     return _ENCODER.encode({"command_id": command_id, "success": True, "result": result, "error": None})
 
 
-def encode_refusal(reason: Declined, command_id: str = "") -> bytes:
+def encode_refusal(reason: DeclinedRequest, command_id: str = "") -> bytes:
     refusal = {"command_id": reason.command_id or command_id, "success": False, "result": {}, "error": str(reason)}
     return _ENCODER.encode(refusal)

@@ -20,7 +20,7 @@ A force close to its limit makes the guard intervene every few ticks; delayed in
 event.
 """
 
-ADVICE: Final = {
+REMEDIES: Final = {
     "not_finite": "the scene gave no finite force: softfinger check reports inconsistent values",
     "pose_refused": "the device sent no usable pose: check its sensors and its cable",
     "pose_jumped": "the pose jumped farther than a hand can move: check sensors and cable; if a hand moved it, raise "
@@ -89,7 +89,7 @@ class RecordEvents:
         before = [int(value) for value in self._watched] if self._watched else [mode, 0, 0, missed, 0]
         self._watched = watched
         if cause:
-            events.append(self._contact(record, CAUSE_NAMES[cause], before[0], mode))
+            events.append(self._make_contact_event(record, CAUSE_NAMES[cause], before[0], mode))
         rising = guard & ~before[2]
         for bit in range(rising.bit_length()):
             if rising >> bit & 1:
@@ -98,9 +98,9 @@ class RecordEvents:
             self._nonlinear |= nonlinear
             events.append(
                 {
-                    **_head(record, "elastic", "nonlinear"),
+                    **_make_head(record, "elastic", "nonlinear"),
                     "nonlinear": nonlinear,
-                    "displacement": _vector(record, AT.contact_displacement),
+                    "displacement": _to_list(record, AT.contact_displacement),
                     "finger": self._finger,
                     "message": NONLINEAR,
                 }
@@ -108,24 +108,24 @@ class RecordEvents:
         # The counter restarts with the servo.
         if self._of_servo:
             self._delay("servo", "missed", missed - before[3] if missed >= before[3] else missed)
-        events.extend(self._due(record, missed))
+        events.extend(self._pop_due(record, missed))
 
-    def _contact(self, record: NDArray[np.float64], cause: str, mode_before: int, mode: int) -> Map:
+    def _make_contact_event(self, record: NDArray[np.float64], cause: str, mode_before: int, mode: int) -> Map:
         name, usual = _TRANSITIONS[cause]
         touched = int(record[AT.contact_object])
         if touched >= 0:
             self._object = touched
         return {
-            **_head(record, "contact", name),
+            **_make_head(record, "contact", name),
             "cause": cause,
             # From the cause if possible: the previous record may have been dropped.
             "from": mode_before if usual is None else usual,
             "to": mode,
             "object": self._object,
-            "force": _vector(record, AT.force),
+            "force": _to_list(record, AT.force),
             "normal_force": float(record[AT.contact_normal_force]),
             "tangential_force": float(record[AT.contact_tangential_force]),
-            "point": _vector(record, AT.contact_point),
+            "point": _to_list(record, AT.contact_point),
             "finger": self._finger,
         }
 
@@ -133,7 +133,7 @@ class RecordEvents:
         if count > 0:
             self._delayed[kind, name] = self._delayed.get((kind, name), 0) + count
 
-    def _due(self, record: NDArray[np.float64], missed: int) -> list[Map]:
+    def _pop_due(self, record: NDArray[np.float64], missed: int) -> list[Map]:
         """Return delayed events for which the interval has passed."""
         events: list[Map] = []
         now = float(record[AT.timestamp])
@@ -142,26 +142,26 @@ class RecordEvents:
             # epoch.
             if abs(now - self._sent_s.get(key, -np.inf)) < MIN_INTERVAL_S - 1e-6:
                 continue
-            event = {**_head(record, *key), "count": self._delayed.pop(key)}
+            event = {**_make_head(record, *key), "count": self._delayed.pop(key)}
             if key[0] == "servo":
                 event["total"] = missed
             else:
-                event |= {"finger": self._finger, "message": ADVICE.get(key[1], "")}
+                event |= {"finger": self._finger, "message": REMEDIES.get(key[1], "")}
             self._sent_s[key] = now
             events.append(event)
         return events
 
 
-def event_map(moment: tuple[int, float], kind: str, name: str, fields: Mapping[str, Any]) -> Map:
+def make_event(moment: tuple[int, float], kind: str, name: str, fields: Mapping[str, Any]) -> Map:
     """Return the map of an event at a moment, (last tick done, s since the epoch), with further keys."""
     tick, timestamp = moment
     return {**fields, "schema": SCHEMA, "timestamp": timestamp, "tick": tick, "kind": kind, "name": name}
 
 
-def _head(record: NDArray[np.float64], kind: str, name: str) -> Map:
-    return event_map((int(record[AT.tick]), float(record[AT.timestamp])), kind, name, {})
+def _make_head(record: NDArray[np.float64], kind: str, name: str) -> Map:
+    return make_event((int(record[AT.tick]), float(record[AT.timestamp])), kind, name, {})
 
 
-def _vector(record: NDArray[np.float64], at: int) -> list[float]:
+def _to_list(record: NDArray[np.float64], at: int) -> list[float]:
     values: list[float] = record[at : at + 3].tolist()
     return values

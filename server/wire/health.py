@@ -45,17 +45,17 @@ class HealthSummary:
             self._rows[self._count : self._count + count] = records[:count]
             self._count += count
             if complete[count - 1] or count == room:
-                messages.append(self._message(drops))
+                messages.append(self._make_message(drops))
                 self._rows[0] = self._rows[self._count - 1]
                 self._count = 1
             records = records[count:]
         return messages
 
-    def _message(self, drops: int) -> dict[str, Any]:
+    def _make_message(self, drops: int) -> dict[str, Any]:
         rows = self._rows[: self._count]
         counted, last = rows[1:], rows[-1]
         elapsed = float(last[AT.timestamp] - rows[0, AT.timestamp])
-        energy = work_of_hand(rows)
+        energy = compute_work_of_hand(rows)
         self._energy_total += energy
         modes = np.bincount(counted[:, AT.contact_mode].astype(np.int64), minlength=len(MODE_NAMES)).tolist()
         flat = {
@@ -96,7 +96,7 @@ def combine(messages: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return first
 
 
-def work_of_hand(records: Records) -> float:
+def compute_work_of_hand(records: Records) -> float:
     """Return the work (J) of the hand against the commanded wrench over consecutive records, shape (n, RECORD_SIZE).
 
     Each wrench acts until the next tick, so it is multiplied by the motion that follows it. Negative work means that

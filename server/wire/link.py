@@ -39,7 +39,7 @@ LOG_PERIOD_S: Final = 10.0
 """Shortest interval of log messages about peers: a peer must not fill the log."""
 RECONNECT_S: Final = 1.0
 """Time after a new process is ready until subscribers have reconnected, and can receive an event about it."""
-END_S: Final = 1.0
+EXIT_TIMEOUT_S: Final = 1.0
 """Time after a request to end until the process is killed."""
 SILENT_MAX_S: Final = 2.0
 """Time without a message, of which there is one in each PERIOD_S of the process, after which it hangs."""
@@ -142,10 +142,10 @@ class SocketProcess:
     def close(self, linger_s: float) -> None:
         """End the process after it has sent its queued messages, for at most `linger_s`. Call it once."""
         self.send(Kind.END)
-        self._until_s = time.monotonic() + linger_s + END_S
-        self._thread.join(linger_s + 2.0 * END_S)
+        self._until_s = time.monotonic() + linger_s + EXIT_TIMEOUT_S
+        self._thread.join(linger_s + 2.0 * EXIT_TIMEOUT_S)
 
-    def _ending(self) -> bool:
+    def _is_ending(self) -> bool:
         return self._until_s is not None
 
     def _start(self) -> tuple[subprocess.Popen[bytes], Channel, FileIO]:
@@ -242,11 +242,11 @@ class SocketProcess:
     def _restart(self) -> bool:
         """Start another process after one has exited; return False if none is needed."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(END_S)
+            self._process.wait(EXIT_TIMEOUT_S)
         self._process.kill()
         code = self._process.wait()
         self._log_errors()
-        if self._ending():
+        if self._is_ending():
             return False
         if not self._ready:
             log.error("the %s process has ended with code %d before it was ready", self.name, code)
@@ -261,7 +261,7 @@ class SocketProcess:
             self._lengthen_pause()
         while not self._start_next():
             self._lengthen_pause()
-        if self._ending():
+        if self._is_ending():
             return False
         self.restarts += 1
         text = f"the {self.name} process has ended with code {code} and was restarted: its peers reconnect"
@@ -282,11 +282,11 @@ class SocketProcess:
     def _start_next(self) -> bool:
         """Wait for the pause, then start a process unless the link is closing; return False if that fails."""
         due_s = time.monotonic() + self._pause_s
-        while time.monotonic() < due_s and not self._ending():
+        while time.monotonic() < due_s and not self._is_ending():
             if (handlers := self._handlers) is not None:
                 handlers.each_period()
             time.sleep(PERIOD_S)
-        if self._ending():
+        if self._is_ending():
             return True
         try:
             with self._replacing:

@@ -68,7 +68,7 @@ _LISTS: Final = [f"contacts{i}" for i in range(PATCHES)]
 """Fields of a record that become maps in the list `contacts` of a message, one for each existing patch."""
 
 
-def _key_of(field: Field) -> Key:
+def _to_key(field: Field) -> Key:
     parent, dot, child = field.name.partition(".")
     name = f"contacts[].{child}" if parent in _LISTS else f"{parent}{dot}{child}"
     kind = f"{field.kind}[{field.size}]" if field.size > 1 else field.kind
@@ -78,7 +78,7 @@ def _key_of(field: Field) -> Key:
 CONTACT_KEYS: Final = (
     SCHEMA_KEY,
     Key("every", "int", "1", "", "one tick in this many is published"),
-    *dict.fromkeys(_key_of(field) for field in FIELDS),
+    *dict.fromkeys(_to_key(field) for field in FIELDS),
 )
 
 EVENT_KEYS: Final = (
@@ -236,7 +236,7 @@ SCHEMA_KEYS: Final = (
 _TYPES: Final[dict[str, Any]] = {"int": int, "float": float, "str": str}
 
 
-def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
+def _make_struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
     """Return the struct type for messages with these keys; dotted names become structs, `[]` tuples of structs."""
     nested: dict[str, list[Key]] = {}
     fields: dict[str, Any] = {}
@@ -248,26 +248,26 @@ def _struct(name: str, keys: Sequence[Key]) -> type[msgspec.Struct]:
             kind, _, size = key.type.partition("[")  # `[3]` is a tuple of that size
             fields[parent] = GenericAlias(tuple, (_TYPES[kind],) * int(size[:-1])) if size else _TYPES[kind]
     for parent, children in nested.items():
-        element = _struct(f"{name}_{parent.removesuffix('[]')}", children)
+        element = _make_struct(f"{name}_{parent.removesuffix('[]')}", children)
         fields[parent.removesuffix("[]")] = GenericAlias(tuple, (element, ...)) if parent.endswith("[]") else element
     return msgspec.defstruct(name, list(fields.items()), frozen=True, gc=False, module=__name__)
 
 
-ContactMessage: Final = _struct("ContactMessage", CONTACT_KEYS)
-HealthMessage: Final = _struct("HealthMessage", HEALTH_KEYS)
-StateMessage: Final = _struct("StateMessage", STATE_KEYS)
-WorldMessage: Final = _struct("WorldMessage", WORLD_KEYS)
-DeformationMessage: Final = _struct("DeformationMessage", DEFORMATION_KEYS)
+ContactMessage: Final = _make_struct("ContactMessage", CONTACT_KEYS)
+HealthMessage: Final = _make_struct("HealthMessage", HEALTH_KEYS)
+StateMessage: Final = _make_struct("StateMessage", STATE_KEYS)
+WorldMessage: Final = _make_struct("WorldMessage", WORLD_KEYS)
+DeformationMessage: Final = _make_struct("DeformationMessage", DEFORMATION_KEYS)
 
 _ENCODER: Final = msgspec.msgpack.Encoder()
 _DECODERS: Final[dict[str, msgspec.msgpack.Decoder[Any]]] = {
     CONTACT: msgspec.msgpack.Decoder(ContactMessage),
     HEALTH: msgspec.msgpack.Decoder(HealthMessage),
-    EVENT: msgspec.msgpack.Decoder(_struct("EventHead", EVENT_KEYS)),
+    EVENT: msgspec.msgpack.Decoder(_make_struct("EventHead", EVENT_KEYS)),
     STATE: msgspec.msgpack.Decoder(StateMessage),
     WORLD: msgspec.msgpack.Decoder(WorldMessage),
     DEFORMATION: msgspec.msgpack.Decoder(DeformationMessage),
-    SCHEMA_TOPIC: msgspec.msgpack.Decoder(_struct("SchemaHead", SCHEMA_KEYS[:2])),
+    SCHEMA_TOPIC: msgspec.msgpack.Decoder(_make_struct("SchemaHead", SCHEMA_KEYS[:2])),
 }
 _OPEN: Final = (EVENT, SCHEMA_TOPIC)
 """Topics with messages that may have further keys."""
@@ -281,12 +281,12 @@ def nest(flat: dict[str, Any]) -> dict[str, Any]:
     return top
 
 
-def contact_topic(finger: str) -> str:
+def name_contact_topic(finger: str) -> str:
     """Return the topic of a finger's ticks; a single finger, without a name, has `contact`."""
     return FINGERS + finger if finger else CONTACT
 
 
-def finger_of(topic: str) -> str | None:
+def find_finger(topic: str) -> str | None:
     """Return the name of the finger of a topic, empty for a single finger; None if the topic has no ticks."""
     if topic == CONTACT:
         return ""
@@ -326,10 +326,10 @@ def decode(topic: bytes, body: bytes) -> Any:
             # msgpack, not msgspec, for the open map: it checks a declared length before it allocates.
             return msgpack.unpackb(body) if name in _OPEN else message
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        if name == STATE or _schema_of(body) in (SCHEMA, None):
+        if name == STATE or _read_schema(body) in (SCHEMA, None):
             raise ProtocolError(f"{name} message does not follow the protocol: {error}") from error
     raise ProtocolError(
-        f"{name} message has schema {_schema_of(body)}, this client understands {SCHEMA}: "
+        f"{name} message has schema {_read_schema(body)}, this client understands {SCHEMA}: "
         "use the client of the server's version"
     )
 
@@ -338,7 +338,7 @@ class _SchemaOnly(msgspec.Struct):
     schema: int
 
 
-def _schema_of(body: bytes) -> int | None:
+def _read_schema(body: bytes) -> int | None:
     """Return the schema number in a message, None without one; used to explain why decoding failed."""
     try:
         return msgspec.msgpack.decode(body, type=_SchemaOnly).schema
@@ -346,7 +346,7 @@ def _schema_of(body: bytes) -> int | None:
         return None
 
 
-def wire_schema() -> dict[str, Any]:
+def describe_messages() -> dict[str, Any]:
     """Return all messages and their keys as plain data, for `softfinger schema`."""
     tables: dict[str, Sequence[Key]] = {CONTACT: CONTACT_KEYS, EVENT: EVENT_KEYS, HEALTH: HEALTH_KEYS}
     tables |= {STATE: STATE_KEYS, WORLD: WORLD_KEYS, DEFORMATION: DEFORMATION_KEYS, SCHEMA_TOPIC: SCHEMA_KEYS}

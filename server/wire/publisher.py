@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import commands_address_for
+from softfinger.config.schema import make_commands_address
 from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
-from softfinger.proxy.record import RECORD_SIZE, columns
+from softfinger.proxy.record import RECORD_SIZE, list_columns
 from softfinger.server.socket_process.setup import Figures, Kind, ProcessSetup, StateInfo, TickParameters
-from softfinger.server.wire.events import RecordEvents, event_map
+from softfinger.server.wire.events import RecordEvents, make_event
 from softfinger.server.wire.health import HealthSummary, combine
 from softfinger.server.wire.link import SILENT_MAX_S, RequestHandlers, Send, SocketProcess
 from softfinger.server.wire.native.memory import LAYOUT
@@ -36,12 +36,12 @@ from softfinger.server.wire.protocol import (
     SCHEMA_TOPIC,
     STATE,
     STATE_HZ,
-    contact_topic,
+    describe_messages,
     encode,
-    wire_schema,
+    name_contact_topic,
 )
 from softfinger.server.wire.rig_endpoints import COMMANDS, TELEMETRY, Endpoints, bind_telemetry
-from softfinger.server.wire.stamps import now_s
+from softfinger.server.wire.stamps import read_clock_s
 
 log: Final = logging.getLogger(__name__)
 
@@ -86,7 +86,7 @@ class Publisher(Closeable):
         self._lock = threading.Lock()
         self.report_event: Callable[..., None] = self.event
         """Called like `event` for events of the process; replaced by a function that also records them."""
-        self._topics = [*map(contact_topic, fingers), STATE, EVENT, HEALTH, *extra, SCHEMA_TOPIC]
+        self._topics = [*map(name_contact_topic, fingers), STATE, EVENT, HEALTH, *extra, SCHEMA_TOPIC]
         self._ticks = TickParameters(SCHEMA, every, self._topics[: len(fingers)], STATE, STATE_HZ)
         self._backlog, self._priority, self._state_info, self._health_body = backlog, priority, StateInfo(), b""
         self._events = [RecordEvents(guard_names, finger, index == 0) for index, finger in enumerate(fingers)]
@@ -98,10 +98,10 @@ class Publisher(Closeable):
         announced = self._endpoints.public.get(COMMANDS, self._endpoints.commands or "")
         content = {
             "schema": SCHEMA,
-            "timestamp": now_s(),
+            "timestamp": read_clock_s(),
             "topics": self._topics,
-            "commands": commands_address_for(self.endpoint) if is_standalone else announced,
-            "messages": wire_schema()["messages"],
+            "commands": make_commands_address(self.endpoint) if is_standalone else announced,
+            "messages": describe_messages()["messages"],
         }
         self._greeting = encode(content)
         self._starts = 0
@@ -165,7 +165,12 @@ class Publisher(Closeable):
     def ring(self) -> dict[str, Any]:
         """Return where programs of this user find every tick in memory, for `describe`."""
         fingers = len(self._events)
-        return {"name": self._relay.memory.name, "layout": LAYOUT, "columns": columns(), "records_in_a_row": fingers}
+        return {
+            "name": self._relay.memory.name,
+            "layout": LAYOUT,
+            "columns": list_columns(),
+            "records_in_a_row": fingers,
+        }
 
     @property
     def native_id(self) -> int | None:
@@ -237,7 +242,7 @@ class Publisher(Closeable):
             events = [
                 event for source, rows in zip(self._events, fingers, strict=True) for event in source.observe(rows)
             ]
-            for event in sorted(events, key=_tick_of):
+            for event in sorted(events, key=_read_tick):
                 self._send(EVENT, event)
             figures = self.figures
             drops += figures.missed
@@ -255,7 +260,7 @@ class Publisher(Closeable):
 
     def event(self, kind: str, name: str, **fields: Any) -> None:
         """Send an event with the present time; `fields` are further keys, of types that msgpack can encode."""
-        self.send_event(event_map((self._relay.tick, now_s()), kind, name, fields))
+        self.send_event(make_event((self._relay.tick, read_clock_s()), kind, name, fields))
 
     def send_event(self, event: dict[str, Any]) -> None:
         """Send an event; if it is a new state of the daemon, `health` contains that state from now on."""
@@ -293,6 +298,6 @@ class Publisher(Closeable):
         self._link.send(Kind.RETAINED if topic in (HEALTH, *SCENE_TOPICS) else Kind.MESSAGE, topic.encode(), body)
 
 
-def _tick_of(event: dict[str, Any]) -> int:
+def _read_tick(event: dict[str, Any]) -> int:
     tick: int = event["tick"]
     return tick

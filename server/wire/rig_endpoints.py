@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from typing import Final
 
 from softfinger.config import schema
-from softfinger.config.schema import commands_address_for, is_public
+from softfinger.config.schema import is_public, make_commands_address
 from softfinger.server.socket_process.setup import ListeningSocket
 from softfinger.server.wire.endpoint import listen
 
@@ -77,7 +77,7 @@ def bind_rig(rig: schema.Rig) -> Endpoints:
         if commands is not None:
             is_beside = rig.commands.endpoint is None and COMMANDS not in endpoints.public
             # The port chosen for the telemetry, if the rig does not set one.
-            commands_endpoint = commands_address_for(endpoints.telemetry) if is_beside else commands
+            commands_endpoint = make_commands_address(endpoints.telemetry) if is_beside else commands
             endpoints.commands = endpoints.bind(COMMANDS, commands_endpoint, own=is_beside)
         undo.pop_all()
     return endpoints
@@ -85,10 +85,10 @@ def bind_rig(rig: schema.Rig) -> Endpoints:
 
 def _bind_public(endpoints: Endpoints, rig: schema.Rig, telemetry: str, commands: str | None) -> tuple[str, str | None]:
     """Bind the endpoints that are open to the network; return those for programs of this user."""
-    from softfinger.server.socket_process.allowed import key_folders  # imports libzmq, which takes time
+    from softfinger.server.socket_process.allowed import list_key_folders  # imports libzmq, which takes time
 
     assert rig.security is not None  # the rig is refused without it
-    key, (readers, commanders) = rig.security.key, key_folders(rig.security)
+    key, (readers, commanders) = rig.security.key, list_key_folders(rig.security)
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     folder = endpoints.files.enter_context(
         tempfile.TemporaryDirectory(prefix="softfinger-", dir=runtime if os.path.isdir(runtime) else None)

@@ -12,5 +12,5 @@ from typing import Final
 _START_S: Final = time.time() - time.monotonic()
 
 
-def now_s() -> float:
+def read_clock_s() -> float:
     return _START_S + time.monotonic()

@@ -11,7 +11,7 @@ LONGEST_MS: Final = (1 << 31) - 1
 """25 days: the largest timeout of a socket."""
 
 
-def milliseconds(seconds: float | None) -> int:
+def to_milliseconds(seconds: float | None) -> int:
     """Return a timeout in ms, at most LONGEST_MS; -1, without limit, for None. Raises ConfigError for nan."""
     if seconds is None:
         return -1

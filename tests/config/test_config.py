@@ -23,10 +23,10 @@ from hypothesis import strategies as st
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene
-from softfinger.config.schema import Rig, Scene, commands_address_for
-from softfinger.config.schema.pairing import pair, single_device
+from softfinger.config.schema import Rig, Scene, make_commands_address
+from softfinger.config.schema.pairing import find_single_device, pair_devices
 from softfinger.config.sources import list_shipped, read_toml
-from softfinger.config.words import near
+from softfinger.config.words import suggest
 from softfinger.drivers.serial.options import CHECKS
 from softfinger.proxy.record import FIELDS
 from softfinger.proxy.scene import build_scene
@@ -142,7 +142,7 @@ def test_shipped_values_have_a_reason(path: Path) -> None:
         if match is None or match[2].startswith('"'):
             continue
         assert match[3], f"{path.name}: no reason beside: {line}"
-        expected = schema.unit(match[1])
+        expected = schema.find_unit(match[1])
         assert match[3].startswith(f"# {expected}: " if expected else "# "), f"{path.name}: {line}"
 
 
@@ -316,13 +316,13 @@ def test_command_endpoint_follows_from_the_telemetry_endpoint(
 )
 def test_commands_of_public_telemetry_are_on_the_next_port(telemetry: str, expected: str) -> None:
     """Other machines cannot reach a Unix socket, so public telemetry has its commands on a neighbouring port."""
-    assert commands_address_for(telemetry) == expected
+    assert make_commands_address(telemetry) == expected
 
 
 def test_commands_without_a_runtime_folder_are_in_the_temp_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     folder = Path(tempfile.gettempdir()) / f"softfinger-{os.geteuid()}"
-    assert commands_address_for("tcp://127.0.0.1:5555") == f"ipc://{folder}/5555.commands"
+    assert make_commands_address("tcp://127.0.0.1:5555") == f"ipc://{folder}/5555.commands"
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/" + 90 * "x")
     (fault,) = faults_of(Rig, set_key(rig(), "telemetry.endpoint", "tcp://127.0.0.1:5555"))
     assert "commands.endpoint: ipc:///xxx" in fault and "107 bytes" in fault and "set one" in fault
@@ -360,7 +360,7 @@ def pair_fingers(fingers: list[dict[str, Any]] | None, devices: list[str] | None
     scene_mapping = scene() if fingers is None else {**pinch_scene(), "finger": fingers}
     drivers = {name: {"driver": "replay", "recording": "tap"} for name in devices or []}
     tables = rig() if devices is None else {key: value for key, value in rig().items() if key != "device"}
-    moved = pair(
+    moved = pair_devices(
         build(Scene, scene_mapping, "s.toml"), build(Rig, tables | ({"devices": drivers} if drivers else {}), "r.toml")
     )
     return [(move.finger, move.table) for move in moved]
@@ -404,7 +404,7 @@ def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
     built = build(Rig, rest | {"devices": many}, "f.toml")
     assert build(Rig, describe(built), "f.toml") == built
     with pytest.raises(ConfigError, match=r"\[devices.thumb\], but this command needs a single device"):
-        single_device(built)
+        find_single_device(built)
     loops = [device.options["loop"] for device in load_rig("simulated-pinch", {"device.loop": False}).devices.values()]
     assert loops == [False, False]
     replaced = load_rig("simulated-pinch", {"device.driver": "replay", "device.recording": "tap"})
@@ -415,7 +415,7 @@ def test_a_rig_has_device_or_devices(tmp_path: Path) -> None:
 
 
 def test_suggestions_include_all_names_with_the_given_prefix() -> None:
-    assert near("crc16", CHECKS) == " (did you mean 'crc16-ccitt' or 'crc16-modbus'?)"
+    assert suggest("crc16", CHECKS) == " (did you mean 'crc16-ccitt' or 'crc16-modbus'?)"
 
 
 def test_all_faults_are_reported_at_once() -> None:
@@ -691,7 +691,7 @@ def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:
 
 def test_every_key_has_a_meaning_and_every_default_its_range() -> None:
     for kind in (Scene, Rig):
-        for table in schema_verb.tables(kind):
+        for table in schema_verb.list_tables(kind):
             assert table.meaning
             for row in table.rows:
                 assert row.allowed, row

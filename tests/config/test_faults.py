@@ -15,7 +15,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_faults
 from softfinger.config.schema import Faults, Injection
 from softfinger.config.sources import list_shipped
-from softfinger.drivers.injected import END_TICK, FIRST_TICK, PERIOD_TICKS, table
+from softfinger.drivers.injected import END_TICK, FIRST_TICK, PERIOD_TICKS, make_fault_table
 
 pytestmark = pytest.mark.plain
 
@@ -73,7 +73,7 @@ def test_an_unknown_name_is_reported_with_a_similar_one() -> None:
     ],
 )
 def test_times_become_ticks_of_the_rate(keys: dict[str, Any], window: tuple[int, int]) -> None:
-    (row,) = table(faults(**keys, every_ticks=2).fault, 2000.0)
+    (row,) = make_fault_table(faults(**keys, every_ticks=2).fault, 2000.0)
     assert (row[FIRST_TICK], row[END_TICK], row[PERIOD_TICKS]) == (*window, 2)
 
 
@@ -94,7 +94,7 @@ def test_a_random_file_gives_faults_or_an_error(tables: Any) -> None:
     if message:
         assert "my-faults.toml: fault" in message
         return
-    rows = table(made.fault, 1000.0)
+    rows = make_fault_table(made.fault, 1000.0)
     assert (
         np.isfinite(rows[:, [FIRST_TICK, END_TICK, PERIOD_TICKS]]).all()
         and (rows[:, FIRST_TICK] <= rows[:, END_TICK]).all()

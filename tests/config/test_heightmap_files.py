@@ -13,7 +13,7 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, build, describe, load_scene
 from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
-from softfinger.proxy.pictures import MAP_PIXELS, picture_of
+from softfinger.proxy.pictures import MAP_PIXELS, make_picture
 from softfinger.proxy.scene import build_scene
 from softfinger.server.recording.picture import draw_object
 from softfinger.server.verbs.check import examine_file
@@ -113,7 +113,7 @@ def test_unsupported_fingertips_and_methods_are_refused_on_a_map(tmp_path: Path)
 
 def test_pictures_show_the_map(tmp_path: Path) -> None:
     heightmap: Any = load_scene(scene_file(tmp_path)).object[0]
-    (vertices, faces), of = picture_of(heightmap)
+    (vertices, faces), of = make_picture(heightmap)
     np.testing.assert_allclose(vertices[:, 2].reshape(30, 40), 0.5 * HEIGHTS, atol=1e-15)
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.078, 0.058], atol=1e-12)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -121,18 +121,18 @@ def test_pictures_show_the_map(tmp_path: Path) -> None:
     (triangles,) = draw_object(heightmap)["triangles"]
     assert len(triangles["points"]) == HEIGHTS.size and max(triangles["indices"]) == HEIGHTS.size - 1
     scene_file(tmp_path, np.zeros((900, 300)))
-    (vertices, faces), of = picture_of(heightmap)
+    (vertices, faces), of = make_picture(heightmap)
     assert len(vertices) == MAP_PIXELS**2 and len(faces) <= PICTURE_TRIANGLES and of == 2 * 899 * 299
     np.testing.assert_allclose(np.ptp(vertices, axis=0)[:2], [0.598, 1.798], atol=1e-12)
     (tmp_path / "hill.npy").unlink()
     assert "texts" in draw_object(heightmap)
     with pytest.raises(ConfigError, match=r"object 'hill': file: .*hill\.npy: cannot be read"):
-        picture_of(heightmap)
+        make_picture(heightmap)
 
 
 @pytest.mark.parametrize("heights", [HEIGHTS[:1], HEIGHTS[:, :1]])
 def test_a_profile_is_shown_as_deep_as_it_is_wide(tmp_path: Path, heights: Any) -> None:
     """It is infinite along the other axis, and a single row would have no triangle."""
-    (vertices, faces), of = picture_of(load_scene(scene_file(tmp_path, heights)).object[0])  # type: ignore[arg-type]
+    (vertices, faces), of = make_picture(load_scene(scene_file(tmp_path, heights)).object[0])  # type: ignore[arg-type]
     width, depth = np.ptp(vertices, axis=0)[:2]
     assert width == depth == pytest.approx(0.002 * (heights.size - 1)) and len(faces) == of == 2 * (heights.size - 1)

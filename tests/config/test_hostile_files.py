@@ -29,10 +29,10 @@ from softfinger.drivers.falcon import firmware
 from softfinger.drivers.poses import load_poses
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.recording import results
-from softfinger.server.recording.compare import FIELDS
+from softfinger.server.recording.compare import READ_FIELDS
 from softfinger.server.recording.results import McapResults, read_results, write_blocks
 from softfinger.server.recording.run import load_run
-from softfinger.server.recording.summary import summary
+from softfinger.server.recording.summary import summarize
 from softfinger.tools.doctor import report
 from softfinger.tools.sweep_results import open_rows
 
@@ -62,8 +62,8 @@ INPUTS: dict[str, tuple[Callable[[Path], object], str, type[HapticError]]] = {
     "rig": (load_rig, ".toml", ConfigError),
     **{f"poses{end}": (load_poses, end, RecordingError) for end in poses.ENDINGS},
     **{f"results{end}": (read_results, end, RecordingError) for end in results.SUFFIXES},
-    "recording": (summary, ".mcap", RecordingError),
-    "run": (lambda path: load_run(path, FIELDS), ".mcap", RecordingError),
+    "recording": (summarize, ".mcap", RecordingError),
+    "run": (lambda path: load_run(path, READ_FIELDS), ".mcap", RecordingError),
     **{f"grid{end}": (read_grid, end, ConfigError) for end in grids.READERS},
     "sweep": (open_sweep, ".mcap", RecordingError),
     "firmware": (lambda path: firmware._read_firmware(str(path)), ".bin", DeviceError),

@@ -11,14 +11,14 @@ from helpers.refusals import refusal
 from softfinger.config import limits, schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import apply_overrides, build, describe, load_scene
-from softfinger.config.materials import LibraryEntry, fingertips, materials, papers
+from softfinger.config.materials import LibraryEntry, load_fingertips, load_materials, load_papers
 from softfinger.config.schema import Fingertip, Material, Scene
 
 pytestmark = pytest.mark.plain
 
-NAMES = sorted(materials())
-TIPS = sorted(fingertips())
-ENTRIES = {**materials(), **fingertips()}
+NAMES = sorted(load_materials())
+TIPS = sorted(load_fingertips())
+ENTRIES = {**load_materials(), **load_fingertips()}
 
 
 def scene_of(material: Any) -> Scene:
@@ -68,15 +68,17 @@ def test_materials_are_ordered_by_softness_and_slipperiness() -> None:
         for n in ["sponge", "foam", "skin", "silicone", "rubber", "abs", "wood", "glass"]
     ]
     assert stiffness == sorted(set(stiffness))
-    slippery = [materials()[n].values["friction"]["kinetic"] for n in ["oiled-steel", "steel", "aluminium", "rubber"]]
+    slippery = [
+        load_materials()[n].values["friction"]["kinetic"] for n in ["oiled-steel", "steel", "aluminium", "rubber"]
+    ]
     assert slippery == sorted(set(slippery))
 
 
 def test_names_of_materials_and_fingertips_are_distinct() -> None:
     assert not set(NAMES) & set(TIPS) and len(NAMES) >= 18 and len(TIPS) >= 5
     papers_by_entry = [[*entry.papers, *(row.paper for row in entry.measured)] for entry in ENTRIES.values()]
-    in_ranges = {name for name in papers() for entry in ENTRIES.values() if name in entry.holds}
-    assert {name for names in papers_by_entry for name in names} | in_ranges == set(papers())
+    in_ranges = {name for name in load_papers() for entry in ENTRIES.values() if name in entry.holds}
+    assert {name for names in papers_by_entry for name in names} | in_ranges == set(load_papers())
 
 
 @pytest.mark.parametrize("entry", ENTRIES.values(), ids=ENTRIES)
@@ -92,7 +94,7 @@ def test_every_entry_has_sources_and_a_range(entry: LibraryEntry) -> None:
 
 
 def test_sources_have_valid_dois() -> None:
-    for paper in papers().values():
+    for paper in load_papers().values():
         assert paper.read and paper.text
         registrant, slash, rest = paper.doi.partition("/")
         assert not paper.doi or (registrant[:3] == "10." and registrant[3:].isdecimal() and slash and rest)
@@ -106,7 +108,7 @@ def test_finger_pad_depth_follows_hertz() -> None:
     for force in (0.1, 1.0, 5.0):
         deep = (3.0 * force / (4.0 * reduced * math.sqrt(tip.radius_m))) ** (2.0 / 3.0)
         assert material.depth_under(force) == pytest.approx(deep, rel=1e-3)  # three digits of the stiffness
-    soft, stiff = materials()["finger-pad"].measured[0].youngs_modulus_pa or (0.0, 0.0)
+    soft, stiff = load_materials()["finger-pad"].measured[0].youngs_modulus_pa or (0.0, 0.0)
     assert soft < 3.0 * tip.patch.shear_modulus_pa < stiff
 
 

@@ -12,7 +12,7 @@ import pytest
 from softfinger.config.load import build, load_scene
 from softfinger.config.schema import Tool
 from softfinger.drivers.mounting import Mounting
-from softfinger.server.wire.envelope import Declined, parse
+from softfinger.server.wire.envelope import DeclinedRequest, parse
 
 pytestmark = pytest.mark.plain
 
@@ -48,5 +48,5 @@ def test_only_the_direction_counts(place: str, length: float) -> None:
 
 @pytest.mark.parametrize("part", [math.inf, -math.inf, math.nan, 1e308])
 def test_a_hand_does_not_turn_to_no_direction(part: float) -> None:
-    with pytest.raises(Declined, match=r"^bad_params: "):
+    with pytest.raises(DeclinedRequest, match=r"^bad_params: "):
         led((part, part, part, part))

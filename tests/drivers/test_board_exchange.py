@@ -26,14 +26,14 @@ from softfinger.drivers.base import (
     make_info,
 )
 from softfinger.drivers.block import Block
-from softfinger.drivers.board_exchange import BOARD, WAIT_MS, Times
+from softfinger.drivers.board_exchange import BOARD, WAIT_MS, BoardTimes
 from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS
 
 pytestmark = BY_CALL
 
 FD = 7
 QUIET, KICK, AWAITING, TIMEOUT_NS = 20 * MS, 50 * MS, 25 * MS, 200 * MS
-TIMES = Times(0.02, 0.05, 0.025, 0.2)
+TIMES = BoardTimes(0.02, 0.05, 0.025, 0.2)
 OPENED = 9_000 * MS
 FORCE = (1.0, 2.0, 3.0, 0.0, 0.0, 0.0)
 ZERO = (0.0,) * 6
@@ -125,14 +125,14 @@ def _drain(driver: Scripted, handle: int) -> int:
     return board.incoming.pop(0) if board.incoming else 0
 
 
-@board_exchange.pose.of(Scripted)
+@board_exchange.convert_sample.of(Scripted)
 def _pose(driver: Scripted, handle: int) -> bool:
     board = SCRIPT[0]
     board.block.numbers(BOARD.sample, SAMPLE_SIZE)[0] += 1.0  # each sample has another position
     return board.usable
 
 
-@board_exchange.busy.of(Scripted)
+@board_exchange.must_withhold.of(Scripted)
 def _busy(driver: Scripted, handle: int, deaf: bool) -> bool:
     record_call(f"busy? {'deaf' if deaf else 'hears'}")
     return SCRIPT[0].busy
@@ -146,7 +146,7 @@ def _send_zero(driver: Scripted, handle: int) -> int:
     return board.zero
 
 
-@board_exchange.command.of(Scripted)
+@board_exchange.send_wrench.of(Scripted)
 def _command(driver: Scripted, handle: int, wrench: Any) -> int:
     record_call(tuple(wrench))
     board = SCRIPT[0]

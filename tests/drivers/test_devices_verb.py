@@ -23,7 +23,7 @@ from softfinger.drivers import registry
 from softfinger.drivers.forcedimension import library
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import Claim, find_claim
-from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, how_to_permit
+from softfinger.drivers.system.diagnosis import Diagnosis, diagnose, diagnose_requirements, suggest_permission_command
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.verbs import devices
 
@@ -106,8 +106,8 @@ def test_tables_are_read(root: Path) -> None:
 
 def test_a_system_without_tables_has_no_devices(tmp_path: Path) -> None:
     """Without the folders of the kernel the lists are empty and no error is raised."""
-    assert discovery.names(tmp_path) == frozenset()
-    assert list(discovery.hidraw_nodes(tmp_path)) == []
+    assert discovery.list_names(tmp_path) == frozenset()
+    assert list(discovery.iter_hidraw_nodes(tmp_path)) == []
     assert not discovery.has_usb(tmp_path)
 
 
@@ -123,7 +123,7 @@ def test_unreadable_tables_give_no_devices(root: Path) -> None:
         os.seteuid(65534)  # user nobody: root may read everything
     try:
         assert not discovery.has_usb(root)
-        assert discovery.names(root) == frozenset()
+        assert discovery.list_names(root) == frozenset()
         assert discovery.list_attached(root) == []
         with pytest.raises(DeviceNotFound, match="the file does not exist"):
             library.load(str(hidden / "libdrd.so"))
@@ -232,7 +232,7 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
     diagnosis = diagnose(arm, find_claim(arm))
     assert diagnosis.state == "usable"
     assert "no hidraw node" in diagnosis.reason
-    assert "install --system " in how_to_permit(at("", 0x16C0, 0x0486, bus="usb"))
+    assert "install --system " in suggest_permission_command(at("", 0x16C0, 0x0486, bus="usb"))
     with node.open("rb") as locked_file:
         fcntl.flock(locked_file, fcntl.LOCK_EX)
         assert diagnose(arm, find_claim(arm)).state == "busy"
@@ -279,10 +279,10 @@ def test_a_holder_is_named(node: Path) -> None:
         assert diagnosis.remedy == f"kill {process.pid}"
         process.stdin.close()
         process.wait(10)
-    assert discovery.holder(str(node)) is None
+    assert discovery.find_holder(str(node)) is None
     with node.open("rb") as locked_file:
         fcntl.flock(locked_file, fcntl.LOCK_EX)
-        holder = discovery.holder(str(node))
+        holder = discovery.find_holder(str(node))
         assert holder is not None
         assert holder.pid == os.getpid()
 
@@ -324,7 +324,7 @@ def test_a_missing_driver_is_diagnosed(root: Path) -> None:
 
 
 def test_output_without_devices() -> None:
-    text = devices.lines([])
+    text = devices.format_lines([])
     assert len(text) == 1
     assert text[0].startswith("no USB or HID device is attached")
     assert "--rig simulated" in text[0]

@@ -17,7 +17,7 @@ from softfinger.config.errors import DeviceError, DeviceNotFound, HapticError, R
 from softfinger.config.load import load_rig
 from softfinger.drivers import open_devices, registry
 from softfinger.drivers.base import OK, WITHHELD, Device
-from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DriverContract, Servo
+from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DeviceCaller, DriverContract
 
 OUTSIDE = Path(__file__).parents[1] / "outside_driver"
 
@@ -68,7 +68,7 @@ class TestContract(DriverContract):
 
 
 def test_built_in_drivers_load() -> None:
-    assert {"replay", "simulated", "forcedimension"} <= set(registry.names())
+    assert {"replay", "simulated", "forcedimension"} <= set(registry.list_names())
     for name in registry.BUILT_IN:
         driver = registry.load(name)
         assert hasattr(driver, "Options")
@@ -89,7 +89,7 @@ def test_unusable_outside_drivers_are_refused_by_name(monkeypatch: pytest.Monkey
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     assert metadata.distribution("outside").version == "1.0"
-    assert {"replay", "plain", "broken"} <= set(registry.names())
+    assert {"replay", "plain", "broken"} <= set(registry.list_names())
     with pytest.raises(DeviceError, match=r"'plain' \(json, an entry point.*Options, open_device"):
         registry.load("plain")
     with pytest.raises(DeviceError, match="no_such_module_here"):
@@ -100,7 +100,7 @@ def test_a_program_can_register_a_driver(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(registry, "_registered", {})
     replay = registry.load("replay")
     registry.add("mine", replay)
-    assert registry.load("mine") is replay and "mine" in registry.names()
+    assert registry.load("mine") is replay and "mine" in registry.list_names()
     with pytest.raises(DeviceError, match=r"'other' \(module os\).*Options, open_device"):
         registry.add("other", os)
     with pytest.raises(DeviceError, match="'replay' is built in"):
@@ -111,7 +111,7 @@ def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
     config = load_rig("replay").device
     assert config is not None
     with registry.open_device(config, RATE_HZ) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
         assert open_devices.stop_all() == []

@@ -39,7 +39,7 @@ from softfinger.tools.exchange import (
     exchange_loop,
     make_disarmed_guard,
 )
-from softfinger.tools.exchange_figures import HISTOGRAM_S, burst_figures, figures, histogram
+from softfinger.tools.exchange_figures import HISTOGRAM_S, make_histogram, summarize_burst, summarize_part
 
 pytestmark = pytest.mark.real_time  # after a pause of the loop the guard starts at zero force
 
@@ -121,7 +121,7 @@ def test_a_burst_is_bounded() -> None:
     assert 100 < len(rows) <= BURST_ROWS
     assert rows[-1, START] <= BURST_NS / 1e9
     assert more[0, SAMPLE + SAMPLE_TIME] > rows[-1, SAMPLE + SAMPLE_TIME]
-    assert burst_figures(rows)["exchanges_hz"] > RATE_HZ
+    assert summarize_burst(rows)["exchanges_hz"] > RATE_HZ
 
 
 def test_the_end_of_a_recording_is_no_failure() -> None:
@@ -182,7 +182,7 @@ def rows_of(count: int) -> np.ndarray:
 
 
 def test_figures_of_known_rows() -> None:
-    result = figures(rows_of(2000), 1000.0)
+    result = summarize_part(rows_of(2000), 1000.0)
     assert result["ticks"] == 2000
     assert result["seconds"] == pytest.approx(2.0, rel=1e-12)
     assert result["read"]["p50"] == result["read"]["max"] == 2e-6
@@ -197,7 +197,7 @@ def test_figures_of_known_rows() -> None:
 
 
 def test_histogram_counts_every_value_once() -> None:
-    counted = histogram(np.array([1e-8, 1.5e-8, 3e-6, 4e-6, 0.9]))
+    counted = make_histogram(np.array([1e-8, 1.5e-8, 3e-6, 4e-6, 0.9]))
     assert counted == [[1e-8, 1], [2e-8, 1], [5e-6, 2], [0.9, 1]]
     assert list(HISTOGRAM_S) == sorted(HISTOGRAM_S)
 

@@ -12,7 +12,7 @@ from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, b
 from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import delta, exchange, packets
 from softfinger.drivers.falcon.block import AT
-from softfinger.drivers.falcon.reply import command
+from softfinger.drivers.falcon.reply import compute_command
 from softfinger.drivers.pause import RESUME_WAIT_NS
 
 pytestmark = BY_CALL
@@ -380,7 +380,7 @@ def test_calls_during_a_stop_do_not_wait(usb: Usb) -> None:
 def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
     wrench = [0.0, 0.0, 0.0, 0.5, 0.5, 0.5]
     wrench[axis] = 1.0
-    wanted, cut = command(usb.block.handle, tuple(wrench[:3]))  # type: ignore[arg-type]
+    wanted, cut = compute_command(usb.block.handle, tuple(wrench[:3]))  # type: ignore[arg-type]
     assert any(wanted) and not cut
     assert usb.write(*wrench) == OK
     assert usb.got() == [packet(wanted, 2)]
@@ -395,7 +395,7 @@ def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
 def test_a_force_of_one_motor_has_to_be_ended(leg: int, usb: Usb, monkeypatch: pytest.MonkeyPatch) -> None:
     counts = [0, 0, 0]
     counts[leg] = 1
-    monkeypatch.setattr(exchange, "command", lambda handle, force: (tuple(counts), False))
+    monkeypatch.setattr(exchange, "compute_command", lambda handle, force: (tuple(counts), False))
     assert usb.write(*PULL) == OK
     assert usb.word[AT.has_force] == 1
     usb.write(*PULL)

@@ -15,7 +15,7 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.falcon import delta, packets, reply
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.device import Options
-from softfinger.drivers.kinematics.delta import inverse
+from softfinger.drivers.kinematics.delta import compute_leg_angles
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
 
@@ -106,7 +106,7 @@ def test_the_filler_byte_may_have_any_value(filler: int) -> None:
 
 def answer(word: np.ndarray, counts: tuple[int, int, int], state: int) -> int:
     word.view(np.uint8)[8 * AT.newest : 8 * AT.newest + 16] = np.frombuffer(packet(counts, state), np.uint8)
-    return reply.pose(word.ctypes.data)
+    return reply.convert_reply(word.ctypes.data)
 
 
 @pytest.mark.scaled
@@ -117,7 +117,7 @@ def test_any_counts_give_a_matching_position_or_none(cases: Cases) -> None:
     for row in rng.integers(-32768, 32768, (count, 3)).tolist() + rng.integers(-1500, 1500, (count, 3)).tolist():
         assert answer(word, (row[0], row[1], row[2]), packets.HOMED) == OK
         if np.isfinite(sample[:3]).all():
-            theta, _ = inverse(delta.FALCON, (sample[0], sample[2], 0.11 - sample[1]))
+            theta, _ = compute_leg_angles(delta.FALCON, (sample[0], sample[2], 0.11 - sample[1]))
             wanted = delta.THETA_ZERO + delta.RAD_PER_COUNT * np.array(row)
             np.testing.assert_allclose(theta, wanted, atol=1e-11)  # the position is rounded to 1e-17 m of 0.1 m
         else:

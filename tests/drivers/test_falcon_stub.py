@@ -23,7 +23,7 @@ from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
+from softfinger.server.driver_contract import RATE_HZ, DeviceCaller, DriverContract
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.tuning import make_tuning
@@ -124,7 +124,7 @@ def test_faults_leave_no_transfer_pending(
 
 def test_only_an_armed_device_applies_a_force(stub: UsbStub) -> None:
     with open_device(options(), RATE_HZ) as device:
-        servo = Servo(device, arm=False)
+        servo = DeviceCaller(device, arm=False)
         servo.read()
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
         assert not any(stub.motors())
@@ -144,7 +144,7 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
     timeout_s: float, stub: UsbStub, bench: FalconBench
 ) -> None:
     with bench.open(timeout_s=timeout_s, kick_s=0.02) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         assert any(stub.motors())
@@ -162,7 +162,7 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
 
 def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture) -> None:
     device = bench.open(timeout_s=0.05, kick_s=0.02)
-    servo = Servo(device)
+    servo = DeviceCaller(device)
     servo.read()
     stub["block"] = 1
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -178,7 +178,7 @@ def test_transfers_not_returned_by_libusb_are_not_freed(
     stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     device = bench.open()
-    Servo(device).read()
+    DeviceCaller(device).read()
     stub.update(stubborn=1, hush_at=0)
     device.close()
     assert "does not cancel its transfers" in caplog.text
@@ -187,12 +187,12 @@ def test_transfers_not_returned_by_libusb_are_not_freed(
     device.close()
     stub.update(stubborn=0, hush_at=-1)
     with bench.open() as reopened:
-        assert Servo(reopened).read()[0] == OK
+        assert DeviceCaller(reopened).read()[0] == OK
 
 
 def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBench) -> None:
     with bench.open() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         stub["slow_s"] = 0.1
@@ -210,7 +210,7 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
     stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     device = bench.open()
-    servo = Servo(device)
+    servo = DeviceCaller(device)
     servo.read()
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     stub["slow_s"] = 2.3  # two waits of a second
@@ -247,7 +247,7 @@ def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) 
     stub.update(firmware=1500, spoil=1, homed=0)
     with bench.open(firmware=str(path)) as device:
         assert stub["loads"] == 2
-        status, sample = Servo(device).read()
+        status, sample = DeviceCaller(device).read()
         assert status == OK
         np.testing.assert_allclose(sample[:3], stub.state()[3:], rtol=0, atol=COUNT_M)
     assert stub["most"] == 0, "a motor was driven before its place was known"
@@ -279,7 +279,7 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
     assert stub["opens"] == stub["closes"] and stub[1, "opens"] == stub[1, "closes"]
     with bench.open(serial="SN2") as second:
         first = bench.open(serial="SN1")
-        servo = Servo(second)
+        servo = DeviceCaller(second)
         servo.read()
         servo.write(0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
         assert any(stub.motors(1)) and not any(stub.motors(0))
@@ -319,7 +319,7 @@ def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
     diagnosis, reply = devices.identify_device(FALCON, claim)
     assert (diagnosis, reply) == (Diagnosis("usable"), {"firmware": True})
     assert devices.as_map(FALCON, claim, diagnosis, reply)["said"] == {"firmware": True}
-    assert "    it reports: firmware True" in devices.lines([(FALCON, claim, diagnosis, reply)])
+    assert "    it reports: firmware True" in devices.format_lines([(FALCON, claim, diagnosis, reply)])
     stub.update(firmware=1000)
     diagnosis, reply = devices.identify_device(FALCON, claim)
     assert (diagnosis.state, reply) == ("firmware", {"firmware": False})

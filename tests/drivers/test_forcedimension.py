@@ -38,7 +38,7 @@ from softfinger.drivers.forcedimension.models import MODELS
 from softfinger.drivers.system.claims import Claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo
+from softfinger.server.driver_contract import RATE_HZ, DeviceCaller, DriverContract
 from softfinger.server.verbs import devices
 
 __all__ = ["bench", "stub", "stub_library"]  # fixtures
@@ -101,7 +101,7 @@ def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: OmegaBe
         assert device.info.force_max_n == (20.0 if name == "delta.3" else 12.0)
         assert stub["max_force"] == device.info.force_max_n
         assert device.info.torque_max_nm == (0.2 if active else 100.0)
-        assert Servo(device).write(0.1, 0.2, 0.3, 0.1, -0.2, 0.15) == OK
+        assert DeviceCaller(device).write(0.1, 0.2, 0.3, 0.1, -0.2, 0.15) == OK
         assert (stub["torque_sent"] > 0, stub["gripper_sent"]) == (active, 0)
 
 
@@ -154,7 +154,7 @@ def test_brakes_that_cannot_be_released_are_logged(
 def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: OmegaBench) -> None:
     with bench.open_unarmed(watchdog_s=0.03) as device:
         assert (stub["force_on"], stub["watchdog"], stub["cause"]) == (0, 0, 4)
-        servo = Servo(device, arm=False)
+        servo = DeviceCaller(device, arm=False)
         assert servo.read()[0] == OK
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
         assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
@@ -181,7 +181,7 @@ def test_stopped_device_is_never_armed(stub: Stub, bench: OmegaBench) -> None:
         device.stop()
         device.arm()
         assert stub["force_on"] == 0
-        assert Servo(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert DeviceCaller(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
 
 
 def test_stop_over_an_arming_that_hangs(stub: Stub, bench: OmegaBench) -> None:
@@ -208,14 +208,14 @@ def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: OmegaBench) -
         assert re.search(r"firmware before 3\.0 has no watchdog.*watchdog_s = 0", str(caught.value))
     assert stub["expert"] == stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
     with bench.open(watchdog_s=0.0) as device:
-        assert Servo(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
+        assert DeviceCaller(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
         assert stub["fz"] == 1.0
 
 
 def test_device_without_a_frame_gives_its_position(stub: Stub, bench: OmegaBench) -> None:
     stub.update(refuse_frame=1, x=0.01, y=0.02, z=0.03, stiffness=1e6, damping=1e3)
     with bench.open() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         reads = stub["reads"]
         for _ in range(5):
             status, sample = servo.read()
@@ -238,7 +238,7 @@ def test_a_device_of_unknown_type_has_the_lowest_limits(
             assert device.info.force_max_n < known.limits.force_max_n
             assert device.info.stiffness_max_n_per_m < known.limits.stiffness_max_n_per_m
         assert stub["max_force"] == device.info.force_max_n
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(0.1, 0.0, 0.0, 0.1, 0.1, 0.1)
         assert stub["torque_sent"] == 0
@@ -419,14 +419,14 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: OmegaBe
         for angle in (0.0, 0.4, -2.0, math.pi):
             stub.update(axis=axis, turned=angle)
             with bench.open() as device:
-                status, sample = Servo(device).read()
+                status, sample = DeviceCaller(device).read()
                 assert status == OK
                 # The weight of 0.25 kg hangs on 1e6 N/m.
                 np.testing.assert_allclose(sample[:3], TURN @ [0.01, 0.02, 0.03], atol=3e-6)
                 # Rounding of sines of half and of full angles.
                 np.testing.assert_allclose(matrix(sample[3:7]), TURN @ turned(axis, angle) @ TURN.T, atol=1e-14)
                 assert sample[3] >= 0.0
-                assert Servo(device).write(0.1, 0.2, 0.3, 0.01, 0.02, 0.03) == OK
+                assert DeviceCaller(device).write(0.1, 0.2, 0.3, 0.01, 0.02, 0.03) == OK
                 assert [stub["fx"], stub["fy"], stub["fz"]] == (TURN.T @ [0.1, 0.2, 0.3]).tolist()
                 assert [stub["tx"], stub["ty"], stub["tz"]] == (TURN.T @ [0.01, 0.02, 0.03]).tolist()
 
@@ -437,7 +437,7 @@ def test_failing_call_gives_its_status_and_reason(
     call: str, code: int, status: int, stub: Stub, bench: OmegaBench
 ) -> None:
     with bench.open() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         stub.update(**{call: 0, "error": code})

@@ -22,7 +22,7 @@ from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.proxy.record import AT, MODE_NAMES
 from softfinger.server.app import Daemon
-from softfinger.server.driver_contract import RATE_HZ, Servo, run_for
+from softfinger.server.driver_contract import RATE_HZ, DeviceCaller, run_for
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.tuning import make_tuning
 
@@ -119,7 +119,7 @@ def test_the_default_watchdog_tolerates_a_slow_start(stub: Stub) -> None:
 
 def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: OmegaBench) -> None:
     with bench.open(status_period_s=0.02) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         for _ in range(20):
             assert servo.read()[0] == OK
             servo.write(0.1, 0.0, 0.0, 0.0, 0.0, 0.0)

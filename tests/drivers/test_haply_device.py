@@ -34,7 +34,7 @@ from softfinger.drivers.haply.device import HaplyDevice, identify, open_device
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server import driver_contract
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 from softfinger.server.verbs import devices
 
 pytestmark = pytest.mark.real_time
@@ -99,15 +99,15 @@ def service() -> Iterator[Service]:
 
 
 @contextlib.contextmanager
-def exchanging(service: Service, **changes: Any) -> Iterator[tuple[HaplyDevice, Servo]]:
+def exchanging(service: Service, **changes: Any) -> Iterator[tuple[HaplyDevice, DeviceCaller]]:
     """Open a device, and wait for its first state."""
     with opened(service, **changes) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         fresh(servo)
         yield device, servo
 
 
-def push_up(device: HaplyDevice, servo: Servo) -> None:
+def push_up(device: HaplyDevice, servo: DeviceCaller) -> None:
     """Write 1 N along z, and wait until it is sent."""
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     settle(device)
@@ -117,11 +117,11 @@ def at_rest(service: Service) -> None:
     until(lambda: not any(service.force()))
 
 
-def first_failure(servo: Servo) -> int:
+def first_failure(servo: DeviceCaller) -> int:
     return int(eventually(lambda: min(servo.read()[0], 0)))
 
 
-def move_handle(servo: Servo, service: Service, to: dict[str, float]) -> list[float]:
+def move_handle(servo: DeviceCaller, service: Service, to: dict[str, float]) -> list[float]:
     service.do("move", id=ID, to=to)
     for _ in range(2):  # one state with the old position may be unread, another in flight
         fresh(servo)
@@ -135,7 +135,7 @@ def test_pose_and_force_in_the_world(service: Service) -> None:
                                    "buttons": {"a": True, "b": False, "c": True}})  # fmt: skip
     with opened(service, mounting=turn) as device:
         assert device.info.sensed_dof == 6
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         sample = move_handle(servo, service, {"x": 0.01, "y": -0.1, "z": 0.17})
         np.testing.assert_allclose(sample[:3], (0.1 + 0.1, 0.2 + 0.01, 0.3 + 0.17), atol=1e-12)  # rounding
         np.testing.assert_allclose(sample[3:7], (0.5, 0.5, 0.5, 0.5), atol=1e-12)
@@ -154,14 +154,14 @@ def test_the_device_names_its_thread(service: Service) -> None:
 def test_without_a_grip_there_is_no_orientation() -> None:
     with Service() as alone, opened(alone) as device:
         assert device.info.sensed_dof == 3
-        np.testing.assert_allclose(fresh(Servo(device))[:7], (0, 0, 0, 1, 0, 0, 0), atol=1e-12)  # rounding
+        np.testing.assert_allclose(fresh(DeviceCaller(device))[:7], (0, 0, 0, 1, 0, 0, 0), atol=1e-12)  # rounding
 
 
 def test_a_wired_grip_has_one_button() -> None:
     with Service(grips=("verse_grip:61548",)) as wired:
         wired.do("grip", id="61548", to={"button": True})
         with opened(wired, grip="61548") as device:
-            assert fresh(Servo(device))[8] == 1
+            assert fresh(DeviceCaller(device))[8] == 1
 
 
 def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
@@ -404,7 +404,7 @@ def test_a_grip_that_disappears_is_a_loss(service: Service) -> None:
 
 def test_a_stopped_service_blocks_no_call(service: Service) -> None:
     device = opened(service, timeout_s=0.3)
-    servo = Servo(device)
+    servo = DeviceCaller(device)
     fresh(servo)
     push_up(device, servo)
     os.kill(service.process.pid, signal.SIGSTOP)

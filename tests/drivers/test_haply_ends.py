@@ -12,7 +12,7 @@ from helpers.waits import fresh, until
 
 from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT, WITHHELD
 from softfinger.drivers.haply.device import HaplyDevice
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
 
@@ -82,7 +82,7 @@ def service() -> Iterator[Service]:
 def pushing(service: Service) -> Iterator[list[HaplyDevice]]:
     devices = [opened(service, device_id=name, models=None) for name in (ID, OTHER)]
     for device, (name, force) in zip(devices, PUSH_N.items(), strict=True):
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         fresh(servo)
         wrench = (0.0, 0.0, force, 0.0, 0.0, 0.0)
         until(lambda servo=servo, name=name, wrench=wrench: servo.write(*wrench) < 0 or any(service.force(name)))
@@ -101,7 +101,7 @@ def end_with(service: Service, devices: list[HaplyDevice], raw: bytes, end: str 
     service.set(raw=raw.hex(), end=end)
     statuses = []
     for device in devices:
-        servo = Servo(device, arm=False)
+        servo = DeviceCaller(device, arm=False)
         until(lambda servo=servo: servo.read()[0] < 0)
         statuses.append(servo.read()[0])
         until(lambda device=device: not device._thread.is_running)
@@ -143,7 +143,7 @@ def test_the_last_force_is_zero_after_random_bytes(service: Service, cases: Call
             for _ in range(draw.randrange(1, 4))
         )  # fmt: skip
         with opened(service, device_id=ID) as device:
-            servo = Servo(device)
+            servo = DeviceCaller(device)
             fresh(servo)
             servo.write(0.0, 0.0, 1.5, 0.0, 0.0, 0.0)
             settle(device)
@@ -157,7 +157,7 @@ def test_the_last_force_is_zero_after_random_bytes(service: Service, cases: Call
 def test_a_service_that_stops_reading_gets_one_more_force(service: Service, pushing: list[HaplyDevice]) -> None:
     service.set(deaf=True)
     deaf_at = time.monotonic()
-    servos = [Servo(device, arm=False) for device in pushing]
+    servos = [DeviceCaller(device, arm=False) for device in pushing]
     failed: set[int] = set()
 
     def push() -> bool:
@@ -185,7 +185,7 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
 def test_a_service_that_sends_without_reading_gets_no_force() -> None:
     room = 2048
     with Service(room=room) as service, opened(service) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         fresh(servo)
         until(lambda: servo.write(0.0, 0.0, 1.5, 0.0, 0.0, 0.0) < 0 or any(service.force()))
         service.set(streams=True)

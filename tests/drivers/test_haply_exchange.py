@@ -11,7 +11,7 @@ from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, File, GuardedBl
 
 from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.haply import exchange
-from softfinger.drivers.haply.exchange import AT, FrameConversion
+from softfinger.drivers.haply.exchange import AT, ServiceFrame
 from softfinger.proxy.kernels.jit.pack import flatten
 
 pytestmark = BY_CALL
@@ -31,7 +31,7 @@ class Device(FarEnd):
         patch.setattr(exchange, "write_now", self.woken.write)
         self.block = GuardedBlock(AT)
         self.clock.room = {self.block.handle + 8 * AT.timespec}
-        self.block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(FrameConversion(*mounting, 5.0))
+        self.block.numbers(AT.model, exchange.MODEL_SIZE)[:] = flatten(ServiceFrame(*mounting, 5.0))
         self.word[AT.opened_at] = START_NS - 2000 * MS
         self.word[AT.quiet], self.word[AT.timeout_after] = QUIET, TIMEOUT_NS
         self.word[AT.wake], self.word[AT.increment], self.word[AT.armed] = FD, 1, 1

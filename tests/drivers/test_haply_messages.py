@@ -15,8 +15,8 @@ from softfinger.drivers.haply.messages import (
     DeviceRef,
     Malformed,
     Missing,
-    command,
-    force_key,
+    encode_command,
+    find_force_key,
     parse_version,
     read_inventory,
     read_state,
@@ -79,19 +79,19 @@ def test_a_pose_is_in_bounds_or_nan(values: list[float | None]) -> None:
 
 def test_a_command_has_the_key_of_the_version() -> None:
     force = (0.1, -1e-9, 2.0 / 3.0)
-    message = json.loads(command(DEVICE, "values", force))
+    message = json.loads(encode_command(DEVICE, "values", force))
     assert message == {
         "inverse3": [
             {"device_id": "049D", "commands": {"set_cursor_force": {"values": dict(zip("xyz", force, strict=True))}}}
         ]
     }
-    assert json.loads(command(DEVICE, "vector", force, basis=True))["session"] == {
+    assert json.loads(encode_command(DEVICE, "vector", force, basis=True))["session"] == {
         "configure": {"basis": {"permutation": "XYZ"}}
     }
 
 
 def test_versions() -> None:
-    assert [force_key(parse_version(text)) for text in ("3.1.0", "3.4.2.0", "3.5.0", "v3.10.1")] == [
+    assert [find_force_key(parse_version(text)) for text in ("3.1.0", "3.4.2.0", "3.5.0", "v3.10.1")] == [
         "values", "values", "vector", "vector",
     ]  # fmt: skip
     for text in ("3.0.7", "4.0", "2.9", "", "3", "x.y"):

@@ -32,7 +32,7 @@ from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
 from softfinger.server import driver_contract
-from softfinger.server.driver_contract import RATE_HZ, Servo
+from softfinger.server.driver_contract import RATE_HZ, DeviceCaller
 
 pytestmark = pytest.mark.real_time
 
@@ -106,7 +106,7 @@ def test_a_board_that_sends_continuously() -> None:
         time.sleep(1.0)
         arm.place = (0.0, 0.02, 0.01)
         device.arm()
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         status, sample = servo.read()
         assert status >= 0
         np.testing.assert_allclose(sample[:3], arm.place, atol=2e-3)  # a few steps of the pulled arm, and a count
@@ -122,7 +122,7 @@ def test_a_board_that_sends_continuously() -> None:
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
     with woody() as (device, arm, answering):
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         old = arm.report()
         for _ in range(30):
@@ -141,7 +141,7 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 @pytest.mark.parametrize("rig", ["woodenhaptics-2019", "woodenhaptics-2015", "woodenhaptics-vintage"])
 def test_position_equals_the_position_of_the_arm(rig: str) -> None:
     with woody(rig) as (device, arm, answering):
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         for _ in range(50):
             status, sample = servo.read()
             assert status in (OK, STALE)
@@ -162,7 +162,7 @@ def test_wrist_buttons_and_mounting() -> None:
     turned = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]}
     with woody("woodenhaptics-polhem-v1", mounting=turned) as (device, arm, answering):
         arm.wrist, arm.button, arm.calibration_button = (100, -50, 25), True, True
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)  # world y is the device's x
         answering.settle(device)
@@ -178,7 +178,7 @@ def test_wrist_buttons_and_mounting() -> None:
 
 def test_unplugging_is_a_loss() -> None:
     with woody() as (device, _, answering):
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         answering.unplug()
@@ -194,7 +194,7 @@ def test_the_last_report_ends_the_force() -> None:
     with woody() as (device, arm, answering):
         assert device.last_word() is None
         device._node = "/dev/hidraw7"
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         answering.settle(device)
@@ -232,7 +232,7 @@ def test_calibration_of_a_board_that_pauses() -> None:
     fd, end = ends()
     with Answering(end, answer), HidDevice(options, fd) as device:
         assert time.monotonic() >= stored[0]
-        np.testing.assert_allclose(Servo(device).read()[1][:3], resting, atol=COUNT_M)
+        np.testing.assert_allclose(DeviceCaller(device).read()[1][:3], resting, atol=COUNT_M)
 
 
 @entry
@@ -267,7 +267,7 @@ def test_reports_give_a_finite_pose_or_a_fault(cases: Callable[[int, int], int])
     sizes = np.where(np.arange(number) % 4 > 0, 31, generator.integers(1, 64, number))
     good = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
     with Answering(end, lambda _: good), HidDevice(build(Options, described(), "rig"), fd) as device:
-        assert Servo(device, arm=False).read()[0] == OK
+        assert DeviceCaller(device, arm=False).read()[0] == OK
         io, sample, out = device.io(), np.zeros(SAMPLE_SIZE), np.zeros(4, np.int64)
         fuzz(end.fileno(), io.read, io.handle, stream.ctypes.data, sizes, sample, out)
         read, repeated, wrong, refused = out.tolist()

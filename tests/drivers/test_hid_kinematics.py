@@ -24,10 +24,10 @@ def arm_of(rig: str) -> chain.Chain:
 def test_published_positions_and_currents() -> None:
     """WoodenHaptics 2019 at encoders (500, -800, 1200): position and currents equal the published digits."""
     arm = arm_of("woodenhaptics-2019")
-    angles = chain.angles_of(arm, (500.0, -800.0, 1200.0))
+    angles = chain.compute_angles(arm, (500.0, -800.0, 1200.0))
     half = 0.5e-5  # of the last digit
     np.testing.assert_allclose(chain.forward(arm, angles), (-0.18707, 0.00324, -0.03249), rtol=0, atol=half)
-    along_x, along_z = (chain.currents_for(arm, angles, f)[0] for f in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    along_x, along_z = (chain.compute_currents(arm, angles, f)[0] for f in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
     np.testing.assert_allclose(along_x, (-0.00063, 0.27578, 0.32046), rtol=0, atol=half)
     np.testing.assert_allclose(along_z, (0.0, 0.05890, 0.10463), rtol=0, atol=half)
 
@@ -73,14 +73,14 @@ def test_jacobian_is_the_derivative(rig: str) -> None:
     arm = arm_of(rig)
     generator, h = np.random.default_rng(6), 1e-5
     for angles in generator.uniform(-1.2, 1.2, (200, 3)):
-        columns = np.array(chain.jacobian(arm, tuple(angles)))
+        columns = np.array(chain.compute_jacobian(arm, tuple(angles)))
         for joint in range(3):
             step = np.eye(3)[joint] * h
             ahead, behind = (chain.forward(arm, tuple(angles + s)) for s in (step, -step))
             # h^2/6 of the third derivative, at most the arm's length, and rounding over 2 h
             np.testing.assert_allclose(columns[joint], np.subtract(ahead, behind) / (2 * h), atol=1e-10)
         force = generator.normal(size=3)
-        current, cut = chain.currents_for(arm._replace(current_max=1e9), tuple(angles), tuple(force))
+        current, cut = chain.compute_currents(arm._replace(current_max=1e9), tuple(angles), tuple(force))
         np.testing.assert_allclose(current, columns @ force * arm.per_torque, rtol=1e-12, atol=1e-14)
         assert not cut
 
@@ -96,9 +96,9 @@ def test_power_is_conserved(unlike: bool) -> None:
     for counts in generator.uniform(-3000, 3000, (100, 3)):
         turning, force = generator.normal(size=3), generator.normal(size=3)
         ahead, behind = (
-            chain.forward(arm, chain.angles_of(arm, tuple(counts + s * turning))) for s in (h, -h)
+            chain.forward(arm, chain.compute_angles(arm, tuple(counts + s * turning))) for s in (h, -h)
         )  # fmt: skip
-        current, _ = chain.currents_for(arm, chain.angles_of(arm, tuple(counts)), tuple(force))
+        current, _ = chain.compute_currents(arm, chain.compute_angles(arm, tuple(counts)), tuple(force))
         radians = turning * 2 * np.pi / kinematics.counts_per_turn
         electrical = np.dot(np.multiply(kinematics.torque_constant_nm_per_a, current), radians)
         mechanical = np.dot(force, np.subtract(ahead, behind) / (2 * h))
@@ -107,10 +107,10 @@ def test_power_is_conserved(unlike: bool) -> None:
 
 def test_limited_currents_preserve_the_direction() -> None:
     arm = arm_of("woodenhaptics-2019")
-    angles = chain.angles_of(arm, (500.0, -800.0, 1200.0))
-    whole, cut = chain.currents_for(arm, angles, (5.0, 1.0, 2.0))
+    angles = chain.compute_angles(arm, (500.0, -800.0, 1200.0))
+    whole, cut = chain.compute_currents(arm, angles, (5.0, 1.0, 2.0))
     assert not cut
-    much, cut = chain.currents_for(arm, angles, (50.0, 10.0, 20.0))
+    much, cut = chain.compute_currents(arm, angles, (50.0, 10.0, 20.0))
     assert cut
     assert max(map(abs, much)) == pytest.approx(2.0, abs=1e-15)
     np.testing.assert_allclose(np.array(much) / much[2], np.array(whole) / whole[2], rtol=1e-14)
@@ -123,7 +123,7 @@ def test_wrist_turns_as_published() -> None:
     for a, b, c, d, e, f in generator.uniform(-3, 3, (100, 6)):
         per_count = 2 * np.pi / 1024
         counts = (-d / per_count, e / per_count, -f / per_count)  # D and F turn against their counts
-        w, x, y, z = chain.orientation_of(arm, (a, b, c), counts)
+        w, x, y, z = chain.compute_orientation(arm, (a, b, c), counts)
         expected = Rotation.identity()
         for axis, angle in (("z", a), ("y", np.pi / 2 - c), ("x", d), ("y", e), ("x", f)):
             expected = expected * Rotation.from_euler(axis, angle)

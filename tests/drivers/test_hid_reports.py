@@ -33,7 +33,7 @@ CODES = dict(zip(TYPES, "bBhHiIf", strict=True))
 
 def decode(report: InputReport, data: bytes) -> tuple[bool, dict[str, float]]:
     values, scratch, packet = np.zeros(reports.SENSED_SIZE), np.zeros(1, np.int64), np.frombuffer(data, np.uint8)
-    rows = reports.input_table(report.field)
+    rows = reports.make_input_table(report.field)
     usable = reports.decode(packet.ctypes.data, rows.ctypes.data, len(rows), scratch.ctypes.data, values)
     return bool(usable), dict(zip(SENSED, values.tolist(), strict=True))
 
@@ -42,7 +42,7 @@ def encode(report: OutputReport, **values: float) -> tuple[bool, bytes]:
     out, scratch = np.zeros(1 + report.bytes, np.uint8), np.zeros(1, np.int64)
     numbers = np.array([values.get(name, 0.0) for name in COMMANDED])
     numbers[reports.CONSTANT] = 1.0
-    rows = reports.output_table(report.field)
+    rows = reports.make_output_table(report.field)
     cut = reports.encode(numbers, rows.ctypes.data, len(rows), scratch.ctypes.data, out[1:].ctypes.data)
     return bool(cut), out.tobytes()
 

@@ -22,7 +22,7 @@ from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, TIMEOU
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
 
@@ -53,7 +53,7 @@ class ThreadedBoard:
         self.answering, self.api = Answering(end, note), Api(fd)
         link = link_by_threads(self.api, options)
         self.device = HidDevice(options, link.fd, link.threads)
-        self.servo = Servo(self.device)
+        self.servo = DeviceCaller(self.device)
 
     def force(self, index: int = -1) -> tuple[int, ...]:
         """Return the force (mN) of a report sent to the device."""
@@ -214,7 +214,7 @@ def test_calibration_at_opening(rig: str) -> None:
     with Answering(end, answer):
         link = link_by_threads(Api(fd), options)
         with HidDevice(options, link.fd, link.threads) as device:
-            sample = Servo(device).read()[1]
+            sample = DeviceCaller(device).read()[1]
             np.testing.assert_allclose(sample[:3], resting, atol=3e-4)  # half a count at each motor
             assert all(not any(words[:3]) for words in arm.sent), "a force during calibration"
             assert sum(words[3] for words in arm.sent) == (options.reports.preset is not None)

@@ -14,9 +14,9 @@ from softfinger.config.schema import Rig
 from softfinger.drivers import registry
 from softfinger.drivers.simulated.device import Options, SimulatedDevice, open_device
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
-from softfinger.drivers.simulated.lead import NoSimulatedHand, RequestedPose, hold, lead
+from softfinger.drivers.simulated.lead import NoSimulatedHand, RequestedPose, hold, lead_hand
 from softfinger.proxy.kernels.numerics.tool import make_tool
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 
 AT = (0.0, 0.0, 0.02)
 BARE = {"damping_ns_per_m": [0, 0, 0], "friction_n": [0, 0, 0], "lag_s": 0, "delay_ticks": 0, "resolution_m": 0}
@@ -30,7 +30,7 @@ def opened(**options: Any) -> SimulatedDevice:
     return open_device(build(Options, options, "[device]"), RATE_HZ)
 
 
-def read(servo: Servo, count: int) -> np.ndarray:
+def read(servo: DeviceCaller, count: int) -> np.ndarray:
     """Return samples (count, 7) of `count` reads."""
     return np.array([servo.read()[1][:7] for _ in range(count)])
 
@@ -38,7 +38,7 @@ def read(servo: Servo, count: int) -> np.ndarray:
 def test_a_led_hand_reaches_its_target_within_its_speed_limits() -> None:
     turned = (cos(pi / 4), 0.0, 0.0, sin(pi / 4))
     with opened(position_m=AT, **FIRM) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         read(servo, 10)
         device.hand().lead((0.04, 0.0, 0.02), turned)
         poses = read(servo, 1500)
@@ -53,7 +53,7 @@ def test_a_led_hand_reaches_its_target_within_its_speed_limits() -> None:
 
 def test_a_lead_without_an_orientation_preserves_it() -> None:
     with opened(position_m=AT, **FIRM) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         device.hand().lead(AT, (0.6, 0.8, 0.0, 0.0))
         before = read(servo, 1500)[-1]
         device.hand().lead((0.01, 0.0, 0.02))
@@ -64,7 +64,7 @@ def test_a_lead_without_an_orientation_preserves_it() -> None:
 
 def test_a_released_hand_resumes_its_recording() -> None:
     with opened(recording="tap", loop=True, **FIRM) as led, opened(recording="tap", loop=True, **FIRM) as alone:
-        ours, theirs = Servo(led), Servo(alone)
+        ours, theirs = DeviceCaller(led), DeviceCaller(alone)
         read(ours, 100), read(theirs, 100)
         led.hand().lead((0.03, 0.0, 0.03))
         assert np.abs(read(ours, 400) - read(theirs, 400)).max() > 0.02
@@ -77,7 +77,7 @@ def test_a_released_hand_resumes_its_recording() -> None:
 def test_a_recording_ends_also_if_the_hand_is_led() -> None:
     with opened(recording="tap", loop=False, **FIRM) as led, opened(recording="tap", loop=False, **FIRM) as alone:
         led.hand().lead(AT)
-        ours, theirs = Servo(led), Servo(alone)
+        ours, theirs = DeviceCaller(led), DeviceCaller(alone)
         statuses = [(ours.read()[0], theirs.read()[0]) for _ in range(2400)]
     assert all(a == b for a, b in statuses) and statuses[-1][0] != statuses[0][0]
 
@@ -88,21 +88,21 @@ def test_impossible_leads_raise_errors() -> None:
         with pytest.raises(
             ConfigError, match=r"position_m = \[0.0, 0.0, 0.5\] is outside the workspace of simulated omega.6"
         ):
-            lead(device, None, (0.0, 0.0, 0.0), RequestedPose((0.0, 0.0, 0.5), None, UPRIGHT))
+            lead_hand(device, None, (0.0, 0.0, 0.0), RequestedPose((0.0, 0.0, 0.5), None, UPRIGHT))
         with pytest.raises(ConfigError, match=r"omega\.3 measures no orientation: remove orientation_wxyz"):
-            lead(wristless, None, (0.0, 0.0, 0.0), RequestedPose(AT, UPRIGHT, UPRIGHT))
+            lead_hand(wristless, None, (0.0, 0.0, 0.0), RequestedPose(AT, UPRIGHT, UPRIGHT))
         with pytest.raises(ConfigError, match="all zero is not an orientation"):
-            lead(device, None, (0.0, 0.0, 0.0), RequestedPose(AT, (0.0, 0.0, 0.0, 0.0), UPRIGHT))
+            lead_hand(device, None, (0.0, 0.0, 0.0), RequestedPose(AT, (0.0, 0.0, 0.0, 0.0), UPRIGHT))
     replay = registry.open_device(rig.device, rig.servo.rate_hz, "[device]")
     with replay, pytest.raises(NoSimulatedHand, match=r"replay.* has no hand that a program can move"):
-        lead(replay, None, (0.0, 0.0, 0.0), None)
+        lead_hand(replay, None, (0.0, 0.0, 0.0), None)
 
 
 def test_a_lead_is_for_the_tip_of_the_tool() -> None:
     tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
     with opened(position_m=AT, **FIRM) as device:
-        servo = Servo(device)
-        lead(device, tool, (0.01, 0.0, 0.0), RequestedPose((0.02, 0.0, -0.03), (0.0, 1.0, 0.0, 0.0), UPRIGHT))
+        servo = DeviceCaller(device)
+        lead_hand(device, tool, (0.01, 0.0, 0.0), RequestedPose((0.02, 0.0, -0.03), (0.0, 1.0, 0.0, 0.0), UPRIGHT))
         sample = read(servo, 2000)[-1]
     # The tip is rotated by half a turn about x relative to the handle, so the handle is upright, 50 mm above and 10 mm
     # aside.
@@ -113,7 +113,7 @@ def test_the_shipped_rig_waits_above_the_scenes() -> None:
     rig: Rig = load_rig("simulated-hand")
     with registry.open_device(rig.device, rig.servo.rate_hz, "[device]") as device:
         assert device.hand() is not None
-        samples = read(Servo(device), 100)
+        samples = read(DeviceCaller(device), 100)
     np.testing.assert_allclose(samples, [[*AT, *UPRIGHT]] * 100, atol=1e-12)
 
 
@@ -122,7 +122,7 @@ def test_hold_freezes_the_goal_of_the_hand() -> None:
     soft = {"hand": {"mass_kg": 0.1, "damping_ns_per_m": 20.0, "stiffness_n_per_m": 1000.0}, **BARE}
     tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
     with opened(recording="tap", loop=True, **soft) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0)
         read(servo, 700)
         goal, tip = device.hand().intends()[0], hold(device, tool, (0.01, 0.0, 0.0))
@@ -130,5 +130,5 @@ def test_hold_freezes_the_goal_of_the_hand() -> None:
         assert device.hand().intends()[0] == goal
         assert rested[:3] == pytest.approx(np.add(goal, (0.0, 0.0, 2.0 / 1000.0)), abs=1e-9)  # 100 time constants
         assert tip.position == pytest.approx(np.add(goal, (0.01, 0.0, -0.05)))
-        lead(device, tool, (0.01, 0.0, 0.0), RequestedPose(tip.position, tip.orientation, UPRIGHT))
+        lead_hand(device, tool, (0.01, 0.0, 0.0), RequestedPose(tip.position, tip.orientation, UPRIGHT))
         np.testing.assert_allclose(read(servo, 200)[:, :3], [rested[:3]] * 200, atol=1e-9)

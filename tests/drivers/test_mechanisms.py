@@ -21,9 +21,9 @@ from softfinger.drivers.kinematics.mechanism import (
     PADDLE,
     PANTOGRAPH,
     SINGULAR,
-    force_to_command,
+    compute_command,
+    find_kind,
     forward_kinematics,
-    kind_of,
     make_mechanism,
 )
 
@@ -61,7 +61,7 @@ def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
 
 class MechanismProbe:
     def __init__(self, kinematics: options.Kinematics) -> None:
-        self.kind, self.mechanism = kind_of(kinematics, False), make_mechanism(kinematics, 5.0)
+        self.kind, self.mechanism = find_kind(kinematics, False), make_mechanism(kinematics, 5.0)
         self.values, self.last = np.zeros(table.SENSED_SIZE), np.array(self.mechanism.delta.home)
 
     def end(self, joints: Any) -> np.ndarray:
@@ -75,7 +75,7 @@ class MechanismProbe:
         """Return the status of the force, and torques (N m), or currents (A) of a chain."""
         self.end(joints)
         torques = np.zeros(table.COMMANDED_SIZE)
-        how = force_to_command(self.kind, self.mechanism, self.values, self.last, tuple(force), torques)
+        how = compute_command(self.kind, self.mechanism, self.values, self.last, tuple(force), torques)
         at = table.CURRENT if isinstance(self.mechanism_of(), options.Chain) else table.TORQUE
         return how, torques[at : at + 3]
 
@@ -119,8 +119,10 @@ def test_power_of_a_delta(name: str) -> None:
     for _ in range(200):
         p = rng.uniform((-0.02, -0.02, -0.03), (0.02, 0.02, 0.0)) + d.home
         speed, force = rng.normal(size=3), rng.normal(size=3)
-        turning = derivative(partial(along, lambda at: np.array(delta.inverse(d, tuple(at))[0]), p, speed), 2e-4)
-        how, torque = ask.torques(delta.inverse(d, tuple(p))[0], force)
+        turning = derivative(
+            partial(along, lambda at: np.array(delta.compute_leg_angles(d, tuple(at))[0]), p, speed), 2e-4
+        )
+        how, torque = ask.torques(delta.compute_leg_angles(d, tuple(p))[0], force)
         assert how == FULL
         # eps / h of angles of 1 rad is 1e-12, and h^8 of a derivative that grows by 1 / 0.03 with each order
         np.testing.assert_allclose(np.dot(torque, turning), np.dot(force, speed), rtol=0, atol=1e-11)
@@ -187,7 +189,7 @@ def test_aligned_links_give_no_force() -> None:
     last = None
     for a in np.linspace(radians(80.0), radians(140.0), 8000):
         joints = (a, pi - a, 0.0)
-        *_, sine = pantograph.jacobian(ask.mechanism.pantograph, a, pi - a)
+        *_, sine = pantograph.compute_jacobian(ask.mechanism.pantograph, a, pi - a)
         how, torque = ask.torques(joints, force)
         results.add(how)
         if sine <= pantograph.SINE_NONE:
@@ -212,7 +214,7 @@ def test_a_delta_out_of_reach_has_no_pose() -> None:
     assert isinstance(kinematics, options.Delta)
     ask = MechanismProbe(kinematics)
     home = ask.mechanism.delta.home
-    angles = delta.inverse(ask.mechanism.delta, home)[0]
+    angles = delta.compute_leg_angles(ask.mechanism.delta, home)[0]
     # legs and rods in one line, all alike: base + (arm + rod) cos a = end
     in_line = acos((kinematics.end_m - kinematics.base_m) / (kinematics.arm_m + kinematics.rod_m))
     for joints in ((0.0, 0.0, 3.0), (in_line,) * 3):
@@ -228,8 +230,8 @@ def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
     # on the axis all rods are flat where base + arm cos a = end + rod; the end is then as high as the elbows
     flat = 0.1 * sqrt(1.0 - ((0.02 + 0.17 - 0.12) / 0.1) ** 2)
     for height in np.linspace(d.home[2], flat, 1000):
-        torque, able = delta.torques_for(d, (0.0, 0.0, float(height)), (0.0, 0.0, 1.0))
-        _, rows = delta.inverse(d, (0.0, 0.0, float(height)))
+        torque, able = delta.compute_torques(d, (0.0, 0.0, float(height)), (0.0, 0.0, 1.0))
+        _, rows = delta.compute_leg_angles(d, (0.0, 0.0, float(height)))
         det = abs(np.linalg.det(rows)) * d.arm**3
         results.add(able)
         assert able == (det > delta.DET_MIN)

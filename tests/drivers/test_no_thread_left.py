@@ -9,7 +9,7 @@ import pytest
 from helpers.programs import run_program
 
 from softfinger.config.load import load_rig
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers import open_devices
 from softfinger.drivers.registry import open_device
 
@@ -80,7 +80,7 @@ def test_a_device_that_hangs_delays_no_other_without_threads(hanging: int, monke
 def test_a_device_is_opened_only_with_threads_for_its_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     leave_threads(open_devices.RESERVED_THREADS - 1, monkeypatch)
     with pytest.raises(RuntimeError):
-        open_device(single_device(load_rig("simulated")), 1000.0)
+        open_device(find_single_device(load_rig("simulated")), 1000.0)
 
 
 PROGRAM = """

@@ -32,9 +32,9 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import diagnose, diagnose_requirements
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.rules import udev_rules
+from softfinger.drivers.system.rules import make_udev_rules
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.driver_contract import RATE_HZ, DriverContract, Servo, make_pulling_tuning, run_for
+from softfinger.server.driver_contract import RATE_HZ, DeviceCaller, DriverContract, make_pulling_tuning, run_for
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.verbs import devices
 
@@ -60,7 +60,7 @@ class TestContract(DriverContract):
     """The contract over the stub."""
 
 
-def apply_force(servo: Servo, bench: TouchBench, force: tuple[float, float, float]) -> None:
+def apply_force(servo: DeviceCaller, bench: TouchBench, force: tuple[float, float, float]) -> None:
     def is_displayed() -> bool:
         servo.read()
         servo.write(*force, 0.0, 0.0, 0.0)
@@ -85,7 +85,7 @@ def test_every_model_opens_with_its_limits(model: int, hd: HdStub, bench: TouchB
         assert device.info.torque_max_nm == (limits.torque_max_nm if outputs == 6 else 100.0)
         assert device.info.stiffness_max_n_per_m == limits.stiffness_max_n_per_m
         assert device.info.workspace_min_m == pytest.approx((-0.08, -0.035, -0.06))
-        Servo(device).write(0.1, 0.0, 0.0, 0.01, 0.01, 0.01)
+        DeviceCaller(device).write(0.1, 0.0, 0.0, 0.01, 0.01, 0.01)
         hd.after(2)
         assert [any(part) for part in np.split(np.array(hd.wrench()), 2)] == [True, outputs == 6]
     hd["max_force"] = 0.9
@@ -120,7 +120,7 @@ def test_poses_and_wrenches_are_turned_into_the_world(hd: HdStub, bench: TouchBe
     hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
     hd.reset_hand()
     with bench.open() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         status, sample = servo.read()
         assert status == OK
         np.testing.assert_allclose(sample[:3], TURN @ place / 1000, atol=1e-9)
@@ -138,7 +138,7 @@ def test_poses_and_wrenches_are_turned_into_the_world(hd: HdStub, bench: TouchBe
 def test_the_order_of_opening_and_closing(hd: HdStub, bench: TouchBench) -> None:
     with bench.open_unarmed() as device:
         assert hd["running"] and hd["output_sets"] == 0
-        servo = Servo(device, arm=False)
+        servo = DeviceCaller(device, arm=False)
         assert servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
         device.arm()
         assert hd["output_sets"] == 1
@@ -264,7 +264,7 @@ def test_each_generation_of_the_touch_is_claimed(
 ) -> None:
     claim = find_claim(device)
     assert claim is not None and (claim.driver, claim.bus, claim.rigs) == ("openhaptics", device.bus, ("touch",))
-    (line,) = [line for line in udev_rules().splitlines() if line.startswith(rule)]
+    (line,) = [line for line in make_udev_rules().splitlines() if line.startswith(rule)]
     assert ("ID_MM_DEVICE_IGNORE" in line) == (device.bus == "serial")
     bare = device._replace(bus="usb", node="/dev/bus/usb/001/002")
     diagnosis = diagnose(bare, find_claim(bare))
@@ -312,7 +312,7 @@ def test_a_device_that_usb_does_not_list_is_identified(
 def test_a_force_that_is_too_old_is_ended_by_the_library_thread(hd: HdStub, bench: TouchBench) -> None:
     age_s = 0.02
     with bench.open(force_age_max_s=age_s) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         apply_force(servo, bench, (1.0, 0.0, 0.0))
         wrote = time.monotonic_ns()
         servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -352,7 +352,7 @@ def test_late_frames_cause_a_warning(hd: HdStub, bench: TouchBench) -> None:
 def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
     hd["style"] = library.INKWELL
     with bench.open() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd["docked"] = 1
         assert not any(bench.displayed()) and "inkwell" in device.warning()
@@ -361,7 +361,7 @@ def test_no_force_in_the_inkwell(hd: HdStub, bench: TouchBench) -> None:
         assert not any(bench.displayed()) and device.warning() == ""
     hd["docked"] = 1
     with bench.open(inkwell=False) as device:
-        apply_force(Servo(device), bench, (1.0, 0.0, 0.0))
+        apply_force(DeviceCaller(device), bench, (1.0, 0.0, 0.0))
 
 
 def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
@@ -372,7 +372,7 @@ def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
             hd["temperature"] = temperature
             hd.after(250)
             assert ("hot" in device.warning()) is warns, temperature
-        assert Servo(device).read()[0] == OK
+        assert DeviceCaller(device).read()[0] == OK
 
 
 @pytest.mark.parametrize(
@@ -386,7 +386,7 @@ def test_hot_motors_are_a_warning(hd: HdStub, bench: TouchBench) -> None:
 )  # fmt: skip
 def test_an_error_ends_the_force(code: int, status: int, words: str, hd: HdStub, bench: TouchBench) -> None:
     with bench.open() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd.push(code, 0)
         assert not any(bench.displayed())
@@ -403,7 +403,7 @@ def test_a_force_that_cannot_be_enabled(hd: HdStub, bench: TouchBench) -> None:
 
 def test_a_library_that_hangs_in_a_frame(hd: HdStub, bench: TouchBench) -> None:
     with bench.open() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         apply_force(servo, bench, (1.0, 0.0, 0.0))
         hd.update(delay_s=1.5, delay_at=hd["frames"] + 2)
         until(lambda: servo.read()[0] == TIMEOUT)
@@ -423,7 +423,7 @@ def test_frames_of_garbage(hd: HdStub, bench: TouchBench, cases: Callable[[int, 
         hd["garbage"] = 1
         io, out = device.io(), np.zeros(3, np.int64)
         arrays = np.zeros(SAMPLE_SIZE), np.zeros(6), out
-        exchange_garbage(exchange.callback.address, io.read, io.write, io.handle, *arrays, cases(20_000, 1_000_000))
+        exchange_garbage(exchange.run_frame.address, io.read, io.write, io.handle, *arrays, cases(20_000, 1_000_000))
         assert out[:2].tolist() == [0, 0]
         assert hd["misuse"] == hd["errors"] == 0
 
@@ -435,7 +435,7 @@ def test_two_devices_at_once(hd: HdStub, bench: TouchBench) -> None:
     hd["devices"] = 2
     with bench.open_unarmed() as first, bench.open_unarmed(name="Left Device") as second:
         assert second.info.name.endswith("70002")
-        first_servo, two = Servo(first), Servo(second)
+        first_servo, two = DeviceCaller(first), DeviceCaller(second)
         assert two.read()[1][0] - first_servo.read()[1][0] == pytest.approx(0.1)
         apply_force(first_servo, bench, (1.0, 0.0, 0.0))
         until(lambda: two.write(0.0, 0.0, 0.5, 0.0, 0.0, 0.0) == OK and (hd.after(2) or hd.wrench(1)[1] == 0.5))
@@ -454,10 +454,10 @@ def test_a_second_device_is_not_opened_over_a_force(hd: HdStub, bench: TouchBenc
     """Opening would pause the library's thread while the first device has a force."""
     hd["devices"] = 2
     with bench.open() as first:
-        apply_force(Servo(first), bench, (1.0, 0.0, 0.0))
+        apply_force(DeviceCaller(first), bench, (1.0, 0.0, 0.0))
         with pytest.raises(DeviceBusy, match="list both in one rig"):
             bench.open_unarmed(name="Left Device")
-        assert Servo(first, arm=False).read()[0] in (OK, STALE)
+        assert DeviceCaller(first, arm=False).read()[0] in (OK, STALE)
 
 
 def test_the_same_device_twice_is_busy(hd: HdStub, bench: TouchBench) -> None:
@@ -465,4 +465,4 @@ def test_the_same_device_twice_is_busy(hd: HdStub, bench: TouchBench) -> None:
         with pytest.raises(DeviceBusy, match="twice in this rig"):
             bench.open_unarmed()
         hd.after(3)
-        assert Servo(first).read()[0] == OK
+        assert DeviceCaller(first).read()[0] == OK

@@ -103,7 +103,7 @@ class Library(FarEnd):
             (AT.reads, AT.frame_timespec), (AT.servo_timespec, AT.position), (AT.read_pose, AT.read_wrench)
         ]  # fmt: skip
         self.calls.clear()
-        return self.block.call(exchange.callback)
+        return self.block.call(exchange.run_frame)
 
     def read(self) -> tuple[int, np.ndarray]:
         self.clock.room = {self.block.handle + 8 * AT.servo_timespec}

@@ -20,7 +20,7 @@ from helpers.rig_files import load_rig_in_process
 from softfinger.config.errors import DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig
-from softfinger.drivers.registry import options
+from softfinger.drivers.registry import read_options
 from softfinger.proxy.record import AT, MODE_NAMES
 from softfinger.server.app import Daemon
 from softfinger.server.driver_contract import RATE_HZ
@@ -110,6 +110,6 @@ def test_shipped_rig_opens_a_touch(hd: HdStub, touch: TouchBench) -> None:
     assert rig.device is not None
     from softfinger.drivers.openhaptics.device import open_device
 
-    with open_device(options(rig.device), rig.servo.rate_hz) as device:
+    with open_device(read_options(rig.device), rig.servo.rate_hz) as device:
         assert rig.guard.force_max_n <= device.info.force_max_n
         assert device.info.name.startswith("Touch")

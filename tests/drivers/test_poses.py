@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import ENDINGS, RESULT_COLUMNS, Poses, check_poses, list_shipped_recordings, load_poses
 from softfinger.drivers.resample import close_loop, resample
-from softfinger.proxy.record import AT, RECORD_SIZE, columns
+from softfinger.proxy.record import AT, RECORD_SIZE, list_columns
 from softfinger.server.recording.results import write_blocks
 
 pytestmark = pytest.mark.plain
@@ -113,7 +113,7 @@ def test_orientation_is_normalised_and_continuous_in_sign() -> None:
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_results_are_poses(tmp_path: Path, ending: str) -> None:
-    assert set(RESULT_COLUMNS) <= set(columns())
+    assert set(RESULT_COLUMNS) <= set(list_columns())
     poses = some_poses()
     path = tmp_path / f"results{ending}"
     write_blocks(path, [""], [records_of(poses)[:, None]])

@@ -15,7 +15,7 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.replay.device import Options, Replay, open_device
 from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 
 
 def opened(**options: Any) -> Replay:
@@ -25,7 +25,7 @@ def opened(**options: Any) -> Replay:
 def test_reads_return_samples_in_order() -> None:
     wanted = resample(load_poses("tap"), 1000.0)
     with opened(loop=False) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         for n in range(500):
             status, sample = servo.read()
             assert status == OK
@@ -36,7 +36,7 @@ def test_reads_return_samples_in_order() -> None:
 
 def test_a_recording_that_is_not_looped_ends() -> None:
     with opened(loop=False) as device:
-        servo, count = Servo(device), len(device.samples)
+        servo, count = DeviceCaller(device), len(device.samples)
         statuses = [servo.read()[0] for _ in range(count)]
         assert statuses == [OK] * count
         for _ in range(3):
@@ -45,7 +45,7 @@ def test_a_recording_that_is_not_looped_ends() -> None:
 
 def test_a_looped_recording_restarts() -> None:
     with opened() as device:
-        servo, count = Servo(device), len(device.samples)
+        servo, count = DeviceCaller(device), len(device.samples)
         first = [servo.read()[1] for _ in range(count)]
         second = [servo.read() for _ in range(count)]
         assert [s for s, _ in second] == [OK] * count
@@ -55,7 +55,7 @@ def test_a_looped_recording_restarts() -> None:
 
 def test_every_wrench_is_logged_with_its_read() -> None:
     with opened(loop=False) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.write(9.0, 0, 0, 0, 0, 0)
         for n in range(50):
             servo.read()
@@ -70,7 +70,7 @@ def test_every_wrench_is_logged_with_its_read() -> None:
 
 def test_a_stopped_device_withholds_forces() -> None:
     device = opened()
-    servo = Servo(device)
+    servo = DeviceCaller(device)
     servo.write(1.0, 0, 0, 0, 0, 0)
     device.stop()
     forces = device.forces()
@@ -83,7 +83,7 @@ def test_a_stopped_device_withholds_forces() -> None:
 
 def test_the_log_of_a_long_loop_contains_the_latest_wrenches() -> None:
     with opened() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         for n in range(15_000):
             servo.write(float(n), 0, 0, 0, 0, 0)
         device.stop()
@@ -106,7 +106,7 @@ def test_a_stop_during_writes_ends_with_zero() -> None:
 def test_forces_are_saved_on_close(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"forces{ending}"
     with opened(forces=str(path)) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         for n in range(20):
             servo.read()
             servo.write(n / 3.0, 0.1, 0.2, 0.3, 0.4, 0.5)

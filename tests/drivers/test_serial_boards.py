@@ -21,7 +21,7 @@ from softfinger.config.errors import DeviceTimeout
 from softfinger.drivers.base import LOST, OK, PROTOCOL, TIMEOUT, Device
 from softfinger.drivers.serial.device import open_device
 from softfinger.server import driver_contract
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
 
@@ -110,11 +110,11 @@ class TestHapkit(Contract):
 
 
 @contextlib.contextmanager
-def two_diy(**changes: Any) -> Iterator[tuple[Servo, Device, Firmware, Port]]:
+def two_diy(**changes: Any) -> Iterator[tuple[DeviceCaller, Device, Firmware, Port]]:
     board = Firmware()
     with Port(board) as port, opened("haply-2diy", port.path, **changes) as device:
         board.angles = list(REST)
-        yield Servo(device), device, board, port
+        yield DeviceCaller(device), device, board, port
 
 
 def test_pose_and_force_of_a_2diy() -> None:
@@ -178,7 +178,7 @@ def test_a_board_that_never_answers_is_named_with_the_request() -> None:
 
 def test_the_sketch_switches_off_by_itself() -> None:
     with Hapkit(sketch_library()) as board, opened("hapkit", board.path) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         fresh(servo)
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         assert settled(board.torque, lambda torque: torque > 0.0) > 0.0
@@ -190,7 +190,7 @@ def test_the_sketch_switches_off_by_itself() -> None:
 
 def test_a_hapkit_moves_on_its_arc() -> None:
     with Hapkit(sketch_library()) as board, opened("hapkit", board.path) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
 
         def is_at(angle: float) -> bool:
             place = (-0.09 * (np.cos(angle) - 1.0), 0.0, 0.09 * np.sin(angle))

@@ -27,7 +27,7 @@ from helpers.waits import until
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
 from softfinger.server.app import Daemon
-from softfinger.server.states import COMMANDED
+from softfinger.server.states import COMMANDED_REASON
 
 pytestmark = pytest.mark.real_time
 
@@ -84,7 +84,7 @@ def test_disarm_does_not_wait_for_the_answers_of_a_late_board() -> None:
         answers = board.answers
         until(lambda: board.answers > answers + 5)
         count = len(board.log)
-        daemon.rendering.disarm(COMMANDED)
+        daemon.rendering.disarm(COMMANDED_REASON)
         assert settled(lambda: any(board.torques), lambda on: not on) is False
         forces = [torques for _, *torques in board.log[count:] if any(torques)]
         assert len(forces) <= 2  # one under way at `disarm`, one for an answer in the 6 ms after it

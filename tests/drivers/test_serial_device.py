@@ -27,7 +27,7 @@ from softfinger.drivers.base import HELD, OK, STALE, TIMEOUT, WITHHELD, Device
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial.device import SerialDevice, open_device
 from softfinger.server import driver_contract
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
 
@@ -85,7 +85,7 @@ def fill(device: SerialDevice) -> int:
 def test_a_blocked_port_does_not_block_the_loop() -> None:
     with Cable(Board(lambda _: PLACE)) as cable:
         device = opened(cable)
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         fresh(servo)
         cable.hear(False)
         assert fill(device) > 1000
@@ -103,7 +103,7 @@ def test_a_blocked_port_does_not_block_the_loop() -> None:
 def test_an_empty_port_is_not_read() -> None:
     """A read of an empty terminal waits for a kernel thread; a pipe in its place would block for ever."""
     with board(quiet_s=0.2, timeout_s=2.0) as (device, itself, _):
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         fresh(servo)
         out, into = os.pipe()
         fd = int(device._block.word[BOARD.fd])
@@ -138,7 +138,7 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
         cable.say(20 * itself.frame())
         itself.place, itself.speed = (0.03, 0.0, 0.02), (0.0, 0.0, 0.0)
         device.arm()
-        sample = Servo(device).read()[1]
+        sample = DeviceCaller(device).read()[1]
         np.testing.assert_allclose(sample[:3], (0.03, 0.0, 0.02), atol=1e-3)  # the hand pulls it away for one step
         cable.hush()
         with pytest.raises(NoAnswer, match=r"sends no frame within 0\.3 s"):

@@ -48,7 +48,7 @@ def feed(stream: Any, sizes: Any, buffer: Any, filled: Any, how: Any, memory: An
 def decode_counts(
     frame: InputFrame, stream: bytes, sizes: Any, aligned: bool = False, big: bool = False
 ) -> list[float]:
-    fields = table.input_table(frame.field, big)
+    fields = table.make_input_table(frame.field, big)
     buffer, counts = np.zeros(2 * frame.bytes + 2048, np.uint8), np.zeros(len(sizes))
     memory = (
         packets.make_shape(frame, big), fields, np.zeros(1, np.int64),

@@ -83,9 +83,9 @@ def test_a_port_without_permission() -> None:
 
 
 def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports, original = discovery.serial_ports, discovery.serial_port
-    monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
-    monkeypatch.setattr(discovery, "serial_port", lambda path: original(path, tmp_path))
+    ports, original = discovery.iter_serial_ports, discovery.find_serial_port
+    monkeypatch.setattr(discovery, "iter_serial_ports", lambda: ports(tmp_path))
+    monkeypatch.setattr(discovery, "find_serial_port", lambda path: original(path, tmp_path))
     with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is attached: .*; no USB serial port is"):
         port.find_port(rig_options())
     plug_serial(tmp_path, "ttyUSB0", "0403", "6001")
@@ -109,9 +109,9 @@ def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_teensy_is_not_identified_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ports, original = discovery.serial_ports, discovery.serial_port
-    monkeypatch.setattr(discovery, "serial_ports", lambda: ports(tmp_path))
-    monkeypatch.setattr(discovery, "serial_port", lambda path: original(path, tmp_path))
+    ports, original = discovery.iter_serial_ports, discovery.find_serial_port
+    monkeypatch.setattr(discovery, "iter_serial_ports", lambda: ports(tmp_path))
+    monkeypatch.setattr(discovery, "find_serial_port", lambda path: original(path, tmp_path))
     plug_serial(tmp_path, "ttyACM0", "16c0", "0483", "SN1", product="Haply inverse3")
     with pytest.raises(DeviceNotFound, match=r"no serial port 16c0:0483 is .*; attached are a Haply Inverse3 "):
         port.find_port(rig_options())

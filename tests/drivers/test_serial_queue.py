@@ -163,7 +163,7 @@ class Run:
         self.port.now = lambda: self.clock.now
         self.driver.port = self.port  # type: ignore[assignment]
         by_call(patch, queue)
-        patch.setattr(queue, "monotonic_ns", self.clock)
+        patch.setattr(queue, "read_monotonic_ns", self.clock)
         patch.setattr(exchange, "write_now", self.port.write)
         patch.setattr(queue, "count_unsent", lambda fd, word: self.port.unsent())
         patch.setattr(queue, "drop_unsent", lambda fd: self.port.flush())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.refusals import refusal
 
-from softfinger.config.devices import presets
+from softfinger.config.devices import load_presets
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.sources import list_shipped
@@ -17,8 +17,8 @@ from softfinger.drivers.base import END, OK, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated.device import Options, SimulatedDevice, open_device
-from softfinger.drivers.simulated.plant import goal_at
-from softfinger.server.driver_contract import Servo
+from softfinger.drivers.simulated.plant import compute_goal
+from softfinger.server.driver_contract import DeviceCaller
 
 AT = [0.0, 0.0, 0.02]
 LOOSE = {"hand": {"mass_kg": 0.0, "damping_ns_per_m": 0.0, "stiffness_n_per_m": 0.0}}
@@ -32,7 +32,7 @@ def opened(rate_hz: float = 1000.0, **options: Any) -> SimulatedDevice:
 
 def test_a_force_moves_the_handle_until_stop() -> None:
     with opened(position_m=AT, mass_kg=[0.5, 0.5, 0.5], **LOOSE, **BARE) as device:
-        servo, x = Servo(device), []
+        servo, x = DeviceCaller(device), []
         for n in range(100):
             status, sample = servo.read()
             assert status == OK and sample[7] == pytest.approx(n * 0.001, abs=1e-15) and sample[3:7] == [1, 0, 0, 0]
@@ -49,7 +49,7 @@ def test_a_force_moves_the_handle_until_stop() -> None:
 
 def test_a_force_continues_until_the_next_write() -> None:
     with opened(position_m=AT, mass_kg=[0.5, 0.5, 0.5], **LOOSE, **BARE) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         servo.read()
         servo.write(1.0, 0, 0, 0, 0, 0)
         x = [servo.read()[1][0] for _ in range(20)]
@@ -60,7 +60,7 @@ def test_free_hand_follows_its_recording() -> None:
     wanted = resample(load_poses("tap"), 1000.0)
     hand = {"mass_kg": 0.0, "damping_ns_per_m": 200.0, "stiffness_n_per_m": 1e5}
     with opened(recording="tap", loop=False, hand=hand, **BARE) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         reads = [servo.read() for _ in range(len(wanted))]
         assert [status for status, _ in reads] == [OK] * len(wanted)
         assert servo.read() == (END, reads[-1][1])
@@ -73,7 +73,7 @@ def test_free_hand_follows_its_recording() -> None:
 @pytest.mark.parametrize("preset", ["omega.3", "falcon"])
 def test_devices_without_a_wrist_sense_no_rotation(preset: str) -> None:
     with opened(preset=preset) as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         assert {tuple(servo.read()[1][3:7]) for _ in range(4000)} == {(1.0, 0.0, 0.0, 0.0)}
         assert device.info.sensed_dof == device.info.actuated_dof == 3
 
@@ -83,7 +83,7 @@ def test_sway_is_a_sinusoid_about_the_position() -> None:
     device = opened(position_m=AT, sway_m=[0.001, 0.0, 0.002], sway_hz=7.3, sway_phase_rad=0.4)
     simulation = device.simulation
     for n in (0, 1, 500, 10**6):
-        position, _ = goal_at(simulation.intention, simulation.poses, n)
+        position, _ = compute_goal(simulation.intention, simulation.poses, n)
         wave = np.sin((2.0 * np.pi * 7.3 * n / 1000.0 + 0.4) % (2.0 * np.pi))
         # 7300 turns are known to 1e-12 of a turn.
         np.testing.assert_allclose(position, np.array(AT) + wave * np.array([0.001, 0.0, 0.002]), atol=1e-14)
@@ -94,7 +94,7 @@ def test_two_runs_are_equal_to_the_bit_and_saved_on_close(tmp_path: Path) -> Non
     runs = []
     for _ in range(2):
         with opened(preset="falcon", forces=str(tmp_path / "forces.npz")) as device:
-            servo, samples = Servo(device), []
+            servo, samples = DeviceCaller(device), []
             for _ in range(3000):
                 sample = servo.read()[1]
                 samples.append(sample)
@@ -109,13 +109,13 @@ def test_two_runs_are_equal_to_the_bit_and_saved_on_close(tmp_path: Path) -> Non
 def test_a_pushed_handle_returns_to_its_goal() -> None:
     hand = build(Options, {}, "").hand
     with opened(preset="omega.6", position_m=AT, resolution_m=0.0) as device:
-        servo, x = Servo(device), []
+        servo, x = DeviceCaller(device), []
         for n in range(1500):
             x.append(servo.read()[1][2])
             servo.write(0.0, 0.0, 3.0 if n < 50 else 0.0, 0.0, 0.0, 0.0)
     assert max(x) - AT[2] > 2e-3  # 3 N against 1000 N/m
     assert x[-1] == x[-500]
-    assert abs(x[-1] - AT[2]) <= presets()["omega.6"].friction_n[2] / hand.stiffness_n_per_m
+    assert abs(x[-1] - AT[2]) <= load_presets()["omega.6"].friction_n[2] / hand.stiffness_n_per_m
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_shipped_rigs_open_their_device() -> None:
     devices = {name: load_rig(name).device for name in list_shipped(Rig)}
     single = {name: device for name, device in devices.items() if device is not None}
     names = [n for n, device in single.items() if device.driver == "simulated" and "puck" not in device.options]
-    assert {single[n].options.get("preset", "omega.6") for n in names} == set(presets())
+    assert {single[n].options.get("preset", "omega.6") for n in names} == set(load_presets())
     for name in names:
         rig = load_rig(name)
         with open_device(build(Options, rig.device.options, name), rig.servo.rate_hz) as device:

@@ -26,7 +26,7 @@ from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.drivers.spacemouse.device import SpaceMouse, find, open_device
 from softfinger.drivers.spacemouse.puck import Options, decode, make_parameters, move
 from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
+from softfinger.server.driver_contract import RATE_HZ, Bench, DeviceCaller, DriverContract
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate_devices
@@ -86,13 +86,13 @@ class TestContract(DriverContract):
 
 
 @contextlib.contextmanager
-def puck(**options: Any) -> Iterator[tuple[SpaceMouse, Servo, socket.socket]]:
+def puck(**options: Any) -> Iterator[tuple[SpaceMouse, DeviceCaller, socket.socket]]:
     fd, end = ends()
     with end, SpaceMouse(build(Options, options, "test"), fd, RATE_HZ) as device:
-        yield device, Servo(device), end
+        yield device, DeviceCaller(device), end
 
 
-def over(servo: Servo, reads: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
+def over(servo: DeviceCaller, reads: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
     """Return the time (s), the displacement (3,) and the samples of some reads, 2 ms apart."""
     samples = []
     for _ in range(reads):
@@ -169,7 +169,7 @@ def test_buttons_and_lamp() -> None:
     fd, end = ends()
     with end:
         with SpaceMouse(Options(), fd, RATE_HZ) as device:
-            servo = Servo(device)
+            servo = DeviceCaller(device)
             assert emulated.LED[end.recv(64)] is True
             end.send(emulated.combined(right=350)[0])
             end.send(emulated.buttons(0x80000005))
@@ -264,7 +264,7 @@ def test_a_closed_device_reads_as_lost() -> None:
     fd, end = ends()
     with end:
         device = SpaceMouse(Options(), fd, RATE_HZ)
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         device.close()
         assert servo.read()[0] == LOST
 
@@ -292,11 +292,11 @@ FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "res
 
 
 @contextlib.contextmanager
-def led(**options: Any) -> Iterator[tuple[SimulatedDevice, Servo, socket.socket]]:
+def led(**options: Any) -> Iterator[tuple[SimulatedDevice, DeviceCaller, socket.socket]]:
     fd, end = ends()
     built = build(SimulatedOptions, {"puck": {}, **options}, "test")
     with end, SimulatedDevice(built, RATE_HZ, (fd, "puck")) as device:
-        yield device, Servo(device), end
+        yield device, DeviceCaller(device), end
 
 
 def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
@@ -358,8 +358,8 @@ def test_selection_of_a_puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         "hidraw4": "0005:0000256F:0000C63A",
     }
     attach(tmp_path, "hidraw0", nodes)
-    whole = spacemouse.discovery.hidraw_nodes
-    monkeypatch.setattr(spacemouse.discovery, "hidraw_nodes", lambda: whole(tmp_path))
+    whole = spacemouse.discovery.iter_hidraw_nodes
+    monkeypatch.setattr(spacemouse.discovery, "iter_hidraw_nodes", lambda: whole(tmp_path))
     with pytest.raises(DeviceNotFound, match=r"no SpaceMouse is attached: .*Thing \(16c0:0486\) at /dev/hidraw0"):
         find(Options())
     attach(tmp_path, "hidraw3", nodes)

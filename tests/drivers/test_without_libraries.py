@@ -32,7 +32,7 @@ NEITHER = "libusb, which is .* not installed or cannot be loaded.*pip install.* 
 
 LOADED = """
 from softfinger.drivers.system import libusb
-print(libusb.backend() is not None)
+print(libusb.load_backend() is not None)
 print(*{line.strip().split(None, 5)[5] for line in open("/proc/self/maps") if "libusb" in line})
 """
 """Program that prints if pyusb has a libusb, and which files of that name it has loaded."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from helpers import waits
-from softfinger.tools.bench.view import ARGUMENTS, viewer
+from softfinger.tools.bench.view import ARGUMENTS, run_viewer
 
 WAIT_S = 180.0
 """Generous limit: the page is rendered in software, on a machine that may be busy or pause."""
@@ -145,5 +145,5 @@ def shown(page: Any, address: str) -> Screen:
 @contextmanager
 def served(*words: str) -> Iterator[Screen]:
     """Run `softfinger view` with these arguments in a process, and open its page."""
-    with viewer(*words) as (_, address), browser() as page:
+    with run_viewer(*words) as (_, address), browser() as page:
         yield shown(page, address)

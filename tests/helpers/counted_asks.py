@@ -52,8 +52,8 @@ def count(scenes: list[Any]) -> list[Any]:
 
         return call
 
-    tiles.tile_at = nearest.tile_at = counted(tiles.tile_at, 1)
-    surface.height_at = counted(surface.height_at, nearest.LOOK)
+    tiles.find_tile = nearest.find_tile = counted(tiles.find_tile, 1)
+    surface.compute_height = counted(surface.compute_height, nearest.HEIGHT_COST)
     results = []
     for method, objects, points in scenes:
         tree = build_scene(scene_with(*objects, rolling={"method": method}))

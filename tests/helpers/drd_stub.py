@@ -63,7 +63,7 @@ def stub(stub_library: Path) -> Iterator[Stub]:
 def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged: bool = False) -> Iterator[None]:
     """Let the system list these products, with device nodes of that mode under `nodes`. Unless `privileged`, run as a
     user without privileges."""
-    usb_devices, devices = discovery.usb_devices, []
+    usb_devices, devices = discovery.iter_usb_devices, []
     for number, product in enumerate(products, 5):
         node = (nodes or Path("/dev/bus/usb")) / "001" / f"{number:03d}"
         devices.append(SystemDevice("usb", selection.VENDOR, product, "USB device", "", str(node)))
@@ -71,7 +71,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
             node.parent.mkdir(exist_ok=True)
             node.touch()
             node.chmod(mode)
-    discovery.usb_devices = lambda: devices
+    discovery.iter_usb_devices = lambda: devices
     drop = os.geteuid() == 0 and not privileged
     if drop:
         os.seteuid(65534)  # user nobody: root may open everything
@@ -80,7 +80,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
     finally:
         if drop:
             os.seteuid(0)
-        discovery.usb_devices = usb_devices
+        discovery.iter_usb_devices = usb_devices
 
 
 class OmegaBench(Bench):

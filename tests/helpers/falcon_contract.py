@@ -12,7 +12,7 @@ from helpers.remote_bench import RemoteBench
 from helpers.rig_files import rig_options
 from softfinger.drivers.base import OK, STALE, WITHHELD
 from softfinger.drivers.falcon.device import Falcon, open_device
-from softfinger.server.driver_contract import RATE_HZ, Bench, DriverContract, Servo
+from softfinger.server.driver_contract import RATE_HZ, Bench, DeviceCaller, DriverContract
 
 
 class Emulated(RemoteBench):
@@ -39,7 +39,7 @@ class TestContract(DriverContract):
 
 def test_position_is_where_the_knob_is(bench: Emulated) -> None:
     with bench.open() as device:
-        servo = Servo(device)
+        servo = DeviceCaller(device)
         while device.counts()["replies"] < 30:  # on a slow bus, a few milliseconds of the knob take many ticks
             assert servo.read()[0] in (OK, STALE, WITHHELD)
             servo.write(0.6, -0.4, 0.5, 0.0, 0.0, 0.0)

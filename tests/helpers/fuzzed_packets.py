@@ -106,7 +106,7 @@ def _hid(_: Path, data: bytes) -> None:
 
     for rig in RIGS:
         report = rig_options(rig).reports.input
-        values, scratch, rows = np.zeros(table.SENSED_SIZE), np.zeros(1, np.int64), table.input_table(report.field)
+        values, scratch, rows = np.zeros(table.SENSED_SIZE), np.zeros(1, np.int64), table.make_input_table(report.field)
         packet = np.frombuffer(data.ljust(report.bytes, b"\0"), np.uint8)
         usable = table.decode(packet.ctypes.data, rows.ctypes.data, len(rows), scratch.ctypes.data, values)
         _finite_or_refused(bool(usable), values.tolist())
@@ -137,7 +137,7 @@ def _serial_described(_: Path, data: bytes) -> None:
 
     for rig in ("haply-2diy", "hapkit"):
         frame = rig_options(rig).frames.input
-        shape, fields = packets.make_shape(frame, False), table.input_table(frame.field)
+        shape, fields = packets.make_shape(frame, False), table.make_input_table(frame.field)
         numbers = np.zeros(table.SENSED_SIZE), np.zeros(table.SENSED_SIZE)
         buffer = np.zeros(len(data) + frame.bytes, np.uint8)
         buffer[: len(data)] = np.frombuffer(data, np.uint8)
@@ -159,7 +159,7 @@ def _falcon(_: Path, data: bytes) -> None:
     real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = delta.HOME
     for byte in data:
         if reply.process_byte(block.handle, byte):
-            reply.pose(block.handle)
+            reply.convert_reply(block.handle)
             place = real[AT.sample : AT.sample + 3].tolist()
             assert all(map(isnan, place)) or hypot(*place) < 1.0, place
 

@@ -161,22 +161,22 @@ def targets() -> dict[str, Target]:
     from softfinger.config.load import load_faults, load_rig, load_scene
     from softfinger.config.mjcf import compile_model
     from softfinger.drivers.poses import load_poses
-    from softfinger.proxy.meshes.reading import arrays_of
+    from softfinger.proxy.meshes.reading import parse_mesh
     from softfinger.server.experiment import journal
-    from softfinger.server.recording.compare import FIELDS
+    from softfinger.server.recording.compare import READ_FIELDS
     from softfinger.server.recording.reader import read_contents
     from softfinger.server.recording.results import read_results
     from softfinger.server.recording.run import load_run
-    from softfinger.server.recording.summary import summary
+    from softfinger.server.recording.summary import summarize
     from softfinger.server.recording.tables import make_layout, read_table
-    from softfinger.server.wire.envelope import Declined, parse
+    from softfinger.server.wire.envelope import DeclinedRequest, parse
 
     config, recording = (ConfigError,), (RecordingError,)
     layout = make_layout("t,x,y,z,qw,qx,qy,qz", 1e-3, 1e-3, None, 0)
 
     def every(path: Path, _: bytes) -> None:
         refusal = None
-        for read in (lambda: list(read_contents(path)), lambda: summary(path), lambda: load_run(path, FIELDS)):
+        for read in (lambda: list(read_contents(path)), lambda: summarize(path), lambda: load_run(path, READ_FIELDS)):
             try:
                 read()
             except RecordingError as error:
@@ -196,13 +196,13 @@ def targets() -> dict[str, Target]:
         "results-mcap": Target(_written(_results, ".mcap"), lambda path, _: read_results(path), recording, ".mcap"),
         "recording": Target(_written(_run, ".mcap"), every, recording, ".mcap"),
         "mjcf": Target(lambda: packets.MODELS, lambda path, _: compile_model(str(path)), config, ".xml"),
-        "mesh-stl": Target(lambda: packets.STL, arrays_of, config, ".stl"),
-        "mesh-obj": Target(lambda: packets.OBJ, arrays_of, config, ".obj"),
-        "mesh-ply": Target(lambda: packets.PLY, arrays_of, config, ".ply"),
-        "mesh-glb": Target(lambda: packets.GLB, arrays_of, config, ".glb"),
+        "mesh-stl": Target(lambda: packets.STL, parse_mesh, config, ".stl"),
+        "mesh-obj": Target(lambda: packets.OBJ, parse_mesh, config, ".obj"),
+        "mesh-ply": Target(lambda: packets.PLY, parse_mesh, config, ".ply"),
+        "mesh-glb": Target(lambda: packets.GLB, parse_mesh, config, ".glb"),
         "grid-png": Target(packets.pictures, lambda path, _: read_grid(path), config, ".png"),
         "grid-npy": Target(packets.arrays, lambda path, _: read_grid(path), config, ".npy"),
-        "command": Target(packets.commands, lambda _, data: parse(data), (Declined,), named=False),
+        "command": Target(packets.commands, lambda _, data: parse(data), (DeclinedRequest,), named=False),
         **packets.targets(Target),
     }
 

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from helpers import meshes
 from helpers.meshes import Mesh
-from softfinger.tools.accuracy.meshes import grid
-from softfinger.tools.elastic_scenes import box
+from softfinger.tools.accuracy.meshes import triangulate_grid
+from softfinger.tools.elastic_scenes import make_box
 
 Array = NDArray[np.float64]
 
 
 def bar(x: float, y: float, z: float) -> Mesh:
     """Return the twelve triangles of a box with these half extents, m, wound outward."""
-    return meshes.made(box((-x, -y, -z), (x, y, z)))
+    return meshes.made(make_box((-x, -y, -z), (x, y, z)))
 
 
 def messy_ball(frequency: int = 12, radius: float = 0.05) -> Mesh:
@@ -73,7 +73,7 @@ def shells(count: int = 60) -> Mesh:
 def valley(rows: int, wide: float, high: float, half_length: float = 0.1) -> Mesh:
     """Two sheets that meet along y, `wide` m to both sides of it and `high` m up, with this number of rows of quads."""
     y = np.linspace(-half_length, half_length, rows + 1)
-    return meshes.made(grid(np.array([[(x, v, high * (x != 0.0)) for v in y] for x in (-wide, 0.0, wide)])))
+    return meshes.made(triangulate_grid(np.array([[(x, v, high * (x != 0.0)) for v in y] for x in (-wide, 0.0, wide)])))
 
 
 def crevice(angle: float = 0.02) -> Mesh:

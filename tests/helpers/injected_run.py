@@ -82,7 +82,7 @@ def run(
         injected.close()
         recorder.stop(WAIT_S)
     error = failures[0] if failures else ended.error
-    error = error or shutdown.device_failure(injected, ended)
+    error = error or shutdown.describe_failure(injected, ended)
     error = error or shutdown.loop_failure(ended, servo.ticks, servo.missed, servo.woken_late)
     count, epoch_s = servo.ticks, servo.epoch_s
     servo.close()

@@ -44,7 +44,7 @@ def icosphere(divisions: int, radius: float = 1.0) -> Mesh:
 def geodesic(frequency: int, radius: float = 1.0) -> Mesh:
     """A ball of 20 * frequency^2 triangles: the faces of an icosahedron, divided in rows and projected; 158 gives
     499280."""
-    points, triangles = surfaces.geodesic(np.array(CORNERS), FACES, frequency)
+    points, triangles = surfaces.make_geodesic(np.array(CORNERS), FACES, frequency)
     return made((radius * points, triangles))
 
 
@@ -60,12 +60,12 @@ def bumpy_sphere(frequency: int, radius: float = 1.0, height: float = 0.02, wave
 
 def torus(major: float = 1.0, minor: float = 0.4, along: int = 64, around: int = 32) -> Mesh:
     """A ring about the z axis with `along` segments of `around` vertices: 2 * along * around triangles."""
-    return made(surfaces.ring(major, minor, along, around))
+    return made(surfaces.make_ring(major, minor, along, around))
 
 
 def cylinder(radius: float = 1.0, length: float = 2.0, around: int = 64, along: int = 1, ends: bool = True) -> Mesh:
     """A cylinder about the z axis, centred: 2 * around * along triangles, and 2 * around of the flat ends."""
-    points, sides = surfaces.tube(radius, length, around, along)
+    points, sides = surfaces.make_tube(radius, length, around, along)
     if not ends:
         return made((points, sides))
     bottom, top, last = len(points), len(points) + 1, along * around
@@ -82,7 +82,9 @@ def cylinder(radius: float = 1.0, length: float = 2.0, around: int = 64, along: 
 def sheet(width: float = 1.0, depth: float = 1.0, columns: int = 8, rows: int = 8) -> Mesh:
     """An open rectangle in the plane z = 0 from the origin, normal +z: 2 * columns * rows triangles."""
     x, y = np.linspace(0.0, width, columns + 1), np.linspace(0.0, depth, rows + 1)
-    return made(surfaces.grid(np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((len(x), len(y)))], axis=-1)))
+    return made(
+        surfaces.triangulate_grid(np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((len(x), len(y)))], axis=-1))
+    )
 
 
 def moebius(radius: float = 1.0, width: float = 0.5, along: int = 64, across: int = 4) -> Mesh:
@@ -92,7 +94,7 @@ def moebius(radius: float = 1.0, width: float = 0.5, along: int = 64, across: in
     out = radius + v * np.cos(0.5 * u)
     points = np.stack([out * np.cos(u), out * np.sin(u), v * np.sin(0.5 * u)], axis=-1)
     at = np.arange(along * (across + 1)).reshape(along, across + 1)
-    return made((points.reshape(-1, 3), surfaces.cells(np.concatenate([at, at[:1, ::-1]]))))
+    return made((points.reshape(-1, 3), surfaces.triangulate_cells(np.concatenate([at, at[:1, ::-1]]))))
 
 
 def made(surface: surfaces.Arrays) -> Mesh:

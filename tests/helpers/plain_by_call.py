@@ -45,7 +45,7 @@ class Clock:
         self.room: set[int] = set()
 
     def __call__(self, timespec: int) -> int:
-        """Like `monotonic_ns`."""
+        """Like `read_monotonic_ns`."""
         assert timespec in self.room
         return self.now
 
@@ -79,7 +79,7 @@ class GuardedBlock(Block):
 def by_call(patch: pytest.MonkeyPatch, *modules: ModuleType) -> Clock:
     """Replace the clock, the blocks and all machine-code operations of these modules by plain Python."""
     clock = Clock()
-    here = {"monotonic_ns": clock, "exchange_int64": exchange_int64, "unpack_at": unpack_at, "Block": GuardedBlock}
+    here = {"read_monotonic_ns": clock, "exchange_int64": exchange_int64, "unpack_at": unpack_at, "Block": GuardedBlock}
     for module in modules:
         for name, does in here.items():
             if hasattr(module, name):

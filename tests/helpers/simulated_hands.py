@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from softfinger.config.load import build, load_rig, load_scene
-from softfinger.config.schema.pairing import pair
+from softfinger.config.schema.pairing import pair_devices
 from softfinger.drivers.simulated.options import Options, make_simulation
 from softfinger.drivers.simulated.plant import DELAY_LINE_SIZE, PlantInputs
 from softfinger.proxy.bodies import begin_bodies
@@ -33,7 +33,7 @@ class SimulatedHands:
         assert tuning.scene.bodies is not None
         owner = tuning.scene.bodies.block.owner
         self.model, self.data = owner.model, owner.data
-        pairs = pair(scene, rig)
+        pairs = pair_devices(scene, rig)
         devices = [make_simulation(build(Options, entry.device.options, entry.table), 1.0 / DT) for entry in pairs]
         self._names = [entry.finger for entry in pairs]
         self._hands = tuple(

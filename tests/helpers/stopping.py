@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from helpers.waits import repeated, until
 from softfinger.drivers.base import Device
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 
 
 def stop_during_writes(device: Device, forces: Callable[[], Sequence[bool]], settle: Callable[[], object]) -> None:
@@ -16,7 +16,7 @@ def stop_during_writes(device: Device, forces: Callable[[], Sequence[bool]], set
     forces  whether each command that the far end has processed so far had a force, in order
     settle  waits until the far end has processed all commands
     """
-    servo = Servo(device)
+    servo = DeviceCaller(device)
 
     def write() -> None:
         servo.read()

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from helpers.hostile_meshes import bar
 from helpers.meshes import Mesh, bumpy_sphere, joined, made, moved
-from softfinger.tools.accuracy.meshes import grid
+from softfinger.tools.accuracy.meshes import triangulate_grid
 
 
 def turned_about_z(profile: ArrayLike, around: int) -> Mesh:
@@ -15,7 +15,7 @@ def turned_about_z(profile: ArrayLike, around: int) -> Mesh:
     outline = np.asarray(profile, float)
     angle = 2.0 * np.pi * np.arange(around) / around
     rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(around, z)]) for r, z in outline]
-    vertices, triangles = grid(np.array(rings), rows_meet=True, columns_meet=True)
+    vertices, triangles = triangulate_grid(np.array(rings), rows_meet=True, columns_meet=True)
     return made((vertices, triangles[:, ::-1]))
 
 
@@ -42,7 +42,7 @@ def thread(core: float = 0.01, height: float = 0.003, length: float = 0.04, turn
     phase = (z[:, None] * turns / length - angle / (2.0 * np.pi)) % 1.0
     r = core + height * np.abs(2.0 * phase - 1.0)
     side = np.stack([r * np.cos(angle), r * np.sin(angle), np.broadcast_to(z[:, None], r.shape)], axis=2)
-    vertices, sides = grid(side, columns_meet=True)
+    vertices, sides = triangulate_grid(side, columns_meet=True)
     triangles = sides[:, ::-1].tolist()
     low, high = rows * around, rows * around + 1
     for k in range(around):

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from softfinger.drivers.base import OK
-from softfinger.server.driver_contract import Servo
+from softfinger.server.driver_contract import DeviceCaller
 
 WAIT_S = 120.0
 
@@ -28,7 +28,7 @@ def until(condition: Callable[[], Any], seconds: float = WAIT_S, message: str = 
     assert eventually(condition, seconds), f"{message or 'the condition'}: not within {seconds} s"
 
 
-def fresh(servo: Servo) -> list[float]:
+def fresh(servo: DeviceCaller) -> list[float]:
     samples: list[list[float]] = []
 
     def comes() -> bool:

@@ -21,15 +21,15 @@ from scipy.special import ellipk
 from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.load import load_scene
 from softfinger.config.mjcf_geoms import convert_geoms
-from softfinger.proxy.bodies import RigidBodies, bodies_of
+from softfinger.proxy.bodies import RigidBodies, compile_bodies
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.jit.pack import unpack
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SLOW, SLOW_STEPS, check_budget, step_bodies
-from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.objects import NOBODY, closest_on, closest_to_within, deepest
+from softfinger.proxy.kernels.query.container import find_object
+from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_on, find_closest_within, find_deepest
 from softfinger.proxy.kernels.query.world import advance, place_all
-from softfinger.proxy.kernels.record_writer import poses_in
+from softfinger.proxy.kernels.record_writer import read_poses
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.pose_checks import PoseError
@@ -292,14 +292,14 @@ def test_geoms_have_the_distances_of_mujoco(tmp_path: Path) -> None:
     objects = place_all(engine.scene.objects, world)
     random = np.random.default_rng(1)
     for row, entry in enumerate(engine.config.object):
-        placed = object_at(objects, float(row))
+        placed = find_object(objects, float(row))
         geom = engine.model.geom(entry.name).id
         for _ in range(20):
             x = engine.data.geom_xpos[geom] + random.uniform(-0.1, 0.1, 3)
             engine.data.mocap_pos[0] = x
             mujoco.mj_kinematics(engine.model, engine.data)
             theirs = mujoco.mj_geomDistance(engine.model, engine.data, geom, engine.model.geom("point").id, 1.0, None)
-            ours = closest_on(placed.shape, placed.pose, tuple(x))[0]
+            ours = find_closest_on(placed.shape, placed.pose, tuple(x))[0]
             # MuJoCo searches ellipsoids and cylinders to a tolerance of 1e-6 m; inside it measures another distance
             if theirs > 0.0:
                 assert ours - 0.001 == pytest.approx(theirs, abs=2e-6), entry.name
@@ -325,8 +325,8 @@ def test_a_mesh_has_the_position_of_mujoco(free: bool, tmp_path: Path) -> None:
     theirs = engine.model.mesh_vert @ engine.data.geom_xmat[0].reshape(3, 3).T + engine.data.geom_xpos[0]
     for vertex in theirs[::5]:
         x = tuple(vertex.tolist())
-        place = deepest(placed, x, 1.0, NOBODY, BUDGET).place
-        gap, point, _, _ = closest_to_within(placed, place, x, BUDGET)
+        place = find_deepest(placed, x, 1.0, NO_OBJECTS, BUDGET).place
+        gap, point, _, _ = find_closest_within(placed, place, x, BUDGET)
         assert abs(gap) < 1e-8 and np.abs(np.array(point) - vertex).max() < 1e-8  # vertices are stored in 32 bits
 
 
@@ -586,7 +586,7 @@ def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
     engine.data.qvel[3] = math.nan
     state = unpack(start_state(engine.scene), engine._state)
     assert step_bodies(engine.scene.bodies) != NO_FAULT
-    poses = poses_in([poses[-1] for poses in hand_path.values()])
+    poses = read_poses([poses[-1] for poses in hand_path.values()])
     for _ in range(2):
         state, contacts = step(engine.scene, state, poses, 1e-3)
         assert step_bodies(engine.scene.bodies) != NO_FAULT
@@ -598,7 +598,7 @@ def test_most_steps_must_be_within_the_budget(tmp_path: Path) -> None:
     scene = load_scene(
         {"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "budget_us": 50.0, "material": RUBBER}}
     )
-    owner = bodies_of(scene)
+    owner = compile_bodies(scene)
     assert owner is not None
     owner.begin(0.001)
     bodies = owner.kernel((0.0, 1.0))

@@ -6,7 +6,7 @@ from scipy.optimize import nnls
 
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import FACING, solve_half_spaces
+from softfinger.proxy.kernels.numerics.half_spaces import FACING_COSINE, solve_half_spaces
 
 pytestmark = pytest.mark.plain
 
@@ -30,7 +30,7 @@ def test_agrees_with_non_negative_least_squares(count):
         normals = [unit(rng) for _ in range(3)]
         if count == 3 and abs(np.linalg.det(np.array(normals))) < 1e-3:
             continue  # nearly coplanar normals: both solutions are accurate to fewer digits
-        if any(normals[i] @ normals[j] < FACING for i in range(count) for j in range(i)):
+        if any(normals[i] @ normals[j] < FACING_COSINE for i in range(count) for j in range(i)):
             continue  # walls that face each other are a pinch
         deflection = rng.normal(size=3)  # c - x
         demands = [float(n @ deflection) for n in normals]

@@ -22,45 +22,45 @@ from helpers.programs import run_program
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.scene import build_scene
-from softfinger.tools.bench.features import RIBS, all_features
+from softfinger.tools.bench.features import RIBS, iter_features
 
 FRICTION = {"friction": {"static": 0.6, "kinetic": 0.5}}
 TORSION = {"torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}}
 
 STAND_INS = {
-    "contact.fingertip.arm",
+    "contact.fingertip.compute_arm",
     "contact.fingertip.minkowski_objects",
-    "contact.fingertip.point_on",
-    "contact.fingertip.point_under",
-    "contact.fingertip.radius_of_curvature",
-    "contact.fingertip.torque_of",
-    "contact.fingertip.velocity_at",
-    "contact.normal.normal_force_of",
-    "contact.normal.spring",
-    "contact.normal.elastic_force",
+    "contact.fingertip.find_finger_point",
+    "contact.fingertip.find_contact_point",
+    "contact.fingertip.compute_radius_of_curvature",
+    "contact.fingertip.compute_torque",
+    "contact.fingertip.add_surface_velocity",
+    "contact.normal.compute_normal_force",
+    "contact.normal.compute_spring_force",
+    "contact.normal.compute_elastic_force",
     "contact.normal.bound_force",
-    "friction.contact_patch.contact_patch",
-    "friction.contact_patch.torsion_under",
-    "friction.contact_patch.spring_under",
-    "friction.contact_patch.winding_unit",
-    "friction.torsion.spring_of",
+    "friction.contact_patch.compute_contact_patch",
+    "friction.contact_patch.adapt_torsion",
+    "friction.contact_patch.adapt_spring",
+    "friction.contact_patch.compute_winding_unit",
+    "friction.torsion.find_spring",
     "friction.stick_slip.stick_slip",
     "friction.stick_slip.slide_freely",
     "friction.laws.rotate_law",
     "friction.torsion.wind_up",
-    "friction.torsion.share_of",
-    "friction.torsion.share_of_spring",
-    "contact.rolling.base.no_roll",
+    "friction.torsion.scale_stiffness",
+    "friction.torsion.scale_stiffness_of_spring",
+    "contact.rolling.base.project_without_roll",
     "contact.rolling.base.land_from",
-    "contact.rolling.on_objects.follows_on",
+    "contact.rolling.on_objects.can_follow",
     "contact.rolling.on_objects.roll_on",
     "shapes.composite.shade_normal",
     "effects.forces.apply_effects",
     "effects.objects.apply_objects_effects",
-    "query.motion.pose_at",
+    "query.motion.compute_pose",
     "friction.torsion.damp_moment",
     "query.motion.can_move",
-    "query.motion.moving_pose",
+    "query.motion.select_moving_pose",
     "shapes.protocol.is_hollow",
     "shapes.composite.nearest_of_shape",
     "shapes.protocol.meets",
@@ -71,8 +71,8 @@ STAND_INS = {
     "shapes.plane.closest_on_plane",
     "shapes.plane.transport_on_plane",
     "shapes.plane.travel_to_plane",
-    "contact.texture.texture_friction",
-    "contact.texture.texture_depth",
+    "contact.texture.apply_grip",
+    "contact.texture.apply_relief",
 }
 """All kernels of the modules below that a bare plane compiles: those for absent parts, and those of the plane."""
 
@@ -250,7 +250,7 @@ def test_an_unused_surface_does_not_change_compiled_code() -> None:
 
 
 def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
-    pairs = [(feature.without, feature.having) for feature in all_features()]
+    pairs = [(feature.without, feature.having) for feature in iter_features()]
 
     def news(of: Callable[[schema.Scene], set[str]]) -> set[str]:
         return set().union(*(of(having) - of(without) for without, having in pairs))
@@ -290,9 +290,9 @@ def test_table_of_features_has_every_feature_of_the_scene_format() -> None:
 
 def test_pairs_of_features_differ_in_compiled_types() -> None:
     """Features are code, not numbers; both sides of a smooth shape share code, and so do two and three objects."""
-    names = [feature.name for feature in all_features()]
+    names = [feature.name for feature in iter_features()]
     assert len(set(names)) == len(names)
-    for feature in all_features():
+    for feature in iter_features():
         types = {numba.typeof(build_scene(s)) for s in (feature.without, feature.having)}
         name = feature.name
         one_code = name.startswith("inside ") and "ends" not in name and "box" not in name

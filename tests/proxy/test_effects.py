@@ -45,7 +45,7 @@ EVERY = (
     model.BoxBoundary(ZERO, (0.1, 0.1, 0.1), 500.0, 3.0, 5.0),
     model.SphereBoundary((0.0, 0.0, 0.1), 0.05, 500.0, 3.0, 5.0),
     model.Vibration(0.5, 80.0, UP, BOX),
-    model.Vibration(0.5, 80.0, UP, model.Touching(1.0)),
+    model.Vibration(0.5, 80.0, UP, model.TouchCondition(1.0)),
     model.NormalVibration(0.4, 33.0),
     model.Magnet(2.0, 0.02, 1.5),
     model.StickSlip(800.0, 0.6),
@@ -97,7 +97,7 @@ def test_viscosity_opposes_the_velocity_inside_its_region_only() -> None:
 
 
 @examples(100, 500)
-@given(places, anywhere, st.sampled_from([None, BOX, BALL, model.Touching(1.0)]), st.sampled_from([0.0, 1.0]))
+@given(places, anywhere, st.sampled_from([None, BOX, BALL, model.TouchCondition(1.0)]), st.sampled_from([0.0, 1.0]))
 def test_viscosity_never_adds_energy(x: model.Vec3, v: model.Vec3, region: Any, touched: float) -> None:
     force, _ = apply_effects((model.Viscosity(2.0, region),), (None,), moment(x, v, touched=touched))
     # By component, since the sum may overflow.
@@ -279,7 +279,7 @@ def test_vibration_is_a_sine_from_touch_on() -> None:
 
 
 @pytest.mark.parametrize(
-    "effect", [model.NormalVibration(0.5, 130.0), model.Vibration(0.5, 130.0, UP, model.Touching(1.0))]
+    "effect", [model.NormalVibration(0.5, 130.0), model.Vibration(0.5, 130.0, UP, model.TouchCondition(1.0))]
 )
 def test_vibration_restarts_with_each_touch(effect: Any) -> None:
     touches = [1.0] * 3 + [0.0] + [1.0] * 3
@@ -375,7 +375,7 @@ OBJECT: list[dict[str, Any]] = [
 
 def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
     scene = build_scene(plane_scene(table={"effect": OBJECT}, effect=WORKSPACE))
-    touching = model.Touching(1.0)
+    touching = model.TouchCondition(1.0)
     assert scene.effects == (
         model.Viscosity(2.0, model.SphereRegion(ZERO, 0.05, 0.01)),
         model.ConstantForce((0.0, 0.0, -1.0), None),
@@ -404,7 +404,7 @@ def test_the_example_of_the_page_is_a_scene() -> None:
     kernels = build_scene(scene)
     assert [type(effect) for effect in kernels.effects] == [model.Viscosity, model.SphereBoundary]
     assert [type(effect) for effect in kernels.objects.effects[0].effects] == [model.Magnet]
-    assert kernels.objects.body.motion == model.AT_REST._replace(kind=model.TURNTABLE, axis=UP, rate=0.5)
+    assert kernels.objects.body.motion == model.NO_MOTION._replace(kind=model.TURNTABLE, axis=UP, rate=0.5)
     assert scene.object[0].material.name == "rubber"
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.elastic import solution
-from softfinger.proxy.elastic.prepared import body_of
+from softfinger.proxy.elastic.prepared import prepare_body
 from softfinger.proxy.elastic.solution import ElasticBody, Report
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.elastic import spots, step, surfaces
-from softfinger.proxy.kernels.elastic.response import compliance_of, compute_node_rows
-from softfinger.proxy.kernels.elastic.spots import spot_on
+from softfinger.proxy.kernels.elastic.response import compute_node_rows, read_compliance
+from softfinger.proxy.kernels.elastic.spots import make_spot
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.numerics import mat3
@@ -50,8 +50,8 @@ def at(x: float, y: float, depth: float) -> list[float]:
 
 def compliance_at(engine: Engine, facet: int, point: Any) -> Any:
     elastic, body = engine.scene.elastic, engine.scene.objects.body
-    spot = spot_on(elastic, body, float(facet), tuple(point), (0.0, 0.0, 1.0))
-    return np.array(compliance_of(spot, compute_node_rows(elastic, spot, spot)))
+    spot = make_spot(elastic, body, float(facet), tuple(point), (0.0, 0.0, 1.0))
+    return np.array(read_compliance(spot, compute_node_rows(elastic, spot, spot)))
 
 
 def facet_below(engine: Engine, x: float, y: float) -> int:
@@ -95,7 +95,7 @@ def path(count: int) -> Any:
 @pytest.mark.parametrize("friction", [False, True])
 def test_a_stiff_body_has_the_force_of_the_rigid_mesh(tmp_path: Path, friction: bool) -> None:
     stiff = scene(friction, youngs_pa=1e15)
-    surface = body_of(stiff.object[0]).surface
+    surface = prepare_body(stiff.object[0]).surface
     lines = ["v {!r} {!r} {!r}".format(*row) for row in surface.vertices.tolist()]
     lines += ["f {} {} {}".format(*row) for row in (surface.triangles + 1).tolist()]
     (tmp_path / "surface.obj").write_text("\n".join(lines))
@@ -136,7 +136,7 @@ def groove(folder: Path, compliance: float) -> Any:
         bending=ReadOnly(np.zeros((6, 3, 2))),
         report=Report(6, 1, 6, 1.0, 1.0, [[0.0, 0.0, 0.0]], [1.0], None),
     )
-    key = solution.identity(config.object[0], elastic, (folder / "groove.obj").read_bytes())
+    key = solution.make_identity(config.object[0], elastic, (folder / "groove.obj").read_bytes())
     solution.save(elastic.solution, key, body)
     return config
 
@@ -168,7 +168,7 @@ def test_a_sliding_contact_is_solved_in_three_rounds(monkeypatch: pytest.MonkeyP
     poses = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
     runs = []
     for rounds in (3, 6):
-        monkeypatch.setattr(step, "ROUNDS", rounds)
+        monkeypatch.setattr(step, "MAX_RIGID_STEPS", rounds)
         runs.append(Engine(scene(friction=True)).run(poses)[40:])
     assert (runs[1]["contact.mode"] == 2).all()
     assert runs[0]["force"] == pytest.approx(runs[1]["force"], abs=2e-8)  # 1e-11 m of each, at 1000 N/m
@@ -203,7 +203,7 @@ def test_the_displacement_is_that_under_the_loads_for_any_modulus(fingers: int, 
             for name, spot in zip(touching, spots, strict=True):
                 expected = np.zeros(3)
                 for neighbour, loaded_spot in zip(touching, spots, strict=True):
-                    compliance = compliance_of(spot, compute_node_rows(engine.scene.elastic, spot, loaded_spot))
+                    compliance = read_compliance(spot, compute_node_rows(engine.scene.elastic, spot, loaded_spot))
                     expected -= np.array(compliance) @ records[neighbour]["force"][k]
                 error = np.linalg.norm(records[name]["contact.displacement"][k] - expected)
                 if int(records[name]["contact.nonlinear"][k]) & UNSOLVED:
@@ -211,13 +211,13 @@ def test_the_displacement_is_that_under_the_loads_for_any_modulus(fingers: int, 
                 else:
                     errors.append(error)
     assert len(errors) > 100 and unsolved <= 0.01 * len(errors)
-    assert max(errors) < surfaces.CLOSE and np.quantile(errors, 0.95) < 1e-10
+    assert max(errors) < surfaces.CORRECTION_ERROR_M and np.quantile(errors, 0.95) < 1e-10
 
 
 def spot_under(engine: Engine, records: Any, k: int) -> Any:
     point = records["contacts0.point"][k] - records["contact.displacement"][k]
     facet = facet_below(engine, *point[:2])
-    return spot_on(engine.scene.elastic, engine.scene.objects.body, float(facet), tuple(point), (0.0, 0.0, 1.0))
+    return make_spot(engine.scene.elastic, engine.scene.objects.body, float(facet), tuple(point), (0.0, 0.0, 1.0))
 
 
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels have the number of rounds as a constant")
@@ -226,7 +226,7 @@ def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(
     fingers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With few rounds; the body bears at most its stiffness times the depth."""
-    monkeypatch.setattr(step, "ROUNDS", 2 + fingers)
+    monkeypatch.setattr(step, "MAX_RIGID_STEPS", 2 + fingers)
     engine, random, unsolved = Engine(scene(True, fingers, youngs_pa=1e3)), np.random.default_rng(58), 0
     compliance = compliance_at(engine, facet_below(engine, 0.0, 0.0), (0.0, 0.0, HEIGHT))[2, 2]
     for _ in range(8):
@@ -235,7 +235,7 @@ def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(
         records = run(engine, tracks)
         for name, track in tracks.items():
             depth = np.maximum(at(0.0, 0.0, 0.0)[2] - track[:, 2], 0.0)
-            largest = 2.0 * depth / compliance + STIFFNESS * surfaces.CLOSE
+            largest = 2.0 * depth / compliance + STIFFNESS * surfaces.CORRECTION_ERROR_M
             assert (records[name]["contact.normal_force"] <= largest).all()
             unsolved += np.count_nonzero(records[name]["contact.nonlinear"].astype(int) & UNSOLVED)
     assert unsolved > 0
@@ -285,9 +285,9 @@ def test_the_surface_below_a_free_finger_is_searched_once_a_tick_and_only_while_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     searches: list[Any] = []
-    nearest = spots.nearest_spot
+    nearest = spots.find_nearest_spot
     monkeypatch.setattr(
-        spots, "nearest_spot", lambda *arguments: (searches.append(nearest(*arguments)), searches[-1])[1]
+        spots, "find_nearest_spot", lambda *arguments: (searches.append(nearest(*arguments)), searches[-1])[1]
     )
     config, count = scene(friction=True, fingers=2), 30
     angle = 0.006 * np.arange(count)
@@ -311,11 +311,11 @@ def test_two_fingers_displace_each_other_through_the_body() -> None:
     assert records["b"]["force"][9][2] < single[2] - 0.005
     elastic, body = engine.scene.elastic, engine.scene.objects.body
     first, second = (
-        spot_on(elastic, body, float(facet_below(engine, *point[:2])), (*point[:2], HEIGHT), (0.0, 0.0, 1.0))
+        make_spot(elastic, body, float(facet_below(engine, *point[:2])), (*point[:2], HEIGHT), (0.0, 0.0, 1.0))
         for point in (pressed, pressing)
     )
-    forward = np.array(compliance_of(first, compute_node_rows(elastic, first, second)))
-    back = np.array(compliance_of(second, compute_node_rows(elastic, second, first)))
+    forward = np.array(read_compliance(first, compute_node_rows(elastic, first, second)))
+    back = np.array(read_compliance(second, compute_node_rows(elastic, second, first)))
     assert forward == pytest.approx(back.T, abs=1e-10 * abs(forward).max())
 
 

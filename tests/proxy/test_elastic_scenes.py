@@ -16,8 +16,8 @@ from softfinger.config.sources import FOLDERS
 from softfinger.drivers.poses import SHIPPED, load_poses
 from softfinger.proxy.elastic import solution
 from softfinger.proxy.elastic.deformed import Deformed
-from softfinger.proxy.elastic.loads import contact_loads
-from softfinger.proxy.elastic.prepared import body_of, solve
+from softfinger.proxy.elastic.loads import compute_contact_loads
+from softfinger.proxy.elastic.prepared import prepare_body, solve
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.meshes.reading import read_bytes
 from softfinger.proxy.record import AT, RECORD_SIZE
@@ -39,7 +39,7 @@ def shipped(name: str) -> tuple[Mesh, Elastic]:
 
 
 def identity(mesh: Mesh, elastic: Elastic) -> str:
-    return solution.identity(mesh, elastic, read_bytes(mesh.file))
+    return solution.make_identity(mesh, elastic, read_bytes(mesh.file))
 
 
 def test_shipped_meshes_match_the_tool(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_shipped_solutions_match_the_solver(name: str) -> None:
     pytest.importorskip("skfem")
     pytest.importorskip("gmsh")
     mesh, elastic = shipped(name)
-    saved, solved = body_of(mesh).report, solve(mesh, elastic).report
+    saved, solved = prepare_body(mesh).report, solve(mesh, elastic).report
     # Another version of gmsh fills the body with other tetrahedra.
     assert max(solved.compliances) == pytest.approx(max(saved.compliances), rel=0.1)
 
@@ -241,7 +241,7 @@ def test_the_loads_displace_the_body_at_the_contacts_as_the_servo_does(name: str
     rows = {finger: np.asarray(records[finger])[-1] for finger in TIPS[name]}
     mesh = load_scene(scene).object[0]
     assert isinstance(mesh, Mesh) and mesh.elastic is not None
-    loads = contact_loads(mesh, rows)
+    loads = compute_contact_loads(mesh, rows)
     assert [(load.finger, load.object, load.patch_radius) for load in loads] == [
         (finger, 0, mesh.elastic.radius_m) for finger in rows
     ]
@@ -258,7 +258,7 @@ def test_the_loads_displace_the_body_at_the_contacts_as_the_servo_does(name: str
         assert np.linalg.norm(displacement) > 2e-4
         assert weights @ moved[deformed.triangles[facet]] == pytest.approx(displacement, abs=1e-7)
     free = {finger: np.zeros(RECORD_SIZE) for finger in rows}
-    assert contact_loads(mesh, free) == [] and (deformed.at([]) == deformed.vertices).all()
+    assert compute_contact_loads(mesh, free) == [] and (deformed.at([]) == deformed.vertices).all()
 
 
 @pytest.mark.parametrize("name", ["press-a-pad", "squeeze-a-ball"])

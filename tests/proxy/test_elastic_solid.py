@@ -17,20 +17,20 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity  # noqa: 
 from softfinger.config.errors import ConfigError  # noqa: E402
 from softfinger.config.load import load_scene  # noqa: E402
 from softfinger.proxy.elastic.compliance import (  # noqa: E402
-    largest_rotation_and_strain,
-    patch_loads,
+    compute_vertex_normals,
+    find_largest_rotation_and_strain,
+    make_patch_loads,
+    make_surface_gradient,
     solve_patches,
-    surface_gradient,
-    vertex_normals,
 )
 from softfinger.proxy.elastic.factors import Factors  # noqa: E402
-from softfinger.proxy.elastic.prepared import body_of, solid_of, volume_of  # noqa: E402
+from softfinger.proxy.elastic.prepared import make_solid, make_volume, prepare_body  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
-from softfinger.proxy.elastic.volume import Volume, boundary, check_volume, fill, quality, read_volume  # noqa: E402
-from softfinger.proxy.kernels.elastic.response import compliance_of, compute_node_rows  # noqa: E402
-from softfinger.proxy.kernels.elastic.spots import spot_on  # noqa: E402
+from softfinger.proxy.elastic.volume import Volume, check_volume, compute_quality, fill, find_boundary, read_volume  # noqa: E402
+from softfinger.proxy.kernels.elastic.response import compute_node_rows, read_compliance  # noqa: E402
+from softfinger.proxy.kernels.elastic.spots import make_spot  # noqa: E402
 from softfinger.proxy.kernels.numerics import mat3  # noqa: E402
-from softfinger.proxy.meshes.prepared import about  # noqa: E402
+from softfinger.proxy.meshes.prepared import describe_mesh  # noqa: E402
 from softfinger.proxy.scene import build_scene  # noqa: E402
 
 pytestmark = pytest.mark.plain
@@ -150,7 +150,7 @@ def test_reciprocity_of_two_patches_before_it_is_imposed() -> None:
     volume = fill(*box(0.03, 0.03, 0.012), 0.006)
     solid = Solid(volume, 0.45, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))
     tops = np.array([[0.01, 0.012, 0.012], [0.021, 0.017, 0.012]])
-    loads = patch_loads(solid, tops, np.tile([0.0, 0.0, 1.0], (2, 1)), 0.006)
+    loads = make_patch_loads(solid, tops, np.tile([0.0, 0.0, 1.0], (2, 1)), 0.006)
     first, second = (np.stack([load[:, k].toarray()[:, 0] for load in loads], axis=1) for k in (0, 1))
     forward, back = second.T @ solid.solve(first), first.T @ solid.solve(second)
     assert forward == pytest.approx(back.T, rel=1e-10, abs=1e-10 * abs(forward).max())
@@ -186,7 +186,7 @@ def test_rotation_and_strain_of_the_surface_are_those_of_known_displacements() -
     moved = np.zeros((solid.basis.N, 2))
     moved[solid.basis.nodal_dofs.T, 0] = np.cross(turn, places)
     moved[solid.basis.nodal_dofs[0], 1] = 0.002 * places[:, 0]
-    largest = largest_rotation_and_strain(surface_gradient(solid), moved)
+    largest = find_largest_rotation_and_strain(make_surface_gradient(solid), moved)
     assert largest == pytest.approx(np.array([[1e-3, 0.0], [0.0, 0.002]]), abs=1e-12)
 
 
@@ -194,7 +194,7 @@ def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
     """On a body thinner than the radius of the patch: the lower face bears none of the load."""
     volume = fill(*box(0.03, 0.03, 0.004), 0.006)
     solid = Solid(volume, 0.45, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))
-    (load, _, _) = patch_loads(solid, np.array([[0.014, 0.016, 0.004]]), np.array([[0.0, 0.0, 1.0]]), 0.006)
+    (load, _, _) = make_patch_loads(solid, np.array([[0.014, 0.016, 0.004]]), np.array([[0.0, 0.0, 1.0]]), 0.006)
     nodal = load.toarray()[:, 0]
     assert nodal.sum() == pytest.approx(1.0, rel=1e-12)
     # The quadrature of the disc, which the facets cut, has an error of some per cent of its radius.
@@ -204,9 +204,9 @@ def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
 
 def test_the_boundary_is_closed_and_faces_outward() -> None:
     volume = fill(*box(0.03, 0.02, 0.01), 0.006)
-    a, b, c = (volume.vertices[boundary(volume)[:, i]] for i in range(3))
+    a, b, c = (volume.vertices[find_boundary(volume)[:, i]] for i in range(3))
     assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0 == pytest.approx(0.03 * 0.02 * 0.01, rel=1e-6)
-    assert quality(volume).min() > 0.1
+    assert compute_quality(volume).min() > 0.1
 
 
 def pad_scene(folder: Path, triangles: Any = None, **changes: Any) -> Any:
@@ -227,7 +227,7 @@ def pad(folder: Path, **changes: Any) -> Any:
 def test_a_block_sags_under_gravity_by_its_weight(tmp_path: Path, youngs_pa: float) -> None:
     """Without lateral strain, each height z of a column of height h sinks by rho g (h z - z^2 / 2) / E."""
     still, sagged = (
-        body_of(pad(tmp_path, poisson=0.0, youngs_pa=youngs_pa, **more)).surface.vertices
+        prepare_body(pad(tmp_path, poisson=0.0, youngs_pa=youngs_pa, **more)).surface.vertices
         for more in ({}, {"density_kg_per_m3": 1000.0})
     )
     z = still[:, 2]
@@ -241,11 +241,11 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
     config = pad_scene(tmp_path)
     block, kernel = config.object[0], build_scene(config)
     assert block.elastic is not None
-    volume = volume_of(block, block.elastic.resolution_m)
-    solid = solid_of(volume, block.elastic)
+    volume = make_volume(block, block.elastic.resolution_m)
+    solid = make_solid(volume, block.elastic)
     mesh = kernel.objects.body.shape.row[0]
     vertices, corners = mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3)
-    normals = vertex_normals(volume.vertices, boundary(volume))
+    normals = compute_vertex_normals(volume.vertices, find_boundary(volume))
     random = np.random.default_rng(46)
     facets = random.choice(np.flatnonzero((kernel.elastic.nodes.array[corners] >= 0).all(axis=1)), 100)
     loads, spots, forces = [], [], random.normal(size=(100, 3))
@@ -253,10 +253,10 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
         weights, places = random.dirichlet([1.0, 1.0, 1.0]), vertices[corners[facet]]
         normal = np.cross(places[1] - places[0], places[2] - places[0])
         own = [((volume.vertices - place) ** 2).sum(axis=1).argmin() for place in places]
-        patches = patch_loads(solid, volume.vertices[own], normals[own], block.elastic.radius_m)
+        patches = make_patch_loads(solid, volume.vertices[own], normals[own], block.elastic.radius_m)
         loads.append(np.stack([patch @ weights for patch in patches], axis=1))
         up = tuple((normal / np.linalg.norm(normal)).tolist())
-        spots.append(spot_on(kernel.elastic, kernel.objects.body, float(facet), tuple(weights @ places), up))
+        spots.append(make_spot(kernel.elastic, kernel.objects.body, float(facet), tuple(weights @ places), up))
     nodal = np.stack([load @ force for load, force in zip(loads, forces, strict=True)], axis=1)
     basis = skfem.Basis(solid.basis.mesh, solid.basis.elem, intorder=2)
     stiffness = linear_elasticity(*lame_parameters(block.elastic.youngs_pa, block.elastic.poisson)).assemble(basis)
@@ -264,7 +264,7 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
     free, direct = np.setdiff1d(np.arange(basis.N), fixed), np.zeros(nodal.shape)
     direct[free] = spsolve(stiffness.tocsc()[free][:, free], nodal[free])
     for load, spot, force, moved in zip(loads, spots, forces, direct.T, strict=True):
-        shift = mat3.times(compliance_of(spot, compute_node_rows(kernel.elastic, spot, spot)), tuple(force))
+        shift = mat3.times(read_compliance(spot, compute_node_rows(kernel.elastic, spot, spot)), tuple(force))
         assert shift == pytest.approx(load.T @ moved, rel=1e-8, abs=1e-8 * max(map(abs, shift)))
 
 
@@ -284,7 +284,7 @@ def test_bad_bodies_are_refused_in_one_line(
 ) -> None:
     caplog.set_level(logging.INFO)
     with pytest.raises(ConfigError, match=message) as refused:
-        body_of(pad(tmp_path, **changes))
+        prepare_body(pad(tmp_path, **changes))
     assert "\n" not in str(refused.value)
     assert [record.message for record in caplog.records if record.name.startswith("skfem")] == []
 
@@ -329,7 +329,7 @@ def test_a_file_that_is_no_mesh_is_refused_without_other_output(
 def test_a_file_in_millimetres_is_refused_with_its_size(tmp_path: Path) -> None:
     block = msgspec.structs.replace(pad(tmp_path), scale=1000.0)
     with pytest.raises(ConfigError, match=r"tetrahedra, at most.* change `scale` if the body is not 30 x 30 x 12 m"):
-        body_of(block)
+        prepare_body(block)
 
 
 def test_a_full_disk_is_named_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -340,7 +340,7 @@ def test_a_full_disk_is_named_in_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(
         ConfigError, match=r"no temporary file in .*: No space left on device: make room, or set TMPDIR"
     ):
-        body_of(pad(tmp_path, poisson=0.41))
+        prepare_body(pad(tmp_path, poisson=0.41))
 
 
 def test_a_tetrahedral_mesh_file_is_used_as_the_body(tmp_path: Path) -> None:
@@ -348,9 +348,9 @@ def test_a_tetrahedral_mesh_file_is_used_as_the_body(tmp_path: Path) -> None:
     volume = fill(*box(0.03, 0.03, 0.012), 0.008)
     meshio.Mesh(volume.vertices, [("tetra", volume.tetrahedra)]).write(tmp_path / "pad.vtu")
     block = msgspec.structs.replace(pad(tmp_path, resolution_m=0.008), file=str(tmp_path / "pad.vtu"))
-    report = body_of(block).report
+    report = prepare_body(block).report
     assert report.tetrahedra == len(volume.tetrahedra) and report.error is None
-    assert about(block).report.watertight
+    assert describe_mesh(block).report.watertight
 
 
 def test_a_body_of_too_many_compliant_vertices_is_refused_before_it_is_solved(tmp_path: Path) -> None:
@@ -361,5 +361,5 @@ def test_a_body_of_too_many_compliant_vertices_is_refused_before_it_is_solved(tm
     end = [{"region": "half_space", "point_m": [1e-6, 0.0, 0.0], "normal": [1.0, 0.0, 0.0]}]
     block = msgspec.structs.replace(pad(tmp_path, fixed=end), file=str(tmp_path / "plate.vtu"))
     with pytest.raises(ConfigError, match="3,280 compliant surface vertices, at most 2,500 are supported") as refused:
-        body_of(block)
+        prepare_body(block)
     assert "\n" not in str(refused.value)

@@ -23,14 +23,14 @@ from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.contact.fingertip import radius_of_curvature
+from softfinger.proxy.kernels.contact.fingertip import compute_radius_of_curvature
 from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import closest, curvature
 from softfinger.proxy.record import ROLLING
 from softfinger.proxy.scene import build_scene
-from softfinger.tools.accuracy.reference import normal_and_curvature
+from softfinger.tools.accuracy.reference import compute_normal_and_curvature
 
 pytestmark = pytest.mark.plain
 
@@ -128,9 +128,9 @@ def test_roundness_is_the_curvature_radius_at_the_contact_point() -> None:
         n /= np.linalg.norm(n)
         q = quaternion(rng.normal(size=3))
         spot = touching_at(AXES, multiply(q, TURN), n)
-        _, bend = normal_and_curvature(spot, model.Ellipsoid(AXES, 1.0))
+        _, bend = compute_normal_and_curvature(spot, model.Ellipsoid(AXES, 1.0))
         curvatures = np.linalg.eigvalsh(bend)[1:]  # the third is 0, along the normal
-        radius = radius_of_curvature(form, min(AXES), tuple(q), tuple(n))
+        radius = compute_radius_of_curvature(form, min(AXES), tuple(q), tuple(n))
         assert radius == pytest.approx(1.0 / np.sqrt(curvatures.prod()), rel=1e-12)
 
 

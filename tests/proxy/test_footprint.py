@@ -21,7 +21,7 @@ from scipy.integrate import quad
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.laws import lever_of
+from softfinger.proxy.laws import compute_lever
 from softfinger.proxy.record import AT
 
 pytestmark = pytest.mark.plain
@@ -92,9 +92,9 @@ def test_the_pressures_lever_is_its_integral(k: float, published: float) -> None
     moment, _ = quad(lambda x: 2.0 * x * x * (1.0 - x**k) ** (1.0 / k), 0.0, 1.0, epsabs=1e-13)
     # The table has three digits at k = 3; k = 100 is nearly a uniform pressure.
     assert 1.0 / area == pytest.approx(published, abs=1e-3)
-    assert lever_of(k) == pytest.approx(moment / area, rel=1e-10)
-    assert lever_of(2.0) == pytest.approx(3.0 * pi / 16.0, rel=1e-14)
-    assert lever_of(k) < 2.0 / 3.0  # the lever of a uniform pressure
+    assert compute_lever(k) == pytest.approx(moment / area, rel=1e-10)
+    assert compute_lever(2.0) == pytest.approx(3.0 * pi / 16.0, rel=1e-14)
+    assert compute_lever(k) < 2.0 / 3.0  # the lever of a uniform pressure
 
 
 @pytest.mark.sampled(3)

@@ -21,7 +21,7 @@ from helpers.touching import SMOOTH, R, engine, make_object, posed, spun, write_
 from numpy.typing import NDArray
 from references.brute_force import balls_of, brute_distances
 
-from softfinger.proxy.heightmaps import kernel_heightmap
+from softfinger.proxy.heightmaps import compile_heightmap
 from softfinger.proxy.record import ON_ITS_WAY, UNSEARCHED
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def outside_of_companion(kind: str, made: dict[str, Any], heights: Array, pitch:
     if kind == "mesh":
         size = max(R, 0.15 * pitch * max(heights.shape))
         return float(brute_distances(balls_of(*bumpy(size)), at).min()) - R
-    return outside_by(kernel_heightmap(heights, pitch), turned_back(at))
+    return outside_by(compile_heightmap(heights, pitch), turned_back(at))
 
 
 def path_over(heights: Array, pitch: float, count: int) -> Array:
@@ -96,7 +96,7 @@ def check_touches(folder: Path, kind: str, names: list[str], count: int, **keys:
         records = engine(part(folder / name, heights, pitch, **keys), neighbour, **tables).run(poses)
         centers = records["proxy.position"][records["contact.mode"] > 0]
         assert len(centers) > 0.1 * len(points) and np.isfinite(np.asarray(records)).all()
-        assert outside_by(kernel_heightmap(heights, pitch), centers) >= -INSIDE * R, name
+        assert outside_by(compile_heightmap(heights, pitch), centers) >= -INSIDE * R, name
         assert outside_of_companion(kind, neighbour, heights, pitch, centers) >= -INSIDE * R, name
         if keys:
             depth = np.linalg.norm(records["proxy.position"] - records["probe.position"], axis=1)
@@ -131,7 +131,7 @@ def test_hostile_maps_with_many_rolling_steps(tmp_path: Path, cases: Cases) -> N
         records = engine(part(folder, heights, pitch), rolling={"method": "montana_rk45"}).run(poses)
         centers = records["proxy.position"][records["contact.mode"] > 0]
         assert len(centers) > 0.1 * len(points) and np.isfinite(np.asarray(records)).all()
-        assert outside_by(kernel_heightmap(heights, pitch), centers) >= -INSIDE * R, name
+        assert outside_by(compile_heightmap(heights, pitch), centers) >= -INSIDE * R, name
 
 
 def test_queries_of_a_tick_stay_within_the_budget(tmp_path: Path, cases: Cases) -> None:

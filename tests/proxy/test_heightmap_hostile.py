@@ -16,17 +16,22 @@ from helpers.touching import SLIPPERY, R, engine, posed, spun
 from numpy.typing import NDArray
 
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.heightmaps import kernel_heightmap
+from softfinger.proxy.heightmaps import compile_heightmap
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import closest_or_bound
-from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, LOOK, gap_within, nearest_from
-from softfinger.proxy.kernels.shapes.heightmap.surface import LOOKS
-from softfinger.proxy.kernels.shapes.heightmap.tiles import LEVELS
+from softfinger.proxy.kernels.shapes.heightmap.nearest import (
+    HEIGHT_COST,
+    QUERY_BUDGET,
+    compute_gap_within,
+    find_nearest_from,
+)
+from softfinger.proxy.kernels.shapes.heightmap.surface import MAX_EVALUATIONS
+from softfinger.proxy.kernels.shapes.heightmap.tiles import MAX_LEVELS
 
 Array = NDArray[np.float64]
 
-LAST: Final = LOOK * (5 + 2 * LOOKS) + 4 * LEVELS
+LAST: Final = HEIGHT_COST * (5 + 2 * MAX_EVALUATIONS) + 4 * MAX_LEVELS
 """Number of lookups that a query may exceed its budget by: the current cell and the tiles on the way out."""
 
 
@@ -35,8 +40,8 @@ def ask(shape: Any, points: Any, radius: float, results: Any) -> None:
     """Fill `found` (n, 4) with the cost of nearest and limited-gap queries, the gap, and the nearest point's error."""
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
-        results[k, 0] = nearest_from(shape, x, x, BUDGET).spent
-        results[k, 1] = gap_within(shape, x, radius, BUDGET).spent
+        results[k, 0] = find_nearest_from(shape, x, x, QUERY_BUDGET).spent
+        results[k, 1] = compute_gap_within(shape, x, radius, QUERY_BUDGET).spent
         gap, point, normal, _ = closest_or_bound(shape, x)
         results[k, 2] = gap
         off = vec3.sub(vec3.add_scaled(point, gap, normal), x)
@@ -62,7 +67,7 @@ def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
     """Dragged, pressed and thrown from outside: finite, outside of the map, with a force of at most K times the depth.
     Holds with and without friction."""
     pitch, heights = MADE[name]()
-    shape, met = kernel_heightmap(heights, pitch), False
+    shape, met = compile_heightmap(heights, pitch), False
     for smooth in (True, False):
         keys = {"material": SLIPPERY} if smooth else {}
         running = engine(part(tmp_path, heights, pitch, **keys))
@@ -78,20 +83,20 @@ def test_the_first_pose_may_be_deep_inside(tmp_path: Path, name: str) -> None:
     pitch, heights = MADE[name]()
     points = np.tile([0.3 * pitch * len(heights), 0.0, heights.min() - 3.0 * R], (20, 1))
     running = engine(part(tmp_path, heights, pitch, material=SLIPPERY))
-    assert is_safe(running, kernel_heightmap(heights, pitch), points, True).all()
+    assert is_safe(running, compile_heightmap(heights, pitch), points, True).all()
 
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
 def test_no_query_exceeds_its_budget(name: str) -> None:
     pitch, heights = MADE[name]()
-    shape, rng = kernel_heightmap(heights, pitch), np.random.default_rng(6)
+    shape, rng = compile_heightmap(heights, pitch), np.random.default_rng(6)
     spread = np.array([*[0.5 * pitch * max(heights.shape)] * 2, R])
     points = rng.uniform(-1.0, 1.0, (60, 3)) * spread + (0.0, 0.0, heights.max() + R)
     points = np.vstack([points, 0.01 * R * rng.normal(size=(60, 3))])
     results = np.zeros((len(points), 4))
     ask(shape, points, R, results)
-    assert results[:, :2].max() <= BUDGET + LAST
+    assert results[:, :2].max() <= QUERY_BUDGET + LAST
     assert results[results[:, 2] >= 0.0, 3].max() <= 1e-12
     places = surface(shape, 3e-3)
     for x, gap in zip(points, results[:, 2], strict=True):

@@ -16,15 +16,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from references.rotation import quaternion
 
-from softfinger.proxy.heightmaps import kernel_heightmap, thin_map, tightest
+from softfinger.proxy.heightmaps import bound_curvature, compile_heightmap, thin_map
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import curvature
-from softfinger.proxy.kernels.shapes.heightmap.nearest import BUDGET, nearest_from
-from softfinger.proxy.kernels.shapes.heightmap.surface import foot_at, height_at
-from softfinger.proxy.kernels.shapes.heightmap.tiles import is_farther, tile_at, tiles_across
+from softfinger.proxy.kernels.shapes.heightmap.nearest import QUERY_BUDGET, find_nearest_from
+from softfinger.proxy.kernels.shapes.heightmap.surface import compute_height, find_foot
+from softfinger.proxy.kernels.shapes.heightmap.tiles import count_tiles, find_tile, is_farther
 from softfinger.proxy.record import AT
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.plain
 @entry
 def compiled_heights(shape, places, results):  # type: ignore[no-untyped-def]
     for k in range(len(places)):
-        h = height_at(shape, places[k, 0], places[k, 1])
+        h = compute_height(shape, places[k, 0], places[k, 1])
         results[k, 0], results[k, 1], results[k, 2] = h.z, h.s, h.t
         results[k, 3], results[k, 4], results[k, 5] = h.ss, h.st, h.tt
 
@@ -43,7 +43,7 @@ def compiled_heights(shape, places, results):  # type: ignore[no-untyped-def]
 def compiled_nearest(shape, points, budget, results):  # type: ignore[no-untyped-def]
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
-        near = nearest_from(shape, x, x, budget)
+        near = find_nearest_from(shape, x, x, budget)
         results[k, 0] = near.gap
         results[k, 1], results[k, 2], results[k, 3] = near.point
         results[k, 4], results[k, 5], results[k, 6] = near.normal
@@ -107,7 +107,7 @@ MAPS: dict[str, tuple[float, Array]] = {
 }
 """Smooth on the scale of a fingertip; finer than it; random pixels, finer and coarser than it."""
 
-SHAPES = {name: kernel_heightmap(heights, pitch) for name, (pitch, heights) in MAPS.items()}
+SHAPES = {name: compile_heightmap(heights, pitch) for name, (pitch, heights) in MAPS.items()}
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -127,7 +127,7 @@ def test_the_surface_interpolates_every_pixel(name: str) -> None:
     pitch, heights = MAPS[name]
     x, y, z = thin_map(heights, pitch, 10**6)
     at_x, at_y = np.meshgrid(x, y)
-    results = heights_of(kernel_heightmap(heights, pitch), at_x.ravel(), at_y.ravel())[:, 0]
+    results = heights_of(compile_heightmap(heights, pitch), at_x.ravel(), at_y.ravel())[:, 0]
     # Rounding of the coefficients' recursion, which does not grow.
     np.testing.assert_allclose(results, z.ravel(), rtol=0, atol=1e-14 * np.abs(z).max() + 1e-17)
 
@@ -146,7 +146,7 @@ def test_the_spline_converges_as_a_cubic_does() -> None:
     errors = []
     for pitch in (1e-3, 5e-4, 2.5e-4):
         count = round(0.06 / pitch)
-        results = heights_of(kernel_heightmap(sampled(count, count, pitch, waves), pitch), x, y)
+        results = heights_of(compile_heightmap(sampled(count, count, pitch, waves), pitch), x, y)
         errors.append(np.sqrt(np.square(results - exact).mean(axis=0)))
     orders = 0.5 * np.log2(errors[0] / errors[-1])
     # The orders hold in the limit; for these pitches to 0.1.
@@ -157,17 +157,17 @@ def test_planes_are_exact_and_paraboloids_away_from_the_rim() -> None:
     """A cubic spline reproduces both. The zero curvature at the rim is exact for a plane; its influence vanishes within
     30 pixels."""
     x, y = NOISE.uniform(-0.02, 0.02, (2, 200))
-    plane = heights_of(kernel_heightmap(sampled(41, 41, 1e-3, lambda x, y: 0.3 * x - 0.2 * y + 1e-3), 1e-3), x, y)
+    plane = heights_of(compile_heightmap(sampled(41, 41, 1e-3, lambda x, y: 0.3 * x - 0.2 * y + 1e-3), 1e-3), x, y)
     np.testing.assert_allclose(plane[:, 0], 0.3 * x - 0.2 * y + 1e-3, atol=1e-16)
     np.testing.assert_allclose(plane[:, 1:3] - [0.3, -0.2], 0.0, atol=1e-14)
-    bowl = heights_of(kernel_heightmap(sampled(101, 101, 1e-3, lambda x, y: 10.0 * x * x - 5.0 * x * y), 1e-3), x, y)
+    bowl = heights_of(compile_heightmap(sampled(101, 101, 1e-3, lambda x, y: 10.0 * x * x - 5.0 * x * y), 1e-3), x, y)
     np.testing.assert_allclose(bowl[:, 0], 10.0 * x * x - 5.0 * x * y, atol=1e-15)
     np.testing.assert_allclose(bowl[:, 3:] - [20.0, -5.0, 0.0], 0.0, atol=1e-9)
 
 
 def test_map_is_level_beyond_the_rim_with_continuous_curvature() -> None:
     pitch, heights = MAPS["hills"]
-    shape = kernel_heightmap(heights, pitch)
+    shape = compile_heightmap(heights, pitch)
     x = np.linspace(0.04, 0.06, 20001)
     results = heights_of(shape, x, np.full_like(x, 0.0123))
     outside = x > 0.5 * shape.columns * pitch - pitch
@@ -188,7 +188,7 @@ def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
 
     errors = []
     for pitch in (4e-4, 2e-4):
-        shape = kernel_heightmap(sampled(round(0.02 / pitch), round(0.02 / pitch), pitch, cap), pitch)
+        shape = compile_heightmap(sampled(round(0.02 / pitch), round(0.02 / pitch), pitch, cap), pitch)
         point = (0.004, -0.003, float(cap(np.array(0.004), np.array(-0.003))))
         up = np.add(point, [0.0, 0.0, radius])
         normal = tuple(float(c) for c in math.copysign(1.0, radius) * up / np.linalg.norm(up))
@@ -204,7 +204,7 @@ def test_the_nearest_point_is_the_closest_of_all(name: str) -> None:
     """No point of a grid of 3 x 3 per pixel is closer; the gap has the sign of the height, and the normal is that of
     the surface."""
     pitch, heights = MAPS[name]
-    shape, rng = kernel_heightmap(heights, pitch), np.random.default_rng(3)
+    shape, rng = compile_heightmap(heights, pitch), np.random.default_rng(3)
     surface = everywhere(shape, 3)
     half = 0.5 * pitch * np.array(heights.shape[::-1])
     over = np.ptp(heights)
@@ -232,25 +232,25 @@ def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
     for _ in range(1000):
         level = int(rng.integers(0, 3))
         half = 0.5 * (1 << level)
-        i, j = (int(rng.integers(0, tiles_across(count, level))) for count in (shape.columns, shape.rows))
+        i, j = (int(rng.integers(0, count_tiles(count, level))) for count in (shape.columns, shape.rows))
         middle = (2.0 * i + 1.0) * half, (2.0 * j + 1.0) * half
         p = (middle[0] + rng.normal(0.0, 4.0), middle[1] + rng.normal(0.0, 4.0), rng.uniform(0.0, 8.0))
-        tile = tile_at(shape, p, level, i, j)
+        tile = find_tile(shape, p, level, i, j)
         if not tile.convex:
             continue
         convex += 1
-        foot = foot_at(shape, p, *(at + rng.uniform(-half, half) for at in middle))
+        foot = find_foot(shape, p, *(at + rng.uniform(-half, half) for at in middle))
         square = foot.square * rng.uniform(0.3, 1.0)
         if is_farther(p, tile, foot, square):
             ruled_out += 1
             along = np.linspace(-half, half, 7)
-            least = min(foot_at(shape, p, middle[0] + a, middle[1] + b).square for a in along for b in along)
+            least = min(find_foot(shape, p, middle[0] + a, middle[1] + b).square for a in along for b in along)
             assert least >= square * (1.0 - 1e-9)  # rounding
     assert 50 < ruled_out < convex - 50
 
 
 def test_gap_to_a_tilted_plane_is_its_closed_form() -> None:
-    shape = kernel_heightmap(sampled(80, 60, 1e-3, lambda x, y: 0.3 * x + 0.1 * y), 1e-3)
+    shape = compile_heightmap(sampled(80, 60, 1e-3, lambda x, y: 0.3 * x + 0.1 * y), 1e-3)
     points = np.random.default_rng(5).uniform([-0.015, -0.02, -0.01], [0.015, 0.02, 0.015], (500, 3))
     normal = np.array([-0.3, -0.1, 1.0]) / math.sqrt(1.1)
     np.testing.assert_allclose(nearest(shape, points)[:, 0], points @ normal, rtol=0, atol=1e-16)
@@ -263,7 +263,7 @@ def test_gap_to_a_cap_converges_with_fourth_order() -> None:
     errors = []
     for pitch in (2e-3, 1e-3):
         heights = sampled(round(0.06 / pitch), round(0.06 / pitch), pitch, lambda x, y: cap_of(0.06, x, y))
-        errors.append(np.abs(nearest(kernel_heightmap(heights, pitch), points)[:, 0] - out[:, 0] + 0.06).max())
+        errors.append(np.abs(nearest(compile_heightmap(heights, pitch), points)[:, 0] - out[:, 0] + 0.06).max())
     assert errors[1] < errors[0] / 14.0 and errors[0] < 2e-9
 
 
@@ -273,10 +273,10 @@ def test_the_gap_is_never_too_large_if_all_points_are_equally_near() -> None:
     def bowl(x: Array, y: Array) -> Array:
         return 0.02 - np.sqrt(np.maximum(0.02**2 - x * x - y * y, 1e-6))
 
-    shape = kernel_heightmap(sampled(300, 300, 1e-4, bowl) + 1e-9 * NOISE.normal(size=(300, 300)), 1e-4)
+    shape = compile_heightmap(sampled(300, 300, 1e-4, bowl) + 1e-9 * NOISE.normal(size=(300, 300)), 1e-4)
     points = np.array([0.0, 0.0, 0.02]) + 1e-5 * NOISE.normal(size=(20, 3))
     surface = everywhere(shape, 1)
-    for x, gap in zip(points, nearest(shape, points, BUDGET)[:, 0], strict=True):
+    for x, gap in zip(points, nearest(shape, points, QUERY_BUDGET)[:, 0], strict=True):
         assert 0.0 < gap <= np.linalg.norm(surface - x, axis=1).min()
 
 
@@ -296,7 +296,7 @@ def test_any_place_gives_finite_numbers(name: str, x: tuple[float, float, float]
 @pytest.mark.parametrize("size", [(1, 2), (2, 1), (2, 2), (1, 40), (3, 5)])
 def test_small_maps_and_profiles_are_maps(size: tuple[int, int]) -> None:
     heights = 1e-3 * NOISE.normal(size=size)
-    shape = kernel_heightmap(heights, 1e-3)
+    shape = compile_heightmap(heights, 1e-3)
     x, y, z = thin_map(heights, 1e-3, 100)
     at_x, at_y = np.meshgrid(x, y)
     np.testing.assert_allclose(heights_of(shape, at_x.ravel(), at_y.ravel())[:, 0], z.ravel(), atol=1e-17)
@@ -313,8 +313,8 @@ def test_small_maps_and_profiles_are_maps(size: tuple[int, int]) -> None:
 def test_the_tightest_valley_is_bounded() -> None:
     """For a bowl z = x^2 / (2 R) it is 1 / R, despite its end at the rim."""
     heights = sampled(30, 80, 1e-3, lambda x, y: x * x / (2.0 * 0.05))
-    assert tightest(heights, 1e-3) == pytest.approx(20.0, rel=0.3)  # a bound, looser near the rim
-    assert tightest(sampled(30, 30, 1e-3, lambda x, y: 0.1 * x), 1e-3) == pytest.approx(0.0, abs=1e-9)
+    assert bound_curvature(heights, 1e-3) == pytest.approx(20.0, rel=0.3)  # a bound, looser near the rim
+    assert bound_curvature(sampled(30, 30, 1e-3, lambda x, y: 0.1 * x), 1e-3) == pytest.approx(0.0, abs=1e-9)
 
 
 def stroke(seed: int, ticks: int, reach: float, low: float, high: float) -> Array:
@@ -367,7 +367,7 @@ def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[i
     poses = stroke(6, cases(600, 25_000), 1.2 * half, R - 0.6 * over - 2e-4, R + over)[:: cases(2, 1)]
     records = engine(part(tmp_path, heights, pitch)).run(poses)
     touches = records[:, AT.contact_mode] > 0
-    gaps = nearest(kernel_heightmap(heights, pitch), records["proxy.position"][touches])[:, 0]
+    gaps = nearest(compile_heightmap(heights, pitch), records["proxy.position"][touches])[:, 0]
     assert 0.1 < touches.mean() < 0.98
     assert gaps.min() >= R * (1.0 - 1e-9)  # tolerance of contact, see sweep.TOUCHING
     assert np.isfinite(records).all()
@@ -382,7 +382,7 @@ def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
     pitch = 2e-4
     heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
     groove = engine(part(tmp_path, heights, pitch, material=SMOOTH), rolling=None)
-    shape = kernel_heightmap(heights, pitch)
+    shape = compile_heightmap(heights, pitch)
     surface = everywhere(shape, 4)
     surface = surface[np.abs(surface[:, 1]) < 5e-3]
     low, high = 0.0, 0.03  # height at which the ball rests, by bisection with brute force
@@ -426,7 +426,7 @@ BALL = model.Sphere(0.06, 1.0)
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)
 def test_every_method_rolls_over_a_cap_as_over_a_ball(method: Any) -> None:
-    shape = kernel_heightmap(sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)
+    shape = compile_heightmap(sampled(60, 60, 1e-3, lambda x, y: cap_of(0.06, x, y)), 1e-3)
     at, on = ((0.0, 0.0, R), (0.0, 0.0, 1.0)), ((0.0, 0.0, 0.06 + R), (0.0, 0.0, 1.0))
     for k in range(100):
         turn = rotations.exp((0.01 * math.cos(0.05 * k), 0.01 * math.sin(0.05 * k), 0.004))

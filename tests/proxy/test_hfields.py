@@ -17,12 +17,12 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.heightmaps import overshoot, read_heights
+from softfinger.proxy.heightmaps import measure_overshoot, read_heights
 from softfinger.proxy.kernels.jit.decorators import PLAIN
-from softfinger.proxy.kernels.query.objects import closest_to_within
+from softfinger.proxy.kernels.query.objects import find_closest_within
 from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
-from softfinger.proxy.pictures import Filed, picture_of
+from softfinger.proxy.pictures import Filed, make_picture
 from softfinger.proxy.scene import start_state
 from softfinger.server import cli, surface_meshes
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
@@ -109,7 +109,7 @@ def test_a_height_field_matches_mujocos_rays(joint: str, source: str, tmp_path: 
             distance = mujoco.mj_ray(engine.model, engine.data, start, -axes[:, 2], None, 1, -1, np.zeros(1, np.int32))
             assert distance > 0.0
             hit = start - distance * axes[:, 2]
-            gap = closest_to_within(placed, 0.0, tuple(hit.tolist()), BUDGET)[0]
+            gap = find_closest_within(placed, 0.0, tuple(hit.tolist()), BUDGET)[0]
             node = half_row % 2 == half_column % 2 == 0
             distances.add(round(distance, 6))
             assert abs(gap) < (1e-8 if node else between), (half_row, half_column, gap)
@@ -151,11 +151,11 @@ def elevations_m() -> Array:
 
 def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     step = np.repeat([0.0, TOP], [6, COLUMNS - 6])
-    assert overshoot(np.tile(step, (ROWS, 1))) == pytest.approx(
+    assert measure_overshoot(np.tile(step, (ROWS, 1))) == pytest.approx(
         CubicSpline(range(COLUMNS), step, bc_type="natural")(np.linspace(0, COLUMNS - 1, 5000)).max() - TOP,
         rel=0.02,  # the maximum is searched at fifths of a cell
     )
-    assert overshoot(hills()) < 0.02 * np.ptp(hills()) and overshoot(np.zeros((1, 1))) == 0.0
+    assert measure_overshoot(hills()) < 0.02 * np.ptp(hills()) and measure_overshoot(np.zeros((1, 1))) == 0.0
     np.save(tmp_path / "step.npy", np.tile(step, (ROWS, 1)))
     (tmp_path / "step.toml").write_text(
         '[fingertip]\nradius_m = 0.008\n[[object]]\nname = "step"\nshape = "heightmap"\nfile = "step.npy"\n'
@@ -173,7 +173,7 @@ def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}})
     (hills_object,) = scene.object
     assert isinstance(hills_object, Filed) and isinstance(hills_object.motion, schema.Body)
-    (vertices, triangles), of = picture_of(hills_object)
+    (vertices, triangles), of = make_picture(hills_object)
     assert of == len(triangles) == 2 * (ROWS - 1) * (COLUMNS - 1)
     x, y = (PITCH * (np.arange(n) - 0.5 * (n - 1)) for n in (COLUMNS, ROWS))
     expected = np.stack([*np.meshgrid(x, y), elevations_m()], axis=-1).reshape(-1, 3)

@@ -17,7 +17,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
-from softfinger.proxy.kernels.query.motion import pose_at
+from softfinger.proxy.kernels.query.motion import compute_pose
 
 pytestmark = pytest.mark.plain
 
@@ -324,7 +324,7 @@ def walk(turns, ticks):
 
 @entry
 def moved_pose(motion, pose, time, out):
-    out[0], out[1], out[2], out[3] = pose_at(motion, pose, time).orientation
+    out[0], out[1], out[2], out[3] = compute_pose(motion, pose, time).orientation
 
 
 ULP = np.finfo(float).eps
@@ -377,7 +377,7 @@ def test_poses_of_moving_objects_stay_rotations(draws, rate, time):
     unit = tuple((axis / np.linalg.norm(axis)).tolist())
     rest = model.Pose((0.1, 0.2, 0.3), tuple((q / np.linalg.norm(q)).tolist()))
     out = np.empty((2, 4))
-    table = model.AT_REST._replace(kind=model.TURNTABLE, axis=unit, rate=rate, pivot=(0.0, 0.0, 0.1))
+    table = model.NO_MOTION._replace(kind=model.TURNTABLE, axis=unit, rate=rate, pivot=(0.0, 0.0, 0.1))
     swing = table._replace(kind=model.SINUSOID, angle=3.0, frequency=abs(rate), phase=0.5)
     moved_pose(table, rest, time, out[0])
     moved_pose(swing, rest, time, out[1])

@@ -20,7 +20,7 @@ import pytest
 from helpers.programs import run_program
 
 from softfinger.proxy.kernels.jit import decorators
-from softfinger.proxy.kernels.jit.cache import MAGIC, Folder, Unsound, kinds_in, make_private
+from softfinger.proxy.kernels.jit.cache import MAGIC, Folder, UntrustedCache, kinds_in, make_private
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Plane
 
@@ -299,16 +299,16 @@ def test_folders_that_others_may_write_to_are_refused(tmp_path: Path) -> None:
         folder = tmp_path / str(number)
         (folder / "own").mkdir(parents=True)
         folder.chmod(mode)
-        with pytest.raises(Unsound, match="can be written by other users"):
+        with pytest.raises(UntrustedCache, match="can be written by other users"):
             make_private(folder)
         if mode & 0o1000:
             make_private(folder / "own")
             continue
-        with pytest.raises(Unsound, match="can be written by other users"):
+        with pytest.raises(UntrustedCache, match="can be written by other users"):
             make_private(folder / "own")
         link = tmp_path / f"link-{number}"
         link.symlink_to(folder / "own")
-        with pytest.raises(Unsound, match="can be written by other users"):
+        with pytest.raises(UntrustedCache, match="can be written by other users"):
             make_private(link)
 
 
@@ -330,7 +330,7 @@ def test_links_of_the_user_are_followed(tmp_path: Path) -> None:
     make_private(tmp_path / "link" / "new")
     assert (tmp_path / "disk" / "new").is_dir()
     (tmp_path / "circle").symlink_to("circle")
-    with pytest.raises(Unsound, match="without end"):
+    with pytest.raises(UntrustedCache, match="without end"):
         make_private(tmp_path / "circle" / "new")
 
 
@@ -344,7 +344,7 @@ def test_links_of_another_user_are_refused(tmp_path: Path) -> None:
     link.symlink_to(tmp_path / "ours")
     make_private(link)
     os.lchown(link, STRANGER, STRANGER)
-    with pytest.raises(Unsound, match=f"belongs to user {STRANGER}"):
+    with pytest.raises(UntrustedCache, match=f"belongs to user {STRANGER}"):
         make_private(link)
 
 

@@ -13,7 +13,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.kernels import model
-from softfinger.proxy.laws import friction_laws, normal_laws, torsion_laws
+from softfinger.proxy.laws import compile_friction_laws, compile_normal_laws, compile_torsion_laws
 
 pytestmark = pytest.mark.plain
 
@@ -25,31 +25,31 @@ FOLLOWS = {"stiffness_nm_per_rad": None, "friction_length_m": None}
 CROSSED = {"exponent": 1.5, "damping_s_per_m": 0.5}
 SOFT = {"fingertip": {"patch": {"shear_modulus_pa": 45e3}}}
 LAWS: list[tuple[Callable[[Scene], Any], dict[str, Any], Any]] = [
-    (normal_laws, {"normal": None}, LINEAR),
-    (normal_laws, {"normal": {}}, LINEAR),
-    (normal_laws, {"normal": {"exponent": 1.5}}, HERTZ),
-    (normal_laws, {"normal": {"damping_s_per_m": 0.5}}, model.HuntCrossley(LINEAR, 0.5)),
-    (normal_laws, {"normal": CROSSED}, model.HuntCrossley(HERTZ, 0.5)),
-    (friction_laws, {"friction": None}, None),
-    (friction_laws, {}, model.Friction(0.6, 0.5)),
+    (compile_normal_laws, {"normal": None}, LINEAR),
+    (compile_normal_laws, {"normal": {}}, LINEAR),
+    (compile_normal_laws, {"normal": {"exponent": 1.5}}, HERTZ),
+    (compile_normal_laws, {"normal": {"damping_s_per_m": 0.5}}, model.HuntCrossley(LINEAR, 0.5)),
+    (compile_normal_laws, {"normal": CROSSED}, model.HuntCrossley(HERTZ, 0.5)),
+    (compile_friction_laws, {"friction": None}, None),
+    (compile_friction_laws, {}, model.Friction(0.6, 0.5)),
     (
-        friction_laws,
+        compile_friction_laws,
         {"friction": {"stribeck_speed_m_per_s": 0.1}},
         model.SpeedFriction(0.6, 0.5, model.Stribeck(0.1), 0.0),
     ),
-    (friction_laws, {"friction": {"viscous_s_per_m": 2.0}}, model.SpeedFriction(0.6, 0.5, None, 2.0)),
+    (compile_friction_laws, {"friction": {"viscous_s_per_m": 2.0}}, model.SpeedFriction(0.6, 0.5, None, 2.0)),
     (
-        friction_laws,
+        compile_friction_laws,
         {"friction": {"direction_x": [0.0, 2.0, 0.0]}},
-        model.Anisotropic(model.Friction(0.6, 0.5), (0.0, 1.0, 0.0), 1.0, 1.0, 1.0, 1.0),
+        model.AnisotropicFriction(model.Friction(0.6, 0.5), (0.0, 1.0, 0.0), 1.0, 1.0, 1.0, 1.0),
     ),
-    (torsion_laws, {"torsion": None}, None),
-    (torsion_laws, {"torsion": {}}, TORSION),
-    (torsion_laws, {"torsion": {"exponent": 0.2}}, POWER),
-    (torsion_laws, {"torsion": COUPLED}, model.LimitSurface(TORSION)),
-    (torsion_laws, {"torsion": COUPLED | {"exponent": 0.2}}, model.LimitSurface(POWER)),
-    (torsion_laws, {"torsion": PROXY}, model.SoftFingerProxy(TORSION, 0.75)),
-    (torsion_laws, {"torsion": PROXY | {"exponent": 0.2}}, model.SoftFingerProxy(POWER, 0.75)),
+    (compile_torsion_laws, {"torsion": None}, None),
+    (compile_torsion_laws, {"torsion": {}}, TORSION),
+    (compile_torsion_laws, {"torsion": {"exponent": 0.2}}, POWER),
+    (compile_torsion_laws, {"torsion": COUPLED}, model.LimitSurface(TORSION)),
+    (compile_torsion_laws, {"torsion": COUPLED | {"exponent": 0.2}}, model.LimitSurface(POWER)),
+    (compile_torsion_laws, {"torsion": PROXY}, model.SoftFingerProxy(TORSION, 0.75)),
+    (compile_torsion_laws, {"torsion": PROXY | {"exponent": 0.2}}, model.SoftFingerProxy(POWER, 0.75)),
 ]
 OF_PATCHES: list[tuple[dict[str, Any], Any]] = [
     ({}, PATCH),
@@ -72,7 +72,7 @@ def test_only_the_features_of_a_scene_are_compiled(
 def test_a_patch_replaces_the_torsion_parameters_of_the_material(
     plane_scene: SceneFactory, torsion: dict[str, Any], law: Any
 ) -> None:
-    assert torsion_laws(plane_scene(material={"torsion": torsion}, **SOFT)) == [law]
+    assert compile_torsion_laws(plane_scene(material={"torsion": torsion}, **SOFT)) == [law]
 
 
 def objects_of(*materials: dict[str, Any]) -> Scene:
@@ -83,20 +83,20 @@ def objects_of(*materials: dict[str, Any]) -> Scene:
     return build(Scene, mapping | {"object": [table, *others]}, "test scene")
 
 
-def directed(static: float, kinetic: float, speed: float, viscous: float) -> model.Anisotropic:
+def directed(static: float, kinetic: float, speed: float, viscous: float) -> model.AnisotropicFriction:
     law = model.SpeedFriction(static, kinetic, model.Stribeck(speed), viscous)
-    return model.Anisotropic(law, (1.0, 0.0, 0.0), 1.0, 1.0, 1.0, 1.0)
+    return model.AnisotropicFriction(law, (1.0, 0.0, 0.0), 1.0, 1.0, 1.0, 1.0)
 
 
 def test_objects_of_a_scene_share_one_law() -> None:
-    assert normal_laws(objects_of({"normal": CROSSED})) == [
+    assert compile_normal_laws(objects_of({"normal": CROSSED})) == [
         model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 0.0), 0.0),
         model.HuntCrossley(HERTZ, 0.5),
     ]
     rich = {"static": 0.4, "kinetic": 0.3, "direction_x": [1.0, 0.0, 0.0], **SPEED}
     laws = [directed(0.6, 0.5, 0.0, 0.0), directed(0.4, 0.3, 0.05, 0.5), directed(0.0, 0.0, 0.0, 0.0)]
-    assert friction_laws(objects_of({"friction": rich}, {"friction": None})) == laws
-    assert torsion_laws(objects_of({"torsion": PROXY}, {"torsion": None})) == [
+    assert compile_friction_laws(objects_of({"friction": rich}, {"friction": None})) == laws
+    assert compile_torsion_laws(objects_of({"torsion": PROXY}, {"torsion": None})) == [
         model.SoftFingerProxy(TORSION, 1.0),
         model.SoftFingerProxy(TORSION, 0.75),
         model.SoftFingerProxy(model.Torsion(1.0, 0.0), 1.0),

@@ -17,7 +17,7 @@ from references.hand import drive, pressed
 from references.laws import ANISOTROPIC, Array, check_random_handling
 
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP, limit_distance, multiplier, shrink
+from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP_DISTANCE, limit_distance, multiplier, shrink
 from softfinger.proxy.record import ROLLING, SLIDING
 
 pytestmark = pytest.mark.plain
@@ -53,7 +53,7 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
     # the point by the last step squared, 1e-18, over the distance of any of its components from the surface.
     some = [np.linalg.norm(np.array(y)[list(which)]) for n in (1, 2) for which in combinations(range(3), n)]
     apart = min(abs(size - 1.0) for size in some)
-    assert np.array(p) == pytest.approx(exact, rel=1e-13 if apart > 1e-4 else LAST_STEP, abs=1e-300)
+    assert np.array(p) == pytest.approx(exact, rel=1e-13 if apart > 1e-4 else LAST_STEP_DISTANCE, abs=1e-300)
 
 
 @pytest.mark.sampled(2)

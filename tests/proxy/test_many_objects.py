@@ -21,10 +21,10 @@ from softfinger.config.load import build
 from softfinger.proxy.engine import Engine, step_many
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import PLAIN
-from softfinger.proxy.kernels.query.container import ENTRIES, facet_of, row_of
+from softfinger.proxy.kernels.query.container import MAX_ENTRIES, extract_facet, extract_row
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.kernels.shapes.any_shape import reach_of
-from softfinger.proxy.many import many_objects
+from softfinger.proxy.many import make_many
 from softfinger.proxy.scene import build_scene
 
 R, TOP = 0.008, 0.02
@@ -118,10 +118,10 @@ def test_bounding_spheres_contain_their_shapes(kind: str) -> None:
 
 @pytest.mark.plain
 def test_an_index_encodes_row_and_triangle() -> None:
-    for row in (0, 1, ENTRIES - 1):
+    for row in (0, 1, MAX_ENTRIES - 1):
         for facet in (0, 1, 2**31 - 1):
-            index = float(row) + ENTRIES * float(facet)
-            assert (row_of(index), facet_of(index)) == (row, facet)
+            index = float(row) + MAX_ENTRIES * float(facet)
+            assert (extract_row(index), extract_facet(index)) == (row, facet)
 
 
 @pytest.mark.plain
@@ -136,8 +136,8 @@ def test_the_type_does_not_depend_on_the_objects() -> None:
 @pytest.mark.plain
 def test_more_objects_than_have_an_index_are_refused() -> None:
     body = build_scene(scene(SHAPES["plane"])).objects.body
-    with pytest.raises(Exception, match=f"{ENTRIES + 1} walls and objects: at most {ENTRIES}"):
-        many_objects([body] * (ENTRIES + 1), (), (), None)
+    with pytest.raises(Exception, match=f"{MAX_ENTRIES + 1} walls and objects: at most {MAX_ENTRIES}"):
+        make_many([body] * (MAX_ENTRIES + 1), (), (), None)
 
 
 def test_other_objects_do_not_recompile_the_step(tmp_path: Path) -> None:

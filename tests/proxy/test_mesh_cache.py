@@ -20,7 +20,7 @@ from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.meshes import array_cache, prepared
 from softfinger.proxy.meshes import tree as trees
-from softfinger.proxy.meshes.prepared import about, tree_of
+from softfinger.proxy.meshes.prepared import describe_mesh, prepare_tree
 from softfinger.proxy.meshes.tree import Tree
 
 pytestmark = pytest.mark.plain
@@ -68,36 +68,36 @@ def are_equal(a: Tree, b: Tree) -> bool:
 def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = part(tmp_path)
     forget(monkeypatch)
-    first = tree_of(mesh, folder)
-    description = about(mesh)
-    assert tree_of(mesh, folder) is first and BUILT == [180]
+    first = prepare_tree(mesh, folder)
+    description = describe_mesh(mesh)
+    assert prepare_tree(mesh, folder) is first and BUILT == [180]
     forget(monkeypatch)
-    loaded = tree_of(mesh, folder)
+    loaded = prepare_tree(mesh, folder)
     assert BUILT == [] and are_equal(first, loaded) and not loaded.corners.flags.writeable
     monkeypatch.setattr(prepared, "_read_and_mend", None)  # loaded results must not read the mesh again
-    assert about(mesh).report == description.report
-    assert about(mesh).picture.vertices.tobytes() == description.picture.vertices.tobytes()
+    assert describe_mesh(mesh).report == description.report
+    assert describe_mesh(mesh).picture.vertices.tobytes() == description.picture.vertices.tobytes()
 
 
 def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     forget(monkeypatch)
     mesh = part(tmp_path)
-    tree_of(mesh, folder)
-    assert tree_of(part(tmp_path, scale=0.5), folder).size == 1.0 * tree_of(mesh, folder).size / 2
-    tree_of(part(tmp_path, 4), folder)
+    prepare_tree(mesh, folder)
+    assert prepare_tree(part(tmp_path, scale=0.5), folder).size == 1.0 * prepare_tree(mesh, folder).size / 2
+    prepare_tree(part(tmp_path, 4), folder)
     assert BUILT == [180, 180, 320]
     (tmp_path / "copy.obj").write_bytes(Path(mesh.file).read_bytes())
     copy = schema.Mesh(name="copy", file=str(tmp_path / "copy.obj"), material=mesh.material)
-    assert are_equal(tree_of(copy, folder), tree_of(mesh, folder)) and len(BUILT) == 3
+    assert are_equal(prepare_tree(copy, folder), prepare_tree(mesh, folder)) and len(BUILT) == 3
 
 
 def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     forget(monkeypatch)
     mesh = part(tmp_path)
-    tree_of(mesh, folder)
+    prepare_tree(mesh, folder)
     forget(monkeypatch)
     monkeypatch.setattr(prepared, "SOURCE_HASH", "another")
-    tree_of(mesh, folder)
+    prepare_tree(mesh, folder)
     assert BUILT == [180]
 
 
@@ -111,10 +111,10 @@ def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, m
         yield reported.append
 
     monkeypatch.setattr(progress, "display", display)
-    tree_of(part(tmp_path), folder)
+    prepare_tree(part(tmp_path), folder)
     assert reported == [("building the mesh of ball", 4), 1, 2, 3, 4]
     forget(monkeypatch)
-    tree_of(part(tmp_path), folder)
+    prepare_tree(part(tmp_path), folder)
     assert len(reported) == 5
 
 
@@ -165,16 +165,16 @@ def test_a_damaged_tree_is_built_again(
 ) -> None:
     forget(monkeypatch)
     mesh = part(tmp_path)
-    first = tree_of(mesh, folder)
+    first = prepare_tree(mesh, folder)
     file = only_file(folder)
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2] ^= 1
     file.write_bytes(whole)
     forget(monkeypatch)
-    assert are_equal(tree_of(mesh, folder), first) and BUILT == [180]
+    assert are_equal(prepare_tree(mesh, folder), first) and BUILT == [180]
     assert "its numbers are damaged" in caplog.text
     forget(monkeypatch)
-    assert are_equal(tree_of(mesh, folder), first) and BUILT == []
+    assert are_equal(prepare_tree(mesh, folder), first) and BUILT == []
 
 
 def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,7 +184,7 @@ def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: py
     mesh = part(tmp_path)
     for folder in (Folder(tmp_path / "open" / "kept"), Folder(tmp_path / "open"), Folder(None)):
         forget(monkeypatch)
-        assert tree_of(mesh, folder).corners.shape == (180, 3) and BUILT == [180]
+        assert prepare_tree(mesh, folder).corners.shape == (180, 3) and BUILT == [180]
     assert list((tmp_path / "open").iterdir()) == []
 
 

@@ -20,8 +20,8 @@ from helpers.refusals import refusal
 
 from softfinger.config import schema
 from softfinger.proxy.meshes.formats import glb
-from softfinger.proxy.meshes.prepared import about
-from softfinger.proxy.meshes.reading import OTHER_FILES, arrays_of
+from softfinger.proxy.meshes.prepared import describe_mesh
+from softfinger.proxy.meshes.reading import OTHER_FILES, parse_mesh
 from softfinger.proxy.meshes.report import MeshReport
 
 pytestmark = pytest.mark.plain
@@ -34,7 +34,9 @@ FLOAT32 = 1e-6
 
 
 def report(path: Path) -> MeshReport:
-    return about(schema.Mesh(name="m", file=str(path), material=schema.Material(stiffness_n_per_m=500.0))).report
+    return describe_mesh(
+        schema.Mesh(name="m", file=str(path), material=schema.Material(stiffness_n_per_m=500.0))
+    ).report
 
 
 def check_box(path: Path, data: bytes, triangles: int = 12) -> None:
@@ -95,7 +97,7 @@ def read_by_line(lines: list[str]) -> list[list[tuple[float, ...]]]:
 def test_obj_files_are_read_in_full(tmp_path: Path, name: str, end: str) -> None:
     lines, triangles = OBJS[name]
     data = "\n".join([*lines, ""]).replace("\n", end).encode()
-    read, expected = arrays_of("a.obj", data), read_by_line(lines)
+    read, expected = parse_mesh("a.obj", data), read_by_line(lines)
     fans = [(face[0], *pair) for face in expected for pair in itertools.pairwise(face[1:])]
     np.testing.assert_array_equal(read.vertices[read.triangles], fans)
     (tmp_path / "a.obj").write_bytes(data)
@@ -117,7 +119,7 @@ def test_faces_of_many_corners_keep_their_area(tmp_path: Path) -> None:
         result = report(tmp_path / f"{n}.obj")
         assert (result.triangles, result.watertight, result.turned_triangles) == (2 * (n - 2) + 2 * n, True, 0)
         assert result.volume_m3 == pytest.approx(area * 1e-6)
-        read = arrays_of("a.obj", (tmp_path / f"{n}.obj").read_bytes())
+        read = parse_mesh("a.obj", (tmp_path / f"{n}.obj").read_bytes())
         lids = (read.vertices[read.triangles][:, :, 2] == 0.01).all(axis=1)
         a, b, d = (read.vertices[read.triangles[lids, k]] for k in range(3))
         assert np.linalg.norm(np.cross(b - a, d - a), axis=1).sum() / 2 == pytest.approx(area * 1e-4)
@@ -315,7 +317,7 @@ def test_glb_positions_of_every_type_give_the_same_box(tmp_path: Path) -> None:
     }  # fmt: skip
     for name, data in kinds.items():
         check_box(tmp_path / f"{name}.glb", data)
-        ours = arrays_of("a.glb", data)
+        ours = parse_mesh("a.glb", data)
         if name in ("float", "stride", "turned", "matrix"):  # cases that trimesh reads correctly
             theirs = trimesh.load_mesh(trimesh.util.wrap_as_stream(data), file_type="glb", process=False)
             np.testing.assert_allclose(ours.vertices, theirs.vertices, atol=1e-9)
@@ -375,7 +377,7 @@ def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
 
     def noted(scale: float) -> str:
         material = schema.Material(stiffness_n_per_m=500.0)
-        return about(schema.Mesh(name="m", file=str(path), material=material, scale=scale)).report.noted[0]
+        return describe_mesh(schema.Mesh(name="m", file=str(path), material=material, scale=scale)).report.noted[0]
 
     assert "in size" not in noted(1.0) + noted(0.03) + noted(20.0)
     path.write_bytes(TEXT.replace("e-02", "e+01").encode())  # a box of 40 x 40 x 20
@@ -392,5 +394,5 @@ def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:
     )
     assert (
         "it is 40 m in size: if that is not intended, multiply the scale of its <mesh> by 0.001 (millimetres"
-        in (about(of_model).report.noted[0])
+        in (describe_mesh(of_model).report.noted[0])
     )

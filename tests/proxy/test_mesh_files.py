@@ -23,8 +23,8 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.meshes.prepared import about, latest_picture
-from softfinger.proxy.meshes.reading import Arrays, arrays_of, read_bytes
+from softfinger.proxy.meshes.prepared import describe_mesh, load_latest_picture
+from softfinger.proxy.meshes.reading import Arrays, parse_mesh, read_bytes
 from softfinger.server.cli import main
 
 pytestmark = pytest.mark.plain
@@ -39,7 +39,7 @@ def mesh_entry(path: Path | str, **keys: Any) -> schema.Mesh:
 
 def mesh_refusal(path: Path, **keys: Any) -> str:
     """Return the error for an unusable file, without its prefix: one line that names object and file."""
-    text = refusal(about, mesh_entry(path, **keys))
+    text = refusal(describe_mesh, mesh_entry(path, **keys))
     assert "\n" not in text and text.startswith(f"object 'part': file: {path}: ") and len(text) < 600
     return text.removeprefix(f"object 'part': file: {path}: ")
 
@@ -105,7 +105,7 @@ def test_every_format_is_read_back_unchanged(tmp_path: Path, name: str) -> None:
     ending, data = FILES[name]
     path = tmp_path / f"ball{ending}"
     path.write_bytes(data)
-    report, picture = about(mesh_entry(path))
+    report, picture = describe_mesh(mesh_entry(path))
     assert (report.triangles, report.vertices, report.bodies, report.watertight) == (180, 92, 1, True)
     assert report.turned_triangles == report.duplicate_triangles == report.degenerate_triangles == 0
     # Text by trimesh has eight digits; the other files are float32 or exact.
@@ -116,7 +116,7 @@ def test_every_format_is_read_back_unchanged(tmp_path: Path, name: str) -> None:
 
 def test_text_files_preserve_all_digits(tmp_path: Path) -> None:
     (tmp_path / "ball.ply").write_bytes(ply_text(BALL))
-    read = arrays_of("ball.ply", read_bytes(tmp_path / "ball.ply"))
+    read = parse_mesh("ball.ply", read_bytes(tmp_path / "ball.ply"))
     assert read.vertices.tobytes() == BALL.vertices.tobytes() and read.triangles.tobytes() == BALL.triangles.tobytes()
 
 
@@ -126,7 +126,7 @@ def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
         head["scenes"] = [{"nodes": [0, 1]}]
 
     (tmp_path / "two.glb").write_bytes(glb_binary(BALL, two))
-    report, picture = about(mesh_entry(tmp_path / "two.glb"))
+    report, picture = describe_mesh(mesh_entry(tmp_path / "two.glb"))
     assert report.bodies == 2 and report.watertight and report.turned_triangles == 0
     assert report.volume_m3 == pytest.approx(1.125 * meshes.volume(BALL), rel=3 * FLOAT32)
     np.testing.assert_allclose(picture.vertices[:, 0].max(), 5.0 + BALL.vertices[:, 0].max(), rtol=FLOAT32)
@@ -134,7 +134,7 @@ def test_glb_nodes_place_their_meshes(tmp_path: Path) -> None:
 
 def test_scale_converts_to_metres(tmp_path: Path) -> None:
     (tmp_path / "ball.stl").write_bytes(stl_binary(meshes.geodesic(3, 20.0)))
-    report = about(mesh_entry(tmp_path / "ball.stl", scale=0.001)).report
+    report = describe_mesh(mesh_entry(tmp_path / "ball.stl", scale=0.001)).report
     assert report.volume_m3 == pytest.approx(meshes.volume(BALL) * 0.02**3, rel=3 * FLOAT32)
     assert "m in size, must be 1e-06 to 1000" in mesh_refusal(tmp_path / "ball.stl", scale=100.0)
     (tmp_path / "far.ply").write_bytes(ply_text(Mesh(1e300 * BALL.vertices, BALL.triangles)))
@@ -229,13 +229,13 @@ def test_unusable_files_raise_a_one_line_error(tmp_path: Path, name: str, data: 
 def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
     path = tmp_path / "ball.ply"
     path.write_bytes(ply_text(BALL))
-    first = about(mesh_entry(path))
-    assert about(mesh_entry(path)) is first
+    first = describe_mesh(mesh_entry(path))
+    assert describe_mesh(mesh_entry(path)) is first
     path.write_bytes(ply_text(meshes.geodesic(4)))
-    assert latest_picture(mesh_entry(path)) is first  # the rendered mesh does not change with the file
-    assert about(mesh_entry(path)).report.triangles == 320
+    assert load_latest_picture(mesh_entry(path)) is first  # the rendered mesh does not change with the file
+    assert describe_mesh(mesh_entry(path)).report.triangles == 320
     path.unlink()
-    assert latest_picture(mesh_entry(path)).report.triangles == 320
+    assert load_latest_picture(mesh_entry(path)).report.triangles == 320
 
 
 NUMBERS = itertools.count()
@@ -247,7 +247,7 @@ def sound_or_refused(ending: str, data: bytes, folder: Path) -> None:
     path.write_bytes(data)
     message = ""
     try:
-        report, (vertices, triangles) = about(mesh_entry(path))
+        report, (vertices, triangles) = describe_mesh(mesh_entry(path))
     except ConfigError as error:
         message = str(error)
     if message:

@@ -12,7 +12,7 @@ from helpers.touching import SLIPPERY, R, engine, make_object, visit, wander, wr
 from mesh_truth import ask
 from references.brute_force import balls_of, brute_distances
 
-from softfinger.proxy.kernels.contact.first_pose import GRAZE
+from softfinger.proxy.kernels.contact.first_pose import OVERLAP_TOLERANCE
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
@@ -85,7 +85,7 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
         behind = np.linalg.norm(records["proxy.position"] - ways, axis=1)
         limit = STIFFNESS * (behind + 1e-9) + records["contact.tangential_force"]
         assert (records["contact.normal_force"] <= limit).all()
-        if room < GRAZE:
+        if room < OVERLAP_TOLERANCE:
             assert records["contact.budget"].all() and not records["contact.mode"].any()
             continue
         assert is_outside(made, records[:: cases(6, 1)])

@@ -9,10 +9,10 @@ import pytest
 from helpers import meshes
 from helpers.meshes import Mesh
 
-from softfinger.proxy.meshes.mending import MERGED_WITHIN, mend
-from softfinger.proxy.meshes.pieces import edges_of, first_alike, pieces_of
+from softfinger.proxy.meshes.mending import MERGE_DISTANCE_SHARE, mend
+from softfinger.proxy.meshes.pieces import find_first_equal, find_pieces, list_edges
 from softfinger.proxy.meshes.reading import Arrays
-from softfinger.proxy.meshes.report import MeshReport, report_of
+from softfinger.proxy.meshes.report import MeshReport, make_report
 from softfinger.proxy.meshes.thinning import thin_mesh
 
 BALL = meshes.icosphere(2)
@@ -21,7 +21,7 @@ TURNED = Mesh(BALL.vertices, BALL.triangles[:, ::-1])
 
 def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, MeshReport]:
     result = mend(Arrays(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.triangles)), loose)
-    return result.arrays, report_of(result, loose, None)
+    return result.arrays, make_report(result, loose, None)
 
 
 def soup(mesh: Mesh) -> Mesh:
@@ -88,8 +88,8 @@ def test_coincident_vertices_are_merged(loose: bool) -> None:
 def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
     rng = np.random.default_rng(3)
     mesh = soup(BALL)
-    near = Mesh(mesh.vertices + rng.uniform(-0.1, 0.1, mesh.vertices.shape) * MERGED_WITHIN, mesh.triangles)
-    far = Mesh(mesh.vertices + rng.uniform(-20, 20, mesh.vertices.shape) * MERGED_WITHIN, mesh.triangles)
+    near = Mesh(mesh.vertices + rng.uniform(-0.1, 0.1, mesh.vertices.shape) * MERGE_DISTANCE_SHARE, mesh.triangles)
+    far = Mesh(mesh.vertices + rng.uniform(-20, 20, mesh.vertices.shape) * MERGE_DISTANCE_SHARE, mesh.triangles)
     assert mended(near, loose=True)[1].watertight
     assert mended(near)[1].bodies == 320
     assert not mended(far, loose=True)[1].watertight
@@ -138,7 +138,7 @@ def test_a_sheet_gets_the_winding_of_its_majority() -> None:
     wound[:20] = wound[:20][:, ::-1]
     (_, triangles), report = mended(Mesh(mesh.vertices, wound))
     assert report.turned_triangles == 20
-    assert edges_of(triangles).many.max() == 2 and not pieces_of(edges_of(triangles)).turned.any()
+    assert list_edges(triangles).many.max() == 2 and not find_pieces(list_edges(triangles)).turned.any()
 
 
 def test_inward_winding_is_preserved_only_for_hollows() -> None:
@@ -156,7 +156,7 @@ def test_first_alike_finds_equal_rows() -> None:
     rows = rng.integers(0, 3, (2000, 3)).astype(np.uint64) << np.uint64(62)
     first_rows: dict[bytes, int] = {}
     expected = [first_rows.setdefault(row.tobytes(), number) for number, row in enumerate(rows)]
-    assert first_alike(rows).tolist() == expected and len(first_rows) == 27
+    assert find_first_equal(rows).tolist() == expected and len(first_rows) == 27
 
 
 def test_thinned_meshes_preserve_the_shape() -> None:

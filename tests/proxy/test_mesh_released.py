@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from references.brute_force import balls_of, brute_distances
 from scipy.optimize import nnls
 
-from softfinger.proxy.kernels.contact.first_pose import GRAZE
+from softfinger.proxy.kernels.contact.first_pose import OVERLAP_TOLERANCE
 from softfinger.proxy.record import AT, CAUSE_RESTART, FREE, ON_ITS_WAY
 
 pytestmark = pytest.mark.scaled
@@ -184,14 +184,14 @@ def test_a_first_touch_is_resolved_or_flagged(crumpled: meshes.Mesh, tmp_path: P
         running.reset()
         ticks.append(np.asarray(running.run(posed(np.tile(point, (2, 1))))))
     both = np.array(ticks)
-    touching = brute_distances(balls, points) < radius * (1.0 - GRAZE)
+    touching = brute_distances(balls, points) < radius * (1.0 - OVERLAP_TOLERANCE)
     assert 0.1 < touching.mean() < 0.9
     for records in (both[:, 0], both[:, 1]):
         free, unknown = records[:, AT.contact_mode] == FREE, records[:, AT.contact_budget] != 0.0
         assert (free <= (unknown | ~touching)).all()
         assert not records[free, AT.force : AT.force + 3].any()
         clearance = brute_distances(balls, records[:, AT.proxy_position : AT.proxy_position + 3]) / radius - 1.0
-        assert (clearance[~(free & unknown)] >= -np.where(free, GRAZE, 1e-9)[~(free & unknown)]).all()
+        assert (clearance[~(free & unknown)] >= -np.where(free, OVERLAP_TOLERANCE, 1e-9)[~(free & unknown)]).all()
 
 
 @pytest.mark.exhaustive

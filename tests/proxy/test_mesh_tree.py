@@ -19,15 +19,15 @@ from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Mesh, Triangles
-from softfinger.proxy.kernels.shapes.budget import BUDGET, ROOM, SPENT
+from softfinger.proxy.kernels.shapes.budget import BUDGET, NO_BUDGET, QUEUE_SIZE
 from softfinger.proxy.kernels.shapes.mesh import contact, triangle
 from softfinger.proxy.kernels.shapes.mesh import nearest as query
 from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
 from softfinger.proxy.kernels.shapes.mesh.lanes import FIELDS, LANES
-from softfinger.proxy.kernels.shapes.mesh.nearest import MANY, SLOPE
+from softfinger.proxy.kernels.shapes.mesh.nearest import MAX_HOLLOW_EDGES, POOR_CANDIDATE_VISITS
 from softfinger.proxy.meshes.tree import Tree, build_tree
 
-WHOLE = ROOM
+WHOLE = QUEUE_SIZE
 """The largest budget: only the query from the middle of a sphere uses it up."""
 EQUAL = 1e-9
 """Allowed difference of two float64 distances, relative to the mesh size: both formulas lose digits on slivers."""
@@ -36,12 +36,12 @@ EQUAL = 1e-9
 @entry
 def nearest(mesh, x, limit, known, budget, enough):
     """Entry point that is cached on disk, unlike the inlined kernel it calls."""
-    return query.nearest(mesh, x, limit, known, budget, enough)
+    return query.find_nearest(mesh, x, limit, known, budget, enough)
 
 
 @entry
 def nearest_facet(mesh, x, within, known, budget, enough):
-    return contact.nearest_facet(mesh, x, within, known, budget, enough)
+    return contact.find_nearest_facet(mesh, x, within, known, budget, enough)
 
 
 @entry
@@ -198,14 +198,14 @@ def test_all_queries_of_a_tick_share_one_budget():
     for _ in range(100):
         before = budget
         _, _, budget = nearest_facet(mesh, hard, 1e300, NO_TRIANGLE, budget, 0.0)
-        if budget == SPENT:
+        if budget == NO_BUDGET:
             break
         spent = nearest(mesh, hard, 1e300, NO_TRIANGLE, before, 0.0).spent
         assert budget == max(before - spent, 0)
         total += spent
-    assert budget == SPENT and 0 < total < BUDGET + MANY + 3 * SLOPE
+    assert budget == NO_BUDGET and 0 < total < BUDGET + POOR_CANDIDATE_VISITS + 3 * MAX_HOLLOW_EDGES
     assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, BUDGET, 0.0)[2] > 0
-    assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, budget, 0.0)[2] == SPENT
+    assert nearest_facet(mesh, easy, 1e300, NO_TRIANGLE, budget, 0.0)[2] == NO_BUDGET
 
 
 def test_tree_contains_each_triangle_once():

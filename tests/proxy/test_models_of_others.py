@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.config.mjcf_geoms import convert_geoms
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.meshes.prepared import about
+from softfinger.proxy.meshes.prepared import describe_mesh
 from softfinger.server.cli import main
 
 pytestmark = pytest.mark.plain
@@ -79,7 +79,7 @@ def placed(mesh: schema.Object) -> np.ndarray:
     w, x, y, z = mesh.orientation_wxyz
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]))
-    return about(mesh).picture.vertices @ turn.reshape(3, 3).T + mesh.position_m
+    return describe_mesh(mesh).picture.vertices @ turn.reshape(3, 3).T + mesh.position_m
 
 
 def by_row(points: np.ndarray) -> np.ndarray:
@@ -213,7 +213,7 @@ def test_meshes_have_the_position_of_mujoco(tmp_path: Path) -> None:
     for entry in scene.object:
         np.testing.assert_allclose(by_row(placed(entry)), by_row(expected[entry.name] + [0, 0, 1]), atol=2 * FLOAT32)
         assert isinstance(entry, schema.Mesh)
-        report = about(entry).report
+        report = describe_mesh(entry).report
         assert report.watertight and report.turned_triangles == 0, entry.name
 
 

@@ -25,8 +25,8 @@ from softfinger.config.load import build
 from softfinger.config.schema import Material, Normal, Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.contact.normal import normal_force_of
-from softfinger.proxy.laws import normal_laws
+from softfinger.proxy.kernels.contact.normal import compute_normal_force
+from softfinger.proxy.laws import compile_normal_laws
 
 pytestmark = pytest.mark.plain
 
@@ -192,11 +192,11 @@ def test_restitution_is_hunt_and_crossleys(name: str, speed: float) -> None:
 @pytest.mark.parametrize("name", list(LAWS))
 def test_a_finger_that_leaves_fast_is_not_pulled(name: str) -> None:
     """f_N is 0 at outward speeds above K d / B or 1 / c, and the closed form at slower ones."""
-    (law,) = normal_laws(build(Scene, paper_mapping(**smooth(LAWS[name])), "normal"))
+    (law,) = compile_normal_laws(build(Scene, paper_mapping(**smooth(LAWS[name])), "normal"))
     for depth in (1e-6, 1e-3, 5e-3):
         for outwards in (0.0, 0.1, 0.6, 10.0, 1e3):
             expected = force(LAWS[name], depth, -outwards)
-            assert normal_force_of(law, depth, outwards) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+            assert compute_normal_force(law, depth, outwards) == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.sampled(3)
@@ -317,4 +317,6 @@ def test_a_linear_law_of_the_general_type_is_bit_identical() -> None:
     law = model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 3.0), 0.0)
     rng = np.random.default_rng(0)
     for depth, speed in zip(rng.uniform(-1e-3, 5e-3, 500), rng.normal(scale=0.3, size=500), strict=True):
-        assert normal_force_of(law, depth, speed) == normal_force_of(model.LinearNormal(1000.0, 3.0), depth, speed)
+        assert compute_normal_force(law, depth, speed) == compute_normal_force(
+            model.LinearNormal(1000.0, 3.0), depth, speed
+        )

@@ -25,12 +25,12 @@ from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.compiler import numba_internals, passes
 from softfinger.proxy.kernels.jit.compiler.numba_internals import (
-    SEEN,
+    TESTED_VERSIONS,
     CFunction,
-    Choice,
-    Inlined,
     InlinedCode,
+    InlinedKernel,
     KernelCache,
+    KernelChoice,
     load,
 )
 from softfinger.proxy.kernels.jit.dispatch import by_type
@@ -60,7 +60,7 @@ kernel(1.0)
 
 def test_this_numba_version_was_verified() -> None:
     """For a new numba version, run this file and add the version to SEEN."""
-    assert numba.__version__.startswith(SEEN)
+    assert numba.__version__.startswith(TESTED_VERSIONS)
 
 
 def test_kernels_that_allocate_do_not_compile() -> None:
@@ -111,7 +111,7 @@ def test_inlined_kernels_have_no_machine_code(tmp_path: Any) -> None:
 
     folder, hits = Folder(tmp_path / "kernels"), []
     for _ in range(2):
-        kernel: Any = Inlined(half, decorators.INLINED, KernelCache(half, folder, "inlined"), decorators.entry)
+        kernel: Any = InlinedKernel(half, decorators.INLINED, KernelCache(half, folder, "inlined"), decorators.entry)
         caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, kernel=kernel: kernel(x) + kernel(x + 1.0))
         assert caller(3.0) == 3.5
         hits.append(sum(kernel.dispatcher.stats.cache_hits.values()))
@@ -127,8 +127,8 @@ def test_a_small_kernel_with_large_callees_is_left_to_its_callers(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Any, large: int, calls: int
 ) -> None:
     """`finalize`: its code still calls the callee, and computes the same, compiled or loaded from a file."""
-    monkeypatch.setattr(numba_internals, "LARGE_CALLEES", large)
-    monkeypatch.setattr(numba_internals, "LARGE_SHARE", 0)
+    monkeypatch.setattr(numba_internals, "LARGE_CALLEE_BYTES", large)
+    monkeypatch.setattr(numba_internals, "LARGE_CALLEE_RATIO", 0)
     callee: Any = decorators.jit(lambda x: np.sin(x) + 1.0)
 
     def small(x: float, callee: Any = callee) -> float:
@@ -136,7 +136,7 @@ def test_a_small_kernel_with_large_callees_is_left_to_its_callers(
 
     folder = Folder(tmp_path / "kernels")
     for _ in range(2):
-        kernel: Any = Inlined(small, decorators.INLINED, KernelCache(small, folder, "inlined"), decorators.entry)
+        kernel: Any = InlinedKernel(small, decorators.INLINED, KernelCache(small, folder, "inlined"), decorators.entry)
         caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, kernel=kernel: kernel(x) + kernel(2.0 * x))
         assert caller(0.5) == np.sin(0.5) + 1.0 + (np.sin(1.0) + 1.0)
         (made,) = kernel.dispatcher.overloads.values()
@@ -155,7 +155,7 @@ def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
 
     folder = Folder(tmp_path / "kernels")
     for _ in range(2):
-        kernel: Any = Inlined(move, decorators.INLINED, KernelCache(move, folder, "inlined"), decorators.entry)
+        kernel: Any = InlinedKernel(move, decorators.INLINED, KernelCache(move, folder, "inlined"), decorators.entry)
 
         def call(pair: Any, factor: float, kernel: Any = kernel) -> Any:
             return kernel(pair), kernel(pair, factor, (1.0, 2.0), (3.0, 4.0))
@@ -181,7 +181,7 @@ def test_a_variable_with_one_assignment_is_not_in_memory(monkeypatch: pytest.Mon
             return square + x
         return square
 
-    kernel: Any = Inlined(positive, decorators.INLINED, None, decorators.entry)
+    kernel: Any = InlinedKernel(positive, decorators.INLINED, None, decorators.entry)
     kernel.dispatcher.compile((types.float64,))
     (made,) = kernel.dispatcher.overloads.values()
     assert "alloca" not in str(made.library.get_function(made.fndesc.llvm_func_name))
@@ -209,7 +209,7 @@ def test_only_kernels_that_can_fail_are_checked() -> None:
 @pytest.fixture
 def empty_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Kernels of the test are compiled, whatever the user's cache contains."""
-    monkeypatch.setattr(decorators, "KEPT", Folder(tmp_path / "kernels"))
+    monkeypatch.setattr(decorators, "KERNEL_FOLDER", Folder(tmp_path / "kernels"))
 
 
 def test_machine_code_is_optimised_once(monkeypatch: pytest.MonkeyPatch, empty_cache: None) -> None:
@@ -440,7 +440,7 @@ def test_overloads_are_chosen_at_compile_time() -> None:
     outermost: Any = numba.njit(**decorators.OPTIONS)(
         lambda x: (total(One(x)), total(More(x, More(x, One(1.0))), factor=3.0))
     )
-    assert isinstance(total, Choice) and outermost(5.0) == (10.0, 33.0)
+    assert isinstance(total, KernelChoice) and outermost(5.0) == (10.0, 33.0)
     assert (total(One(5.0)), total(More(5.0, More(5.0, One(1.0))), 3.0)) == (10.0, 33.0)
 
 
@@ -475,13 +475,13 @@ def test_a_kernel_that_is_an_argument_leaves_no_address_in_its_caller() -> None:
     def one(x: float) -> float:
         return x
 
-    inner: Any = Inlined(one, decorators.INLINED, None, numba.njit)
+    inner: Any = InlinedKernel(one, decorators.INLINED, None, numba.njit)
 
     def caller(x: float) -> float:
         kernel = inner
         return kernel(x)  # type: ignore[no-any-return]
 
-    library = Inlined(caller, decorators.INLINED, None, numba.njit).dispatcher
+    library = InlinedKernel(caller, decorators.INLINED, None, numba.njit).dispatcher
     library.compile((types.float64,))
     assert "numba.dynamic.globals" not in library.overloads[(types.float64,)].library.get_llvm_str()
     assert cpu_target.target_context.get_constant_generic(None, numba.typeof(inner), inner) is not None

@@ -13,7 +13,7 @@ from helpers.compiled_code import called_in, functions
 from helpers.programs import run_program
 
 from softfinger.proxy.kernels.jit import decorators, outlined
-from softfinger.proxy.kernels.jit.compiler.numba_internals import UNIT, code_of
+from softfinger.proxy.kernels.jit.compiler.numba_internals import UNIT_PREFIX, code_of
 
 MODULE = """
 from typing import NamedTuple
@@ -70,7 +70,7 @@ def run(script: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def units(cache: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_mtime_ns for path in cache.rglob(f"{UNIT}*.kernel")}
+    return {path.name: path.stat().st_mtime_ns for path in cache.rglob(f"{UNIT_PREFIX}*.kernel")}
 
 
 def test_outlined_kernels_are_compiled_once_for_all_callers(
@@ -84,7 +84,7 @@ def test_outlined_kernels_are_compiled_once_for_all_callers(
     assert len(files) == 2
     assert run(scripts / "second.py", cache, monkeypatch) == f"{RESULT} 0 4"
     assert units(cache) == files
-    for path in cache.rglob(f"{UNIT}found*.kernel"):
+    for path in cache.rglob(f"{UNIT_PREFIX}found*.kernel"):
         path.unlink()
     assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"
     assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 1 4"
@@ -112,7 +112,7 @@ def test_a_caller_contains_a_call_and_not_the_code() -> None:
     assert outermost(1.0) == 10.0  # whole numbers: exact
     (ir,) = outermost.inspect_llvm().values()
     bodies = functions(ir)
-    (symbol,) = {name for body in bodies.values() for name in called_in(body) if name.startswith(UNIT)}
+    (symbol,) = {name for body in bodies.values() for name in called_in(body) if name.startswith(UNIT_PREFIX)}
     assert len(bodies) == 1 and sum(called_in(body)[symbol] for body in bodies.values()) == 2
     code = code_of(symbol)
     assert not re.search("NRT|malloc|PyGILState", code) and "fmul" in code
@@ -140,7 +140,7 @@ def test_an_annotation_without_a_type_is_inferred() -> None:
 
     outermost: Any = numba.njit(**decorators.OPTIONS)(lambda pair: swapped(pair))
     assert outermost(Pair(1.0, (2.0, None))) == (Pair(2.0, (2.0, None)), 1.0)
-    assert all(UNIT in code for code in outermost.inspect_llvm().values())
+    assert all(UNIT_PREFIX in code for code in outermost.inspect_llvm().values())
 
 
 def test_where_selects_the_outlined_types() -> None:
@@ -150,5 +150,5 @@ def test_where_selects_the_outlined_types() -> None:
 
     outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: halved(x))
     assert outermost(3.0) == outermost(3) == 1.5
-    by_address = [UNIT in code for code in outermost.inspect_llvm().values()]
+    by_address = [UNIT_PREFIX in code for code in outermost.inspect_llvm().values()]
     assert sorted(by_address) == [False, True]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softfinger.config.load import load_scene
-from softfinger.config.materials import materials
+from softfinger.config.materials import load_materials
 from softfinger.drivers.poses import load_poses
 from softfinger.proxy.engine import Engine
 
@@ -28,7 +28,7 @@ def test_plates_are_touched_in_order_with_their_stiffness_and_friction() -> None
     ]
     assert first == list(range(len(scene.object))) and len(first) == 7
     for number, plate in enumerate(scene.object):
-        values = materials()[plate.name].values
+        values = load_materials()[plate.name].values
         pressed = np.flatnonzero((touched == number) & (np.abs(records["contact.penetration"] - DEPTH_M) < 1e-6))[
             SETTLED:
         ]

@@ -82,7 +82,7 @@ EVERYWHERE = """
 import json, sys
 import numpy as np
 from softfinger.drivers.poses import decode_messages
-from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, columns
+from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, list_columns
 from softfinger.server.cli import main
 from softfinger.server.recording.results import read_results, write_blocks
 from softfinger.server.socket_process.messages import Messages

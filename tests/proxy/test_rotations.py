@@ -7,7 +7,7 @@ from references.rotation import matrix
 from softfinger.proxy.kernels.numerics import rotations
 
 ULP = np.finfo(np.float64).eps
-SEAM = rotations.SMALL
+SEAM = rotations.SERIES_MAX
 ARGUMENTS = np.unique(
     np.concatenate([np.geomspace(1e-300, 3.0, 400), np.linspace(0.9 * SEAM, 1.1 * SEAM, 401), [np.nextafter(SEAM, 0)]])
 )

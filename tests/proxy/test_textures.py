@@ -37,8 +37,8 @@ from softfinger.proxy.kernels.contact.texture import sample
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.record import AT, FREE, SLIDING
 from softfinger.proxy.scene import build_scene
-from softfinger.proxy.textures import FREQUENCY_MAX_HZ, bounds, filter_texture
-from softfinger.server.offline.summary import scene_summary
+from softfinger.proxy.textures import FREQUENCY_MAX_HZ, compute_bounds, filter_texture
+from softfinger.server.offline.summary import summarize_scene
 
 pytestmark = pytest.mark.plain
 
@@ -503,14 +503,14 @@ def test_files_are_relative_to_their_scene(tmp_path: Path, monkeypatch: pytest.M
     # ten times around, up to rounding
     assert texture.per_u == pytest.approx(10 * 128 / (2.0 * np.pi * 0.05), rel=1e-15)
     assert build(schema.Scene, describe(loaded), "again") == loaded
-    summary = dict(scene_summary(loaded))
+    summary = dict(summarize_scene(loaded))
     assert summary["    filter"].startswith("Gaussian, 0.01 left at a wavelength of 0.0004 m: 0.2 m/s at 500 Hz")
     values = texture.values.array
     assert f"{3e-4 * np.ptp(values):.3g} m after the filter" in summary["    height"]
     # The steepest slope in the summary is an upper bound of the same magnitude as the measured one.
     places = np.random.default_rng(0).uniform(-0.1, 0.1, (2000, 2))
     steepest = max(math.hypot(s.by_u, s.by_v) for s in (sample(texture, u, v) for u, v in places)) * 3e-4
-    _, slope, bend = bounds(loaded.object[0])  # type: ignore[arg-type]
+    _, slope, bend = compute_bounds(loaded.object[0])  # type: ignore[arg-type]
     assert 0.3 * slope < steepest < slope
     step = 1e-6
     bends = [abs(sample(texture, u + step, v).by_u - sample(texture, u - step, v).by_u) for u, v in places]

@@ -12,14 +12,14 @@ import softfinger
 from softfinger.drivers import registry
 from softfinger.server.cli import make_parser
 from softfinger.server.verbs.options import SCHEMAS
-from softfinger.server.verbs.schema import json_schema
+from softfinger.server.verbs.schema import make_json_schema
 
 _FIELD = ("name", "size", "kind", "unit")
 
 
 def names() -> dict[str, list[str]]:
     """Return all names by kind, sorted."""
-    schemas = {kind: json_schema(kind) for kind in SCHEMAS}
+    schemas = {kind: make_json_schema(kind) for kind in SCHEMAS}
     telemetry, commands = schemas.pop("telemetry"), schemas.pop("commands")
     schemas |= {f"driver {name}": msgspec.json.schema(registry.load(name).Options) for name in registry.BUILT_IN}
     methods = commands["methods"]

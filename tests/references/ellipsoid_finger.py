@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from references.rotation import matrix
 from softfinger.proxy.kernels import model
-from softfinger.tools.accuracy.reference import integrate, normal_and_curvature
+from softfinger.tools.accuracy.reference import compute_normal_and_curvature, integrate
 
 Array = NDArray[np.float64]
 
@@ -56,8 +56,8 @@ def roll_ellipsoid(
     def derivative(t: float, state: Array) -> Array:
         p, q, w = state[:3], state[6:10], np.asarray(rate(t), float)
         turned = matrix(q)
-        n, bend = normal_and_curvature(p, shape)
-        _, own = normal_and_curvature(touching_at(semi_axes, q, n), body)
+        n, bend = compute_normal_and_curvature(p, shape)
+        _, own = compute_normal_and_curvature(touching_at(semi_axes, q, n), body)
         # Both operators act in the tangent plane; there is no equation along n.
         moved = np.linalg.solve(bend + turned @ own @ turned.T + np.outer(n, n), np.cross(w, n))
         turning = 0.5 * np.array([-w @ q[1:], *(q[0] * w + np.cross(w, q[1:]))])
@@ -65,10 +65,10 @@ def roll_ellipsoid(
 
     q = np.asarray(orientation, float)
     p = np.asarray(point, float)
-    n, _ = normal_and_curvature(p, shape)
+    n, _ = compute_normal_and_curvature(p, shape)
     begin = np.concatenate([p, touching_at(semi_axes, q, n), q, [0.0]])
     end = integrate(derivative, 0.0, duration, begin, duration / 40).y[:, -1]
     p, s, q = end[:3], end[3:6], end[6:10]
-    n, _ = normal_and_curvature(p, shape)
+    n, _ = compute_normal_and_curvature(p, shape)
     apart = float(np.linalg.norm(s - touching_at(semi_axes, q, n)))
     return Rolled(p - matrix(q) @ s, n, q, float(end[10]), apart)

@@ -17,10 +17,10 @@ from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
-from softfinger.server.loop.limits import SLOW_S
+from softfinger.server.loop.limits import SLOW_TIME_S
 from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.services.records import Sink
-from softfinger.server.states import FAST, UNARMED
+from softfinger.server.states import NOT_ARMED_REASON, TOO_FAST_REASON
 from softfinger.server.wire.control import Control
 
 pytestmark = pytest.mark.real_time
@@ -115,10 +115,10 @@ def test_the_force_of_a_handle_that_was_too_fast_returns_automatically(tmp_path:
     assert off[0] < 550
     # SLOW_S is counted in ticks and may start while the handle still slows down.
     back = off[0] + np.flatnonzero(run.forces[off[0] :] > 0.0)[0]
-    assert back - off[0] >= round(1000.0 * SLOW_S)
+    assert back - off[0] >= round(1000.0 * SLOW_TIME_S)
     assert run.forces[2000] > TOUCH_N
     assert [name for name, _ in run.states[:5]] == ["ready", "armed", "faulted", "ready", "armed"]
-    assert run.states[2][1] == FAST and "too_fast" in run.guard and run.state == "armed"
+    assert run.states[2][1] == TOO_FAST_REASON and "too_fast" in run.guard and run.state == "armed"
 
 
 def test_a_handle_that_was_too_fast_waits_for_arming(tmp_path: Path) -> None:
@@ -138,4 +138,4 @@ def test_a_handle_that_was_too_fast_waits_for_arming(tmp_path: Path) -> None:
     assert off < 550 and len(armed_at) == 2
     assert not run.forces[off : armed_at[1]].any()
     assert run.forces[-10] > TOUCH_N
-    assert (("faulted", FAST) in run.states) and ("ready", UNARMED) not in run.states
+    assert (("faulted", TOO_FAST_REASON) in run.states) and ("ready", NOT_ARMED_REASON) not in run.states

@@ -11,7 +11,7 @@ import pytest
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import DISARMED, RAMPING, TOO_FAST
 from softfinger.server.services.arming import Arming
-from softfinger.server.states import FAST, UNARMED, DaemonState, States
+from softfinger.server.states import NOT_ARMED_REASON, TOO_FAST_REASON, DaemonState, States
 
 pytestmark = pytest.mark.plain
 
@@ -63,23 +63,29 @@ def test_the_first_batch_makes_ready() -> None:
 @pytest.mark.parametrize("fingers", [1, 2])
 def test_automatic_arming_reports_if_the_last_tick_was_too_fast(fingers: int) -> None:
     slow, fast = [(RAMPING, 0.0)] * fingers, [(0.0, 0.0)] * (fingers - 1) + [(TOO_FAST | RAMPING, 0.0)]
-    assert process_batches(DaemonStub("automatic", fingers), batch((1, slow), (2, fast))) == [(FAST, True)]
-    assert process_batches(DaemonStub("automatic", fingers), batch((1, fast), (2, slow))) == [(FAST, False)]
+    assert process_batches(DaemonStub("automatic", fingers), batch((1, slow), (2, fast))) == [(TOO_FAST_REASON, True)]
+    assert process_batches(DaemonStub("automatic", fingers), batch((1, fast), (2, slow))) == [(TOO_FAST_REASON, False)]
 
 
 def test_a_disarmed_guard_is_not_too_fast() -> None:
-    assert process_batches(DaemonStub("automatic"), batch((1, [(TOO_FAST | DISARMED, 0)]))) == [(FAST, False)]
-    assert process_batches(DaemonStub("automatic", armed_at=8), batch((7, [(TOO_FAST, 0)]))) == [(FAST, False)]
-    assert process_batches(DaemonStub("automatic", armed_at=8), batch((8, [(TOO_FAST, 0)]))) == [(FAST, True)]
+    assert process_batches(DaemonStub("automatic"), batch((1, [(TOO_FAST | DISARMED, 0)]))) == [
+        (TOO_FAST_REASON, False)
+    ]
+    assert process_batches(DaemonStub("automatic", armed_at=8), batch((7, [(TOO_FAST, 0)]))) == [
+        (TOO_FAST_REASON, False)
+    ]
+    assert process_batches(DaemonStub("automatic", armed_at=8), batch((8, [(TOO_FAST, 0)]))) == [
+        (TOO_FAST_REASON, True)
+    ]
 
 
 @pytest.mark.parametrize("arm", ["command", "button"])
 def test_too_fast_disarms_with_arming_by_command_or_button(arm: str) -> None:
-    assert process_batches(DaemonStub(arm), batch((1, [(TOO_FAST, 0)]), (2, [(0, 0)]))) == [("disarm", FAST)]
+    assert process_batches(DaemonStub(arm), batch((1, [(TOO_FAST, 0)]), (2, [(0, 0)]))) == [("disarm", TOO_FAST_REASON)]
     assert process_batches(DaemonStub(arm), batch((1, [(0, 0)]))) == []
 
 
-ARMED = [("arm", UNARMED, FAST)]
+ARMED = [("arm", NOT_ARMED_REASON, TOO_FAST_REASON)]
 
 
 def test_a_press_arms_if_the_rig_arms_by_button() -> None:

@@ -25,7 +25,7 @@ from softfinger.config.schema import Faults
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
 from softfinger.server.recording import blackbox
-from softfinger.server.recording.blackbox import BYTES_MAX, FILES_MAX, HISTORY_S, BlackBox, files, prepare_folder
+from softfinger.server.recording.blackbox import BYTES_MAX, FILES_MAX, HISTORY_S, BlackBox, list_files, prepare_folder
 from softfinger.server.recording.reader import Event, TickBlock, read_contents
 from softfinger.server.wire.client import subscribe
 
@@ -111,12 +111,12 @@ def test_the_folder_is_bounded(tmp_path: Path) -> None:
         os.utime(place / f"{number:02d}.mcap", (number, number))
     (place / "notes.txt").write_text("mine")
     prepare_folder(place)
-    assert [path.name for path in files(place)] == [f"{n:02d}.mcap" for n in range(4, FILES_MAX + 3)]
+    assert [path.name for path in list_files(place)] == [f"{n:02d}.mcap" for n in range(4, FILES_MAX + 3)]
     with (place / "20.mcap").open("wb") as file:
         file.truncate(BYTES_MAX)
     os.utime(place / "20.mcap", (20, 20))
     prepare_folder(place)
-    assert [path.name for path in files(place)] == ["21.mcap", "22.mcap"]
+    assert [path.name for path in list_files(place)] == ["21.mcap", "22.mcap"]
     assert (place / "notes.txt").read_text() == "mine"
     place.chmod(0o777)
     with pytest.raises(ConfigError, match="other users may write to it"):
@@ -140,7 +140,7 @@ def read_faults(path: Path) -> dict[str, dict[str, Any]]:
 def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
     with pytest.raises(DeviceLost) as lost, running([{"kind": "disconnect", "at_tick": 700}]) as daemon:
         daemon.wait(WAIT_S)
-    path = files(blackbox.folder())[-1]
+    path = list_files(blackbox.find_folder())[-1]
     assert path.stat().st_mode & 0o777 == 0o600
     assert read_ticks(path) == list(range(700))
     event = read_faults(path)["device_lost"]
@@ -157,7 +157,7 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
             next(iter(samples))  # a publisher killed before it is ready is not restarted
         killed_at = daemon.servo.ticks
         os.kill(daemon.publisher.pids["telemetry"], signal.SIGKILL)
-        paths = eventually(lambda: list(blackbox.folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
+        paths = eventually(lambda: list(blackbox.find_folder().glob(f"*-{os.getpid()}-1-publisher.mcap")))
         assert daemon.publisher.restarts == 1 and daemon.servo.is_running
     (path,) = paths
     ticks = read_ticks(path)

@@ -22,7 +22,7 @@ from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.cli import main
 from softfinger.server.recording import picture
 from softfinger.server.recording.reader import RecordedWorld, read_contents
-from softfinger.server.recording.schemas import FRAME, SCENE, TICK, message_class
+from softfinger.server.recording.schemas import FRAME, SCENE, TICK, make_message_class
 from softfinger.server.recording.writer import RecordingFile, Topics
 
 WHY = "`make setup` does not install this package, which is larger than softfinger: see docs/operate/bridges.md"
@@ -42,7 +42,7 @@ def set_force(record: Records, force: Any) -> Records:
 
 def read_arrow(data: bytes) -> tuple[Any, np.ndarray]:
     """Return the arrow of a SceneUpdate and its direction: Foxglove draws arrows along x."""
-    (entity,) = message_class(SCENE).FromString(data).entities
+    (entity,) = make_message_class(SCENE).FromString(data).entities
     (arrow,) = entity.arrows
     w, x, y, z = (getattr(arrow.pose.orientation, axis) for axis in "wxyz")
     assert w * w + x * x + y * y + z * z == pytest.approx(1.0, abs=1e-9)  # rounding of a square root
@@ -53,12 +53,12 @@ def read_arrow(data: bytes) -> tuple[Any, np.ndarray]:
     "direction", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (-0.6, 0.0, 0.8), (0.36, -0.48, 0.8)]
 )
 def test_the_arrow_of_a_force(direction: tuple[float, ...], sample: Records) -> None:
-    arrow, points = read_arrow(picture.force_message(set_force(sample, 1.5 * np.array(direction)), 0, ""))
+    arrow, points = read_arrow(picture.encode_force(set_force(sample, 1.5 * np.array(direction)), 0, ""))
     np.testing.assert_allclose(points, direction, atol=1e-9)  # rounding
     assert arrow.shaft_length + arrow.head_length == pytest.approx(0.03, rel=1e-12)
     place = arrow.pose.position
     assert (place.x, place.y, place.z) == tuple(sample["proxy.position"])
-    (deletion,) = message_class(SCENE).FromString(picture.force_message(set_force(sample, 0.0), 0, "")).deletions
+    (deletion,) = make_message_class(SCENE).FromString(picture.encode_force(set_force(sample, 0.0), 0, "")).deletions
     assert deletion.id == "fingertip/force"
 
 
@@ -154,7 +154,7 @@ def test_foxglove_has_the_topics_of_a_recording() -> None:
     assert {"contact", "pose", "tf", "forces", "scene", "event"} <= set(viewer.topics)
     assert viewer.topics["contact"]["schemaName"] == TICK
     time_ns, data = came["contact"]
-    tick = message_class(TICK).FromString(data)
+    tick = make_message_class(TICK).FromString(data)
     row = Records(records)[tick.tick]
     assert list(tick.force) == row["force"].tolist() and time_ns == round(tick.timestamp * 1e9)
 
@@ -218,10 +218,10 @@ def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: P
     with path.open("rb") as file:
         for schema, _, message in make_reader(file).iter_messages():
             if schema.name == FRAME:
-                frame = message_class(FRAME).FromString(message.data)
+                frame = make_message_class(FRAME).FromString(message.data)
                 frames[frame.child_frame_id] = frame
             elif schema.name == SCENE:
-                update = message_class(SCENE).FromString(message.data)
+                update = make_message_class(SCENE).FromString(message.data)
                 entities |= {entity.id: entity.frame_id for entity in update.entities}
     assert (frames["body/box"].parent_frame_id, frames["body/box"].translation.z) == ("world", 0.12)
     assert (frames["body/box"].rotation.w, frames["body/box"].rotation.z) == (0.0, 1.0)

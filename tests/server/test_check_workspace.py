@@ -38,8 +38,8 @@ def make_scene(**ball: object) -> Scene:
 )
 def test_objects_are_described_relative_to_the_wall(place: tuple[float, float, float], description: str) -> None:
     objects = workspace.place_objects(SPHERE, make_scene(position_m=list(place)))
-    assert workspace.rows(SPHERE, objects) == [("1 'ball'", description)]
-    away = workspace.signed_distance(SPHERE, objects[0].points)
+    assert workspace.make_rows(SPHERE, objects) == [("1 'ball'", description)]
+    away = workspace.compute_signed_distance(SPHERE, objects[0].points)
     apart = float(np.linalg.norm(np.array(place) - np.array(SPHERE.center_m)))
     assert away.max() == pytest.approx(apart + 0.01 - 0.04, abs=STEP_M)
     assert away.min() == pytest.approx(abs(apart - 0.01) - 0.04, abs=STEP_M) or apart < 0.01
@@ -47,12 +47,12 @@ def test_objects_are_described_relative_to_the_wall(place: tuple[float, float, f
 
 def test_signed_distance_of_a_box() -> None:
     points = np.array([[0.0, 0.0, 0.0], [0.06, 0.0, 0.0], [0.08, 0.07, 0.0], [0.045, 0.0, 0.0]])
-    assert workspace.signed_distance(BOX, points) == pytest.approx([-0.03, 0.01, 0.05, -0.005])
+    assert workspace.compute_signed_distance(BOX, points) == pytest.approx([-0.03, 0.01, 0.05, -0.005])
 
 
 def test_text_draws_wall_and_objects_to_scale() -> None:
     turned = make_scene(position_m=[0.01, 0.03, 0.02], orientation_wxyz=[0.0, 1.0, 0.0, 0.0])
-    lines = workspace.text(SPHERE, workspace.place_objects(SPHERE, turned))
+    lines = workspace.draw_text(SPHERE, workspace.place_objects(SPHERE, turned))
     assert lines[0].startswith("from the front: x to the right, z up; 100 mm wide")
     middle = lines[1 + workspace.ROWS // 2].ljust(2 * workspace.COLUMNS + 3)
     front, right = middle[: workspace.COLUMNS], middle[-workspace.COLUMNS :]
@@ -81,7 +81,7 @@ def test_reachable_curve_is_the_arc_or_plane_inside_the_workspace() -> None:
     normal, up = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     for away, radius in ((0.0, 0.04), (0.024, 0.032), (0.05, None)):
         point = np.array([0.3, away, -0.2])  # anywhere in the plane
-        points = workspace.reachable_curve(SPHERE, MotionSubspace(2, normal, point, point))
+        points = workspace.compute_reachable_curve(SPHERE, MotionSubspace(2, normal, point, point))
         if radius is None:
             assert len(points) == 0
             continue
@@ -89,7 +89,7 @@ def test_reachable_curve_is_the_arc_or_plane_inside_the_workspace() -> None:
         sizes = np.linalg.norm(points - (0.01, away, 0.02), axis=1)
         np.testing.assert_allclose(sizes, radius, atol=0.08 / (workspace.DIRECTIONS - 1))  # steps of the search
     middle = np.array([0.01, 0.0, 0.02])
-    points = workspace.reachable_curve(SPHERE, MotionSubspace(1, normal, middle - 0.09 * up, middle))
+    points = workspace.compute_reachable_curve(SPHERE, MotionSubspace(1, normal, middle - 0.09 * up, middle))
     np.testing.assert_allclose(np.linalg.norm(points - middle + 0.09 * up, axis=1), 0.09, atol=1e-15)
     # the end of a chord of 40 mm from the middle: 2 asin(20 / 90)
     assert points[:, 0].max() - 0.01 == pytest.approx(0.09 * np.sin(2.0 * np.arcsin(0.02 / 0.09)), abs=STEP_M)

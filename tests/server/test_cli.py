@@ -14,7 +14,7 @@ from helpers.called import called
 from helpers.processes import COMMAND
 from helpers.programs import run_program
 
-from softfinger.proxy.record import columns
+from softfinger.proxy.record import list_columns
 from softfinger.server.cli import VERBS, make_parser
 from softfinger.server.recording.results import read_results
 from softfinger.tools.bench.options import KINDS
@@ -180,7 +180,7 @@ def test_simulate_writes_every_format(ending, tmp_path):
     outcome = called(*SIMULATE, "--out", str(out))
     assert outcome.returncode == 0 and "3 touch" in outcome.stdout and "3 release" in outcome.stdout
     records = read_results(out)
-    assert records.shape == (2281, len(columns()))  # 228 intervals of 10 ms, and the first sample
+    assert records.shape == (2281, len(list_columns()))  # 228 intervals of 10 ms, and the first sample
     np.testing.assert_array_equal(records[:, 1], np.arange(2281))
 
 
@@ -302,7 +302,7 @@ def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
     monkeypatch.setattr(step, "ROUNDS", 2)
     poses = step.make_touching_poses
     monkeypatch.setattr(step, "make_touching_poses", lambda scene: poses(scene, 50))
-    monkeypatch.setattr(step, "reference_ns", lambda: 100.0)  # the reference chain is fast only when compiled
+    monkeypatch.setattr(step, "measure_reference_ns", lambda: 100.0)  # the reference chain is fast only when compiled
     plot = tmp_path / "plot.png"
     outcome = called("bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear")
     assert outcome.returncode == 0, outcome.stderr

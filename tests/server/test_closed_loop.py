@@ -28,7 +28,7 @@ from softfinger.drivers.simulated.plant import (
     make_plant,
     make_rest_state,
 )
-from softfinger.proxy.kernels.jit.pack import Packed, flatten
+from softfinger.proxy.kernels.jit.pack import PackedTree, flatten
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 from softfinger.server import cli
@@ -143,10 +143,12 @@ def test_pressed_wall_is_the_linear_sampled_system(delay: int, damping: float) -
     np.testing.assert_allclose(records[:, POSITION][:, 2] - 0.01, expected, atol=1e-15)
 
 
-def compute_figures(tunings: Packed, plant: Any, state: Any, pose: np.ndarray, ticks: int, bound: float) -> np.ndarray:
+def compute_figures(
+    tunings: PackedTree, plant: Any, state: Any, pose: np.ndarray, ticks: int, bound: float
+) -> np.ndarray:
     figures = np.zeros((len(tunings.values), len(FIGURES)))
     drive = PlantInputs(ALOFT, pose, np.zeros(DELAY_LINE_SIZE))
-    tables = (Packed(plant, flatten(plant)[None]), Packed(state, flatten(state)[None]))
+    tables = (PackedTree(plant, flatten(plant)[None]), PackedTree(state, flatten(state)[None]))
     close_many(tunings, begin(tunings.like.scene), *tables, drive, ticks, bound, figures)
     return figures
 
@@ -157,7 +159,7 @@ def test_figures_equal_those_computed_from_records() -> None:
     pose = make_rest_pose(0.008)
     device = Simulation(plant, make_rest_state((0.0, 0.0, 0.02))._replace(goal=(0.0, 0.0, 0.008)), ALOFT, pose)
     records = whole(run_closed_loop(tuning, [device], 1000.0, ticks + 1))
-    tunings = Packed(tuning, flatten(tuning)[None])
+    tunings = PackedTree(tuning, flatten(tuning)[None])
     (row,) = compute_figures(tunings, plant, device.state, pose, ticks, inf)
     end = dict(zip(FIGURES, row, strict=True))
     x, force = records[:, POSITION], records[:-1, FORCE]
@@ -173,7 +175,7 @@ def test_cases_do_not_affect_each_other() -> None:
     tuning = tune_ice()
     plant = make_plant(0.001, Handle((0.1,) * 3, (1.0,) * 3), Impedance(damping=1.0, stiffness=100.0))
     state = make_rest_state((0.0, 0.0, 0.009))
-    tunings = Packed(tuning, np.array([flatten(tune_ice(k)) for k in stiffness]))
+    tunings = PackedTree(tuning, np.array([flatten(tune_ice(k)) for k in stiffness]))
     figures = compute_figures(tunings, plant, state, make_rest_pose(0.009), 5000, 0.005)
     exit_ticks = figures[:, FIGURES.index("exit_tick")]
     assert (exit_ticks[[0, 2, 4]] == -1.0).all() and (exit_ticks[[1, 3]] > 0.0).all()

@@ -42,15 +42,15 @@ from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.guard import PAUSE_MAX_S
 from softfinger.server.recording.reader import Event, read_contents
-from softfinger.server.recording.summary import summary
+from softfinger.server.recording.summary import summarize
 from softfinger.server.remote import Client as RemoteClient
 from softfinger.server.services import compilation
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX, CommandHandlers
 from softfinger.server.services.commands import CommandService
-from softfinger.server.socket_process.brake import SHORT
+from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES
 from softfinger.server.socket_process.clients import BURST
 from softfinger.server.socket_process.process import UNANSWERED_MAX
-from softfinger.server.states import COMMANDED, SILENT
+from softfinger.server.states import COMMANDED_REASON, NO_HEARTBEAT_REASON
 from softfinger.server.wire import link
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
@@ -234,7 +234,7 @@ def test_events_of_every_command_are_recorded(rig, tmp_path):
             published.append(subscription.receive(60.0).as_map())
         stopped = control.record_stop()
     assert stopped.error == "" and stopped.dropped == 0
-    assert eventually(lambda: summary(tmp_path / "all.mcap")["whole"])
+    assert eventually(lambda: summarize(tmp_path / "all.mcap")["whole"])
     recorded = [part.event for part in read_contents(tmp_path / "all.mcap") if isinstance(part, Event)]
     own = {"schema", "timestamp", "tick"}  # time of writing differs
 
@@ -445,14 +445,14 @@ def test_a_late_request_does_not_hide_a_missed_heartbeat(rig, monkeypatch):
         assert eventually(lambda: control.heartbeat() and recorder.force_n > 1.9)
         assert eventually(lambda: recorder.force_n == 0.0)
         assert control.describe()["armed"] is False
-        assert daemon.rendering.force.is_inhibited_by(SILENT)
+        assert daemon.rendering.force.is_inhibited_by(NO_HEARTBEAT_REASON)
         assert control.heartbeat() and daemon.rendering.force.is_requested
 
 
 def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as next_event:
         control.disarm()
-        assert eventually(lambda: daemon.rendering.force.is_inhibited_by(SILENT))
+        assert eventually(lambda: daemon.rendering.force.is_inhibited_by(NO_HEARTBEAT_REASON))
         control.heartbeat()
         while (message := next_event("command"))["name"] != "heartbeat":
             pass
@@ -499,7 +499,7 @@ def test_a_stop_whose_event_cannot_be_published_ends_the_run():
     daemon = SimpleNamespace(replace=None, publisher=PUBLISHER, event=event, stop=lambda: acts.append("stop"))
     with pytest.raises(MemoryError):
         CommandHandlers("ipc:///nowhere", rendering, daemon, "none").stop(Request("a", "stop", None))
-    assert acts == [COMMANDED, "stop"]
+    assert acts == [COMMANDED_REASON, "stop"]
 
 
 def test_a_queued_request_counts_as_a_sign_of_life_from_its_arrival():
@@ -510,7 +510,9 @@ def test_a_queued_request_counts_as_a_sign_of_life_from_its_arrival():
     )
     commands = CommandService("ipc:///nowhere", rendering, SimpleNamespace(replace=None, publisher=PUBLISHER), "none")
     commands._note_alive(time.monotonic())
-    body = msgpack.packb({"command_id": "a", "method": "mark", "params": {"label": "x", "data": {"a": "x" * SHORT}}})
+    body = msgpack.packb(
+        {"command_id": "a", "method": "mark", "params": {"label": "x", "data": {"a": "x" * SHORT_REQUEST_BYTES}}}
+    )
     assert commands._receive(b"client", body) is None
     arrived_s = time.monotonic()
     assert b"bad_params: data has more" in commands._answer_queued(*commands._queue.get())

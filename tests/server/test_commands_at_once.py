@@ -23,8 +23,8 @@ from helpers.waits import WAIT_S, eventually
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
-from softfinger.server.services.commands import AT_ONCE, WAITING_MAX
-from softfinger.server.socket_process.brake import SHORT, Brake, takes_force_off
+from softfinger.server.services.commands import URGENT_METHODS, WAITING_MAX
+from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES, Brake, takes_force_off
 from softfinger.server.socket_process.clients import BURST
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
@@ -94,7 +94,7 @@ def write_bodies(folder: Path) -> str:
 
 def make_requests(folder: Path) -> dict[str, Any]:
     """Return parameters of each method that another client sends, large ones where possible."""
-    long = "x" * 2 * SHORT
+    long = "x" * 2 * SHORT_REQUEST_BYTES
     rubber = {"stiffness_n_per_m": 1000.0}
     return {
         "set_params": {f"object.{number}.{long[:200]}": 1.0 for number in range(1000)},
@@ -119,7 +119,7 @@ def make_requests(folder: Path) -> dict[str, Any]:
 @pytest.mark.real_time
 def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path):
     requests = make_requests(tmp_path)
-    assert set(requests) == METHODS.keys() - AT_ONCE
+    assert set(requests) == METHODS.keys() - URGENT_METHODS
     with running(monkeypatch, tmp_path) as (daemon, device):
         endpoint = str(daemon.commands_endpoint)
         with Control(endpoint, WAIT_S) as control:
@@ -257,6 +257,7 @@ def test_which_requests_take_the_force_off():
     for body in (
         b"", b"disarm", request(method="arm", command_id="disarm"), request(command_id="stop"),
         request(method="record_stop"), request(method=["disarm"]), msgpack.packb(["method", "disarm"]),
-        request(method="disarm", data="x" * SHORT), b"\x91" * 2000 + b"disarm", b"\xdf\xff\xff\xff\xffdisarm",
+        request(method="disarm", data="x" * SHORT_REQUEST_BYTES),
+        b"\x91" * 2000 + b"disarm", b"\xdf\xff\xff\xff\xffdisarm",
     ):  # fmt: skip
         assert not takes_force_off(body), body

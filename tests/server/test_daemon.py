@@ -32,7 +32,7 @@ from softfinger.server.loop.realtime import raise_priority
 from softfinger.server.loop.shared.rings import Rings
 from softfinger.server.services import base
 from softfinger.server.services.records import Sink
-from softfinger.tools.pages.hazards import starvation_time_s
+from softfinger.tools.pages.hazards import compute_starvation_time_s
 
 pytestmark = pytest.mark.real_time
 
@@ -237,7 +237,7 @@ def test_repeated_stalls_end_the_run(faulty):
         with pytest.raises(SafetyStop, match=r"lost more than 50% .* in the device's exchange|no tick for"):
             running.wait(60.0)
     assert not faulty.device.wrenches[-1].any()
-    reads = round(starvation_time_s(hang_s) / (hang_s + 1e-3))
+    reads = round(compute_starvation_time_s(hang_s) / (hang_s + 1e-3))
     assert not faulty.device.wrenches[200 + reads :].any()
 
 

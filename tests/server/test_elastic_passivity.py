@@ -11,7 +11,7 @@ from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import NAMED, RECORD_SIZE
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.simulate import simulate, tick_many
+from softfinger.server.offline.simulate import run_ticks, simulate
 
 pytestmark = pytest.mark.plain
 
@@ -88,7 +88,7 @@ def press_and_release(tunings: list[Tuning], depth: Any) -> Any:
     records, memory = np.zeros((2, len(track), 1, RECORD_SIZE)), packed(begin(tunings[0].scene))
     for stage, part, rows in zip(tunings, (track, track[::-1]), records, strict=True):
         dts = np.full(len(part), 1.0 / RATE_HZ)
-        tick_many(packed(stage), memory, np.ascontiguousarray(part), dts, 1.0 / RATE_HZ, 0, rows)
+        run_ticks(packed(stage), memory, np.ascontiguousarray(part), dts, 1.0 / RATE_HZ, 0, rows)
     return records[:, :, 0]
 
 

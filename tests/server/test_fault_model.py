@@ -18,9 +18,9 @@ from softfinger.server.services import watches
 from softfinger.server.states import DaemonState
 from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
-from softfinger.server.wire.events import ADVICE
+from softfinger.server.wire.events import REMEDIES
 from softfinger.tools.pages import hazards
-from softfinger.tools.pages.hazards import FAILED, HAZARDS, SEEN_IN
+from softfinger.tools.pages.hazards import FAILED, HAZARDS, RESULTS_FILE
 
 pytestmark = pytest.mark.plain
 
@@ -72,7 +72,7 @@ def test_each_published_fault_has_a_row():
 
 
 def test_measured_reactions_are_within_their_rows():
-    content = json.loads(SEEN_IN.read_text("utf-8"))
+    content = json.loads(RESULTS_FILE.read_text("utf-8"))
     assert all(row["passed"] == row["of"] for row in content if "test" in row)
     by_name = {hazard.name: hazard for hazard in HAZARDS}
     timed = set()
@@ -89,11 +89,11 @@ def test_measured_reactions_are_within_their_rows():
 
 
 SET_BY = {
-    "a wall that is unstable": [(limits, "FORGET_S")],
+    "a wall that is unstable": [(limits, "ENERGY_TIME_CONSTANT_S")],
     "a force that is not finite": [(health, "NO_FORCE_MAX_S")],
     "a pose that is not finite, out of range or short": [(health, "NO_FORCE_MAX_S")],
-    "a pose that jumps": [(health, "NO_FORCE_MAX_S"), (health, "JUMP_S")],
-    "a handle that runs away": [(limits, "SPEED_S"), (limits, "SLOW_S")],
+    "a pose that jumps": [(health, "NO_FORCE_MAX_S"), (health, "TIME_PER_JUMP_S")],
+    "a handle that runs away": [(limits, "SPEED_TIME_CONSTANT_S"), (limits, "SLOW_TIME_S")],
     "a device that warns": [(watches, "DEVICE_PERIOD_S")],
     "a device that is lost or breaks its protocol": [(DeviceError, "exit_code")],
     "a device that is silent, or sends invalid data": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
@@ -163,4 +163,4 @@ def test_hazards_have_unique_names_and_no_empty_fields():
 
 
 def test_advice_is_for_events_of_the_guard():
-    assert set(ADVICE) == {*GUARD_NAMES} - ORDINARY - {"ramping"}
+    assert set(REMEDIES) == {*GUARD_NAMES} - ORDINARY - {"ramping"}

@@ -26,7 +26,7 @@ from softfinger.drivers.replay.device import Options as ReplayOptions
 from softfinger.drivers.replay.device import Replay
 from softfinger.drivers.resample import resample
 from softfinger.proxy.kernels.jit.pack import packed
-from softfinger.proxy.record import AT, FREE, RECORD_SIZE, columns
+from softfinger.proxy.record import AT, FREE, RECORD_SIZE, list_columns
 from softfinger.server import cli
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
@@ -34,7 +34,7 @@ from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
 from softfinger.server.loop.health import JUMPING, NO_FORCE_MAX_S, NO_POSE
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.simulate import simulate, tick_many
+from softfinger.server.offline.simulate import run_ticks, simulate
 from softfinger.server.recording.results import read_results
 
 GUARD = load_rig("replay", {"guard.ramp_s": 0.01}).guard
@@ -99,7 +99,7 @@ def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, 
     for device in devices:
         assert np.abs(device.wrenches[-10:-2]).max() > 0.1 and not device.wrenches[-1].any()
         assert [act for act, *_ in device.acts] == ["arm", "stop"]
-    failure = shutdown.device_failure(devices[ended.finger], ended, NAMES[ended.finger])
+    failure = shutdown.describe_failure(devices[ended.finger], ended, NAMES[ended.finger])
     assert failure is not None and f"faulty, finger '{NAMES[place]}'" in str(failure)
 
 
@@ -238,7 +238,7 @@ def test_motion_during_refused_poses_causes_no_force_peak() -> None:
     start = begin(tuning.scene)
     records = np.zeros((len(poses), 1, RECORD_SIZE))
     dts = np.full(len(poses), period)
-    tick_many(packed(tuning), packed(start), poses[:, None], dts, period, 0, records)
+    run_ticks(packed(tuning), packed(start), poses[:, None], dts, period, 0, records)
     speed = -turn * 2.0 * np.pi * hertz * y  # of the table there, downwards
     normal_force = records[back, 0, AT.contact_normal_force]
     # The velocity is a difference over a tick: off by (2 pi f dt)^2 / 6 of it, 1e-4 of 0.025 N; the tilt at y by less.
@@ -265,7 +265,7 @@ def test_simulate_reads_and_writes_each_finger(ending: str, tmp_path: Path, caps
             read_results(out, unknown)
     if ending == ".csv":
         header = out.read_text("ascii").partition("\n")[0].split(",")
-        assert header == [f"{name}.{column}" for name in NAMES for column in columns()]
+        assert header == [f"{name}.{column}" for name in NAMES for column in list_columns()]
     elif ending == ".npz":
         with np.load(out) as saved:
             np.testing.assert_array_equal(saved["index.force"], records[:, 1, AT.force : AT.force + 3])
@@ -294,12 +294,12 @@ import sys
 from helpers.faulty_device import FaultyDevice, Options, acts
 from helpers.two_fingers import two_fingers
 from softfinger.config.load import load_rig
-from softfinger.server.loop.servo import servo_loop
+from softfinger.server.loop.servo import run_servo_loop
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 devices = [FaultyDevice(Options()), FaultyDevice(Options())]
 ServoThread(devices, make_tuning(two_fingers(), load_rig("replay").guard), 1000.0).compile()
-print(*servo_loop.inspect_llvm().values())
+print(*run_servo_loop.inspect_llvm().values())
 """
 
 

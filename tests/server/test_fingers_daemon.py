@@ -198,7 +198,7 @@ def test_clients_separate_the_fingers() -> None:
             assert health is not None and health.guarded == 1000
             assert health.as_map()["modes"] == {"free": 1000, "rolling": 0, "sliding": 1000}
             assert health.missed == 5
-    line = monitor.line(board)
+    line = monitor.format_line(board)
     assert line.index("index: tick 1020 free") < line.index("thumb: tick 1020 sliding")
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(monitor.render(board, 100, 60))

@@ -13,7 +13,7 @@ from softfinger.config import limits
 from softfinger.server.loop.force_switch import IS_ACTIVE, IS_REQUESTED, MAX_OFF_S, apply_switch, is_zero, make_switch
 from softfinger.server.loop.guard import Guard, GuardState, guard_wrench
 from softfinger.server.services.force import SWITCH_TICKS, Force
-from softfinger.server.states import FAST, UNARMED, States
+from softfinger.server.states import NOT_ARMED_REASON, TOO_FAST_REASON, States
 
 pytestmark = pytest.mark.plain
 
@@ -32,7 +32,7 @@ def test_force_is_off_after_the_loop_has_read_the_switch(at: int) -> None:
     """A tick in progress may not have read the switch; the force may still fade after it."""
     loop = Loop()
     loop.ticks, loop.switch[IS_ACTIVE] = at, 0
-    loop.force.inhibit(FAST)
+    loop.force.inhibit(TOO_FAST_REASON)
     assert loop.switch[IS_REQUESTED] == 0 and not loop.force.is_requested
     loop.ticks = at + SWITCH_TICKS - 1
     assert not loop.force.is_off
@@ -48,15 +48,17 @@ def test_force_is_on_when_no_reason_inhibits_it(at: int) -> None:
     loop = Loop(unarmed=True)
     loop.ticks = at
     assert loop.switch[IS_REQUESTED] == 0
-    loop.force.inhibit(FAST)
-    loop.force.allow(UNARMED)
+    loop.force.inhibit(TOO_FAST_REASON)
+    loop.force.allow(NOT_ARMED_REASON)
     assert (
-        loop.switch[IS_REQUESTED] == 0 and loop.force.is_inhibited_by(FAST) and not loop.force.is_inhibited_by(UNARMED)
+        loop.switch[IS_REQUESTED] == 0
+        and loop.force.is_inhibited_by(TOO_FAST_REASON)
+        and not loop.force.is_inhibited_by(NOT_ARMED_REASON)
     )
-    loop.force.allow(FAST)
+    loop.force.allow(TOO_FAST_REASON)
     assert loop.switch[IS_REQUESTED] == 1 and loop.force.switched_on_tick == at + SWITCH_TICKS
     loop.ticks = at + 100
-    loop.force.allow(FAST)
+    loop.force.allow(TOO_FAST_REASON)
     assert loop.force.switched_on_tick == at + SWITCH_TICKS  # already on
 
 
@@ -69,7 +71,7 @@ def test_a_suspended_force_returns_unless_inhibited(at: int) -> None:
         assert loop.switch[IS_REQUESTED] == 0 and loop.force.is_requested
     assert loop.switch[IS_REQUESTED] == 1 and loop.force.switched_on_tick == at + SWITCH_TICKS
     with loop.force.suspend():
-        loop.force.inhibit(UNARMED)
+        loop.force.inhibit(NOT_ARMED_REASON)
     assert loop.switch[IS_REQUESTED] == 0
 
 

@@ -325,7 +325,7 @@ print(json.dumps([info.name(), info.nominal_srate(), names, units, values, stamp
 
 def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
     pytest.importorskip("pylsl", reason="pylsl is not installed: pip install 'softfinger[lsl]'", exc_type=ImportError)
-    from softfinger.proxy.record import AT, FIELDS, columns
+    from softfinger.proxy.record import AT, FIELDS, list_columns
 
     settings = tmp_path / "lsl.cfg"
     settings.write_text("[multicast]\nResolveScope = machine\n")
@@ -345,7 +345,7 @@ def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
         finally:
             process.kill()
     name, rate, names, units, values, _ = json.loads(completed.stdout.splitlines()[-1])
-    assert (name, rate, names) == ("softfinger", 0.0, columns())
+    assert (name, rate, names) == ("softfinger", 0.0, list_columns())
     assert units == [field.unit for field in FIELDS for _ in range(field.size)]
     tick = int(values[AT.tick])
     assert values == synthetic(BATCH, first_tick=tick - tick % BATCH)[tick % BATCH].tolist()

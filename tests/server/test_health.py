@@ -5,7 +5,7 @@ import pytest
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.server.loop import health as h
 from softfinger.server.loop.guard import NOT_FINITE, POSE_JUMPED, POSE_REFUSED, RAMPING
-from softfinger.tools.pages.hazards import stall_range_s, starvation_time_s
+from softfinger.tools.pages.hazards import compute_stall_range_s, compute_starvation_time_s
 
 T = 0.001
 
@@ -50,13 +50,13 @@ def test_jumps_that_leave_nothing_to_render_are_a_fault():
 
 
 def test_gaps_of_every_length_end_the_run_within_the_fault_model():
-    shortest, longest = stall_range_s()
+    shortest, longest = compute_stall_range_s()
     assert 1.0 < shortest < longest < 1.3
     for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):
         _, fault, _, elapsed = examine_ticks([(0, 0.0, gap + T)] * 100)
         assert fault == h.STARVED
-        assert elapsed == pytest.approx(starvation_time_s(gap), rel=1e-9)  # sums of many periods
-        assert shortest - T <= elapsed <= longest + T  # the range of `stall_range_s`
+        assert elapsed == pytest.approx(compute_starvation_time_s(gap), rel=1e-9)  # sums of many periods
+        assert shortest - T <= elapsed <= longest + T  # the range of `compute_stall_range_s`
     assert examine_ticks([(0, 0.0, h.GAP_MIN_S - 1e-6 + T)] * 1000)[1] == 0  # shorter ones are missed ticks
 
 

@@ -45,8 +45,8 @@ def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
     assert hotplug_state.changes() == []
     plug_serial(root, "ttyACM5", "16c0", "0483", "SN42", product="Haply inverse3")
     ((change, haply),) = hotplug_state.changes()
-    assert (change, hotplug.event_fields(haply)["driver"]) == ("attached", "haply")
-    assert hotplug.event_fields(TEENSY)["driver"] == "serial"
+    assert (change, hotplug.make_event_fields(haply)["driver"]) == ("attached", "haply")
+    assert hotplug.make_event_fields(TEENSY)["driver"] == "serial"
 
 
 @pytest.mark.parametrize("at_start", [False, True])

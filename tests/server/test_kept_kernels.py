@@ -26,15 +26,15 @@ MAY_CALL = {
 """All external functions that the loop of a scene may call: clock, sleep, wake-up, and libm."""
 
 COMPILER = """
-from softfinger.server.loop.servo import servo_loop
+from softfinger.server.loop.servo import run_servo_loop
 from softfinger.server.services import compilation
 compilation.main()
-print(*servo_loop.inspect_llvm().values())
+print(*run_servo_loop.inspect_llvm().values())
 """
 """Process in which a daemon compiles another scene; prints the IR at the end."""
 
 
-LOOPS = ("servo_loop", "step_many", "tick_many")
+LOOPS = ("run_servo_loop", "step_many", "run_ticks")
 """Kernels of the verbs, which are compiled again."""
 
 SCENES = ["frictionless-plane", pytest.param("paper-plane", marks=pytest.mark.exhaustive)]
@@ -99,7 +99,7 @@ def test_compiler_and_warmup_cache_all_kernels(fresh_loop: tuple[str, Path, str]
     """
     scene, cache, output = fresh_loop
     before = list_kernels(cache)
-    loops = {name: written for name, written in before.items() if name.startswith("servo_loop-")}
+    loops = {name: written for name, written in before.items() if name.startswith("run_servo_loop-")}
     assert len(loops) == 1
     assert output.startswith("compiling ") and re.search(r"^compiling kernel \d+ \(about \d+ ", output, re.MULTILINE)
     assert not run_compiler(scene, cache).startswith("compiling ")  # cached kernels are only loaded
@@ -110,7 +110,7 @@ def test_compiler_and_warmup_cache_all_kernels(fresh_loop: tuple[str, Path, str]
     after = list_kernels(cache)
     assert loops.items() <= after.items()
     have, added = ({name.rpartition("-")[0] for name in names} for names in (before, after.keys() - before.keys()))
-    assert {"step_many", "tick_many"} <= added
+    assert {"step_many", "run_ticks"} <= added
     assert added & have <= {"silence"}  # each driver has one
     old_version, foreign = cache / "0123456789abcdef", cache / "notes"
     old_version.mkdir()

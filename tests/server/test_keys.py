@@ -18,7 +18,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
 from softfinger.server.keys import make_pair, read_pair, read_public
-from softfinger.server.socket_process.allowed import Allowed
+from softfinger.server.socket_process.allowed import AllowedKeys
 
 OTHER = 65534
 """User `nobody`."""
@@ -124,12 +124,12 @@ def test_keys_of_another_user_are_refused(tmp_path: Path) -> None:
             read(path)
         if path is tmp_path:
             with pytest.raises(ConfigError, match="who could let anybody in"):
-                Allowed(tmp_path)
+                AllowedKeys(tmp_path)
         os.chown(path, 0, 0)
 
 
 def test_changes_of_the_key_folder_take_effect(tmp_path: Path) -> None:
-    allowed = Allowed(tmp_path)
+    allowed = AllowedKeys(tmp_path)
     public, _ = make_pair(tmp_path, "anna")
     key = read_public(public)
     assert not allowed.refresh() and allowed.callback("", key) and allowed.name(key) == "anna"
@@ -145,11 +145,11 @@ def test_changes_of_the_key_folder_take_effect(tmp_path: Path) -> None:
         tmp_path.chmod(bits)
         assert allowed.refresh() and not allowed.callback("", bob)
         with pytest.raises(ConfigError, match="other users may write to it"):
-            Allowed(tmp_path)
+            AllowedKeys(tmp_path)
         tmp_path.chmod(0o755)
         assert not allowed.refresh() and allowed.callback("", bob)
     with pytest.raises(ConfigError, match="No such file"):
-        Allowed(tmp_path / "none")
+        AllowedKeys(tmp_path / "none")
 
 
 def test_a_key_written_after_the_folder_was_read_is_admitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +158,7 @@ def test_a_key_written_after_the_folder_was_read_is_admitted(tmp_path: Path, mon
     folder = tmp_path / "readers"
     folder.mkdir()
     public, _ = make_pair(tmp_path, "anna")
-    allowed, key = Allowed(folder), read_public(public)
+    allowed, key = AllowedKeys(folder), read_public(public)
     file = folder / public.name
     file.write_bytes(b"")
     assert not allowed.refresh()

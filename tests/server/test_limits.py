@@ -23,7 +23,7 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
 from softfinger.server.loop import guard as g
 from softfinger.server.loop import limits as lim
-from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, output_wrench
+from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, limit_wrench
 from softfinger.server.loop.passivity import HandMotion
 from softfinger.server.loop.tick import begin, continue_memory
 from softfinger.server.loop.tuning import make_tuning, with_offsets
@@ -48,7 +48,7 @@ def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE)
     """Run one tick of a handle that has moved by `moved` to `at`."""
     before = tuple(a - m for a, m in zip(at, moved, strict=True))
     motion = HandMotion(Pose(before, LEVEL), Pose(at, LEVEL), None)
-    return output_wrench(guard, passed, motion, float(mode), force, torque, Instant(0, T, T))
+    return limit_wrench(guard, passed, motion, float(mode), force, torque, Instant(0, T, T))
 
 
 @pytest.mark.parametrize("speed", [2.1, 3.0, 5.0])
@@ -59,7 +59,7 @@ def test_the_filter_removes_the_force_of_a_handle_that_is_too_fast(speed):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (0.0, speed * T, 0.0))
         forces.append(passed.guard_state.force[0])
         assert bool(bits & g.TOO_FAST) == (passed.guard_state == g.INITIAL_GUARD_STATE)
-    ratio = lim.SPEED_S / (lim.SPEED_S + T)
+    ratio = lim.SPEED_TIME_CONSTANT_S / (lim.SPEED_TIME_CONSTANT_S + T)
     first = math.floor(math.log(1.0 - 2.0 / speed) / math.log(ratio)) + 1
     assert forces == [5.0] * (first - 1) + [0.0] * (100 - first + 1)
 
@@ -71,11 +71,11 @@ def test_one_displaced_pose_is_not_too_fast():
     for moved in (step, 0.0, -step, step, 0.0):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (moved, 0.0, 0.0))
         assert bits == 0 and passed.guard_state.force[0] == 5.0
-        assert math.hypot(*passed.limit_state.velocity) <= step / (lim.SPEED_S + T) * (1 + 1e-12)
+        assert math.hypot(*passed.limit_state.velocity) <= step / (lim.SPEED_TIME_CONSTANT_S + T) * (1 + 1e-12)
 
 
 def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
-    guard, passed = make_guard(speed=2.0, slow_s=lim.SLOW_S, ramp=0.5), INITIAL_OUTPUT
+    guard, passed = make_guard(speed=2.0, slow_s=lim.SLOW_TIME_S, ramp=0.5), INITIAL_OUTPUT
     for _ in range(100):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
     assert bits & g.TOO_FAST
@@ -107,7 +107,7 @@ def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
     assert bits == 0 and passed.guard_state.force[0] == 5.0
 
 
-@pytest.mark.parametrize("slow_s", [lim.SLOW_S, inf])
+@pytest.mark.parametrize("slow_s", [lim.SLOW_TIME_S, inf])
 def test_a_tick_without_a_pose_ends_no_wait(slow_s):
     guard, passed = make_guard(speed=2.0, slow_s=slow_s), INITIAL_OUTPUT
     for _ in range(100):
@@ -142,9 +142,9 @@ def test_the_force_of_a_hot_motor_falls_to_the_continuous_force():
         heats.append(passed.limit_state.heat)
         forces.append(passed.guard_state.force[1])
     first = next(n for n, force in enumerate(forces) if force < 8.0)
-    whole_s = -2.0 * math.log(1.0 - lim.WARM / 4.0)
+    whole_s = -2.0 * math.log(1.0 - lim.WARM_SHARE / 4.0)
     assert first * T == pytest.approx(whole_s, abs=2 * T)  # a tick of delay, and discrete steps
-    rate = (1.0 + 3.0 / (1.0 - lim.WARM)) / 2.0
+    rate = (1.0 + 3.0 / (1.0 - lim.WARM_SHARE)) / 2.0
     expected = (1.0 - heats[first - 1]) * np.exp(-rate * T * np.arange(1, 300))
     # Discrete steps have a first-order error, rate T / 2 = 0.4 % over a time of 1 / rate.
     np.testing.assert_allclose(1.0 - np.array(heats[first : first + 299]), expected, rtol=0.03)
@@ -154,14 +154,14 @@ def test_the_force_of_a_hot_motor_falls_to_the_continuous_force():
 
 
 def test_heat_does_not_limit_a_strong_motor():
-    assert lim.heat_limited_force(lim.UNLIMITED._replace(continuous=8.0), 1.5, 8.0) == 8.0
-    assert lim.heat_limited_force(lim.UNLIMITED, 1.5, 8.0) == 8.0
+    assert lim.compute_heat_limit(lim.UNLIMITED._replace(continuous=8.0), 1.5, 8.0) == 8.0
+    assert lim.compute_heat_limit(lim.UNLIMITED, 1.5, 8.0) == 8.0
 
 
 def test_speeds_at_the_limits_are_allowed():
     limits = lim.UNLIMITED._replace(speed=2.0, slow_s=0.5)
-    assert lim.remaining_wait(limits, 0.0, 2.0, True, T) == 0.0
-    assert lim.remaining_wait(limits, 0.25, 1.0, True, T) == 0.25 - T
+    assert lim.compute_remaining_wait(limits, 0.0, 2.0, True, T) == 0.0
+    assert lim.compute_remaining_wait(limits, 0.25, 1.0, True, T) == 0.25 - T
 
 
 def test_a_tick_of_zero_length_keeps_the_velocity():
@@ -171,7 +171,9 @@ def test_a_tick_of_zero_length_keeps_the_velocity():
 def test_a_torque_fades_with_the_force():
     guard = make_guard(energy=0.2)
     passed = INITIAL_OUTPUT._replace(
-        limit_state=lim.INITIAL_LIMITS._replace(energy_given=0.3 * (lim.FORGET_S + T) / lim.FORGET_S)
+        limit_state=lim.INITIAL_LIMITS._replace(
+            energy_given=0.3 * (lim.ENERGY_TIME_CONSTANT_S + T) / lim.ENERGY_TIME_CONSTANT_S
+        )
     )
     passed, bits = tick(guard, passed, (50.0, 0.0, 0.0), mode=ROLLING, torque=(0.0, 0.0, 5.0))
     assert bits & g.ENERGY_SPENT
@@ -182,7 +184,7 @@ def test_a_torque_fades_with_the_force():
 def test_generated_energy_in_a_contact_fades_the_force():
     """The energy is P tau (1 - r^n); above the limit E the force has the share s = 2 - given / E."""
     guard, passed = make_guard(energy=0.1), INITIAL_OUTPUT
-    shares, ratio = [], lim.FORGET_S / (lim.FORGET_S + T)
+    shares, ratio = [], lim.ENERGY_TIME_CONSTANT_S / (lim.ENERGY_TIME_CONSTANT_S + T)
     for n in range(8000):
         passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.1 * T, 0.0, 0.0), ROLLING)
         shares.append(passed.guard_state.force[0] / 4.0)
@@ -201,7 +203,7 @@ def test_generated_energy_in_a_contact_fades_the_force():
 )
 def test_the_force_fades_between_once_and_twice_the_energy(spent, share):
     limits = lim.UNLIMITED._replace(energy=0.2)
-    assert lim.energy_scale(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
+    assert lim.compute_energy_scale(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
 
 
 def test_energy_from_the_hand_counts_within_a_contact_only():
@@ -242,7 +244,7 @@ BALL = lim.Workspace((0.01, 0.0, 0.0), NONE, 0.07, 500.0, 4.0)
     ],
 )
 def test_the_soft_wall_pushes_back_by_the_depth_behind_it(wall, at, force):
-    pushed, out = lim.wall_force(wall, at)
+    pushed, out = lim.compute_wall_force(wall, at)
     np.testing.assert_allclose(pushed, force, atol=1e-13)  # roundings of centimetres, times 500 N/m
     assert out == any(force)
     passed, bits = tick(make_guard(workspace=wall), INITIAL_OUTPUT, at=at)
@@ -284,7 +286,9 @@ def sum_with_decay(works):
     """Return the sums of works (J) after each work; positive sums decay as in the limit."""
     total, sums = 0.0, []
     for work in works:
-        total = (total + work) * (lim.FORGET_S / (lim.FORGET_S + T) if total + work > 0.0 else 1.0)
+        total = (total + work) * (
+            lim.ENERGY_TIME_CONSTANT_S / (lim.ENERGY_TIME_CONSTANT_S + T) if total + work > 0.0 else 1.0
+        )
         sums.append(total)
     return np.array(sums)
 
@@ -355,7 +359,7 @@ def test_no_limit_is_exceeded(steps):
         passed, bits = tick(guard, passed, force, moved, mode, at, torque)
         size = math.hypot(*passed.guard_state.force)
         assert all(map(math.isfinite, (*passed.guard_state.force, *passed.guard_state.torque)))
-        allowed = lim.heat_limited_force(guard.limits, before.limit_state.heat, 12.0)
+        allowed = lim.compute_heat_limit(guard.limits, before.limit_state.heat, 12.0)
         assert size <= min(12.0, max(allowed, compute_slewed(math.hypot(*before.guard_state.force), allowed))) * (
             1 + 1e-9
         )
@@ -390,7 +394,7 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
     second[AT.limits_heat], second[AT.limits_energy], second[AT.servo_guard] = 0.9, 0.2, g.TOO_FAST | g.RAMPING
     first_state, second_state = continue_memory(begin(tuning.scene), tuning.guards, row).fingers
     assert first_state.limit_state == lim.INITIAL_LIMITS
-    assert second_state.limit_state == lim.LimitState(NONE, lim.SLOW_S, 0.9, 0.0, 0.2, 0.0)
+    assert second_state.limit_state == lim.LimitState(NONE, lim.SLOW_TIME_S, 0.9, 0.0, 0.2, 0.0)
 
 
 def test_a_shipped_recording_reaches_no_limit():

@@ -16,7 +16,7 @@ from helpers.programs import Program
 from helpers.telemetry_records import synthetic
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.record import AT, RECORD_SIZE, columns
+from softfinger.proxy.record import AT, RECORD_SIZE, list_columns
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.memory import Local, make_memory, remove
@@ -126,7 +126,7 @@ def test_describe_returns_the_ring_of_ticks():
                 batches.append(rows.copy())
             assert ticks.ended and ticks.lost == 0
     records = np.concatenate(batches)
-    assert ring["columns"] == columns() and records.shape == (500, ring["records_in_a_row"] * RECORD_SIZE)
+    assert ring["columns"] == list_columns() and records.shape == (500, ring["records_in_a_row"] * RECORD_SIZE)
     assert records[:, AT.tick].tolist() == list(range(500))
 
 

@@ -88,8 +88,8 @@ def marked_run(tmp_path_factory: pytest.TempPathFactory) -> MarkedRun:
     rig = load_rig("simulated-hand", ends | {"servo.realtime": "off", "recording.directory": str(folder)})
     started: list[subprocess.Popen[str]] = []
     with pytest.MonkeyPatch.context() as patch:
-        real = servo_thread._epoch_offset_ns()
-        patch.setattr(servo_thread, "_epoch_offset_ns", lambda: real + int(APART_S * 1e9))
+        real = servo_thread._read_epoch_offset_ns()
+        patch.setattr(servo_thread, "_read_epoch_offset_ns", lambda: real + int(APART_S * 1e9))
         with Daemon(rig, load_scene("paper-plane")) as daemon, Client(*ends.values(), timeout_s=WAIT_S) as client:
             daemon.start()
             try:

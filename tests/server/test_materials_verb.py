@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softfinger.config.materials import fingertips, materials, papers
+from softfinger.config.materials import load_fingertips, load_materials, load_papers
 from softfinger.proxy.engine import Engine
 from softfinger.server.cli import main
 from softfinger.server.offline import feel_figure
-from softfinger.server.offline.library_texts import library_table
+from softfinger.server.offline.library_texts import make_library_table
 
 pytestmark = pytest.mark.plain
 
@@ -38,11 +38,13 @@ material = "wood"
 def test_the_list_has_a_line_for_each_entry(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["materials"]) == 0
     lines = [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
-    assert lines == [[name, "material"] for name in materials()] + [[name, "fingertip"] for name in fingertips()]
+    assert lines == [[name, "material"] for name in load_materials()] + [
+        [name, "fingertip"] for name in load_fingertips()
+    ]
     assert main(["materials", "--json"]) == 0
     listed = {load["name"]: load for load in json.loads(capsys.readouterr().out)}
     assert list(listed) == [name for name, _ in lines]
-    assert listed["wood"]["values"] == materials()["wood"].values
+    assert listed["wood"]["values"] == load_materials()["wood"].values
     assert {"friction": 0.61, "sd": 0.21}.items() <= listed["silicone"]["measured"][0].items()
 
 
@@ -50,13 +52,13 @@ def test_the_list_has_a_line_for_each_entry(capsys: pytest.CaptureFixture[str]) 
 def test_an_entry_is_printed_with_its_sources(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["materials", name]) == 0
     out = capsys.readouterr().out
-    entry = {**materials(), **fingertips()}[name]
-    assert entry.holds in out and "N/m" in out if name in materials() else "0.01 m" in out
+    entry = {**load_materials(), **load_fingertips()}[name]
+    assert entry.holds in out and "N/m" in out if name in load_materials() else "0.01 m" in out
     assert main(["materials", name, "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert set(entry.papers) <= set(shown["papers"])
     for paper in shown["papers"]:
-        assert papers()[paper].text in out and papers()[paper].doi in out
+        assert load_papers()[paper].text in out and load_papers()[paper].doi in out
 
 
 def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -77,16 +79,16 @@ def test_an_entry_is_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["materials", name, "--plot", str(file)]) == 0
     capsys.readouterr()
     text = " ".join(ET.fromstring(file.read_text("utf-8")).itertext())
-    for measurement in {**materials(), **fingertips()}[name].measured:
+    for measurement in {**load_materials(), **load_fingertips()}[name].measured:
         assert f"({measurement.paper})" in text
 
 
 def test_the_drawn_patch_is_the_one_rendered() -> None:
-    for name in fingertips():
+    for name in load_fingertips():
         scene = {"fingertip": name, "object": [{"name": "table", "shape": "plane", "material": "steel"}]}
         record = Engine(scene).run(np.array([[0.0, 0.0, 0.009, 1.0, 0.0, 0.0, 0.0]]))[0]
         load = np.array([record["contact.normal_force"]])
-        drawn = feel_figure.patch_radius(library_table("fingertip", name), load)
+        drawn = feel_figure.compute_patch_radius(make_library_table("fingertip", name), load)
         assert load[0] == pytest.approx(2.5)  # 1 mm into 2500 N/m
         assert record["contact.patch_radius"] == pytest.approx(drawn[0], rel=1e-12)  # a few roundings
 
@@ -95,8 +97,8 @@ def test_the_drawn_band_of_moduli_follows_hertz() -> None:
     """The formulas for depth and radius of the patch satisfy a^2 = r d of an elastic sphere."""
     load = np.array([0.5, 1.0, 4.0])
     for young in (70e3, 200e3):
-        radius = feel_figure.hertz_radius(load, young / 3.0, 0.01)
-        assert radius**2 == pytest.approx(0.01 * feel_figure.hertz_depth(load, young, 0.01), rel=1e-12)
+        radius = feel_figure.compute_hertz_radius(load, young / 3.0, 0.01)
+        assert radius**2 == pytest.approx(0.01 * feel_figure.compute_hertz_depth(load, young, 0.01), rel=1e-12)
 
 
 def test_check_prints_the_origin_of_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

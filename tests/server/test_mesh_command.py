@@ -21,7 +21,7 @@ from softfinger.config import schema
 from softfinger.config.errors import CommandRefused
 from softfinger.config.load import build, load_rig
 from softfinger.server.services.commands import CommandService
-from softfinger.server.wire.commands import Triangles
+from softfinger.server.wire.commands import MeshResult
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.publisher import Publisher
 from softfinger.server.wire.rig_endpoints import bind_rig
@@ -70,13 +70,13 @@ def control(commands: str) -> Iterator[Control]:
         yield control
 
 
-def arrays(sent: Triangles) -> tuple[np.ndarray, np.ndarray]:
+def arrays(sent: MeshResult) -> tuple[np.ndarray, np.ndarray]:
     vertices, triangles = np.frombuffer(sent.vertices, "<f4"), np.frombuffer(sent.triangles, "<u4")
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
 def test_a_mesh_has_the_triangles_of_its_file(control: Control, commands: str) -> None:
-    async def ask() -> Triangles:
+    async def ask() -> MeshResult:
         async with AsyncControl(commands, timeout_s=WAIT_S) as control:
             return await control.mesh("ball")
 

@@ -31,7 +31,7 @@ from softfinger.server.metrics.counts import (
 )
 from softfinger.server.metrics.service import DASHBOARD
 from softfinger.server.recording.recorder import RecorderState
-from softfinger.server.recording.summary import summary
+from softfinger.server.recording.summary import summarize
 from softfinger.server.socket_process.setup import Figures
 from softfinger.server.states import DaemonState
 
@@ -158,7 +158,7 @@ def test_recordings_add_up(tmp_path: Path) -> None:
             assert time.monotonic() < until + 60.0
         stats = scrape(daemon)
     assert stats["softfinger_recorded_bytes_total", ()] == written.bytes == sum(file.stat().st_size for file in files)
-    assert stats["softfinger_recorded_ticks_total", ()] == sum(summary(file)["ticks"] for file in files)
+    assert stats["softfinger_recorded_ticks_total", ()] == sum(summarize(file)["ticks"] for file in files)
     assert stats["softfinger_unrecorded_ticks_total", ()] == stats["softfinger_unrecorded_events_total", ()] == 0
     assert stats["softfinger_recording_worst_write_seconds", ()] > 0.0
 

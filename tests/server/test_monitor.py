@@ -223,8 +223,8 @@ def test_escape_sequences_are_shown_as_text():
     board = monitor.Board("tcp://[::1]:5555")
     sample = monitor.Sample("event", {"schema": 1, "timestamp": 0.0, "tick": 1, "kind": "\x1b[2J", "name": "x"})
     board.update(sample)
-    assert "\x1b" not in monitor.line(board)
-    assert r"\x1b[2J" in monitor.line(board)
+    assert "\x1b" not in monitor.format_line(board)
+    assert r"\x1b[2J" in monitor.format_line(board)
 
 
 def make_board(*records, preparing=""):
@@ -278,7 +278,7 @@ def test_the_dashboard_fits_the_terminal(width, height):
 def test_preparations_of_the_daemon_are_shown():
     board = make_board(make_press(), preparing="compiling kernel 12")
     assert any("preparing" in line and "compiling kernel 12" in line for line in render_text(board))
-    assert "preparing: compiling kernel 12;" in monitor.line(board)
+    assert "preparing: compiling kernel 12;" in monitor.format_line(board)
 
 
 def test_bars_are_empty_after_the_server_stopped():
@@ -288,7 +288,7 @@ def test_bars_are_empty_after_the_server_stopped():
     board.update(monitor.Sample("event", stopped))
     lines = render_text(board)
     assert "the server has stopped" in lines[0] and not any("█" in line for line in lines)
-    assert "the server has stopped;" in monitor.line(board)
+    assert "the server has stopped;" in monitor.format_line(board)
     board.update(board.contact)
     assert any("█" in line for line in render_text(board))
     board._arrived_s -= 2.0

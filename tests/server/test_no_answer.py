@@ -26,7 +26,7 @@ from softfinger.server.wire import control as control_module
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.control import AsyncControl, Control
-from softfinger.server.wire.envelope import Declined, parse
+from softfinger.server.wire.envelope import DeclinedRequest, parse
 
 WAIT_S = 0.05
 FORK_S = 60.0
@@ -186,7 +186,7 @@ def test_a_request_has_an_expiry_time(client: type, tmp_path: Path) -> None:
                 control.arm()
 
         body = first_request(peer, ask if client is Control else lambda wait_s: asyncio.run(ask_async(wait_s)))
-    with pytest.raises(Declined, match=r"^expired: .* nothing was done"):
+    with pytest.raises(DeclinedRequest, match=r"^expired: .* nothing was done"):
         parse(body)
     request = msgpack.unpackb(body)
     boot, until = request["expires"]

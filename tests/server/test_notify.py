@@ -17,7 +17,7 @@ from helpers.processes import COMMAND
 from helpers.programs import Program, run_program
 
 from softfinger.config.errors import SafetyStop
-from softfinger.server.services.notify import Notify, _watchdog_s
+from softfinger.server.services.notify import ServiceNotifier, _read_watchdog_s
 
 pytestmark = pytest.mark.real_time
 
@@ -74,7 +74,7 @@ def test_a_service_manager_that_reads_nothing_delays_no_end(manager: Manager) ->
         earlier.setblocking(False)
         while True:
             earlier.sendto(b"WATCHDOG=1", manager.environment["NOTIFY_SOCKET"].replace("@", "\0"))
-    Notify(None, manager.environment).stop()  # it reads no tick of a servo
+    ServiceNotifier(None, manager.environment).stop()  # it reads no tick of a servo
 
 
 def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) -> None:
@@ -120,10 +120,10 @@ def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monke
 
 
 def test_a_watchdog_for_another_process_is_ignored() -> None:
-    assert _watchdog_s({"WATCHDOG_USEC": "2000000"}) == 2.0
-    assert _watchdog_s({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}) == 2.0
+    assert _read_watchdog_s({"WATCHDOG_USEC": "2000000"}) == 2.0
+    assert _read_watchdog_s({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}) == 2.0
     for environment in ({}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}):
-        assert _watchdog_s(environment) == float("inf")
+        assert _read_watchdog_s(environment) == float("inf")
 
 
 def test_a_missing_manager_does_not_end_the_daemon(manager: Manager, tmp_path: Path) -> None:

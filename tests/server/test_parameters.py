@@ -17,7 +17,7 @@ from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
 from softfinger.proxy.record import AT
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.offline.simulate import simulate
-from softfinger.server.services.rendering import CHANGE_WAIT_S, Rendering, Replacing
+from softfinger.server.services.rendering import CHANGE_WAIT_S, Rendering, SceneReplacement
 
 pytestmark = pytest.mark.plain
 
@@ -132,7 +132,7 @@ def test_a_change_waits_for_a_replacement_and_no_longer(
     thread.start()
     assert locked.wait(60.0)
     try:
-        with pytest.raises(Replacing, match="try again"):
+        with pytest.raises(SceneReplacement, match="try again"):
             rendering.set_parameters({STIFFNESS: 500.0}, "set_params")
         assert not applied_tunings
     finally:

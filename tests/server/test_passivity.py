@@ -17,10 +17,17 @@ from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics.tool import make_tool, tip_of
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE, ROLLING
 from softfinger.server.loop.guard import GuardState
-from softfinger.server.loop.passivity import NO_ENERGY, Energy, HandMotion, Passivity, keep_passive, work_on_hand
+from softfinger.server.loop.passivity import (
+    NO_ENERGY,
+    Energy,
+    HandMotion,
+    Passivity,
+    compute_work_on_hand,
+    keep_passive,
+)
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import DAMPING_MAX_NS_PER_M, make_tuning
-from softfinger.server.offline.simulate import simulate, tick_many
+from softfinger.server.offline.simulate import run_ticks, simulate
 
 pytestmark = pytest.mark.plain
 
@@ -121,8 +128,8 @@ def test_work_of_a_rotating_tool_is_equal_at_both_ends():
     poses = [Pose((0.1, 0.2, 0.3), (np.cos(0.5 * a), 0.0, np.sin(0.5 * a), 0.0)) for a in (0.2, 0.5)]
     motion = HandMotion(*(tip_of(tool, pose) for pose in poses), tool)
     pulling = hold((3.0, 4.0, 5.0), (0.1, 0.2, 0.3))
-    assert work_on_hand(pulling, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # rounding of 0.1 m
-    assert work_on_hand(pulling, HandMotion(motion.now, motion.now, tool)) == 0.0
+    assert compute_work_on_hand(pulling, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # rounding of 0.1 m
+    assert compute_work_on_hand(pulling, HandMotion(motion.now, motion.now, tool)) == 0.0
 
 
 def run_cycle(fingertip, height, n, turns=1.0, **tables):
@@ -186,7 +193,7 @@ def test_energy_of_a_stiffness_that_rises_in_contact():
     start, records = begin(tunings[0].scene), np.zeros((2, 100 + n, 1, RECORD_SIZE))
     memory = packed(start)
     for tuning, path, rows in zip(tunings, (poses, poses[::-1]), records, strict=True):
-        tick_many(packed(tuning), memory, np.ascontiguousarray(path), np.full(len(path), T), T, 0, rows)
+        run_ticks(packed(tuning), memory, np.ascontiguousarray(path), np.full(len(path), T), T, 0, rows)
     energy = records[1, n - 1, 0, NAMED["passivity.energy"].at]  # one step before release
     # Sampling adds K d^2 / 2n in each direction.
     assert energy == pytest.approx(-0.5 * 500.0 * depth**2 * (1.0 + 3.0 / n), rel=0.01)

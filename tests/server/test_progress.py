@@ -27,7 +27,7 @@ from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server import progress as display
 from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.progress import name_warmup, progress_text
+from softfinger.server.progress import format_progress, name_warmup
 from softfinger.server.recording.export import export
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.tables import make_layout, read_table
@@ -38,16 +38,16 @@ RUN = [*COMMAND, "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
 LOGGING = """
 import logging, sys, time
 from softfinger.server.cli import to_stderr
-from softfinger.server.progress import counter, progress
+from softfinger.server.progress import show_counter, show_progress
 logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[to_stderr()])
-with progress("outer work [1]", 10) as done:
+with show_progress("outer work [1]", 10) as done:
     time.sleep(2.0)
     for number in range(10):
-        with progress("inner"):
+        with show_progress("inner"):
             logging.info("log %d %s", number, "x" * 90)
         done(number)
         time.sleep(0.05)
-with counter() as show:
+with show_counter() as show:
     for number in range(10):
         show(f"{number} ticks; Ctrl-C stops")
         logging.info("count %d", number)
@@ -115,7 +115,7 @@ def test_lines_without_a_terminal_show_the_share(
 ) -> None:
     monkeypatch.setattr(display, "QUIET_S", 1e-3)
     monkeypatch.setattr(display, "PLAIN_PERIOD_S", 1e-3)
-    with display.progress("work", 4) as report_progress:
+    with display.show_progress("work", 4) as report_progress:
         for number in range(1, 4):
             report_progress(number)
             line = re.compile(rf"^work {25 * number}% \.\.\. \d+ s$", re.MULTILINE)
@@ -145,19 +145,19 @@ def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pyte
     """The share of an operation is added to the current step of the outer one, also over several levels, and never
     decreases."""
     shown = collect_shares(monkeypatch)
-    with display.progress("outer", 2) as report_outer:
-        with display.progress("inner", 4) as report_inner:
+    with display.show_progress("outer", 2) as report_outer:
+        with display.show_progress("inner", 4) as report_inner:
             report_inner(1)
-            with display.progress("innermost", 2) as report_innermost:
+            with display.show_progress("innermost", 2) as report_innermost:
                 report_innermost(1)
             report_inner(4)
-        with display.progress("second inner", 2) as report_inner:
+        with display.show_progress("second inner", 2) as report_inner:
             report_inner(1)
         report_outer(1)
-        with display.progress("without a share"):
+        with display.show_progress("without a share"):
             pass
         report_outer(2)
-    with display.progress("next", 4) as report_outer:
+    with display.show_progress("next", 4) as report_outer:
         report_outer(1)
     assert shown == {"outer": [0.125, 0.1875, 0.5, 0.5, 0.5, 1.0], "next": [0.25]}
 
@@ -172,7 +172,7 @@ def test_check_reports_the_compilation_of_a_driver(monkeypatch: pytest.MonkeyPat
         reported.append("end")
 
     monkeypatch.setattr(check, "report_compilation", report)
-    monkeypatch.setattr(check, "rig_summary", lambda rig: reported.append("summary") or [])
+    monkeypatch.setattr(check, "summarize_rig", lambda rig: reported.append("summary") or [])
     check.examine_file("simulated")
     assert reported == ["kernels that call the device", "summary", "end"]
 
@@ -185,7 +185,7 @@ class ProgressFolder(Folder):
         self.seen: list[str] = []
 
     def read(self, name: str) -> bytes | None:
-        self.seen.append(progress_text("simulating", 3, 10))
+        self.seen.append(format_progress("simulating", 3, 10))
         return super().read(name)
 
 
@@ -194,7 +194,7 @@ def test_the_progress_text_distinguishes_compiling_and_loading(tmp_path: Path) -
 
     class Look(event.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:
-            while_compiled.append(progress_text("simulating", 3, 10))
+            while_compiled.append(format_progress("simulating", 3, 10))
 
         def on_end(self, event: Any) -> None:
             pass
@@ -206,14 +206,16 @@ def test_the_progress_text_distinguishes_compiling_and_loading(tmp_path: Path) -
     for _ in range(2):  # the second one finds the cached kernel
         kernel: Any = numba.njit(**OPTIONS)(doubled)
         kernel._cache = KernelCache(doubled, folder)
-        assert progress_text("simulating", 3, 10) == "simulating 30%" and progress_text("simulating") == "simulating"
+        assert (
+            format_progress("simulating", 3, 10) == "simulating 30%" and format_progress("simulating") == "simulating"
+        )
         with event.install_listener("numba:compile", Look()):
             kernel.compile((numba.float64,))
     assert len(while_compiled) == 1 and re.fullmatch(
         r"simulating: compiling kernel \d+( \(about \d+ with an empty cache\))?", while_compiled[0]
     )
     assert folder.seen == ["simulating: loading cached kernels"] * 2
-    assert progress_text("simulating", 3, 10) == "simulating 30%"
+    assert format_progress("simulating", 3, 10) == "simulating 30%"
 
 
 def test_kernels_are_counted_towards_those_of_the_scene() -> None:

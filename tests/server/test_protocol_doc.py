@@ -16,12 +16,12 @@ from helpers.waits import WAIT_S, repeated
 
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.proxy.bodies import body_maps
+from softfinger.proxy.bodies import decode_motion
 from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
-from softfinger.server.services.hotplug import event_fields
+from softfinger.server.services.hotplug import make_event_fields
 from softfinger.server.socket_process.clients import BURST, BURST_S, WAITING_MAX
 from softfinger.server.socket_process.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
 from softfinger.server.socket_process.process import QUIET_S
@@ -46,7 +46,7 @@ from softfinger.server.wire.protocol import (
     STATE_KEYS,
     TOPICS,
     WORLD_KEYS,
-    wire_schema,
+    describe_messages,
 )
 from softfinger.server.wire.publisher import BACKLOG, LINGER_S, Publisher
 
@@ -144,9 +144,9 @@ def real_messages():
         socket.subscribe(SCHEMA_TOPIC)
         publisher.publish(records)
         puck = SystemDevice("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
-        publisher.event("device", "attached", **event_fields(puck))
+        publisher.event("device", "attached", **make_event_fields(puck))
         head = {"schema": SCHEMA, "timestamp": 1.7e9, "tick": 5}
-        publisher.send_message("world", head | {"bodies": body_maps(["box"], np.arange(14.0))})
+        publisher.send_message("world", head | {"bodies": decode_motion(["box"], np.arange(14.0))})
         load = ContactLoad("", 0, (0.0, 0.0, -1.0), (0.0, 0.0, 0.02), 0.004)
         publisher.send_message("deformation", head | {"loads": [load._asdict()]})
         publisher.event("command", "arm", command_id="a1", what={"armed": True})
@@ -191,7 +191,7 @@ def test_numbers_in_the_text_equal_those_of_the_code():
 
 
 def test_schema_of_the_commands_has_every_method():
-    listed = commands.schema()["methods"]
+    listed = commands.make_schema()["methods"]
     assert list(listed) == list(commands.METHODS)
     drive = listed["drive"]["params"]["$defs"]["Drive"]
     assert set(drive["properties"]) == {"object", "position_m", "orientation_wxyz"}
@@ -219,7 +219,7 @@ def test_command_program_on_the_page_runs():
 
 
 def test_wire_schema_holds_every_table():
-    schema = wire_schema()
+    schema = describe_messages()
     assert schema["schema"] == SCHEMA
     listed = {name.replace(" of kind", ""): [key["name"] for key in keys] for name, keys in schema["messages"].items()}
     assert listed == {title: [key.name for key in keys] for title, keys in CODE_TABLES.items()}

@@ -24,7 +24,7 @@ from softfinger.config.errors import SafetyStop
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
 from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows, write_row
-from softfinger.server.recording.summary import summary
+from softfinger.server.recording.summary import summarize
 from softfinger.server.socket_process.process import QUIET_S
 from softfinger.server.socket_process.setup import StateInfo
 from softfinger.server.wire import link
@@ -291,7 +291,7 @@ def test_a_killed_publisher_is_restarted(sockets, tmp_path):
             rows.append(batch.copy())
         local.close()
     assert np.concatenate(rows)[:, AT.tick].tolist() == list(range(ticks))
-    assert summary(tmp_path / "all.mcap")["ticks"] == ticks
+    assert summarize(tmp_path / "all.mcap")["ticks"] == ticks
 
 
 def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):

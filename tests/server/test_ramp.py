@@ -10,7 +10,7 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import flatten, unflatten, unpack
-from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.scene import build_scene
 from softfinger.server.driver_contract import run_for
@@ -97,7 +97,7 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
 
 @entry
 def read_stiffness(like, values, index):
-    body = object_at(unpack(like, values).objects, index)
+    body = find_object(unpack(like, values).objects, index)
     return body.material.normal.stiffness, body.material.friction.static
 
 

@@ -23,7 +23,7 @@ from softfinger.server.loop import realtime
 from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.services import rendering
 from softfinger.server.services.records import Sink
-from softfinger.server.states import COMMANDED, UNARMED
+from softfinger.server.states import COMMANDED_REASON, NOT_ARMED_REASON
 
 pytestmark = pytest.mark.real_time
 
@@ -221,13 +221,13 @@ def test_a_device_that_stays_keeps_arming_and_offset_but_a_new_one_does_not(driv
             return eventually(lambda: running.servo.ticks > ticks + 100)
 
         assert not devices[0].wrenches.any()
-        rendering.disarm(COMMANDED)
+        rendering.disarm(COMMANDED_REASON)
         assert eventually(lambda: rendering.force.is_off and newest)
         z = newest[-1][AT.probe_position + 2]
         rendering.set_offset(0, (0.0, 0.0, z - 0.0005), newest[-1])
         moved = rendering.offsets
         assert moved[0][2] == pytest.approx(-0.0005, rel=1e-6)
-        rendering.arm(UNARMED, COMMANDED)
+        rendering.arm(NOT_ARMED_REASON, COMMANDED_REASON)
         assert eventually(pressed)
         running.replace(second)
         assert len(devices) == 1 and rendering.force.is_requested and rendering.offsets == moved
@@ -238,7 +238,7 @@ def test_a_device_that_stays_keeps_arming_and_offset_but_a_new_one_does_not(driv
             assert len(devices) == count + 1 and not rendering.force.is_requested
             assert rendering.offsets == ((0.0, 0.0, 0.0),)
             assert idle() and not devices[-1].wrenches.any()
-            rendering.arm(UNARMED)
+            rendering.arm(NOT_ARMED_REASON)
             assert eventually(pressed)
 
 

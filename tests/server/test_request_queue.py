@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgpack
 import pytest
 
-from softfinger.server.socket_process.clients import BUSY, encode_busy
+from softfinger.server.socket_process.clients import BUSY_MESSAGE, encode_busy
 from softfinger.server.socket_process.request_queue import CLIENTS_MAX, QUEUED_BYTES_MAX, QUEUED_MAX, RequestQueue
 
 pytestmark = pytest.mark.plain
@@ -46,7 +46,7 @@ def test_a_request_that_turns_the_force_off_is_accepted_despite_a_flood() -> Non
 def test_a_refusal_has_the_id_of_its_request() -> None:
     def answered(body: bytes | None) -> str:
         answer = msgpack.unpackb(encode_busy(body))
-        assert answer == {"command_id": answer["command_id"], "success": False, "result": {}, "error": BUSY}
+        assert answer == {"command_id": answer["command_id"], "success": False, "result": {}, "error": BUSY_MESSAGE}
         return str(answer["command_id"])
 
     assert answered(DISARM) == "a"

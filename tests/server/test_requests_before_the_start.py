@@ -19,7 +19,7 @@ from helpers.waits import WAIT_S, eventually
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
 from softfinger.server.loop.switch_fields import STOPS_RECEIVED
-from softfinger.server.socket_process.clients import BUSY
+from softfinger.server.socket_process.clients import BUSY_MESSAGE
 from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.socket_process.request_queue import QUEUED_MAX
 from softfinger.server.wire.client_requests import encode_request
@@ -120,7 +120,7 @@ def test_a_flood_does_not_delay_a_disarm(monkeypatch: pytest.MonkeyPatch, tmp_pa
         second.post("disarm")
         assert eventually(lambda: daemon.servo.switch[STOPS_RECEIVED] == 1)
         assert flood.poll(1000.0 * WAIT_S)
-        answer = {"command_id": "x", "success": False, "result": {}, "error": BUSY}
+        answer = {"command_id": "x", "success": False, "result": {}, "error": BUSY_MESSAGE}
         assert msgpack.unpackb(flood.recv_multipart()[1]) == answer
 
 

@@ -12,10 +12,10 @@ import pytest
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import decode_messages
-from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, columns
+from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, list_columns
 from softfinger.server.recording.export import export
 from softfinger.server.recording.results import SUFFIXES, McapResults, read_results, write_blocks
-from softfinger.server.recording.summary import summary
+from softfinger.server.recording.summary import summarize
 
 
 def make_records(count: int, seed: int = 11) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_csv_has_the_shortest_digits(tmp_path: Path, count: int) -> None:
     records[:, 13] = np.resize([1e15, 9999999999999998.0, 1e16, -(2.0**53), 1e22, 1e-5], count)
     write_blocks(tmp_path / "o.csv", [""], [records[:, None]])
     rows = [[msgspec.json.encode(number).decode().removesuffix(".0") for number in row] for row in records.tolist()]
-    assert (tmp_path / "o.csv").read_text().splitlines() == [",".join(row) for row in [columns(), *rows]]
+    assert (tmp_path / "o.csv").read_text().splitlines() == [",".join(row) for row in [list_columns(), *rows]]
 
 
 @pytest.mark.parametrize("count", [0, 1, 9000])
@@ -151,7 +151,7 @@ def test_results_of_several_fingers_are_summarised_and_exported(ending: str, tmp
     path, out = tmp_path / f"two{ending}", tmp_path / "out.npz"
     fingers = {"thumb": make_records(30), "index": make_records(30) + 1.0}
     write_blocks(path, list(fingers), [np.stack(list(fingers.values()), axis=1)])
-    info = summary(path)
+    info = summarize(path)
     assert {name: finger["ticks"] for name, finger in info["fingers"].items()} == {"thumb": 30, "index": 30}
     for name, records in fingers.items():
         assert export(path, out, name) == 30
@@ -163,4 +163,4 @@ def test_results_of_several_fingers_are_summarised_and_exported(ending: str, tmp
 def test_poses_with_a_column_like_that_of_a_finger_are_poses(tmp_path: Path) -> None:
     path = tmp_path / "poses.csv"
     path.write_text("t,x,y,z,qw,qx,qy,qz,hand.timestamp\n0,0,0,1,1,0,0,0,5\n1,0,0,1,1,0,0,0,6\n")
-    assert summary(path)["ticks"] == 2
+    assert summarize(path)["ticks"] == 2

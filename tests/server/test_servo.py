@@ -96,13 +96,13 @@ def test_arming_is_the_last_act_before_the_first_tick():
         return lambda: None
 
     device, servo = make_servo(Options(), 50, prepare)
-    before = len(s.servo_loop.signatures)
+    before = len(s.run_servo_loop.signatures)
     finish(servo)
     ((_, thread, acts),) = at
     assert acts == 0
     armed, stopped = device.acts
     assert armed == ("arm", thread, 0) and stopped[::2] == ("stop", 50)
-    assert len(s.servo_loop.signatures) == before
+    assert len(s.run_servo_loop.signatures) == before
 
 
 def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():

@@ -24,7 +24,7 @@ from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, 
 from softfinger.drivers.closing import Closeable
 from softfinger.server.loop import health, shutdown
 from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, LoopEnd
-from softfinger.server.watcher import zero_force
+from softfinger.server.watcher import write_zero_force
 
 pytestmark = pytest.mark.plain
 
@@ -151,7 +151,7 @@ def test_a_watcher_discards_queued_bytes_before_its_zero() -> None:
     with suppress(BlockingIOError):
         while os.write(near, b"force"):
             pass
-    assert zero_force("the node", near, b"zero!") == "zero force was written to the node"
+    assert write_zero_force("the node", near, b"zero!") == "zero force was written to the node"
     received = os.read(far, 1 << 16)
     while not received.endswith(b"zero!" * 3):
         received += os.read(far, 1 << 16)
@@ -257,16 +257,16 @@ def test_a_device_failure_is_reported_with_a_remedy(
     ending: int, status: int, kind: type[HapticError], words: list[str]
 ) -> None:
     ended = LoopEnd(ending, status)
-    error = shutdown.device_failure(device(Motor(reply=SAID)), ended, "thumb")
+    error = shutdown.describe_failure(device(Motor(reply=SAID)), ended, "thumb")
     assert type(error) is kind
     assert all(word in str(error) for word in [*words, "Motor, finger 'thumb'", f"({SAID})", "start again"])
-    plain = str(shutdown.device_failure(device(Motor()), ended))
+    plain = str(shutdown.describe_failure(device(Motor()), ended))
     assert "finger" not in plain.replace("fingertip", "") and "()" not in plain
 
 
 @pytest.mark.parametrize("ending", [STOPPED, health.NO_FORCE, health.STARVED])
 def test_other_failures_are_not_errors_of_the_device(ending: int) -> None:
-    assert shutdown.device_failure(device(Motor()), LoopEnd(ending, 0)) is None
+    assert shutdown.describe_failure(device(Motor()), LoopEnd(ending, 0)) is None
 
 
 def test_a_loop_failure_is_reported_with_a_remedy() -> None:

@@ -77,7 +77,7 @@ def test_every_signal_that_ends_a_process_is_handled() -> None:
     completed = run_program([sys.executable, "-S", "-c", FATAL], check=True)
     fatal = set(map(int, completed.stdout.split()))
     helpless = {signal.SIGKILL, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP}
-    assert fatal - helpless == signals.ENDING
+    assert fatal - helpless == signals.ENDING_SIGNALS
 
 
 def find_watcher(process: subprocess.Popen[str]) -> int:
@@ -167,7 +167,7 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
         "warmup": ["warmup"],
         "simulate": ["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(tmp_path / "out.csv")],
     }[verb]
-    last_kernel = "tick_many" if verb == "simulate" else "servo_loop"
+    last_kernel = "run_ticks" if verb == "simulate" else "run_servo_loop"
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path / "cache")}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with Program([*COMMAND, *words], env=environment, **pipes) as process:
@@ -213,7 +213,7 @@ with signals.handle_signals():
             time.sleep(60)
     except signals.Interrupted as error:
         device.close()
-        sys.exit(signals.exit_code(error.number))
+        sys.exit(signals.compute_exit_code(error.number))
 """
 
 
@@ -242,7 +242,7 @@ if sys.argv[1] == "TSTP":
         try:
             signal.raise_signal(signal.SIGTSTP)
         except signals.Interrupted as error:
-            sys.exit(signals.exit_code(error.number))
+            sys.exit(signals.compute_exit_code(error.number))
 sys.argv = ["softfinger", *sys.argv[1:]]
 sys.exit(cli.main())
 """
@@ -288,7 +288,7 @@ def test_a_second_signal_raises_nothing() -> None:
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 signal.raise_signal(number)
         except signals.Interrupted as second:  # which would end the test program, as Ctrl-C does
-            pytest.fail(f"{signals.signal_name(second.number)} was raised besides")
+            pytest.fail(f"{signals.name_signal(second.number)} was raised besides")
         assert interrupted.value.number == signal.SIGTERM and signals.stop_exit_code() == 0
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -311,7 +311,7 @@ with signals.handle_signals():
     except signals.Interrupted as error:
         device.close()
         open_devices.devices.discard(device)
-        sys.exit(signals.exit_code(error.number))
+        sys.exit(signals.compute_exit_code(error.number))
 """
 
 SHELL = """

@@ -15,7 +15,7 @@ from test_injected_faults import TURN, find_ticks
 
 from softfinger.config.errors import DeviceTimeout
 from softfinger.drivers.haply.options import Options as HaplyOptions
-from softfinger.tools.pages.hazards import GIVEN_UP_S, QUIET_S, default
+from softfinger.tools.pages.hazards import ABANDON_S, SILENCE_S, find_default
 
 pytestmark = pytest.mark.real_time
 
@@ -30,8 +30,8 @@ ANSWERS = 2
 
 def quiet_options(driver: str) -> dict[str, float]:
     key = "kick_s" if driver in ("falcon", "hid") else "quiet_s"
-    stale = {"stale_s": default(HaplyOptions, "stale_s")} if driver == "haply" else {}
-    return {key: QUIET_S[driver], "timeout_s": GIVEN_UP_S[driver], **stale}
+    stale = {"stale_s": find_default(HaplyOptions, "stale_s")} if driver == "haply" else {}
+    return {key: SILENCE_S[driver], "timeout_s": ABANDON_S[driver], **stale}
 
 
 @pytest.mark.parametrize("name", DRIVERS)
@@ -57,8 +57,8 @@ def test_a_silent_device_gets_zero_and_then_counts_as_lost(
     assert norms[-1] == 0.0
     zero = np.flatnonzero(norms)[-1] + 1  # a board holds its last force until it receives another
     zero_after = int(ticks[zero] - at)
-    assert zero_after <= round(QUIET_S[driver] * RATE_HZ) + far.handover + TURN
-    assert result.ticks <= at + round(GIVEN_UP_S[driver] * RATE_HZ) + ANSWERS + TURN
+    assert zero_after <= round(SILENCE_S[driver] * RATE_HZ) + far.handover + TURN
+    assert result.ticks <= at + round(ABANDON_S[driver] * RATE_HZ) + ANSWERS + TURN
     record_property(
         SEEN,
         {

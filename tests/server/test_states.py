@@ -6,13 +6,13 @@ import pytest
 
 from softfinger.server.states import (
     CAUSES,
-    COMMANDED,
-    FAST,
-    FAULTS,
+    COMMANDED_REASON,
+    FAULT_REASONS,
     MEANINGS,
-    SILENT,
+    NO_HEARTBEAT_REASON,
+    NOT_ARMED_REASON,
+    TOO_FAST_REASON,
     TRANSITIONS,
-    UNARMED,
     DaemonState,
     States,
     Trigger,
@@ -75,14 +75,14 @@ def test_the_table_is_complete():
     [
         (DaemonState.STARTING, set(), []),
         (DaemonState.READY, set(), ["armed"]),
-        (DaemonState.READY, {UNARMED}, []),
-        (DaemonState.READY, {SILENT}, ["faulted"]),
+        (DaemonState.READY, {NOT_ARMED_REASON}, []),
+        (DaemonState.READY, {NO_HEARTBEAT_REASON}, ["faulted"]),
         (DaemonState.ARMED, set(), []),
-        (DaemonState.ARMED, {COMMANDED}, ["ready"]),
-        (DaemonState.ARMED, {FAST, COMMANDED}, ["faulted"]),
-        (DaemonState.FAULTED, {SILENT}, []),
+        (DaemonState.ARMED, {COMMANDED_REASON}, ["ready"]),
+        (DaemonState.ARMED, {TOO_FAST_REASON, COMMANDED_REASON}, ["faulted"]),
+        (DaemonState.FAULTED, {NO_HEARTBEAT_REASON}, []),
         (DaemonState.FAULTED, set(), ["ready", "armed"]),
-        (DaemonState.FAULTED, {COMMANDED}, ["ready"]),
+        (DaemonState.FAULTED, {COMMANDED_REASON}, ["ready"]),
         (DaemonState.STOPPING, set(), []),
     ],
 )
@@ -98,11 +98,14 @@ def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
 def test_an_error_that_ends_the_run_is_cleared_by_nothing():
     states, changes = make_states(DaemonState.ARMED)
     states.fail("the device is gone")
-    for reasons in (set(), {COMMANDED}, {SILENT}):
+    for reasons in (set(), {COMMANDED_REASON}, {NO_HEARTBEAT_REASON}):
         states.follow(reasons)
     assert changes == [(DaemonState.ARMED, DaemonState.FAULTED, "the device is gone")]
     assert states.fire(Trigger.END, "done") and states.now is DaemonState.STOPPING
 
 
 def test_which_reasons_are_faults():
-    assert {SILENT, FAST} == FAULTS and not FAULTS & {UNARMED, COMMANDED}
+    assert {NO_HEARTBEAT_REASON, TOO_FAST_REASON} == FAULT_REASONS and not FAULT_REASONS & {
+        NOT_ARMED_REASON,
+        COMMANDED_REASON,
+    }

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from softfinger.server.services.watches import STATUS, SWAPPED, Swapping, parse_swapped_kb
+from softfinger.server.services.watches import STATUS, SWAPPED, SwapWatch, parse_swapped_kb
 
 pytestmark = pytest.mark.plain
 
@@ -19,7 +19,7 @@ def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptu
         events.append((kind, name, message))
 
     status = tmp_path / "status"
-    watch = Swapping(event, status)
+    watch = SwapWatch(event, status)
     for kilobytes in (0, 40, 80, 0, 12):
         status.write_text(f"Name:\tpython3\nVmStk:\t   132 kB\nVmSwap:\t   {kilobytes} kB\nThreads:\t3\n")
         watch.check()
@@ -31,7 +31,7 @@ def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptu
 
 def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) -> None:
     events: list[Any] = []
-    watch = Swapping(lambda *words, **fields: events.append((words, fields)), tmp_path / "nothing")
+    watch = SwapWatch(lambda *words, **fields: events.append((words, fields)), tmp_path / "nothing")
     watch.start()
     watch._thread.join(10.0)
     watch.stop()

@@ -12,9 +12,9 @@ from helpers.encoder import contact_map
 from helpers.telemetry_records import join, put, synthetic
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.record import AT, CAUSE_NAMES, NAMED, columns
+from softfinger.proxy.record import AT, CAUSE_NAMES, NAMED, list_columns
 from softfinger.server.wire.client import Sample, record_of
-from softfinger.server.wire.health import work_of_hand
+from softfinger.server.wire.health import compute_work_of_hand
 from softfinger.server.wire.protocol import MAX_BYTES, decode, encode
 from softfinger.server.wire.publisher import Publisher
 
@@ -66,7 +66,7 @@ def test_missing_patches_are_omitted_and_restored():
 
 
 def test_messages_are_far_below_the_size_limit():
-    record = np.full(len(columns()), 2.0**53)
+    record = np.full(len(list_columns()), 2.0**53)
     assert len(encode(contact_map(record))) < 1536 < MAX_BYTES // 16
 
 
@@ -190,7 +190,7 @@ def test_work_of_a_torque_is_torque_times_angle(sign):
     put(records, "torque", -0.1 * axis)
     put(records, "probe.orientation", np.array(turned))
     # 100 angles of 5 mrad, each from an atan2 of rounded products
-    assert work_of_hand(records) == pytest.approx(0.05, rel=1e-10)
+    assert compute_work_of_hand(records) == pytest.approx(0.05, rel=1e-10)
 
 
 def test_unusable_records_do_no_work():
@@ -199,7 +199,7 @@ def test_unusable_records_do_no_work():
     put(records, "torque", 0.0)
     put(records, "probe.orientation", [1.0, 0.0, 0.0, 0.0])
     put(records, "probe.position", [[0, 0, 0], [-1, 0, 0], [np.nan, 0, 0], [5, 0, 0]])
-    assert work_of_hand(records) == 1.0
+    assert compute_work_of_hand(records) == 1.0
 
 
 def test_events_from_other_threads_do_not_mix_with_ticks(publisher):

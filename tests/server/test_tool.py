@@ -24,10 +24,10 @@ from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, make
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import TORQUE_CLAMPED, Guard
 from softfinger.server.loop.servo_thread import ServoThread
-from softfinger.server.loop.tick import Tuning, begin, tick
+from softfinger.server.loop.tick import Tuning, begin, run_tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate, simulate_devices
-from softfinger.server.offline.summary import rig_summary
+from softfinger.server.offline.summary import summarize_rig
 
 DT = 1e-3
 SLOW_HZ = 100.0
@@ -46,7 +46,7 @@ def ticks(tuning: Tuning, handles: Any) -> tuple[np.ndarray, np.ndarray]:
     start = memory = begin(tuning.scene)
     wrenches, records = [], np.zeros((len(handles), RECORD_SIZE))
     for number, (handle, record) in enumerate(zip(np.asarray(handles, float), records, strict=True)):
-        memory = tick(tuning, start, memory, (handle,), DT, DT, number, (record,))
+        memory = run_tick(tuning, start, memory, (handle,), DT, DT, number, (record,))
         guarded = memory.fingers[0].guard_state
         wrenches.append([*guarded.force, *guarded.torque])
     return np.array(wrenches), records
@@ -174,7 +174,9 @@ def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     )
     rig = load_rig(file)
     assert rig.device.options == {} and build(schema.Rig, describe(rig), "again") == rig
-    assert dict(rig_summary(rig))["  tool"] == "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 1.0, 0.0, 0.0]"
+    assert (
+        dict(summarize_rig(rig))["  tool"] == "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 1.0, 0.0, 0.0]"
+    )
     replay_rig = load_rig(file, {"device.driver": "replay", "device.recording": "tap"})
     assert replay_rig.device.tool is None  # the tool belongs to the other device
     scene = load_scene("paper-plane")

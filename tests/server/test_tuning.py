@@ -13,7 +13,7 @@ from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.model import State
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.limits import SLOW_S, UNLIMITED, Limits, Workspace
+from softfinger.server.loop.limits import SLOW_TIME_S, UNLIMITED, Limits, Workspace
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import guard_limits, make_tuning
 
@@ -35,7 +35,7 @@ def test_every_limit_of_the_rig_reaches_the_guard():
     assert guard_limits(RIG, STRONG) == LIMITS
     box = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
     wall = Workspace((0.0, 0.0, 0.0), (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
-    assert guard_limits(box, STRONG).limits == Limits(2.0, SLOW_S, 3.0, 30.0, 0.2, wall)
+    assert guard_limits(box, STRONG).limits == Limits(2.0, SLOW_TIME_S, 3.0, 30.0, 0.2, wall)
     assert guard_limits(schema.Guard(arm="button"), STRONG).limits.slow_s == math.inf
 
 

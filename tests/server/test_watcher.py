@@ -53,11 +53,11 @@ def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
     assert watch(name, near, b"") == f"softfinger watcher: the daemon has died: zero force was written to {name}\n"
     assert os.read(far, 100)[0] & termios.TIOCPKT_FLUSHWRITE
     received = b""
-    while len(received) < watcher.WRITES * len(ZERO):  # one read may return fewer writes
+    while len(received) < watcher.ZERO_WRITES * len(ZERO):  # one read may return fewer writes
         status, *data = os.read(far, 100)
         assert status == termios.TIOCPKT_DATA
         received += bytes(data)
-    assert received == watcher.WRITES * ZERO
+    assert received == watcher.ZERO_WRITES * ZERO
     opened = [sys.executable, "-c", f"import os; os.open({name!r}, os.O_RDWR | os.O_NOCTTY)"]
     assert subprocess.run(opened, preexec_fn=as_an_ordinary_user, check=False).returncode == 0
 
@@ -65,7 +65,7 @@ def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
 def test_a_device_that_was_closed_is_not_written_to(port: tuple[int, int]) -> None:
     far, near = port
     os.set_blocking(far, False)
-    assert watch(os.ttyname(near), near, watcher.CLOSED) == ""
+    assert watch(os.ttyname(near), near, watcher.CLOSED_MESSAGE) == ""
     with pytest.raises(BlockingIOError):
         os.read(far, 100)
 

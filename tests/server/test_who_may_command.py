@@ -20,7 +20,7 @@ from helpers.programs import Program
 
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.load import load_rig, load_scene
-from softfinger.config.schema import commands_address_for
+from softfinger.config.schema import make_commands_address
 from softfinger.server.app import Daemon
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import find_addresses
@@ -58,7 +58,7 @@ def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemon
     for daemon in daemons:
         port = daemon.publisher.endpoint.rpartition(":")[2]
         socket = folder / f"{port}.commands"
-        assert daemon.commands_endpoint == f"ipc://{socket}" == commands_address_for(daemon.publisher.endpoint)
+        assert daemon.commands_endpoint == f"ipc://{socket}" == make_commands_address(daemon.publisher.endpoint)
         assert stat.S_IMODE(socket.stat().st_mode) == 0o600
         with Client(daemon.publisher.endpoint, timeout_s=WAIT_S) as client:
             assert client.describe()["endpoints"]["telemetry"] == daemon.publisher.endpoint
@@ -161,7 +161,7 @@ def test_another_user_cannot_connect_to_the_socket(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_socket_of_a_killed_daemon_is_replaced(folder: Path) -> None:
-    endpoint = commands_address_for(TELEMETRY)
+    endpoint = make_commands_address(TELEMETRY)
     killed = (
         "import os, sys; from softfinger.server.wire.endpoint import listen; "
         "bound = listen(sys.argv[1], 'commands', own=True); os._exit(0)"
@@ -206,12 +206,12 @@ def test_a_folder_of_another_user_is_refused(folder: Path, plant, message: str) 
     """The daemon's socket could be replaced there, and clients could command another user's daemon."""
     plant(folder)
     with pytest.raises(ConfigError, match=message):
-        listen(commands_address_for(TELEMETRY), KEY, own=True)
+        listen(make_commands_address(TELEMETRY), KEY, own=True)
     with pytest.raises(ConfigError, match=message):
-        Control(commands_address_for(TELEMETRY))
+        Control(make_commands_address(TELEMETRY))
 
 
 def test_a_missing_runtime_folder_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "gone"))
     with pytest.raises(ConfigError, match="cannot be created for the socket of commands: No such file"):
-        listen(commands_address_for(TELEMETRY), KEY, own=True)
+        listen(make_commands_address(TELEMETRY), KEY, own=True)

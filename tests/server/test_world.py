@@ -30,7 +30,7 @@ from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
-from softfinger.server.recording.compare import FIELDS, compare, replay
+from softfinger.server.recording.compare import READ_FIELDS, compare, compare_run
 from softfinger.server.recording.run import load_run
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
@@ -84,10 +84,10 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
         np.testing.assert_array_equal(records[:, field], offline[: len(records), field])
     assert np.abs(records[:, AT.force + 2]).max() > 0.1
 
-    past = load_run(tmp_path / "a.mcap", FIELDS)
+    past = load_run(tmp_path / "a.mcap", READ_FIELDS)
     assert past.bodies.names == ("key",)
     assert len(past.bodies.ticks) > 10 and np.ptp(past.bodies.poses[:, 0, 2]) > 0.3 * share * PRESSED_M
-    now = replay(past, scene, make_rig())
+    now = compare_run(past, scene, make_rig())
     outcome = compare(past, now, {"": {}}, 0.0)
     assert (outcome.different, outcome.largest["key.position"]) == (0, 0.0)
     past.bodies.poses[5, 0, 2] += 1e-12

@@ -20,7 +20,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.scene import build_scene
 from softfinger.server import cli
 from softfinger.server.offline.scene_messages import SceneMessages
-from softfinger.server.recording.writer import package_versions
+from softfinger.server.recording.writer import list_package_versions
 from softfinger.server.viewer.driven import RecordedBodies
 from softfinger.server.viewer.playback import load
 
@@ -213,7 +213,7 @@ def test_simulate_stores_the_poses_of_bodies(tmp_path: Path) -> None:
     assert frames[0].z == 0.0 and abs(frames[-1].z) > 0.01
     recording = load(str(file), None)
     assert recording.scene == load_scene(name) and recording.name == name
-    assert recording.notes["versions"] == package_versions()
+    assert recording.notes["versions"] == list_package_versions()
     assert RecordedBodies(recording.worlds).at(1499)["knob"][1] == tuple(worlds[-1][1].bodies[0].orientation)
 
 

@@ -19,7 +19,7 @@ from references.rotation import matrix
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
 from softfinger.server.cli import main, make_parser
-from softfinger.server.loop.clock import stopwatch
+from softfinger.server.loop.clock import make_stopwatch
 from softfinger.tools.accuracy import cases, figures, front, montana, paper, verb
 from softfinger.tools.accuracy.classical import MAX_STEP_SHARE, Steps, roll_classical
 from softfinger.tools.accuracy.options import METHODS, MOTIONS, SURFACES
@@ -113,7 +113,7 @@ def test_reference_paths_of_the_paper() -> None:
     (x, y, z), k = paper.TURN_RAD, np.arange(paper.STEPS + 1)
     straight = R * complex(y, -x)
     for motion, path in (("world", straight * k), ("contact_frame", straight * (np.exp(1j * z * k) - 1) / (1j * z))):
-        positions = paper.exact_path(motion)
+        positions = paper.compute_exact_path(motion)
         # Integrated to 1e-13 of some centimetres.
         assert positions == pytest.approx(np.column_stack([path.real, path.imag, 0 * k]), abs=1e-14)
 
@@ -131,7 +131,7 @@ def test_speed_ratio_equals_that_of_the_times(result: dict[str, Any]) -> None:
 
 def test_classical_method_on_a_torus() -> None:
     at = montana.Coordinates(0.0, 0.0, 0.3, 0.4, 0.2)
-    here = montana.chart(TORUS, at.u_o, at.v_o)
+    here = montana.compute_chart(TORUS, at.u_o, at.v_o)
     center, w = np.array(here.point) + R * np.array(here.z), np.array([3.0, 2.0, 5.0])
     half = 0.005 * np.linalg.norm(w)
     dq = np.tile([np.cos(half), *(np.sin(half) / np.linalg.norm(w) * w)], (20, 1))
@@ -142,7 +142,7 @@ def test_classical_method_on_a_torus() -> None:
             c, s, n = np.cos(spin_rate * t), np.sin(spin_rate * t), np.array(here.z)
             return c * w + s * np.cross(n, w) + (1 - c) * (w @ n) * n
 
-        count = roll_classical(TORUS, R, at, Steps(dq, 0.01, spin_rate), MAX_STEP_SHARE, path, stopwatch(1))
+        count = roll_classical(TORUS, R, at, Steps(dq, 0.01, spin_rate), MAX_STEP_SHARE, path, make_stopwatch(1))
         points, _, _ = roll_path(TORUS, R, center, here.z, rate, 0.2).at(np.linspace(0.01, 0.2, 20))
         # Steps of 6 mrad at the fifth order; the tolerance by itself would allow 1e-3 of the coordinates.
         assert np.abs(path - points).max() < 1e-11
@@ -195,9 +195,9 @@ def test_nothing_drifts(result: dict[str, Any]) -> None:
 def test_motion_turns_at_its_nominal_rates(motion: cases.Motion) -> None:
     h, t, normal = 1e-5, np.linspace(0.0, 0.9, 7), (0.36, 0.48, 0.8)
     path = cases.RollingCase("plane", "midpoint", motion, 1000.0, 3.0, None, 0.7, 1)
-    assert cases.orientations(path, normal, np.zeros(1))[0] == pytest.approx([1, 0, 0, 0])
-    before, at, after = (cases.orientations(path, normal, t + s) for s in (-h, 0.0, h))
-    w = cases.angular_velocity(path, normal)
+    assert cases.compute_orientations(path, normal, np.zeros(1))[0] == pytest.approx([1, 0, 0, 0])
+    before, at, after = (cases.compute_orientations(path, normal, t + s) for s in (-h, 0.0, h))
+    w = cases.compute_angular_velocity(path, normal)
     for time, a, q, b in zip(t, before, at, after, strict=True):
         skew = (matrix(b) - matrix(a)) / (2 * h) @ matrix(q).T
         # Central differences: h^2 times the third derivative, some tens per second cubed.
@@ -211,7 +211,7 @@ def test_turns_lead_from_pose_to_pose() -> None:
     rng = np.random.default_rng(51)
     q = rng.normal(size=(20, 4))
     q /= np.linalg.norm(q, axis=1)[:, None]
-    steps = cases.turns(q)
+    steps = cases.compute_turns(q)
     assert (steps[:, 0] >= 0.0).all()
     for before, step, after in zip(q, steps, q[1:], strict=False):
         assert matrix(step) @ matrix(before) == pytest.approx(matrix(after), abs=1e-14)
@@ -219,8 +219,8 @@ def test_turns_lead_from_pose_to_pose() -> None:
 
 def test_impossible_cases_are_left_out() -> None:
     """No fingertip larger than the hollow it is in, no step of half a turn, no closed form where there is none."""
-    sweep, drift = verb.plan(options())
-    selected = cases.cases(sweep)
+    sweep, drift = verb.plan_sweep(options())
+    selected = cases.list_cases(sweep)
     assert all(case.turn_rate / case.rate_hz < np.pi for case in selected)
     assert {case.surface for case in selected if case.curvature_ratio == 10.0} == {
         "sphere", "cylinder", "capped-cylinder", "capsule", "box", "ellipsoid",
@@ -234,8 +234,8 @@ def test_impossible_cases_are_left_out() -> None:
 
 @pytest.mark.parametrize("surface", [name for name in cases.SURFACES if name != "plane"])
 def test_curvature_ratio_scales_the_surface(surface: str) -> None:
-    own, _, _ = cases.contact(surface, None)
-    shape, center, normal = cases.contact(surface, 0.1)
+    own, _, _ = cases.make_contact(surface, None)
+    shape, center, normal = cases.make_contact(surface, 0.1)
     scale = 10 * R / cases.SURFACES[surface].size
     for name, value in own._asdict().items():
         expected = value if name == "side" else scale * np.array(value)
@@ -262,26 +262,26 @@ def test_front_of_hand_made_points() -> None:
         # Costs 5 ns a millisecond of motion: the cheapest of all.
         point("slow servo", 50, 1e-2, rate=100.0),
     ]
-    assert [row["method"] for row in front.front(made)] == ["slow servo", "cheap", "better", "exact"]
-    assert front.front([]) == []
-    assert [row["method"] for row in front.front(made[:1])] == ["dear and bad"]
+    assert [row["method"] for row in front.find_front(made)] == ["slow servo", "cheap", "better", "exact"]
+    assert front.find_front([]) == []
+    assert [row["method"] for row in front.find_front(made[:1])] == ["dear and bad"]
 
 
 def test_fronts_and_orders_look_at_the_ladder_only() -> None:
     made = [point("a", 10, 1e-4), point("a", 1, 1e-9, turn_rate_rad_per_s=1.0)]
     made += [point("a", 1, 1e-9, spin_ratio=0.0), point("a", 1, 1e-9, given_ratio=0.1)]
-    assert front.fronts(made) == made[:1]
+    assert front.find_fronts(made) == made[:1]
     ladder = [point("a", 10, 3.0 / rate**3, rate=rate) for rate in (100.0, 200.0, 300.0, 400.0)]
-    (order,) = front.orders(ladder + made[1:])
+    (order,) = front.fit_orders(ladder + made[1:])
     assert order["order"] == pytest.approx(3.0)
     # From the three smallest errors: too long steps are outside the range of the law.
-    (order,) = front.orders([point("a", 10, 1.0, rate=50.0), *ladder])
+    (order,) = front.fit_orders([point("a", 10, 1.0, rate=50.0), *ladder])
     assert order["order"] == pytest.approx(3.0)
 
 
 def test_recommendations() -> None:
     made = [point("fast", 10, 1e-6), point("fine", 40, 1e-9), point("worse", 50, 1e-8)]
-    advice = front.recommendations(made, (1e-5, 1e-7, 1e-12))
+    advice = front.list_recommendations(made, (1e-5, 1e-7, 1e-12))
     assert [row["method"] for row in advice] == ["fast", "fine", None]
     assert advice[0]["sentence"] == "s, constant rate: for an error below 10 um at 1000 Hz use fast: 10 ns"
     assert advice[2]["sentence"].endswith("no method does: fine reaches 1 nm")
@@ -291,7 +291,7 @@ def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without scipy the error names the package to install."""
     monkeypatch.setitem(sys.modules, "scipy.integrate", None)
     with pytest.raises(ConfigError, match=r"pip install 'softfinger\[accuracy\]'"):
-        paper.exact_path("world")
+        paper.compute_exact_path("world")
 
 
 @pytest.mark.exhaustive

@@ -10,10 +10,10 @@ from softfinger.tools.accuracy.meshes import (
     RADIUS_M,
     TICKS,
     TURN_RAD,
-    begins,
     converge,
-    lead_path,
-    orders,
+    find_start,
+    fit_orders,
+    make_lead_path,
 )
 
 pytestmark = pytest.mark.plain
@@ -30,7 +30,7 @@ def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
     of direction cancel. The error of the force's direction is halved, and small from the start with shading. The
     winding of a rolling hand's path over a facet, which the next edge takes back, is halved as well."""
     rows = list(converge(name, FINENESS))
-    result = orders(rows)
+    result = fit_orders(rows)
     assert result["force_n"] > 1.8 and result["point_m"] > 1.8
     # Where edges are crossed differs from mesh to mesh, so this slope scatters: 1.7 to 2.1. A loss at every edge has 1.
     assert result["rolled_m"] > 1.5
@@ -64,7 +64,7 @@ def test_paths_go_askew_over_edges(name: str) -> None:
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     for heading in HEADINGS_RAD:
-        path = lead_path(CASES[name].shape, *begins(CASES[name]), heading, TICKS)
+        path = make_lead_path(CASES[name].shape, *find_start(CASES[name]), heading, TICKS)
         near = [int(np.linalg.norm((a + b + c) / 3.0 - point, axis=1).argmin()) for point in path.points[::20]]
         assert len(np.unique(normals[near].round(9), axis=0)) >= 4
         centers = path.points + RADIUS_M * path.normals

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from softfinger.tools.accuracy.meshes import RADIUS_M
-from softfinger.tools.accuracy.pixels import HILLS, KINDS, compare, grid, paths
+from softfinger.tools.accuracy.pixels import HILLS, KINDS, compare, make_grid, make_paths
 
 pytestmark = pytest.mark.plain
 
 
 def test_the_paths_lie_on_the_hills() -> None:
     """They satisfy the surface's equation, and their normals are its gradient, by differences."""
-    for path in paths(20):
+    for path in make_paths(20):
         x, y, z = path.points.T
         np.testing.assert_allclose(z, HILLS.height(x, y), rtol=0, atol=1e-12)
         step = 1e-5
@@ -25,7 +25,7 @@ def test_the_paths_lie_on_the_hills() -> None:
 
 def test_rows_of_the_array_have_the_heights_of_their_places() -> None:
     """The middle is the origin, columns lie along x."""
-    _, _, z = grid(0.01)
+    _, _, z = make_grid(0.01)
     assert z.shape == (13, 13) and z[6, 6] == HILLS.amplitude
     assert z[6, 7] == pytest.approx(HILLS.height(0.01, 0.0)) and z[7, 6] == pytest.approx(HILLS.height(0.0, 0.01))
 
@@ -33,7 +33,7 @@ def test_rows_of_the_array_have_the_heights_of_their_places() -> None:
 @pytest.mark.exhaustive
 def test_a_height_map_is_of_higher_order_than_a_mesh_of_its_pixels() -> None:
     """Halving the pitch shows orders four and three for heights and slopes of the spline, two and one for triangles."""
-    ways = paths(1000)
+    ways = make_paths(1000)
     errors = {(kind, pitch): compare(kind, pitch, ways) for kind in KINDS for pitch in (0.004, 0.002)}
 
     def order(kind: str, measure: str) -> float:

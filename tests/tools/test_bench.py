@@ -14,7 +14,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.cli import main
 from softfinger.tools.bench.commands import FORCE_N, count_torn
-from softfinger.tools.bench.loop import devices_of
+from softfinger.tools.bench.loop import open_devices
 from softfinger.tools.bench.view import TurnResult, summary
 
 
@@ -115,7 +115,7 @@ def test_misses_are_counted_among_the_ticks_that_were_due() -> None:
 @pytest.mark.plain
 def test_each_finger_has_the_device_of_its_own_hand() -> None:
     scene = load_scene("lift-a-box")
-    with devices_of(load_rig("simulated-lift-a-box"), scene) as (thumb, index):
+    with open_devices(load_rig("simulated-lift-a-box"), scene) as (thumb, index):
         assert thumb is not index and thumb.info.name == index.info.name == "simulated omega.6"
-    with devices_of(load_rig("replay"), scene) as (thumb, index):
+    with open_devices(load_rig("replay"), scene) as (thumb, index):
         assert thumb is index

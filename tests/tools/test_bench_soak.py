@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from softfinger.server import cli
-from softfinger.tools.bench.soak import Soaked, evaluate, growth
+from softfinger.tools.bench.soak import SoakResult, compute_growth, evaluate
 
 HOURS = np.linspace(0.0, 2.0, 7200)
 
@@ -19,14 +19,14 @@ def noisy(slope: float) -> np.ndarray:
     return 100.0 + slope * HOURS + 4.0 * (random.random(len(HOURS)) < 0.2)
 
 
-def soaked(memory: np.ndarray, lost: int = 0) -> Soaked:
+def soaked(memory: np.ndarray, lost: int = 0) -> SoakResult:
     rows = np.column_stack([memory, np.full(len(memory), 20.0), np.full(len(memory), 8.0)])
-    return Soaked(3600.0 * HOURS, {"daemon": rows}, 7_200_000, 3, 2, lost)
+    return SoakResult(3600.0 * HOURS, {"daemon": rows}, 7_200_000, 3, 2, lost)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])
 def test_growth_is_found_in_noise(slope: float) -> None:
-    estimate, at_least = growth(HOURS, noisy(slope))
+    estimate, at_least = compute_growth(HOURS, noisy(slope))
     assert estimate == pytest.approx(slope, abs=0.1)
     assert at_least <= estimate
 

@@ -30,7 +30,7 @@ from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
 from softfinger.server.cli import main
 from softfinger.tools.doctor import report
-from softfinger.tools.doctor.questions import questions
+from softfinger.tools.doctor.questions import load_questions
 
 pytestmark = pytest.mark.real_time
 
@@ -87,7 +87,7 @@ def checked(file: Path, home: Path) -> dict[str, Any]:
     assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(platform.node())}(?![A-Za-z0-9])", text)
     assert not re.search(r"/home/|/root\b", text)
     assert {row["id"] for row in content["questions"]} == {
-        question.id for question in questions() if content["driver"] in question.drivers
+        question.id for question in load_questions() if content["driver"] in question.drivers
     }
     return content
 
@@ -197,7 +197,7 @@ def test_a_puck_is_not_pushed() -> None:
     near, far = socket.socketpair()
     puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), near.detach(), RATE_HZ)
     with far, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
-        report.pushing(rig, puck, 1.0)
+        report.limit_guard(rig, puck, 1.0)
 
 
 def test_nothing_is_compiled_before_the_device_is_open(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,9 +23,9 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.server.loop import realtime
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.tools.doctor import attached, loop, machine
-from softfinger.tools.doctor.check import STATES, Check, grade, lines
+from softfinger.tools.doctor.check import STATES, Check, format_lines, grade
 from softfinger.tools.doctor.verb import examine
 
 pytestmark = pytest.mark.real_time
@@ -113,7 +113,7 @@ def test_figures_come_from_a_run_at_the_rigs_rate(result: dict[str, Any]) -> Non
 def test_settings_are_applied_and_restored() -> None:
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
     rig = load_rig("replay", {"servo.cpu": min(os.sched_getaffinity(0))})
-    checks = {check.name.removeprefix("real time, "): check for check in loop.settings(rig)}
+    checks = {check.name.removeprefix("real time, "): check for check in loop.check_settings(rig)}
     assert checks["affinity"].state == "good"
     assert checks.keys() == {"timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity"}
     assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
@@ -122,7 +122,7 @@ def test_settings_are_applied_and_restored() -> None:
 @pytest.mark.parametrize(("mode", "state"), [("auto", "could be better"), ("require", "bad")])
 def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: str) -> None:
     rig = load_rig("replay", {"servo.cpu": 1023, "servo.realtime": mode})
-    (check,) = (check for check in loop.settings(rig) if check.name == "real time, affinity")
+    (check,) = (check for check in loop.check_settings(rig) if check.name == "real time, affinity")
     assert check.state == state
     assert "processor 1023" in check.seen
     assert "servo.cpu" in check.remedy
@@ -154,14 +154,14 @@ def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: 
 
 def test_the_share_of_the_steps_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     def measured(*words: Any) -> Any:
-        with progress("measuring", 2) as show:
+        with show_progress("measuring", 2) as show:
             show(1)
         return check
 
     check, shares = Check("a", "good", "", ""), collect_shares(monkeypatch)
     monkeypatch.setattr(loop, "cache", measured)
     monkeypatch.setattr(loop, "step", measured)
-    monkeypatch.setattr(loop, "lateness", lambda *words: ([measured()], {"rate_hz": 1000.0}))
+    monkeypatch.setattr(loop, "measure_lateness", lambda *words: ([measured()], {"rate_hz": 1000.0}))
     result = examine(load_rig("replay"), load_scene("paper-plane"), "replay", "paper-plane", 1.0, None)
     assert result["states"]["good"] >= 3 and result["loop"] == {"rate_hz": 1000.0}
     assert shares["checking the machine"] == [n / 14 for n in (2, 4, 5, 6, 7, 8, 9, 10, 12, 14)]
@@ -175,7 +175,12 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
         sys__devices__system__clocksource__clocksource0__current_clocksource="tsc", proc__cpuinfo="flags\t\t: fpu sse2",
         proc__1__cgroup="0::/init.scope",
     )  # fmt: skip
-    for check in (machine.kernel(good), machine.frequency(good), machine.clock(good), machine.virtual(good)):
+    for check in (
+        machine.check_kernel(good),
+        machine.check_frequency(good),
+        machine.check_clock(good),
+        machine.check_virtual(good),
+    ):
         assert check.state == "good", check
     worse = write(
         tmp_path / "worse", sys__kernel__realtime="0",
@@ -186,24 +191,25 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
         sys__devices__system__cpu__smt__active="1", sys__devices__system__cpu__isolated="3",
     )  # fmt: skip
     for check, remedy in (
-        (machine.kernel(worse), "linux-image-rt"), (machine.clock(worse), "echo tsc"),
-        (machine.frequency(worse), "cpupower frequency-set -g performance"),
-        (machine.virtual(worse), "on the machine itself"), (machine.virtual(worse), "docs/operate/docker.md"),
+        (machine.check_kernel(worse), "linux-image-rt"), (machine.check_clock(worse), "echo tsc"),
+        (machine.check_frequency(worse), "cpupower frequency-set -g performance"),
+        (machine.check_virtual(worse), "on the machine itself"),
+        (machine.check_virtual(worse), "docs/operate/docker.md"),
     ):  # fmt: skip
         assert check.state == "could be better", check
         assert remedy in check.remedy
-    details = machine.virtual(worse).seen
+    details = machine.check_virtual(worse).seen
     assert "virtual machine (QEMU), 10.00% of its time taken by its host" in details
     assert "container" in details
-    assert "two threads to a core, isolated: 3" in machine.processors(worse).seen
+    assert "two threads to a core, isolated: 3" in machine.check_processors(worse).seen
 
 
 def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {"numpy", "numba", "pyzmq"} <= machine.versions().keys()
-    assert not {"viser", "pytest"} & machine.versions().keys()
+    assert {"numpy", "numba", "pyzmq"} <= machine.list_versions().keys()
+    assert not {"viser", "pytest"} & machine.list_versions().keys()
     required = ["numpy>=2.0", "no-such-package>=1", 'viser>=1.0; extra == "viewer"']
     monkeypatch.setattr(machine.metadata, "requires", lambda _: required)
-    check = machine.packages()
+    check = machine.check_packages()
     assert check.state == "bad"
     assert check.remedy == "pip install no-such-package"
     assert "MISSING" in check.seen and "viser" not in check.seen
@@ -211,13 +217,13 @@ def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
-    (own,) = attached.devices(load_rig("spacemouse"), [puck])
-    (attached_puck,) = attached.devices(load_rig("replay"), [puck])
+    (own,) = attached.check_devices(load_rig("spacemouse"), [puck])
+    (attached_puck,) = attached.check_devices(load_rig("replay"), [puck])
     assert (own.state, attached_puck.state) == ("bad", "could be better")
     assert "--device" in own.remedy
-    (absent,) = attached.devices(load_rig("spacemouse"), [])
+    (absent,) = attached.check_devices(load_rig("spacemouse"), [])
     assert (absent.name, absent.state) == ("device of the rig", "bad")
-    (none,) = attached.devices(load_rig("replay"), [])
+    (none,) = attached.check_devices(load_rig("replay"), [])
     assert none.state == "good"
     mine = SystemDevice("hid", 0x16C0, 0x0486, "Arm", "", str(tmp_path))
     assert attached.is_of(load_rig("woodenhaptics-2019"), mine)
@@ -232,7 +238,7 @@ def test_a_node_that_cannot_be_used_is_bad(problem: str, reason: str, remedy: st
     node, user = open_folder / "hidraw5", os.geteuid()
     node.write_bytes(b"")
     puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(node))
-    assert attached.devices(load_rig("spacemouse"), [puck])[0].state == "good"
+    assert attached.check_devices(load_rig("spacemouse"), [puck])[0].state == "good"
     if problem == "rights":
         node.chmod(0o600 if user == 0 else 0)
     with node.open("rb") if problem == "held" else nullcontext() as file:
@@ -241,7 +247,7 @@ def test_a_node_that_cannot_be_used_is_bad(problem: str, reason: str, remedy: st
         elif user == 0:
             os.seteuid(65534)
         try:
-            (check,) = attached.devices(load_rig("spacemouse"), [puck])
+            (check,) = attached.check_devices(load_rig("spacemouse"), [puck])
         finally:
             os.seteuid(user)
     assert check.state == "bad"
@@ -251,7 +257,7 @@ def test_a_node_that_cannot_be_used_is_bad(problem: str, reason: str, remedy: st
 def test_a_cache_that_others_may_write_is_bad(open_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for mode, is_bad in ((0o755, False), (0o777, True)):
         open_folder.chmod(mode)
-        monkeypatch.setattr(loop, "KEPT", Folder(open_folder))
+        monkeypatch.setattr(loop, "KERNEL_FOLDER", Folder(open_folder))
         check = loop.cache(load_rig("replay"), "frictionless-plane", load_scene("frictionless-plane"))
         assert (check.state == "bad") == is_bad
     assert "can be written by other users" in check.seen and "SOFTFINGER_CACHE_DIR" in check.remedy
@@ -261,14 +267,18 @@ def test_the_rig_selects_the_makers_library(tmp_path: Path, monkeypatch: pytest.
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
-    check = attached.maker_library(load_rig("omega-3"), "forcedimension")
+    check = attached.check_maker_library(load_rig("omega-3"), "forcedimension")
     assert check.state == "bad"
     assert "FDSDK" in check.remedy
-    assert attached.maker_library(load_rig("replay"), "forcedimension").state == "good"
+    assert attached.check_maker_library(load_rig("replay"), "forcedimension").state == "good"
 
 
 def test_the_text_has_a_remedy() -> None:
     """A good check is one line; other checks have the required value and the remedy below."""
     good, bad = Check("a", "good", "seen", "wanted", "unused"), Check("b", "bad", "seen", "wanted", "do this")
-    assert len(lines([good])) == 1
-    assert [line.strip() for line in lines([bad])] == ["bad             b: seen", "wanted: wanted", "remedy: do this"]
+    assert len(format_lines([good])) == 1
+    assert [line.strip() for line in format_lines([bad])] == [
+        "bad             b: seen",
+        "wanted: wanted",
+        "remedy: do this",
+    ]

@@ -11,7 +11,7 @@ from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED, guard_wrench
 from softfinger.tools.stability import extremes, hostile, wrenches
 
 pytestmark = pytest.mark.plain
-CASES = list(extremes.cases())
+CASES = list(extremes.iter_cases())
 
 
 @pytest.fixture(autouse=True)
@@ -80,7 +80,7 @@ def test_judge_detects_wrongly_accepted_and_refused_poses():
     assert extremes.judge(good._replace(refused=True), sound_records()).wrong == "a broken pose taken"
 
 
-@pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.cases()])
+@pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.list_cases()])
 def test_the_guard_limits_arbitrary_wrenches(wrenches_of):
     (wrong,) = [wrong for wrenches_tried, _, _, _, wrong in wrenches.try_wrenches() if wrenches_tried == wrenches_of]
     assert wrong == ""

@@ -17,13 +17,13 @@ CELL = CellResult("hold", 0.1, 1000.0, 1, 0.001, 2.0, 0.001, 0.5, 1e-5, 0, -1e-4
 
 def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
     cell = Cell("hold", 0.1, 1000.0)
-    approach = bodies.approach_path(cell)
+    approach = bodies.make_approach_path(cell)
     path = np.concatenate([approach, approach[::-1]])
     played = bodies.play(bodies.begin(cell, tmp_path), path)
     carried = played.force[len(approach) - 1].sum(axis=0)
     assert carried[2] == pytest.approx(-cell.mass * bodies.G, rel=0.05)  # it swings a little after the lift
     assert played.unbalanced <= 1e-12
-    assert bodies.slips(played.mode[bodies.LEG : -bodies.LEG]) == 0
+    assert bodies.count_slips(played.mode[bodies.LEG : -bodies.LEG]) == 0
     assert np.sum(played.force[:-1] * np.diff(path, axis=0)) < 0.0
 
 
@@ -32,19 +32,19 @@ def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
 def test_a_body_comes_to_rest(case: str) -> None:
     result = bodies.measure(Cell(case, 0.1, 1000.0))
     assert (result.verdict, result.slips) == ("rests", 0)
-    assert result.left is not None and result.left < bodies.AT_REST
-    assert bodies_table.wrong([result]) == []
+    assert result.left is not None and result.left < bodies.REST_SPEED_SHARE
+    assert bodies_table.find_wrong([result]) == []
 
 
 @pytest.mark.exhaustive
 def test_a_plate_on_a_finger_rocks_as_a_rigid_one(tmp_path: Path) -> None:
     cell, h = Cell("balance", 0.01, 3000.0), bodies.PLATE_HALF_M
-    engine, hold = bodies.begin(cell, tmp_path), np.repeat(bodies.approach_path(cell)[:1], 100, axis=0)
-    engine.run(bodies.poses_of(hold))
+    engine, hold = bodies.begin(cell, tmp_path), np.repeat(bodies.make_approach_path(cell)[:1], 100, axis=0)
+    engine.run(bodies.make_poses(hold))
     engine.data.qvel[3] = 0.02
     turning = []
     for _ in range(800):
-        engine.run(bodies.poses_of(hold[:1]))
+        engine.run(bodies.make_poses(hold[:1]))
         turning.append(engine.data.qvel[3])
     inertia = ((2.0 * bodies.HALF_M) ** 2 + (2.0 * h) ** 2) / 12.0 + h**2
     omega = np.sqrt(bodies.G * (bodies.RADIUS_M - h) / inertia)
@@ -57,7 +57,7 @@ def test_a_plate_on_a_finger_rocks_as_a_rigid_one(tmp_path: Path) -> None:
 @pytest.mark.exhaustive
 def test_a_body_too_light_for_the_tick_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bodies, "LIGHT_SUBSTEPS", 1)
-    assert bodies_table.wrong([bodies.measure(Cell("hold", 0.001, 3000.0))])
+    assert bodies_table.find_wrong([bodies.measure(Cell("hold", 0.001, 3000.0))])
 
 
 @pytest.mark.parametrize(
@@ -79,12 +79,12 @@ def test_the_table_names_bodies_that_do_not_come_to_rest() -> None:
     rests, stiff = CELL._replace(verdict="rests"), {"stiffness_n_per_m": 3000.0}
     lost = CELL._replace(mass_kg=1.0, verdict="lost", reason="too deep", ripple_n=2e-3, given_j=-2.0, left=None)
     results = [rests, rests._replace(**stiff), lost, rests._replace(mass_kg=1.0, unbalanced_n=3e-12, **stiff)]
-    assert bodies_table.case_table(results).splitlines()[2] == (
+    assert bodies_table.format_cases(results).splitlines()[2] == (
         "| hold | 2 mN | 0 | -0.1 mJ | 3e-12 N | lost in 1 of 4: too deep |"
     )
-    assert bodies_table.wrong(results) == [results[3]]
-    assert bodies_table.wrong([rests._replace(given_j=1e-9)]) != []
-    assert [line.split()[:3] for line in bodies_table.lines(results)[2:]][2] == ["hold", "1", "kg"]
+    assert bodies_table.find_wrong(results) == [results[3]]
+    assert bodies_table.find_wrong([rests._replace(given_j=1e-9)]) != []
+    assert [line.split()[:3] for line in bodies_table.format_lines(results)[2:]][2] == ["hold", "1", "kg"]
 
 
 def test_a_panel_is_drawn_for_each_case(tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ import pytest
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_scene
 from softfinger.proxy.scene import build_scene
-from softfinger.tools.bench.geoms import KINDS, scene_of_geoms
+from softfinger.tools.bench.geoms import KINDS, make_scene
 from softfinger.tools.bench.loop import count_missed_by_c, evaluate
-from softfinger.tools.measure import quantiles
+from softfinger.tools.measure import compute_quantiles
 
 pytestmark = pytest.mark.plain
 
@@ -22,14 +22,14 @@ pytestmark = pytest.mark.plain
 def test_a_stall_spoils_the_percentiles_of_one_block_only() -> None:
     block = np.arange(1.0, 101.0)
     # the remainder is not a block
-    result = quantiles(np.concatenate([block, block, 100.0 * block, block, block, [7.0]]), 100)
+    result = compute_quantiles(np.concatenate([block, block, 100.0 * block, block, block, [7.0]]), 100)
     assert result["max"] == 10_000.0 and result["p99"] > 100.0
     # Percentiles of 1 to 100 by linear interpolation: 1 + 99 q.
     assert result["blocks"] == pytest.approx({"p50": 50.5, "p99": 99.01, "p999": 99.901, "max": 100.0}, rel=1e-12)
 
 
 def test_fewer_values_than_a_block_are_one() -> None:
-    result = quantiles(np.array([3.0, 1.0, 2.0]), 100)
+    result = compute_quantiles(np.array([3.0, 1.0, 2.0]), 100)
     assert result.pop("blocks") == result == {"p50": 2.0, "p99": 2.98, "p999": 2.998, "max": 3.0}
 
 
@@ -46,12 +46,12 @@ def test_deadlines_that_the_c_loop_missed_are_counted_as_those_of_the_servo() ->
 
 
 def test_a_scene_of_more_geoms_has_the_same_code(tmp_path: Path) -> None:
-    scenes = [build_scene(load_scene(scene_of_geoms(count, 1000.0, tmp_path))) for count in (8, 20)]
+    scenes = [build_scene(load_scene(make_scene(count, 1000.0, tmp_path))) for count in (8, 20)]
     assert numba.typeof(scenes[0]) == numba.typeof(scenes[1])
 
 
 def test_bodies_of_a_bench_lie_on_their_floor(tmp_path: Path) -> None:
-    described = scene_of_geoms(8, 1000.0, tmp_path)
+    described = make_scene(8, 1000.0, tmp_path)
     objects = [(entry.name, entry.shape) for entry in load_scene(described).object]
     assert [name for name, _ in objects] == [f"{kind}-{n}" for n, kind in enumerate(2 * list(KINDS))]
     model = mujoco.MjModel.from_xml_path(described["world"]["model"])
@@ -63,4 +63,4 @@ def test_bodies_of_a_bench_lie_on_their_floor(tmp_path: Path) -> None:
     assert model.ngeom == 9 and data.ncon >= 8
     assert np.abs(data.xpos - began).max() < 1e-3  # MuJoCo's floor is soft: a body sinks into it by that order
     with pytest.raises(ConfigError, match="--geoms: 25: must be an integer from 1 to 24"):
-        scene_of_geoms(25, 1000.0, tmp_path)
+        make_scene(25, 1000.0, tmp_path)

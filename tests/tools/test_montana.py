@@ -11,7 +11,7 @@ from references.rolling_cases import METHODS, RADIUS, rolled_by
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.tools.accuracy import montana
-from softfinger.tools.accuracy.reference import normal_and_curvature, roll_path
+from softfinger.tools.accuracy.reference import compute_normal_and_curvature, roll_path
 
 pytestmark = pytest.mark.plain
 
@@ -40,15 +40,15 @@ def start(shape: Any, u: float, v: float, psi: float) -> montana.Coordinates:
 
 def contact(shape: Any, at: montana.Coordinates) -> tuple[Any, Any]:
     """Centre (3,) m of the fingertip and unit normal (3,)."""
-    here = montana.chart(shape, at.u_o, at.v_o)
+    here = montana.compute_chart(shape, at.u_o, at.v_o)
     return np.array(here.point) + RADIUS * np.array(here.z), np.array(here.z)
 
 
 def orientation(shape: Any, at: montana.Coordinates) -> Any:
     """The fingertip's orientation (3, 3) that the five coordinates imply."""
-    on_finger = montana.chart(model.Sphere(RADIUS, 1.0), at.u_f, at.v_f)
+    on_finger = montana.compute_chart(model.Sphere(RADIUS, 1.0), at.u_f, at.v_f)
     in_finger = np.column_stack([on_finger.x, on_finger.y, on_finger.z])
-    in_object = np.column_stack(montana.finger_axes(montana.chart(shape, at.u_o, at.v_o), at.psi))
+    in_object = np.column_stack(montana.compute_finger_axes(montana.compute_chart(shape, at.u_o, at.v_o), at.psi))
     return in_object @ in_finger.T
 
 
@@ -62,14 +62,14 @@ def test_gauss_frame_against_differences(name: str) -> None:
     shape, h = SHAPES[name], 1e-5
     for u, v in STARTS:
         u, v = scaled(name, u, v)
-        here = montana.chart(shape, u, v)
+        here = montana.compute_chart(shape, u, v)
         frame = np.column_stack([here.x, here.y, here.z])
         assert frame.T @ frame == pytest.approx(np.eye(3), abs=1e-15)
         assert np.cross(here.x, here.y) == pytest.approx(here.z, abs=1e-15)
         columns = []
         for i, step in enumerate(((h, 0.0), (0.0, h))):
-            ahead = montana.chart(shape, u + step[0], v + step[1])
-            behind = montana.chart(shape, u - step[0], v - step[1])
+            ahead = montana.compute_chart(shape, u + step[0], v + step[1])
+            behind = montana.compute_chart(shape, u - step[0], v - step[1])
             d = [(np.array(a) - np.array(b)) / (2 * h) for a, b in zip(ahead[:4], behind[:4], strict=True)]
             # Differences of second order: h^2 times third derivatives of order 1, relative to 1 m and 1 / m.
             assert d[0] == pytest.approx(here.metric[i] * frame[:, i], abs=1e-10)
@@ -85,7 +85,7 @@ def roll_coordinates(shape: Any, at: montana.Coordinates, w: tuple[float, ...]) 
     for _ in range(100):
         total, slope, ahead = at, at, at
         for weight, part in ((1, 0.5), (2, 0.5), (2, 1.0), (1, 0.0)):
-            slope = montana.rolling_rates(RADIUS, shape, ahead, w)
+            slope = montana.compute_rolling_rates(RADIUS, shape, ahead, w)
             total, ahead = montana.advance(total, weight * h / 6.0, slope), montana.advance(at, part * h, slope)
         at = total
     return at
@@ -118,18 +118,18 @@ def test_slip_and_spin(name: str) -> None:
     shape, rng = SHAPES[name], np.random.default_rng(42)
     u, v = scaled(name, *STARTS[0])
     at = start(shape, u, v, psi=0.7)
-    here = montana.chart(shape, u, v)
-    x, y, z = (np.array(a) for a in montana.finger_axes(here, at.psi))
+    here = montana.compute_chart(shape, u, v)
+    x, y, z = (np.array(a) for a in montana.compute_finger_axes(here, at.psi))
     omega, slip = rng.normal(size=3), rng.normal(size=2) * 0.01
-    out = montana.rates(RADIUS, shape, at, tuple(map(float, omega)), tuple(map(float, slip)))
+    out = montana.compute_rates(RADIUS, shape, at, tuple(map(float, omega)), tuple(map(float, slip)))
     moved = out.u_o * here.metric[0] * np.array(here.x) + out.v_o * here.metric[1] * np.array(here.y)
-    n, bend = normal_and_curvature(np.array(here.point), shape)
+    n, bend = compute_normal_and_curvature(np.array(here.point), shape)
     w, velocity = omega[0] * x + omega[1] * y + omega[2] * z, slip[0] * x + slip[1] * y
     expected = np.linalg.solve(bend + np.eye(3) / RADIUS, np.cross(w, n) + velocity / RADIUS)
     assert moved == pytest.approx(expected, abs=1e-15)
     # The contact point moves farther on the object than on the fingertip by the slip.
-    on_finger = montana.chart(model.Sphere(RADIUS, 1.0), at.u_f, at.v_f)
+    on_finger = montana.compute_chart(model.Sphere(RADIUS, 1.0), at.u_f, at.v_f)
     rolled_over = out.u_f * on_finger.metric[0] * x + out.v_f * on_finger.metric[1] * y
     assert moved - rolled_over == pytest.approx(velocity, abs=1e-15)
-    spin = montana.rates(RADIUS, shape, at, (0.0, 0.0, 2.0), (0.0, 0.0))
+    spin = montana.compute_rates(RADIUS, shape, at, (0.0, 0.0, 2.0), (0.0, 0.0))
     assert spin == pytest.approx((0.0, 0.0, 0.0, 0.0, 2.0), abs=1e-15)

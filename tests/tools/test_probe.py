@@ -20,7 +20,7 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.cli import main
 from softfinger.tools.doctor import probe
-from softfinger.tools.doctor.probe import picture
+from softfinger.tools.doctor.probe import draw_range
 
 __all__ = ["hd", "hd_library", "home"]  # fixtures
 
@@ -118,9 +118,9 @@ def test_without_a_rig_the_first_attached_device_is_used(monkeypatch: pytest.Mon
     ports: list[SystemDevice] = [SystemDevice("usb", 0x1234, 0x0001, "a lamp", "", "")]
     monkeypatch.setattr(discovery, "list_attached", lambda: ports)
     with pytest.raises(DeviceNotFound, match="select your rig with --rig"):
-        probe.attached_rig()
+        probe.find_attached_rig()
     ports.append(SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0"))
-    assert probe.attached_rig() == "touch"
+    assert probe.find_attached_rig() == "touch"
 
 
 def test_the_picture_shows_wrong_motions() -> None:
@@ -128,7 +128,7 @@ def test_the_picture_shows_wrong_motions() -> None:
         {"kind": "translation", "expected": "+x", "seen": "+x", "agrees": True},
         {"kind": "translation", "expected": "+y", "seen": "-z", "agrees": False},
     ]
-    text = "\n".join(picture({"range": None, "moves": moves}))
+    text = "\n".join(draw_range({"range": None, "moves": moves}))
     assert "right --> +x   as required" in text
     assert "away from you --> -z   WRONG: required is +y" in text
     assert "z  up: not seen" in text

@@ -65,7 +65,7 @@ def test_noise_at_rest_and_range_of_known_rows() -> None:
     noise = random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6)
     rows = poses(noise + np.array([0.0, 0.01, 0.0]))
     rows[7, SAMPLE] = math.nan
-    result = motions.rest(rows, turns=False)
+    result = motions.measure_rest(rows, turns=False)
     assert result is not None
     assert result["not_finite"] == 1
     # of 1e5 samples a deviation is known to 1/sqrt(2e5), 0.2 %: five times that
@@ -73,9 +73,9 @@ def test_noise_at_rest_and_range_of_known_rows() -> None:
     assert result["rotation_std_rad"] is None
     span = motions.reach(rows)
     assert span is not None and span["position_min_m"][1] < 0.01 < span["position_max_m"][1]
-    assert motions.rest(rows[7:8], turns=False) is None
+    assert motions.measure_rest(rows[7:8], turns=False) is None
     rows[:3, SAMPLE + SAMPLE_BUTTONS] = (4.0, 1.0, 4.0)
-    assert motions.masks(rows) == [0, 1, 4]
+    assert motions.list_masks(rows) == [0, 1, 4]
 
 
 def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> np.ndarray:

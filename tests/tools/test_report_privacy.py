@@ -13,7 +13,7 @@ from helpers.forgotten import forget_user
 from softfinger.config.load import load_rig
 from softfinger.drivers import registry
 from softfinger.tools.doctor import privacy, report
-from softfinger.tools.doctor.questions import ANSWERS, answer_questions, questions
+from softfinger.tools.doctor.questions import ANSWERS, answer_questions, load_questions
 
 pytestmark = pytest.mark.plain
 
@@ -21,12 +21,12 @@ USER: Final = "zaphodb"
 
 
 @pytest.fixture
-def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Privacy:
+def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Redactor:
     monkeypatch.setenv("HOME", f"/home/{USER}")
     monkeypatch.setenv("USER", USER)
     (tmp_path / "My Project").mkdir()
     monkeypatch.chdir(tmp_path / "My Project")
-    return privacy.Privacy(["SN-4711-A"])
+    return privacy.Redactor(["SN-4711-A"])
 
 
 @pytest.mark.parametrize(
@@ -58,11 +58,11 @@ def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Privacy
         ("serial 16c0:0483 at /dev/pts/0", "serial 16c0:0483 at /dev/pts/0"),
     ],
 )
-def test_identifying_words_are_removed(text: str, clean: str, somebody: privacy.Privacy) -> None:
+def test_identifying_words_are_removed(text: str, clean: str, somebody: privacy.Redactor) -> None:
     assert somebody.text(text) == clean
 
 
-def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: privacy.Privacy) -> None:
+def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: privacy.Redactor) -> None:
     dirty = {"driver": USER, "a": [USER, {"b": f"on {platform.node()}"}], USER: 1.5, "none": None}
     assert somebody.clean(dirty) == {"driver": USER, "a": ["<user>", {"b": "on <host>"}], USER: 1.5, "none": None}
 
@@ -70,14 +70,14 @@ def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: priva
 def test_options_contain_no_folder() -> None:
     options = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
     want = {"firmware": "x.bin", "serial": "...56", "path": "/dev/hidraw0", "hand": {"recording": "b.csv"}}
-    assert privacy.options(options) == want
+    assert privacy.redact_options(options) == want
 
 
-def test_a_working_folder_with_a_space_is_removed(somebody: privacy.Privacy) -> None:
+def test_a_working_folder_with_a_space_is_removed(somebody: privacy.Redactor) -> None:
     assert somebody.text(f"{Path.cwd()}/part/x.toml: fault; {Path.cwd()} is full") == "x.toml: fault; . is full"
 
 
-def test_scenes_and_rigs_contain_no_folder(somebody: privacy.Privacy) -> None:
+def test_scenes_and_rigs_contain_no_folder(somebody: privacy.Redactor) -> None:
     dirty = {"object": [{"file": "My Project/a.obj"}], "world": {"model": "Project-X/m"}, "directory": "Project-X"}
     want = {"object": [{"file": "a.obj"}], "world": {"model": "m"}, "directory": "..."}
     assert somebody.clean(dirty) == want
@@ -86,14 +86,14 @@ def test_scenes_and_rigs_contain_no_folder(somebody: privacy.Privacy) -> None:
 
 def test_a_user_without_a_home_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     forget_user(monkeypatch)
-    assert privacy.Privacy().text("~ and /srv/x/y.toml") == "~ and y.toml"
+    assert privacy.Redactor().text("~ and /srv/x/y.toml") == "~ and y.toml"
 
 
 def test_the_questions_are_well_formed() -> None:
-    ids = [question.id for question in questions()]
+    ids = [question.id for question in load_questions()]
     assert len(set(ids)) == len(ids)
-    drivers = {driver for question in questions() for driver in question.drivers}
-    assert drivers <= set(registry.names())
+    drivers = {driver for question in load_questions() for driver in question.drivers}
+    assert drivers <= set(registry.list_names())
     assert not drivers & {"replay", "simulated"}
     assert ANSWERS.keys() <= set(ids)
 

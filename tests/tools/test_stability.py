@@ -19,9 +19,14 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.scene import build_scene
 from softfinger.server.cli import main, make_parser
-from softfinger.tools.stability.limit import WallCase, find_limits, grows_at, wall_and_weight
+from softfinger.tools.stability.limit import WallCase, does_grow_at, find_limits, make_wall_and_weight
 from softfinger.tools.stability.maps import VARIANTS
-from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit, spectral_radius
+from softfinger.tools.stability.predicted import (
+    LinearLoop,
+    compute_passive_limit,
+    compute_spectral_radius,
+    find_linear_limit,
+)
 from softfinger.tools.stability.runs import RunBlock, run_blocks
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +45,7 @@ def random_cases(count: int, seed: int, **more: float) -> list[WallCase]:
             mass_kg=float(mass), damping_ns_per_m=float(damping), rate_hz=float(rate), wall_damping_ns_per_m=wall,
             delay_ticks=int(random.integers(3)), **more,
         )  # fmt: skip
-        if linear_limit(case.linear()) > 0.0:
+        if find_linear_limit(case.linear()) > 0.0:
             cases.append(case)
     return cases
 
@@ -61,7 +66,7 @@ def jury(mass: float, damping: float, period: float) -> float:
 @pytest.mark.parametrize(("mass", "damping"), [(0.1, 0.5), (1.0, 10.0), (0.05, 40.0), (0.05, 900.0)])
 def test_linear_limit_is_that_of_jury(mass: float, damping: float, rate: float) -> None:
     """Without delay and wall damping the eigenvalues give the closed form."""
-    limit = linear_limit(LinearLoop(mass, damping, 0.0, 1.0 / rate, 0))
+    limit = find_linear_limit(LinearLoop(mass, damping, 0.0, 1.0 / rate, 0))
     # The radius is taken to be 1 up to 1e-12; it grows with K by about half of b T / m, 1e-5 of it here at least.
     assert limit == pytest.approx(jury(mass, damping, 1.0 / rate), rel=1e-6)
 
@@ -110,8 +115,8 @@ def crossings(loop: LinearLoop) -> list[float]:
 def test_linear_limit_is_the_first_crossing_of_the_unit_circle(loop: LinearLoop) -> None:
     first = crossings(loop)[0]
     # The radius is taken to be 1 up to 1e-12; it grows with K by about half of b T / m, 1e-5 of it here at least.
-    assert linear_limit(loop) == pytest.approx(first, rel=1e-6)
-    below, above = spectral_radius(loop, first * np.array([1.0 - 1e-5, 1.0 + 1e-5]))
+    assert find_linear_limit(loop) == pytest.approx(first, rel=1e-6)
+    below, above = compute_spectral_radius(loop, first * np.array([1.0 - 1e-5, 1.0 + 1e-5]))
     assert below < 1.0 < above
 
 
@@ -125,7 +130,7 @@ def test_linear_limit_of_a_slow_loop_is_the_published_one(delay: int, wall: floa
     """
     loop = LinearLoop(20.0, 1.0, wall, 1e-3, delay)
     # The neglected terms are of the order of K T^2 / m times the delays, here below 1e-3.
-    assert linear_limit(loop) == pytest.approx((1.0 + wall) / (1e-3 * (0.5 + delay)), rel=2e-3)
+    assert find_linear_limit(loop) == pytest.approx((1.0 + wall) / (1e-3 * (0.5 + delay)), rel=2e-3)
 
 
 def colgate_schenkel(loop: LinearLoop, stiffness: float) -> float:
@@ -143,12 +148,12 @@ def test_passive_limit_is_that_of_colgate_and_schenkel(delay: int, tau: float) -
     """The bound is exact without delay and filter and for an undamped wall; otherwise it is on the safe side."""
     for wall in (0.0, 0.7, -0.7):
         loop = LinearLoop(0.3, 1.5, wall, 1e-3, delay, tau)
-        needed = colgate_schenkel(loop, passive_limit(loop))
+        needed = colgate_schenkel(loop, compute_passive_limit(loop))
         # Negative damping has its largest effect at low frequencies, where neither delay nor filter matters.
         exact = wall <= 0.0 or (delay == 0 and tau == 0.0)
         # The grid starts at 1e-4 rad, where the maximum for an undamped wall is too small by 1e-8 of it.
         assert needed == pytest.approx(1.5, rel=1e-6) if exact else needed < 1.5
-    assert passive_limit(LinearLoop(0.3, 1.0, 1.2, 1e-3, delay)) == 0.0
+    assert compute_passive_limit(LinearLoop(0.3, 1.0, 1.2, 1e-3, delay)) == 0.0
 
 
 @pytest.mark.plain
@@ -166,7 +171,7 @@ def test_the_searched_wall_equals_a_scene_file() -> None:
         ],
     }  # fmt: skip
     scene = build_scene(build(Scene, mapping, "test"))
-    wall = wall_and_weight(1500.0, 2.0, 0.003, 0.0, 0.02).scene
+    wall = make_wall_and_weight(1500.0, 2.0, 0.003, 0.0, 0.02).scene
     assert numba.typeof(wall) == numba.typeof(scene)
     np.testing.assert_array_equal(flatten(wall), flatten(scene))
 
@@ -185,11 +190,11 @@ def test_no_passive_wall_is_unstable(variant: str) -> None:
         variant_case = msgspec.structs.replace(case, **VARIANTS[variant])
         damped = msgspec.structs.replace(variant_case, wall_damping_ns_per_m=0.5 * variant_case.damping_ns_per_m)
         for inside in (variant_case, damped):
-            bound = passive_limit(inside.linear())
+            bound = compute_passive_limit(inside.linear())
             for share in (0.1, 0.5, 0.9, 0.999):
-                assert bound == 0.0 or not grows_at(inside, share * bound), (inside, share)
+                assert bound == 0.0 or not does_grow_at(inside, share * bound), (inside, share)
     if variant == "device alone":
-        assert all(grows_at(case, 1.02 * linear_limit(case.linear())) for case in CASES[::5])
+        assert all(does_grow_at(case, 1.02 * find_linear_limit(case.linear())) for case in CASES[::5])
 
 
 def test_friction_of_the_mechanism_stabilises_stiffer_walls() -> None:

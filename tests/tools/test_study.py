@@ -6,7 +6,7 @@ import pytest
 
 from softfinger.config.errors import ConfigError
 from softfinger.tools import study
-from softfinger.tools.accuracy.report import table
+from softfinger.tools.accuracy.report import format_table
 
 pytestmark = pytest.mark.plain
 
@@ -27,8 +27,8 @@ def test_a_mark_without_a_table_is_an_error():
 
 
 def test_table_becomes_markdown():
-    made = table("title", ("surface", "over_euler"), [("plane", "1"), ("torus", "2")], 1)
-    assert study.markdown(made) == "| surface | over_euler |\n| --- | --- |\n| plane | 1 |\n| torus | 2 |\n"
+    made = format_table("title", ("surface", "over_euler"), [("plane", "1"), ("torus", "2")], 1)
+    assert study.format_markdown(made) == "| surface | over_euler |\n| --- | --- |\n| plane | 1 |\n| torus | 2 |\n"
 
 
 def test_every_table_has_its_place_in_the_pages():

@@ -17,7 +17,7 @@ import pytest
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.tools import sweep
-from softfinger.tools.sweep import case_key, run_cases
+from softfinger.tools.sweep import make_case_key, run_cases
 
 pytestmark = pytest.mark.plain
 
@@ -203,8 +203,8 @@ def test_a_worker_of_another_version_is_refused() -> None:
 
 
 def test_keys_differ_by_case_function_and_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    key = case_key(roots, {"x": 0.1, "n": 1})
-    assert case_key(roots, {"n": 1, "x": 0.1}) == key
-    others = [case_key(roots, {"x": math.nextafter(0.1, 1.0), "n": 1}), case_key(bits, {"x": 0.1, "n": 1})]
+    key = make_case_key(roots, {"x": 0.1, "n": 1})
+    assert make_case_key(roots, {"n": 1, "x": 0.1}) == key
+    others = [make_case_key(roots, {"x": math.nextafter(0.1, 1.0), "n": 1}), make_case_key(bits, {"x": 0.1, "n": 1})]
     monkeypatch.setattr(sweep, "SOURCE_HASH", "0" * 64)
-    assert len({key, *others, case_key(roots, {"x": 0.1, "n": 1})}) == 4
+    assert len({key, *others, make_case_key(roots, {"x": 0.1, "n": 1})}) == 4

@@ -9,7 +9,7 @@ from softfinger.drivers.registry import open_device
 from softfinger.drivers.serial import device as serial  # noqa: F401
 from softfinger.drivers.simulated import device as simulated  # noqa: F401
 from softfinger.drivers.spacemouse import device as spacemouse  # noqa: F401  (compiled by their import)
-from softfinger.proxy.engine import compiled
+from softfinger.proxy.engine import compile_steps
 from softfinger.server.driver_contract import RATE_HZ, make_pulling_tuning
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
@@ -30,7 +30,7 @@ def main() -> None:
             servo = ServoThread([device], tuning, RATE_HZ)
             servo.compile()
             servo.close()
-    compiled(make_tuning(load_scene(SCENES[0]), rig.guard).scene)
+    compile_steps(make_tuning(load_scene(SCENES[0]), rig.guard).scene)
     Relay(1).close()
 
 

@@ -113,17 +113,17 @@ class RollingCase(NamedTuple):
     passes: int
 
 
-def ticks(case: RollingCase) -> int:
+def count_ticks(case: RollingCase) -> int:
     return max(MIN_TICKS, round(case.rate_hz * min(DURATION_S, MAX_ANGLE_RAD / case.turn_rate)))
 
 
-def ratio_of(surface: str, ratio: float | None) -> float:
+def compute_ratio(surface: str, ratio: float | None) -> float:
     """Return the curvature ratio r / size of a surface, 0 for a plane."""
     size = SURFACES[surface].size
     return ratio if ratio is not None else (RADIUS_M / size if size else 0.0)
 
 
-def contact(surface: str, ratio: float | None) -> tuple[Any, model.Vec3, model.Vec3]:
+def make_contact(surface: str, ratio: float | None) -> tuple[Any, model.Vec3, model.Vec3]:
     """Return the shape with that curvature ratio, and centre (3,) m and normal (3,) of the first contact."""
     surface_case = SURFACES[surface]
     scale = 1.0 if ratio is None else RADIUS_M / (surface_case.size * ratio)
@@ -145,16 +145,16 @@ def scale_shape(shape: Any, scale: float) -> Any:
     )
 
 
-def rolling_axis(normal: model.Vec3) -> Array:
+def find_rolling_axis(normal: model.Vec3) -> Array:
     """Return the unit tangent (3,) about which the finger rolls at first, so that it starts along TRAVEL."""
     axis = np.cross(normal, TRAVEL)
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def angular_velocity(case: RollingCase, normal: model.Vec3) -> Callable[[float], Array]:
-    """Return w(t) (3,) rad/s in the object frame; see `orientations` for the motion."""
-    n, e = np.array(normal), rolling_axis(normal)
-    roll_rate, spin_rate = rates(case)
+def compute_angular_velocity(case: RollingCase, normal: model.Vec3) -> Callable[[float], Array]:
+    """Return w(t) (3,) rad/s in the object frame; see `compute_orientations` for the motion."""
+    n, e = np.array(normal), find_rolling_axis(normal)
+    roll_rate, spin_rate = compute_rates(case)
     if case.motion == "constant":
         w = roll_rate * e + spin_rate * n
         return lambda _: w
@@ -170,21 +170,21 @@ def angular_velocity(case: RollingCase, normal: model.Vec3) -> Callable[[float],
     return changing
 
 
-def rates(case: RollingCase) -> tuple[float, float]:
+def compute_rates(case: RollingCase) -> tuple[float, float]:
     """Return the rates of roll and spin at the start, rad/s, for the given size and ratio."""
     angle = atan(case.spin_ratio)
     return case.turn_rate * cos(angle), case.turn_rate * sin(angle)
 
 
-def orientations(case: RollingCase, normal: model.Vec3, times: Array) -> Array:
+def compute_orientations(case: RollingCase, normal: model.Vec3, times: Array) -> Array:
     """Return the orientations (n, 4) of the fingertip at `times` (n,) s.
 
     "constant" turns at one angular velocity. "changing" is a product of three oscillations: a tilt about a tangent
     axis, a spin about the first normal, and a sway about the other tangent axis, applied in this order. Tilt and spin
     start at their full rate, sway starts at rest. Two poses do not determine this motion.
     """
-    n, e = np.array(normal), rolling_axis(normal)
-    roll_rate, spin_rate = rates(case)
+    n, e = np.array(normal), find_rolling_axis(normal)
+    roll_rate, spin_rate = compute_rates(case)
     if case.motion == "constant":
         w = roll_rate * e + spin_rate * n
         return exp(times[:, None] * w)
@@ -195,7 +195,7 @@ def orientations(case: RollingCase, normal: model.Vec3, times: Array) -> Array:
     return multiply(sway, multiply(spin, tilt))
 
 
-def turns(q: Array) -> Array:
+def compute_turns(q: Array) -> Array:
     """Return the shortest rotations (n - 1, 4) from each of the orientations `q` (n, 4) to the next."""
     steps = multiply(q[1:], conjugate(q[:-1]))
     return np.ascontiguousarray(np.where(steps[:, :1] < 0.0, -steps, steps))
@@ -214,7 +214,7 @@ class Sweep(NamedTuple):
     quick: bool
 
 
-def cases(sweep: Sweep) -> list[RollingCase]:
+def list_cases(sweep: Sweep) -> list[RollingCase]:
     """Return the cases, ordered so that cases with the same reference path are consecutive.
 
     Curvature ratios at which the fingertip does not fit are left out, and steps that are too long: two poses determine

@@ -14,8 +14,8 @@ from typing import Any, Final, NamedTuple
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.server.loop.clock import Stopwatch, now_ns
-from softfinger.tools.accuracy.montana import Coordinates, advance, chart, rolling_rates
+from softfinger.server.loop.clock import Stopwatch, read_clock_ns
+from softfinger.tools.accuracy.montana import Coordinates, advance, compute_chart, compute_rolling_rates
 from softfinger.tools.measure import Array
 
 RELATIVE_TOLERANCE: Final = 1e-3
@@ -49,30 +49,30 @@ class Steps(NamedTuple):
 
 
 @jit
-def slope(radius: float, shape: Any, at: Coordinates, w: Vec3, normal: Vec3, angle: float) -> Coordinates:
+def compute_slope(radius: float, shape: Any, at: Coordinates, w: Vec3, normal: Vec3, angle: float) -> Coordinates:
     """Return the rates of the coordinates at the angular velocity `w` (3,) rad/s, turned by `angle` about `normal`."""
     if angle != 0.0:
         c, s = cos(angle), sin(angle)
         along = vec3.scale((1.0 - c) * vec3.dot(w, normal), normal)
         w = vec3.add(vec3.add_scaled(vec3.scale(c, w), s, vec3.cross(normal, w)), along)
-    return rolling_rates(radius, shape, at, w)
+    return compute_rolling_rates(radius, shape, at, w)
 
 
 @jit
-def weight(y: float, y_ahead: float) -> float:
+def compute_weight(y: float, y_ahead: float) -> float:
     return 1.0 / max(abs(y), abs(y_ahead), THRESHOLD)
 
 
 @jit
-def largest(v: Coordinates, y: Coordinates, y_ahead: Coordinates) -> float:
+def find_largest(v: Coordinates, y: Coordinates, y_ahead: Coordinates) -> float:
     """Return the largest component of v, each relative to the larger of y and other, or to the threshold."""
-    first = max(abs(v.u_f) * weight(y.u_f, y_ahead.u_f), abs(v.v_f) * weight(y.v_f, y_ahead.v_f))
-    second = max(abs(v.u_o) * weight(y.u_o, y_ahead.u_o), abs(v.v_o) * weight(y.v_o, y_ahead.v_o))
-    return max(first, second, abs(v.psi) * weight(y.psi, y_ahead.psi))
+    first = max(abs(v.u_f) * compute_weight(y.u_f, y_ahead.u_f), abs(v.v_f) * compute_weight(y.v_f, y_ahead.v_f))
+    second = max(abs(v.u_o) * compute_weight(y.u_o, y_ahead.u_o), abs(v.v_o) * compute_weight(y.v_o, y_ahead.v_o))
+    return max(first, second, abs(v.psi) * compute_weight(y.psi, y_ahead.psi))
 
 
 @jit
-def ode45(
+def solve_ode45(
     radius: float, shape: Any, start: Coordinates, precession: Precession, span: float, share: float
 ) -> tuple[Coordinates, int]:
     """Return the coordinates after `span` (s), and the number of evaluations of the equations.
@@ -81,9 +81,9 @@ def ode45(
     """
     w, normal, angle, spin_rate = precession
     y, t, count = start, 0.0, 1
-    k1 = slope(radius, shape, y, w, normal, angle)
+    k1 = compute_slope(radius, shape, y, w, normal, angle)
     h = share * span
-    rate_ratio = largest(k1, y, y) / (0.8 * RELATIVE_TOLERANCE**0.2)
+    rate_ratio = find_largest(k1, y, y) / (0.8 * RELATIVE_TOLERANCE**0.2)
     if h * rate_ratio > 1.0:
         h = 1.0 / rate_ratio
     failed, is_done = False, False
@@ -94,25 +94,25 @@ def ode45(
             h = span - t
         at = angle + spin_rate * t
         turn = spin_rate * h
-        k2 = slope(radius, shape, advance(y, h / 5, k1), w, normal, at + turn / 5)
+        k2 = compute_slope(radius, shape, advance(y, h / 5, k1), w, normal, at + turn / 5)
         ahead = advance(advance(y, h * 3 / 40, k1), h * 9 / 40, k2)
-        k3 = slope(radius, shape, ahead, w, normal, at + turn * 3 / 10)
+        k3 = compute_slope(radius, shape, ahead, w, normal, at + turn * 3 / 10)
         ahead = advance(advance(advance(y, h * 44 / 45, k1), h * -56 / 15, k2), h * 32 / 9, k3)
-        k4 = slope(radius, shape, ahead, w, normal, at + turn * 4 / 5)
+        k4 = compute_slope(radius, shape, ahead, w, normal, at + turn * 4 / 5)
         ahead = advance(advance(y, h * 19372 / 6561, k1), h * -25360 / 2187, k2)
         ahead = advance(advance(ahead, h * 64448 / 6561, k3), h * -212 / 729, k4)
-        k5 = slope(radius, shape, ahead, w, normal, at + turn * 8 / 9)
+        k5 = compute_slope(radius, shape, ahead, w, normal, at + turn * 8 / 9)
         ahead = advance(advance(y, h * 9017 / 3168, k1), h * -355 / 33, k2)
         ahead = advance(advance(advance(ahead, h * 46732 / 5247, k3), h * 49 / 176, k4), h * -5103 / 18656, k5)
-        k6 = slope(radius, shape, ahead, w, normal, at + turn)
+        k6 = compute_slope(radius, shape, ahead, w, normal, at + turn)
         ahead = advance(advance(advance(y, h * 35 / 384, k1), h * 500 / 1113, k3), h * 125 / 192, k4)
         ahead = advance(advance(ahead, h * -2187 / 6784, k5), h * 11 / 84, k6)
-        k7 = slope(radius, shape, ahead, w, normal, at + turn)
+        k7 = compute_slope(radius, shape, ahead, w, normal, at + turn)
         count += 6
         nothing = Coordinates(0.0, 0.0, 0.0, 0.0, 0.0)
         error_estimate = advance(advance(advance(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)
         error_estimate = advance(advance(advance(error_estimate, -17253 / 339200, k5), 22 / 525, k6), -1 / 40, k7)
-        error = h * largest(error_estimate, y, ahead)
+        error = h * find_largest(error_estimate, y, ahead)
         if error > RELATIVE_TOLERANCE:
             # Only the first failure in a row trusts the error estimate.
             h *= 0.5 if failed else max(0.1, 0.8 * (RELATIVE_TOLERANCE / error) ** 0.2)
@@ -135,15 +135,15 @@ def roll_classical(
     Every step stores the contact point in a row of `path` (n, 3). Returns the evaluations of the equations in a block.
     """
     turns, dt, spin_rate = steps
-    count, normal = 0, chart(shape, start.u_o, start.v_o).z
+    count, normal = 0, compute_chart(shape, start.u_o, start.v_o).z
     for block in range(watch.ns.shape[0]):
-        start_ns = now_ns(watch.timespec)
+        start_ns = read_clock_ns(watch.timespec)
         at, count = start, 0
         for i in range(turns.shape[0]):
             w = vec3.scale(1.0 / dt, rotations.log((turns[i, 0], turns[i, 1], turns[i, 2], turns[i, 3])))
             precession = Precession(w, normal, spin_rate * dt * i, spin_rate)
-            at, evaluations = ode45(radius, shape, at, precession, dt, share)
+            at, evaluations = solve_ode45(radius, shape, at, precession, dt, share)
             count += evaluations
-            path[i, 0], path[i, 1], path[i, 2] = chart(shape, at.u_o, at.v_o).point
-        watch.ns[block] = now_ns(watch.timespec) - start_ns
+            path[i, 0], path[i, 1], path[i, 2] = compute_chart(shape, at.u_o, at.v_o).point
+        watch.ns[block] = read_clock_ns(watch.timespec) - start_ns
     return count

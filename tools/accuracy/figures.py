@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.figures import make_figure, save
 from softfinger.tools.accuracy.cases import METHODS
-from softfinger.tools.accuracy.front import front, group_by, standard
-from softfinger.tools.accuracy.paper import MOTIONS, exact_path, method_path
+from softfinger.tools.accuracy.front import find_front, group_by, select_standard
+from softfinger.tools.accuracy.paper import MOTIONS, compute_exact_path, compute_method_path
 
 COLUMNS: Final = 4
 ORDER_SURFACES: Final = ("ellipsoid", "torus")
@@ -23,13 +23,13 @@ PLOT_STRIDE: Final = 4
 """One of so many steps of the paper's paths is drawn."""
 
 
-def colour(method: str) -> str:
+def choose_colour(method: str) -> str:
     return f"C{list(METHODS).index(method)}"
 
 
-def panels(path: Path, names: Sequence[str], columns: int) -> tuple[Any, list[Any]]:
+def make_panels(path: Path, names: Sequence[str], columns: int) -> tuple[Any, list[Any]]:
     rows = -(-len(names) // columns)
-    drawing = figure(2.9 * columns + 0.6, 2.3 * rows + 0.8)
+    drawing = make_figure(2.9 * columns + 0.6, 2.3 * rows + 0.8)
     axes_list = drawing.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes, name in zip(axes_list, names, strict=False):
         axes.set_title(name, fontsize="medium")
@@ -45,20 +45,20 @@ def draw_fronts(result: dict[str, Any], path: Path) -> None:
 
     Of two motions, the changing one is drawn, since the closed forms have no error at a constant rate.
     """
-    rows = standard(result["trade"])
+    rows = select_standard(result["trade"])
     motion = "changing" if any(row["motion"] == "changing" for row in rows) else "constant"
     surfaces = group_by((row for row in rows if row["motion"] == motion), "surface")
     groups = {str(name): group for (name,), group in surfaces}
-    drawing, axes_list = panels(path, list(groups), min(COLUMNS, len(groups)))
+    drawing, axes_list = make_panels(path, list(groups), min(COLUMNS, len(groups)))
     lines: dict[str, Any] = {}
     for axes, group in zip(axes_list, groups.values(), strict=True):
-        chosen = front(group)
+        chosen = find_front(group)
         points = [(row["ns_per_step"] / row["step_s"] * 1e-9, max(row["max_error_m"], FLOOR_M)) for row in chosen]
         (lines["Pareto front"],) = axes.loglog(*zip(*points, strict=True), **FRONT)
         for (method,), ladder in group_by(group, "method"):
             load = [row["ns_per_step"] / row["step_s"] * 1e-9 for row in ladder]
             error = [max(row["max_error_m"], FLOOR_M) for row in ladder]
-            (lines[method],) = axes.loglog(load, error, color=colour(method), linewidth=1)
+            (lines[method],) = axes.loglog(load, error, color=choose_colour(method), linewidth=1)
     rates = span([row["rate_hz"] for row in rows])
     x = f"computing time, s per s of motion; {motion} rate, servo at {rates} Hz"
     label(drawing, axes_list, x, "largest error, m", lines)
@@ -67,7 +67,7 @@ def draw_fronts(result: dict[str, Any], path: Path) -> None:
 
 def draw_orders(result: dict[str, Any], path: Path) -> None:
     """Draw error against step on surfaces without a closed form, with the slopes of orders 1, 2 and 4."""
-    rows = standard(result["trade"])
+    rows = select_standard(result["trade"])
     measured = {row["surface"] for row in rows}
     names = [name for name in ORDER_SURFACES if name in measured] or sorted(measured)[:2]
     groups = {
@@ -75,13 +75,13 @@ def draw_orders(result: dict[str, Any], path: Path) -> None:
         for (name, motion), group in group_by(rows, "surface", "motion")
         if name in names
     }
-    drawing, axes_list = panels(path, list(groups), min(2, len(groups)))
+    drawing, axes_list = make_panels(path, list(groups), min(2, len(groups)))
     lines: dict[str, Any] = {}
     for axes, group in zip(axes_list, groups.values(), strict=True):
         for (method,), ladder in group_by(group, "method"):
             steps = [row["step_s"] for row in ladder]
             error = [max(row["max_error_m"], FLOOR_M) for row in ladder]
-            (lines[method],) = axes.loglog(steps, error, color=colour(method), marker=".", linewidth=1)
+            (lines[method],) = axes.loglog(steps, error, color=choose_colour(method), marker=".", linewidth=1)
         step = np.array([min(row["step_s"] for row in group), max(row["step_s"] for row in group)])
         for order, at in ((1, 1e-3), (2, 1e-4), (4, 1e-7)):
             slope = at * (step / step[1]) ** order
@@ -93,15 +93,15 @@ def draw_orders(result: dict[str, Any], path: Path) -> None:
 
 def draw_paper(result: dict[str, Any], path: Path) -> None:
     """Draw the paths of the paper's experiment for the reference and the methods, and their largest differences."""
-    drawing = figure(9.0, 6.4)
+    drawing = make_figure(9.0, 6.4)
     above, below = drawing.subplots(2, 2)
     lines: dict[str, Any] = {}
     for axes, bars, motion in zip(above, below, MOTIONS, strict=True):
-        x, y, _ = 1e3 * exact_path(motion)[::PLOT_STRIDE].T
+        x, y, _ = 1e3 * compute_exact_path(motion)[::PLOT_STRIDE].T
         (lines["reference"],) = axes.plot(x, y, color="0.8", linewidth=4)
         for name in ("euler_zxz", "euler_zyx", "rotation_vector"):
-            x, y, _ = 1e3 * method_path(name, motion)[::PLOT_STRIDE].T
-            (lines[name],) = axes.plot(x, y, color=colour(name), linewidth=1)
+            x, y, _ = 1e3 * compute_method_path(name, motion)[::PLOT_STRIDE].T
+            (lines[name],) = axes.plot(x, y, color=choose_colour(name), linewidth=1)
         axes.set_title(f"axes of the {motion.replace('_', ' ')}", fontsize="medium")
         axes.set(xlabel="x, mm", ylabel="y, mm")
         rows = [row for row in result["paper"] if row["motion"] == motion]

@@ -12,20 +12,20 @@ import numpy as np
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, roll
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.shapes import closest
-from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
+from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns
 from softfinger.tools.accuracy.cases import (
     METHODS,
     RADIUS_M,
     RollingCase,
-    angular_velocity,
-    contact,
-    orientations,
-    ratio_of,
-    ticks,
-    turns,
+    compute_angular_velocity,
+    compute_orientations,
+    compute_ratio,
+    compute_turns,
+    count_ticks,
+    make_contact,
 )
 from softfinger.tools.accuracy.reference import roll_path
-from softfinger.tools.bench.step import reference_ns
+from softfinger.tools.bench.step import measure_reference_ns
 from softfinger.tools.measure import Array
 
 BLOCK_STEPS: Final = 1000
@@ -38,12 +38,12 @@ DRIFT_BLOCK: Final = 1000
 def roll_turns(
     method: Any, shape: Any, radius: float, start: OffsetPoint, turns: Array, passes: int, path: Array, watch: Stopwatch
 ) -> None:
-    """Roll through `turns` (n, 4) from one contact, `passes` times for each block of `watch`.
+    """Roll through `compute_turns` (n, 4) from one contact, `passes` times for each block of `watch`.
 
     Every step stores centre, normal and total spin in a row of `path` (n, 7), as a servo stores a record.
     """
     for block in range(watch.ns.shape[0]):
-        start_ns = now_ns(watch.timespec)
+        start_ns = read_clock_ns(watch.timespec)
         for _ in range(passes):
             center, n, spin = start.center, start.normal, 0.0
             for i in range(turns.shape[0]):
@@ -52,7 +52,7 @@ def roll_turns(
                 path[i, 0], path[i, 1], path[i, 2] = center
                 path[i, 3], path[i, 4], path[i, 5] = n
                 path[i, 6] = spin
-        watch.ns[block] = now_ns(watch.timespec) - start_ns
+        watch.ns[block] = read_clock_ns(watch.timespec) - start_ns
 
 
 class RollResult(NamedTuple):
@@ -67,41 +67,41 @@ class RollResult(NamedTuple):
 def roll_path_timed(method: Any, shape: Any, center: Any, normal: Any, dq: Array, passes: int = 1) -> RollResult:
     """Return the path of the fingertip through the rotations `dq` (n, 4), timed in `passes` blocks."""
     path, repeats = np.zeros((len(dq), 7)), ceil(BLOCK_STEPS / len(dq)) if passes > 1 else 1
-    watch = stopwatch(passes)
+    watch = make_stopwatch(passes)
     roll_turns(method, shape, RADIUS_M, OffsetPoint(center, normal), dq, repeats, path, watch)
     points = path[:, :3] - RADIUS_M * path[:, 3:6]
     return RollResult(points, path[:, 3:6], path[:, 6], float(np.median(watch.ns)) / (repeats * len(dq)))
 
 
 @lru_cache(maxsize=16)
-def reference(case: RollingCase) -> tuple[Array, Array]:
+def integrate_reference(case: RollingCase) -> tuple[Array, Array]:
     """Return contact points (n, 3) m and spins (n,) rad of the reference after each step; `case` has no method."""
     times = step_times(case)
-    points, _, spins = _reference_path(case._replace(rate_hz=0.0), float(times[-1])).at(times[1:])
+    points, _, spins = _integrate_path(case._replace(rate_hz=0.0), float(times[-1])).at(times[1:])
     return points, spins
 
 
 @lru_cache(maxsize=4)
-def _reference_path(case: RollingCase, duration_s: float) -> Any:
+def _integrate_path(case: RollingCase, duration_s: float) -> Any:
     """Return the path, the same at all servo rates."""
-    shape, center, normal = contact(case.surface, case.curvature_ratio)
+    shape, center, normal = make_contact(case.surface, case.curvature_ratio)
     # The normal turns with the finger at r / (r + R) of its rate; in a cavity that it nearly fills, much faster.
-    ratio = ratio_of(case.surface, case.curvature_ratio)
+    ratio = compute_ratio(case.surface, case.curvature_ratio)
     faster = ratio / (1.0 - ratio) if getattr(shape, "side", 1.0) < 0.0 else 0.0
     steps = ceil(20.0 * case.turn_rate * duration_s * max(1.0, faster))
-    return roll_path(shape, RADIUS_M, center, normal, angular_velocity(case, normal), duration_s, steps)
+    return roll_path(shape, RADIUS_M, center, normal, compute_angular_velocity(case, normal), duration_s, steps)
 
 
 def step_times(case: RollingCase) -> Array:
-    count = ticks(case)
+    count = count_ticks(case)
     return np.linspace(0.0, count / case.rate_hz, count + 1)
 
 
 def run_case(case: RollingCase) -> dict[str, Any]:
-    shape, center, normal = contact(case.surface, case.curvature_ratio)
-    dq = turns(orientations(case, normal, step_times(case)))
-    points, spins = reference(case._replace(method="", passes=0))
-    unit = reference_ns()
+    shape, center, normal = make_contact(case.surface, case.curvature_ratio)
+    dq = compute_turns(compute_orientations(case, normal, step_times(case)))
+    points, spins = integrate_reference(case._replace(method="", passes=0))
+    unit = measure_reference_ns()
     rolled = roll_path_timed(METHODS[case.method], shape, center, normal, dq, case.passes)
     return {
         "surface": case.surface,
@@ -111,7 +111,7 @@ def run_case(case: RollingCase) -> dict[str, Any]:
         "rate_hz": case.rate_hz,
         "turn_rate_rad_per_s": case.turn_rate,
         "step_angle_rad": case.turn_rate / case.rate_hz,
-        "curvature_ratio": ratio_of(case.surface, case.curvature_ratio),
+        "curvature_ratio": compute_ratio(case.surface, case.curvature_ratio),
         "given_ratio": case.curvature_ratio,
         "spin_ratio": case.spin_ratio,
         "steps": len(dq),
@@ -140,7 +140,7 @@ def run_drift(case: DriftCase) -> dict[str, Any]:
     The finger rolls in loops of the radius DRIFT_STEP_RAD r DRIFT_BLOCK / 2 pi and spins back and forth. On a plane the
     path remains near the start; on curved shapes it covers the surface.
     """
-    shape, center, normal = contact(case.surface, None)
+    shape, center, normal = make_contact(case.surface, None)
     t = 2.0 * np.pi * (np.arange(DRIFT_BLOCK) + 0.5) / DRIFT_BLOCK
     half = 0.5 * DRIFT_STEP_RAD * np.column_stack([np.cos(t), np.sin(t), 0.5 * np.cos(2.0 * t)])
     dq = np.column_stack([np.sqrt(1.0 - np.sum(half * half, axis=1)), half])

@@ -25,8 +25,8 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.records import Records
-from softfinger.server.offline.figures import figure, save
-from softfinger.server.progress import progress
+from softfinger.server.offline.figures import make_figure, save
+from softfinger.server.progress import show_progress
 from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.measure import Array, show_and_draw
 
@@ -43,10 +43,10 @@ HEADINGS_RAD: Final = tuple(np.radians((20.0, 45.0, 70.0)))
 One path crosses too few edges of a coarse mesh for a slope, and a path along edges crosses none. Therefore the largest
 difference of three paths counts.
 """
-PRESSED: Final = 300
+DESCENT_TICKS: Final = 300
 """Ticks in which the fingertip descends, before the ones that count."""
 FINENESS: Final = (8, 16, 32, 64)
-FITTED: Final = 3
+FITTED_MESHES: Final = 3
 """Number of the finest meshes to which the orders are fitted."""
 MEASURES: Final = {
     "force_n": "force",
@@ -69,7 +69,7 @@ class MeshCase(NamedTuple):
 class LedPath(NamedTuple):
     """Path of the fingertip, and the contact of the surface along it.
 
-    poses    (PRESSED + n, 7)  m    descent onto the surface, then motion along it
+    poses    (DESCENT_TICKS + n, 7)  m    descent onto the surface, then motion along it
     points   (n, 3)            m    contact points
     normals  (n, 3)                 normals at the contact points
     rolled   (n,)              rad  angle, summed over ticks
@@ -81,33 +81,33 @@ class LedPath(NamedTuple):
     rolled: Array
 
 
-def cells(at: NDArray[np.int64]) -> NDArray[np.int64]:
+def triangulate_cells(at: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return two triangles for each cell of a grid of vertex indices, wound from the rows towards the columns."""
     a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
     return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
 
-def grid(points: Array, rows_meet: bool = False, columns_meet: bool = False) -> Arrays:
+def triangulate_grid(points: Array, rows_meet: bool = False, columns_meet: bool = False) -> Arrays:
     """Return the triangles of a grid of points (n, m, 3) m; the last row or column may connect to the first."""
     at = np.arange(points[..., 0].size).reshape(points.shape[:2])
-    return points.reshape(-1, 3), cells(np.pad(at, ((0, rows_meet), (0, columns_meet)), mode="wrap"))
+    return points.reshape(-1, 3), triangulate_cells(np.pad(at, ((0, rows_meet), (0, columns_meet)), mode="wrap"))
 
 
-def ring(major: float, minor: float, along: int, around: int) -> Arrays:
+def make_ring(major: float, minor: float, along: int, around: int) -> Arrays:
     u, v = (2.0 * np.pi * np.arange(count)[:, None] / count for count in (along, around))
     out, up = major + minor * np.cos(v.T), minor * np.sin(v.T)
-    return grid(np.stack([np.cos(u) * out, np.sin(u) * out, 0.0 * u + up], axis=2), True, True)
+    return triangulate_grid(np.stack([np.cos(u) * out, np.sin(u) * out, 0.0 * u + up], axis=2), True, True)
 
 
-def tube(radius: float, length: float, around: int, along: int) -> Arrays:
+def make_tube(radius: float, length: float, around: int, along: int) -> Arrays:
     """Return a tube about the z axis that is open at its ends."""
     u, z = 2.0 * np.pi * np.arange(around) / around, np.linspace(-0.5, 0.5, along + 1)[:, None] * length
     points = np.stack(np.broadcast_arrays(radius * np.cos(u), radius * np.sin(u), z), axis=2)
-    vertices, triangles = grid(points, columns_meet=True)
+    vertices, triangles = triangulate_grid(points, columns_meet=True)
     return vertices, triangles[:, ::-1]
 
 
-def geodesic(corners: Array, faces: Sequence[Sequence[int]], fineness: int) -> Arrays:
+def make_geodesic(corners: Array, faces: Sequence[Sequence[int]], fineness: int) -> Arrays:
     """Return a polyhedron with each face divided into fineness^2 triangles, projected onto the unit sphere."""
     i, j = (axis.ravel() for axis in np.indices((fineness + 1, fineness + 1)))
     keep = i + j <= fineness
@@ -126,30 +126,30 @@ def geodesic(corners: Array, faces: Sequence[Sequence[int]], fineness: int) -> A
     return points[first] / np.linalg.norm(points[first], axis=1)[:, None], places.ravel()[triangles]
 
 
-def ball(radius: float, fineness: int) -> Arrays:
+def make_ball(radius: float, fineness: int) -> Arrays:
     """Return an octahedron with divided faces, projected onto a sphere: 8 x fineness^2 triangles."""
     octants = product((0, 3), (1, 4), (2, 5))
     outward = [(x, y, z) if (x + y + z) % 2 else (y, x, z) for x, y, z in octants]
-    points, triangles = geodesic(np.vstack([np.eye(3), -np.eye(3)]), outward, fineness)
+    points, triangles = make_geodesic(np.vstack([np.eye(3), -np.eye(3)]), outward, fineness)
     return radius * points, triangles
 
 
 CASES: Final = {
-    "ball": MeshCase(model.Sphere(0.05, 1.0), lambda n: ball(0.05, 2 * n), (0.04, 0.02, 0.03)),
-    "cylinder": MeshCase(model.Cylinder(0.03, 1.0), lambda n: tube(0.03, 0.2, 8 * n, 4 * n), (0.04, 0.02, 0.003)),
-    "torus": MeshCase(model.Torus(0.05, 0.02, 1.0), lambda n: ring(0.05, 0.02, 6 * n, 3 * n), (0.06, 0.03, 0.01)),
+    "ball": MeshCase(model.Sphere(0.05, 1.0), lambda n: make_ball(0.05, 2 * n), (0.04, 0.02, 0.03)),
+    "cylinder": MeshCase(model.Cylinder(0.03, 1.0), lambda n: make_tube(0.03, 0.2, 8 * n, 4 * n), (0.04, 0.02, 0.003)),
+    "torus": MeshCase(model.Torus(0.05, 0.02, 1.0), lambda n: make_ring(0.05, 0.02, 6 * n, 3 * n), (0.06, 0.03, 0.01)),
 }
 
 
 def run(args: argparse.Namespace) -> int:
     rows: list[dict[str, Any]] = []
-    with progress("meshes of surfaces", len(CASES) * len(FINENESS)) as update:
+    with show_progress("meshes of surfaces", len(CASES) * len(FINENESS)) as update:
         for name in CASES:
             for row in converge(name, FINENESS):
                 rows.append(row)
                 update(len(rows))
-    result = {"rows": rows, "orders": {name: orders([r for r in rows if r["surface"] == name]) for name in CASES}}
-    return show_and_draw(args, result, lines(result), lambda path: draw(result, path))
+    result = {"rows": rows, "orders": {name: fit_orders([r for r in rows if r["surface"] == name]) for name in CASES}}
+    return show_and_draw(args, result, format_lines(result), lambda path: draw(result, path))
 
 
 def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator[dict[str, Any]]:
@@ -158,15 +158,17 @@ def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator
     A row also has the largest change of the force's direction from tick to tick, rad, which is N per N.
     """
     case = CASES[name]
-    paths = [lead_path(case.shape, *begins(case), heading, ticks) for heading in HEADINGS_RAD]
+    paths = [make_lead_path(case.shape, *find_start(case), heading, ticks) for heading in HEADINGS_RAD]
     for n in fineness:
         vertices, triangles = case.triangles(n)
         edges = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
         with tempfile.TemporaryDirectory() as folder:
             table = {"shape": "mesh", "file": save_mesh(Path(folder), vertices, triangles)}
-            flat, rolls = (Engine(scene_of(table, sticks)) for sticks in (False, True))
-            shaded = Engine(scene_of(table | {"shading": "normals"}, False))
-        rows = [differences(path, *(visit(rendered, path) for rendered in (flat, shaded, rolls))) for path in paths]
+            flat, rolls = (Engine(make_scene(table, sticks)) for sticks in (False, True))
+            shaded = Engine(make_scene(table | {"shading": "normals"}, False))
+        rows = [
+            find_differences(path, *(visit(rendered, path) for rendered in (flat, shaded, rolls))) for path in paths
+        ]
         yield {
             "surface": name,
             "triangles": len(triangles),
@@ -178,11 +180,11 @@ def converge(name: str, fineness: Sequence[int], ticks: int = TICKS) -> Iterator
 def visit(engine: Engine, path: LedPath) -> Records:
     """Return the records (n,) of a path after the descent, from a reset engine."""
     engine.reset()
-    records: Records = engine.run(path.poses)[PRESSED:]
+    records: Records = engine.run(path.poses)[DESCENT_TICKS:]
     return records
 
 
-def differences(path: LedPath, flat: Records, shaded: Records, rolls: Records) -> dict[str, float]:
+def find_differences(path: LedPath, flat: Records, shaded: Records, rolls: Records) -> dict[str, float]:
     """Return the largest differences of a mesh from its surface on a path.
 
     flat, shaded  records without friction
@@ -190,24 +192,24 @@ def differences(path: LedPath, flat: Records, shaded: Records, rolls: Records) -
     """
     distances = np.einsum("ij,ij->i", flat["contact.point"] - path.points, path.normals)
     return {
-        "force_n": largest(flat["contact.normal_force"] - STIFFNESS * DEPTH_M),
-        "point_m": largest(distances),
-        "rolled_m": RADIUS_M * largest(rolls["contact.rolled"] - path.rolled),
-        "wound_m": largest(rolls["contact.tangential_force"]) / STIFFNESS,
-        "direction_rad": largest(along(flat) - path.normals),
-        "shaded_rad": largest(along(shaded) - path.normals),
-        "step_rad": largest(np.diff(along(flat), axis=0)),
-        "shaded_step_rad": largest(np.diff(along(shaded), axis=0)),
+        "force_n": find_largest(flat["contact.normal_force"] - STIFFNESS * DEPTH_M),
+        "point_m": find_largest(distances),
+        "rolled_m": RADIUS_M * find_largest(rolls["contact.rolled"] - path.rolled),
+        "wound_m": find_largest(rolls["contact.tangential_force"]) / STIFFNESS,
+        "direction_rad": find_largest(compute_directions(flat) - path.normals),
+        "shaded_rad": find_largest(compute_directions(shaded) - path.normals),
+        "step_rad": find_largest(np.diff(compute_directions(flat), axis=0)),
+        "shaded_step_rad": find_largest(np.diff(compute_directions(shaded), axis=0)),
     }
 
 
-def begins(case: MeshCase) -> tuple[Array, Array]:
+def find_start(case: MeshCase) -> tuple[Array, Array]:
     """Return the point (3,) m of the surface where a path starts, and its normal (3,)."""
     _, foot, up = closest(case.shape, case.near)
     return np.array(foot), np.array(up)
 
 
-def lead_path(shape: Any, foot: Array, normal: Array, heading: float, ticks: int) -> LedPath:
+def make_lead_path(shape: Any, foot: Array, normal: Array, heading: float, ticks: int) -> LedPath:
     """Return the descent onto a point and the path on which the fingertip rolls from there.
 
     foot     (3,)  m, point of the surface
@@ -220,16 +222,16 @@ def lead_path(shape: Any, foot: Array, normal: Array, heading: float, ticks: int
     t = np.linspace(0.0, 1.0, ticks)
     begun = foot + RADIUS_M * normal
     points, normals, _ = roll_path(shape, RADIUS_M, begun, normal, lambda _: TURN_RAD * axis).at(t)
-    down = np.minimum(np.arange(PRESSED) / (0.7 * PRESSED), 1.0)[:, None]
+    down = np.minimum(np.arange(DESCENT_TICKS) / (0.7 * DESCENT_TICKS), 1.0)[:, None]
     heights = RADIUS_M + 0.1 * DEPTH_M - 1.1 * DEPTH_M * down
     places = np.concatenate([points[0] + heights * normals[0], points + (RADIUS_M - DEPTH_M) * normals])
-    half = 0.5 * TURN_RAD * np.concatenate([np.zeros(PRESSED), t])[:, None]
+    half = 0.5 * TURN_RAD * np.concatenate([np.zeros(DESCENT_TICKS), t])[:, None]
     # A tick rolls in the tangent plane at its end.
     steps = TURN_RAD * np.diff(t, prepend=0.0) * np.linalg.norm(np.cross(axis, normals), axis=1)
     return LedPath(np.hstack([places, np.cos(half), np.sin(half) * axis]), points, normals, np.cumsum(steps))
 
 
-def scene_of(table: dict[str, Any], sticks: bool) -> schema.Scene:
+def make_scene(table: dict[str, Any], sticks: bool) -> schema.Scene:
     material: dict[str, Any] = {"stiffness_n_per_m": STIFFNESS}
     tables: dict[str, Any] = {
         "fingertip": {"radius_m": RADIUS_M},
@@ -254,23 +256,25 @@ def save_mesh(folder: Path, vertices: Array, triangles: NDArray[np.int64]) -> st
     return str(path)
 
 
-def along(records: Records) -> Array:
+def compute_directions(records: Records) -> Array:
     """Return the unit vectors (n, 3) of the forces."""
     forces: Array = records["force"]
     return np.asarray(forces / np.linalg.norm(forces, axis=1)[:, None])
 
 
-def largest(values: Array) -> float:
+def find_largest(values: Array) -> float:
     return float((np.linalg.norm(values, axis=1) if values.ndim > 1 else np.abs(values)).max())
 
 
-def orders(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+def fit_orders(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Return the slopes of the errors against the edge length, in logarithms, of the finest meshes."""
-    edges = np.log([row["edge_m"] for row in rows[-FITTED:]])
-    return {key: float(np.polyfit(edges, np.log([row[key] for row in rows[-FITTED:]]), 1)[0]) for key in MEASURES}
+    edges = np.log([row["edge_m"] for row in rows[-FITTED_MESHES:]])
+    return {
+        key: float(np.polyfit(edges, np.log([row[key] for row in rows[-FITTED_MESHES:]]), 1)[0]) for key in MEASURES
+    }
 
 
-def lines(result: dict[str, Any]) -> Iterator[str]:
+def format_lines(result: dict[str, Any]) -> Iterator[str]:
     yield "largest differences of a mesh from its surface; the slope over the edge's length of the finest three"
     for row in result["rows"]:
         errors = "  ".join(f"{key} {row[key]:.1e}" for key in (*MEASURES, "step_rad", "shaded_step_rad"))
@@ -281,7 +285,7 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
 
 def draw(result: dict[str, Any], file: Path) -> None:
     """Draw a panel for each surface: errors against edge length, with a line of second order."""
-    drawing = figure(10.0, 4.0)
+    drawing = make_figure(10.0, 4.0)
     for axes, name in zip(drawing.subplots(1, len(CASES), sharex=True), CASES, strict=True):
         rows = [row for row in result["rows"] if row["surface"] == name]
         edges = np.array([1e3 * row["edge_m"] for row in rows])

@@ -3,8 +3,8 @@
 The rolling methods use the same kinematics without coordinates (`rolling`), so that they have no poles and no charts.
 This module has the published form, to check them and to show its cost.
 
-    chart(shape, u, v)  ->  SurfacePoint Gauss frame, metric M, curvature K and torsion T
-    rolling_rates(...)  ->  Coordinates  d/dt of (u_f, v_f, u_o, v_o, psi)
+    compute_chart(shape, u, v)  ->  SurfacePoint Gauss frame, metric M, curvature K and torsion T
+    compute_rolling_rates(...)  ->  Coordinates  d/dt of (u_f, v_f, u_o, v_o, psi)
 
 A chart f(u, v) is orthogonal and right-handed, with x along f_u, y along f_v and z = x x y the outward normal. Then
 K = (x, y)^T (z_u / |f_u|, z_v / |f_v|) and T = y^T (x_u / |f_u|, x_v / |f_v|). The surfaces here are planes and
@@ -61,7 +61,7 @@ class Coordinates(NamedTuple):
 
 
 @by_type
-def chart(shape: Any, u: float, v: float) -> Any:
+def compute_chart(shape: Any, u: float, v: float) -> Any:
     """Return the surface at the coordinates (u, v)."""
 
 
@@ -70,8 +70,8 @@ def profile(shape: Any, v: float) -> Any:
     """Return distance from the axis and height at v, each with its first two derivatives."""
 
 
-@chart.of(Plane)
-def chart_of_plane(shape: Plane, u: float, v: float) -> SurfacePoint:
+@compute_chart.of(Plane)
+def compute_plane_chart(shape: Plane, u: float, v: float) -> SurfacePoint:
     x, y = rotations.tangent_frame(shape.normal)
     point = vec3.add_scaled(vec3.add_scaled(vec3.scale(shape.offset, shape.normal), u, x), v, y)
     return SurfacePoint(point, x, y, shape.normal, (1.0, 1.0), (0.0, 0.0), (0.0, 0.0))
@@ -116,11 +116,11 @@ def rotate_profile(shape: Any, u: float, v: float) -> SurfacePoint:
 
 
 for _shape in (Sphere, Cylinder, Torus, Ellipsoid):
-    chart.of(_shape)(rotate_profile)
+    compute_chart.of(_shape)(rotate_profile)
 
 
 @jit
-def finger_axes(on_object: SurfacePoint, psi: float) -> tuple[Vec3, Vec3, Vec3]:
+def compute_finger_axes(on_object: SurfacePoint, psi: float) -> tuple[Vec3, Vec3, Vec3]:
     """Return the contact frame of the fingertip in the object frame; its z points out of the fingertip, along -z_o.
 
     x_f = cos psi x_o - sin psi y_o, y_f = -sin psi x_o - cos psi y_o: the columns of R_psi.
@@ -132,7 +132,7 @@ def finger_axes(on_object: SurfacePoint, psi: float) -> tuple[Vec3, Vec3, Vec3]:
 
 
 @jit
-def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pair) -> Coordinates:
+def compute_rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pair) -> Coordinates:
     """Return the rates of the contact coordinates while the fingertip rolls, slides and spins on the object.
 
     radius         m      of the fingertip
@@ -146,8 +146,8 @@ def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pai
         M_o (u_o, v_o)' = R (K_f + R K_o R)^-1 ((-omega_y, omega_x) + K_f (v_x, v_y))
         psi' = omega_z + T_f M_f (u_f, v_f)' + T_o M_o (u_o, v_o)'
     """
-    finger = chart(Sphere(radius, 1.0), at.u_f, at.v_f)
-    surface = chart(shape, at.u_o, at.v_o)
+    finger = compute_chart(Sphere(radius, 1.0), at.u_f, at.v_f)
+    surface = compute_chart(shape, at.u_o, at.v_o)
     c, s = cos(at.psi), sin(at.psi)
     k1, k2 = surface.curvature
     # R K R for diagonal K: symmetric, entries a, b / b, d.
@@ -166,10 +166,10 @@ def rates(radius: float, shape: Any, at: Coordinates, omega: Vec3, velocity: Pai
 
 
 @jit
-def rolling_rates(radius: float, shape: Any, at: Coordinates, w: Vec3) -> Coordinates:
+def compute_rolling_rates(radius: float, shape: Any, at: Coordinates, w: Vec3) -> Coordinates:
     """Return the rates while rolling without slip at the angular velocity `w` (3,) rad/s in the object frame."""
-    x, y, z = finger_axes(chart(shape, at.u_o, at.v_o), at.psi)
-    return rates(radius, shape, at, (vec3.dot(w, x), vec3.dot(w, y), vec3.dot(w, z)), (0.0, 0.0))
+    x, y, z = compute_finger_axes(compute_chart(shape, at.u_o, at.v_o), at.psi)
+    return compute_rates(radius, shape, at, (vec3.dot(w, x), vec3.dot(w, y), vec3.dot(w, z)), (0.0, 0.0))
 
 
 @jit

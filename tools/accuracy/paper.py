@@ -20,8 +20,8 @@ import numpy as np
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import roll
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.server.loop.clock import stopwatch
-from softfinger.server.progress import map_with_progress, progress
+from softfinger.server.loop.clock import make_stopwatch
+from softfinger.server.progress import map_with_progress, show_progress
 from softfinger.tools.accuracy.cases import METHODS, RADIUS_M
 from softfinger.tools.accuracy.classical import (
     ABSOLUTE_TOLERANCE,
@@ -33,7 +33,7 @@ from softfinger.tools.accuracy.classical import (
 from softfinger.tools.accuracy.measure import roll_path_timed
 from softfinger.tools.accuracy.montana import Coordinates
 from softfinger.tools.accuracy.reference import roll_path
-from softfinger.tools.bench.step import reference_ns
+from softfinger.tools.bench.step import measure_reference_ns
 from softfinger.tools.measure import Array
 
 STEPS: Final = 100
@@ -50,13 +50,13 @@ ROUNDS: Final = 15
 MOTIONS: Final = ("contact_frame", "world")
 
 
-def experiment() -> list[dict[str, Any]]:
+def run_experiment() -> list[dict[str, Any]]:
     """Return the largest differences (mm) along x, y and z from the reference path, of every method in both motions."""
-    exact_by_motion = {motion: exact_path(motion) for motion in MOTIONS}
+    exact_by_motion = {motion: compute_exact_path(motion) for motion in MOTIONS}
 
     def compare(case: tuple[str, str]) -> dict[str, Any]:
         motion, name = case
-        path = classical_path(motion) if name == "classical" else method_path(name, motion)
+        path = compute_classical_path(motion) if name == "classical" else compute_method_path(name, motion)
         largest = 1e3 * np.abs(path - exact_by_motion[motion]).max(axis=0)
         heading = "phi" if case == ("contact_frame", "euler_zxz") else "own"
         return {"motion": motion, "method": name, "heading": heading, "max_error_mm": largest.tolist()}
@@ -65,7 +65,7 @@ def experiment() -> list[dict[str, Any]]:
     return map_with_progress("the paper's experiment", compare, cases)
 
 
-def exact_path(motion: str) -> Array:
+def compute_exact_path(motion: str) -> Array:
     """Return the contact points (STEPS + 1, 3) m of the reference."""
     w, spin_rate = np.array(TURN_RAD) / STEP_S, TURN_RAD[2] / STEP_S if motion == "contact_frame" else 0.0
 
@@ -73,19 +73,19 @@ def exact_path(motion: str) -> Array:
         c, s = np.cos(spin_rate * t), np.sin(spin_rate * t)
         return np.array([c * w[0] - s * w[1], s * w[0] + c * w[1], w[2]])
 
-    points, _, _ = roll_path(PLANE, RADIUS_M, CENTER, NORMAL, rate, STEPS * STEP_S, 4 * STEPS).at(times())
+    points, _, _ = roll_path(PLANE, RADIUS_M, CENTER, NORMAL, rate, STEPS * STEP_S, 4 * STEPS).at(list_times())
     return points
 
 
-def times() -> Array:
+def list_times() -> Array:
     return np.asarray(STEP_S * np.arange(STEPS + 1))
 
 
-def steps() -> Array:
+def list_steps() -> Array:
     return np.tile(rotations.exp(TURN_RAD), (STEPS, 1))
 
 
-def method_path(name: str, motion: str) -> Array:
+def compute_method_path(name: str, motion: str) -> Array:
     """Return the contact points (STEPS + 1, 3) m of a rolling method.
 
     In the contact frame, euler_zxz uses the heading phi, since the axes are the ones before the step; the published
@@ -93,7 +93,7 @@ def method_path(name: str, motion: str) -> Array:
     """
     method = METHODS[name]
     if motion == "world":
-        return np.vstack([np.zeros(3), roll_path_timed(method, PLANE, CENTER, NORMAL, steps()).points])
+        return np.vstack([np.zeros(3), roll_path_timed(method, PLANE, CENTER, NORMAL, list_steps()).points])
     out = roll(method, PLANE, RADIUS_M, CENTER, NORMAL, rotations.exp(TURN_RAD))
     angle = out.spin * (np.arange(STEPS) + (0.5 if name == "euler_zxz" else 0.0))
     moved = complex(out.motion[0], out.motion[1]) * np.exp(1j * angle)
@@ -101,10 +101,10 @@ def method_path(name: str, motion: str) -> Array:
     return np.column_stack([path.real, path.imag, out.motion[2] * np.arange(STEPS + 1)])
 
 
-def classical_path(motion: str) -> Array:
+def compute_classical_path(motion: str) -> Array:
     """Return the contact points (STEPS + 1, 3) m of Montana's equations with ODE45 at its defaults, one call a step."""
     spin_rate = TURN_RAD[2] / STEP_S if motion == "contact_frame" else 0.0
-    path, _, _ = time_classical(steps(), STEP_S, MAX_STEP_SHARE, spin_rate)
+    path, _, _ = time_classical(list_steps(), STEP_S, MAX_STEP_SHARE, spin_rate)
     return np.vstack([np.zeros(3), path])
 
 
@@ -112,12 +112,12 @@ def time_classical(
     turns: Array, dt: float, share: float, spin_rate: float = 0.0, blocks: int = 1
 ) -> tuple[Array, float, int]:
     """Return the path (n, 3) m, the median time of the complete motion, ns, and its evaluations of the equations."""
-    path, watch = np.zeros((len(turns), 3)), stopwatch(blocks)
+    path, watch = np.zeros((len(turns), 3)), make_stopwatch(blocks)
     count = roll_classical(PLANE, RADIUS_M, START, Steps(turns, dt, spin_rate), share, path, watch)
     return path, float(np.median(watch.ns)), int(count)
 
 
-def speed(blocks: int = 50) -> dict[str, Any]:
+def measure_speed(blocks: int = 50) -> dict[str, Any]:
     """Measure the time of a step of the paper's motion in world axes, ns, of every method and of the classical method.
 
     Each measurement is one compiled loop over the same 100 rotations. The classical method calls ODE45 once per step,
@@ -126,10 +126,10 @@ def speed(blocks: int = 50) -> dict[str, Any]:
     advance.
     """
     # Two halves, since a rotation of 6.2 rad cannot be distinguished from one of 0.1.
-    dq, halves = steps(), np.array([rotations.exp(vec3.scale(STEPS / 2, TURN_RAD))] * 2)
+    dq, halves = list_steps(), np.array([rotations.exp(vec3.scale(STEPS / 2, TURN_RAD))] * 2)
     times: dict[str, list[float]] = {name: [] for name in (*METHODS, "classical", "free", "ahead", "reference")}
     counts: dict[str, int] = {}
-    with progress("timing the methods", ROUNDS) as update:
+    with show_progress("timing the methods", ROUNDS) as update:
         for number in range(ROUNDS):
             for name, method in METHODS.items():
                 times[name].append(roll_path_timed(method, PLANE, CENTER, NORMAL, dq, blocks).step_ns)
@@ -140,7 +140,7 @@ def speed(blocks: int = 50) -> dict[str, Any]:
             ):
                 _, time, counts[name] = time_classical(turns, dt, share, 0.0, blocks)
                 times[name].append(time / STEPS)
-            times["reference"].append(reference_ns())
+            times["reference"].append(measure_reference_ns())
             update(number + 1)
     ns = {name: float(np.median(values)) for name, values in times.items()}
     return {

@@ -16,15 +16,15 @@ from typing import Any, Final
 import numpy as np
 
 from softfinger.proxy.engine import Engine
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.figures import make_figure, save
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.accuracy import meshes
-from softfinger.tools.accuracy.reference import Hills, normal_and_curvature
+from softfinger.tools.accuracy.reference import Hills, compute_normal_and_curvature
 from softfinger.tools.measure import Array, show_and_draw
 
 HILLS: Final = Hills(0.004, 0.06)
 """The smallest radius of curvature of their valleys is 23 mm."""
-BEGIN_M: Final = (0.003, 0.002)
+START_M: Final = (0.003, 0.002)
 """Start of the paths: x and y."""
 SIDE_M: Final = 0.12
 PITCHES_M: Final = (0.004, 0.002, 0.001, 0.0005)
@@ -34,13 +34,13 @@ PASSES: Final = 3
 """Repetitions of the most expensive run; the shortest counts."""
 
 
-def paths(ticks: int) -> list[meshes.LedPath]:
-    foot = np.array([*BEGIN_M, HILLS.height(*BEGIN_M)])
-    normal, _ = normal_and_curvature(foot, HILLS)
-    return [meshes.lead_path(HILLS, foot, normal, heading, ticks) for heading in meshes.HEADINGS_RAD]
+def make_paths(ticks: int) -> list[meshes.LedPath]:
+    foot = np.array([*START_M, HILLS.height(*START_M)])
+    normal, _ = compute_normal_and_curvature(foot, HILLS)
+    return [meshes.make_lead_path(HILLS, foot, normal, heading, ticks) for heading in meshes.HEADINGS_RAD]
 
 
-def grid(pitch: float) -> tuple[Array, Array, Array]:
+def make_grid(pitch: float) -> tuple[Array, Array, Array]:
     """Return x and y of the pixels and their heights, (n, n) m each: columns along x, origin in the middle."""
     count = round(SIDE_M / pitch)
     at = pitch * (np.arange(count + 1) - 0.5 * count)
@@ -48,25 +48,25 @@ def grid(pitch: float) -> tuple[Array, Array, Array]:
     return x, y, np.asarray(HILLS.height(x, y))
 
 
-def table(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
+def make_object(kind: str, pitch: float, folder: Path) -> dict[str, Any]:
     """Return the object of a scene; a mesh has two triangles for each square."""
-    x, y, z = grid(pitch)
+    x, y, z = make_grid(pitch)
     if kind == "heightmap":
         np.save(folder / "hills.npy", z)
         return {"shape": "heightmap", "file": str(folder / "hills.npy"), "pitch_m": pitch, "level_m": 1.0}
-    vertices, triangles = meshes.grid(np.stack([x, y, z], axis=2).transpose(1, 0, 2))
+    vertices, triangles = meshes.triangulate_grid(np.stack([x, y, z], axis=2).transpose(1, 0, 2))
     return {"shape": "mesh", "file": meshes.save_mesh(folder, vertices, triangles), "shading": "normals"}
 
 
 def compare(kind: str, pitch: float, led_paths: Sequence[meshes.LedPath]) -> dict[str, Any]:
     """Return the largest differences from the hills on all paths, and the cost of a tick that rolls, us."""
     with tempfile.TemporaryDirectory() as folder:
-        obj = table(kind, pitch, Path(folder))
-        smooth, rolls = (Engine(meshes.scene_of(obj, sticks)) for sticks in (False, True))
+        obj = make_object(kind, pitch, Path(folder))
+        smooth, rolls = (Engine(meshes.make_scene(obj, sticks)) for sticks in (False, True))
     rows, cost_us = [], []
     for path in led_paths:
         records = meshes.visit(smooth, path)
-        rows.append(meshes.differences(path, records, records, meshes.visit(rolls, path)))
+        rows.append(meshes.find_differences(path, records, records, meshes.visit(rolls, path)))
         for _ in range(PASSES):
             rolls.reset()
             start = time.perf_counter()
@@ -77,13 +77,13 @@ def compare(kind: str, pitch: float, led_paths: Sequence[meshes.LedPath]) -> dic
 
 
 def run(args: argparse.Namespace) -> int:
-    led_paths = paths(meshes.TICKS)
+    led_paths = make_paths(meshes.TICKS)
     cases = [(kind, pitch) for pitch in PITCHES_M for kind in KINDS]
     rows = map_with_progress("hills of pixels", lambda case: compare(*case, led_paths), cases)
-    return show_and_draw(args, {"rows": rows}, lines(rows), lambda path: draw(rows, path))
+    return show_and_draw(args, {"rows": rows}, format_lines(rows), lambda path: draw(rows, path))
 
 
-def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+def format_lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield "largest differences from the hills; microseconds of a tick that rolls"
     for row in rows:
         errors = "  ".join(f"{key} {row[key]:.1e}" for key in MEASURES)
@@ -92,7 +92,7 @@ def lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 def draw(rows: Sequence[dict[str, Any]], file: Path) -> None:
     """Draw a panel for each measure: both kinds against the pitch."""
-    drawing = figure(10.0, 3.5)
+    drawing = make_figure(10.0, 3.5)
     for axes, key in zip(drawing.subplots(1, len(MEASURES), sharex=True), MEASURES, strict=True):
         for kind in KINDS:
             of_kind = [row for row in rows if row["kind"] == kind]

@@ -22,25 +22,25 @@ Gradient = tuple[Array, Array]
 """First (3,) and second (3, 3) derivatives of F."""
 
 
-def plane(p: Array, shape: model.Plane) -> Gradient:
+def make_plane(p: Array, shape: model.Plane) -> Gradient:
     return np.array(shape.normal), np.zeros((3, 3))
 
 
-def sphere(p: Array, shape: model.Sphere) -> Gradient:
+def make_sphere(p: Array, shape: model.Sphere) -> Gradient:
     return 2 * p, 2 * np.eye(3)
 
 
-def cylinder(p: Array, shape: model.Cylinder) -> Gradient:
+def make_cylinder(p: Array, shape: model.Cylinder) -> Gradient:
     flat = np.diag([2.0, 2.0, 0.0])
     return flat @ p, flat
 
 
-def ellipsoid(p: Array, shape: model.Ellipsoid) -> Gradient:
+def make_ellipsoid(p: Array, shape: model.Ellipsoid) -> Gradient:
     hessian = np.diag(2 / np.array(shape.semi_axes) ** 2)
     return hessian @ p, hessian
 
 
-def torus(p: Array, shape: model.Torus) -> Gradient:
+def make_torus(p: Array, shape: model.Torus) -> Gradient:
     """Use F = (q - a)^2 + z^2 - b^2 with q the distance from the axis."""
     flat = np.array([p[0], p[1], 0.0])
     q = np.hypot(p[0], p[1])
@@ -59,7 +59,7 @@ class Hills(NamedTuple):
         return self.amplitude * np.cos(k * x) * np.cos(k * y)
 
 
-def hills(p: Array, shape: Hills) -> Gradient:
+def make_hills(p: Array, shape: Hills) -> Gradient:
     """Use F = z - h(x, y)."""
     a, k = shape.amplitude, 2.0 * np.pi / shape.wavelength
     (cx, cy), (sx, sy) = np.cos(k * p[:2]), np.sin(k * p[:2])
@@ -68,16 +68,16 @@ def hills(p: Array, shape: Hills) -> Gradient:
 
 
 GRADIENTS: dict[type, Callable[..., Gradient]] = {
-    model.Plane: plane,
-    model.Sphere: sphere,
-    model.Cylinder: cylinder,
-    model.Ellipsoid: ellipsoid,
-    model.Torus: torus,
-    Hills: hills,
+    model.Plane: make_plane,
+    model.Sphere: make_sphere,
+    model.Cylinder: make_cylinder,
+    model.Ellipsoid: make_ellipsoid,
+    model.Torus: make_torus,
+    Hills: make_hills,
 }
 
 
-def normal_and_curvature(p: Array, shape: Any) -> tuple[Array, Array]:
+def compute_normal_and_curvature(p: Array, shape: Any) -> tuple[Array, Array]:
     """Return the unit normal (3,) towards the fingertip, and the shape operator (3, 3) dn/dp on the tangent plane."""
     gradient, hessian = GRADIENTS[type(shape)](p, shape)
     size, side = np.linalg.norm(gradient), getattr(shape, "side", 1.0)
@@ -86,7 +86,7 @@ def normal_and_curvature(p: Array, shape: Any) -> tuple[Array, Array]:
     return side * n, side * project @ hessian @ project / size
 
 
-def levels(x: Array, shape: Any) -> tuple[Array, Array]:
+def find_levels(x: Array, shape: Any) -> tuple[Array, Array]:
     """Return the coordinates of x along which a shape with edges ends, and the ends, m: it spans -end to +end."""
     if isinstance(shape, model.Box):
         return x, np.array(shape.half_extents)
@@ -95,18 +95,18 @@ def levels(x: Array, shape: Any) -> tuple[Array, Array]:
     return np.array([np.hypot(x[0], x[1]), x[2]]), np.array([shape.radius, shape.half_length])
 
 
-def ends_at(x: Array, shape: Any) -> Array:
-    """Return the feature below x: for each of `levels`, 0 between the ends, else the sign of the end passed."""
-    level, end = levels(x, shape)
+def find_feature(x: Array, shape: Any) -> Array:
+    """Return the feature below x: for each of `find_levels`, 0 between the ends, else the sign of the end passed."""
+    level, end = find_levels(x, shape)
     return np.asarray(np.where(np.abs(level) > end, np.sign(level), 0.0))
 
 
-def center_normal(x: Array, shape: Any, past: Array) -> Array:
+def compute_center_normal(x: Array, shape: Any, past: Array) -> Array:
     """Return the unit normal (3,) of the offset surface through the centre x, over the feature `past` without its ends.
 
     It points away from the nearest point of the solid, or of the axis of the hollow capsule.
     """
-    level, end = levels(x, shape)
+    level, end = find_levels(x, shape)
     level_after = np.where(past == 0.0, level, past * end)
     if isinstance(shape, model.Box):
         nearest = level_after
@@ -136,8 +136,8 @@ class Path:
             state[number == piece] = np.asarray(self._pieces[piece][1](times[number == piece])).T
         points, spins = state[:, :3], state[:, 3]
         if type(self._shape) in GRADIENTS:
-            return points, np.array([normal_and_curvature(p, self._shape)[0] for p in points]), spins
-        normals = np.array([center_normal(x, self._shape, ends_at(x, self._shape)) for x in points])
+            return points, np.array([compute_normal_and_curvature(p, self._shape)[0] for p in points]), spins
+        normals = np.array([compute_center_normal(x, self._shape, find_feature(x, self._shape)) for x in points])
         return points - self._radius * normals, normals, spins
 
 
@@ -166,7 +166,7 @@ def roll_path(
 
     def derivative(t: float, state: Array) -> Array:
         w = np.asarray(rate(t), float)
-        n, bend = normal_and_curvature(state[:3], shape)
+        n, bend = compute_normal_and_curvature(state[:3], shape)
         return np.append(np.linalg.solve(bend + np.eye(3) / radius, np.cross(w, n)), w @ n)
 
     complete = integrate(derivative, 0.0, duration, np.append(c - radius * n, 0.0), duration / steps)
@@ -178,11 +178,11 @@ def split_at_edges(
 ) -> list[tuple[float, Callable[[Array], Array]]]:
     """Return the path of the centre in pieces: over each face, edge or corner as if it continued, until its end."""
     pieces: list[tuple[float, Callable[[Array], Array]]] = []
-    start, state, past = 0.0, np.append(center, 0.0), ends_at(center, shape)
+    start, state, past = 0.0, np.append(center, 0.0), find_feature(center, shape)
     while start < duration:
 
         def derivative(t: float, y: Array, past: Array = past) -> Array:
-            w, n = np.asarray(rate(t), float), center_normal(y[:3], shape, past)
+            w, n = np.asarray(rate(t), float), compute_center_normal(y[:3], shape, past)
             return np.append(radius * np.cross(w, n), w @ n)
 
         leaving = [make_leaving_event(shape, past, i) for i in range(len(past))]
@@ -191,15 +191,15 @@ def split_at_edges(
         pieces.append((start, piece.sol))
         for i, reached in enumerate(piece.t_events):
             if len(reached):
-                past[i] = 0.0 if past[i] else np.sign(levels(state[:3], shape)[0][i])
+                past[i] = 0.0 if past[i] else np.sign(find_levels(state[:3], shape)[0][i])
     return pieces
 
 
 def make_leaving_event(shape: Any, past: Array, i: int) -> Callable[[float, Array], float]:
-    """Return the event, for scipy, that the centre leaves the feature `past` along the i-th of `levels`."""
+    """Return the event, for scipy, that the centre leaves the feature `past` along the i-th of `find_levels`."""
 
     def beyond(_: float, state: Array) -> float:
-        level, end = levels(state[:3], shape)
+        level, end = find_levels(state[:3], shape)
         return float((past[i] * level[i] if past[i] else abs(level[i])) - end[i])
 
     beyond.terminal, beyond.direction = True, -1.0 if past[i] else 1.0  # type: ignore[attr-defined]

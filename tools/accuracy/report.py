@@ -8,8 +8,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from softfinger.config.files import new_file
-from softfinger.tools.accuracy.front import group_by, standard
+from softfinger.config.files import write_new_file
+from softfinger.tools.accuracy.front import group_by, select_standard
 
 RATE_HZ: Final = 1000.0
 """Servo rate of the printed recommendations if it was measured; else the highest."""
@@ -26,22 +26,29 @@ def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
     on = result["machine"]
     words = f"{on['processor']}, {on['processors']} processors, {on['system']}, Python {on['python']}"
     console.print(f"softfinger accuracy: fingertip {1e3 * result['radius_m']:g} mm; measured on {words}\n")
-    for part in (paper_table, speed_table, orders_table, front_table, sweep_table, drift_table):
+    for part in (
+        format_paper_table,
+        format_speed_table,
+        format_orders_table,
+        format_front_table,
+        sweep_table,
+        format_drift_table,
+    ):
         text = part(result)
         if text.rows:
             console.print(text)
-    for line in advice(result):
+    for line in format_advice(result):
         console.print(line, soft_wrap=True)
 
 
 def write_report(result: dict[str, Any], path: Path) -> None:
     text = io.StringIO()
     print_report(result, text)
-    with new_file(path) as file:
+    with write_new_file(path) as file:
         file.write("".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines()).encode())
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int) -> Any:
+def format_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int) -> Any:
     """Return a table with text in the first `text_columns` columns, then numbers; long names break at `_`."""
     from rich import box
     from rich.table import Table
@@ -54,15 +61,17 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], tex
     return grid
 
 
-def paper_table(result: dict[str, Any]) -> Any:
+def format_paper_table(result: dict[str, Any]) -> Any:
     rows = [
         (row["motion"], row["method"], row["heading"], *(f"{error:.5f}" for error in row["max_error_mm"]))
         for row in result["paper"]
     ]
-    return table("the paper's experiment: largest difference, mm", ("axes", "method", "heading", *"xyz"), rows, 3)
+    return format_table(
+        "the paper's experiment: largest difference, mm", ("axes", "method", "heading", *"xyz"), rows, 3
+    )
 
 
-def speed_table(result: dict[str, Any]) -> Any:
+def format_speed_table(result: dict[str, Any]) -> Any:
     times, classical = result["speed"], result["speed"]["classical"]
     columns = [(name.removesuffix("_ns_per_step"), times[name]) for name in times if name.endswith("_ns_per_step")]
     columns += [
@@ -72,19 +81,19 @@ def speed_table(result: dict[str, Any]) -> Any:
     zxz, unit = times["euler_zxz_ns_per_step"], times["reference_ns"]
     rows = [(name, f"{ns:.1f}", f"{ns / zxz:.2f}", f"{ns / unit:.3f}") for name, ns in columns]
     head = ("method", "ns a step", "over euler_zxz", f"over 100 operations, {unit:.0f} ns")
-    return table("its time, world axes", head, rows, 1)
+    return format_table("its time, world axes", head, rows, 1)
 
 
-def orders_table(result: dict[str, Any]) -> Any:
+def format_orders_table(result: dict[str, Any]) -> Any:
     methods = list(dict.fromkeys(row["method"] for row in result["orders"]))
     rows = []
     for (surface, motion), group in group_by(result["orders"], "surface", "motion"):
         cells = {row["method"]: "-" if row["order"] is None else f"{row['order']:.2f}" for row in group}
         rows.append((surface, motion, *(cells.get(method, "") for method in methods)))
-    return table("measured order (-: rounding)", ("surface", "rate", *methods), rows, 2)
+    return format_table("measured order (-: rounding)", ("surface", "rate", *methods), rows, 2)
 
 
-def front_table(result: dict[str, Any]) -> Any:
+def format_front_table(result: dict[str, Any]) -> Any:
     """Return a table with a row for each part of a front with one method, over a range of servo rates."""
     rows = []
     for (surface, motion), group in group_by(result["pareto"], "surface", "motion"):
@@ -96,7 +105,7 @@ def front_table(result: dict[str, Any]) -> Any:
                 (surface, motion, method, span(rates, "g"), span(ns, ".0f"), span(load, ".0e"), span(error, ".0e"))
             )
     head = ("surface", "rate", "method", "Hz", "ns a step", "s per s", "error, m")
-    return table("Pareto front: computing time per second of motion against error", head, rows, 3)
+    return format_table("Pareto front: computing time per second of motion against error", head, rows, 3)
 
 
 def span(values: Sequence[float], form: str) -> str:
@@ -107,7 +116,7 @@ def span(values: Sequence[float], form: str) -> str:
 
 def sweep_table(result: dict[str, Any]) -> Any:
     """Return the table of values varied at one servo rate, without the sweep over rates: the worst of all surfaces."""
-    ladder = {id(row) for row in standard(result["trade"])}
+    ladder = {id(row) for row in select_standard(result["trade"])}
     keys = ("motion", "turn_rate_rad_per_s", "given_ratio", "spin_ratio", "rate_hz")
     methods = list(dict.fromkeys(row["method"] for row in result["trade"]))
     rows = []
@@ -118,19 +127,19 @@ def sweep_table(result: dict[str, Any]) -> Any:
         values = ("own" if value is None else f"{value:g}" for value in key[1:])
         rows.append((key[0], *values, *(f"{worst[m]:.0e}" if m in worst else "" for m in methods)))
     head = ("rate", "rad/s", "r/R", "spin/roll", "Hz", *methods)
-    return table("largest error on any surface, m", head, rows, 1)
+    return format_table("largest error on any surface, m", head, rows, 1)
 
 
-def drift_table(result: dict[str, Any]) -> Any:
+def format_drift_table(result: dict[str, Any]) -> Any:
     methods = list(dict.fromkeys(row["method"] for row in result["drift"]))
     rows = []
     for (surface, steps), group in group_by(result["drift"], "surface", "steps"):
         cells = {row["method"]: f"{row['drift_m']:.0e}" for row in group}
         rows.append((surface, f"{steps:g}", *(cells.get(method, "") for method in methods)))
-    return table("drift off the surface, m", ("surface", "steps", *methods), rows, 1)
+    return format_table("drift off the surface, m", ("surface", "steps", *methods), rows, 1)
 
 
-def advice(result: dict[str, Any]) -> list[str]:
+def format_advice(result: dict[str, Any]) -> list[str]:
     """Return the recommendations for RATE_HZ; of errors with the same method only the smallest."""
     rates = {row["rate_hz"] for row in result["recommendations"]}
     rate = RATE_HZ if RATE_HZ in rates else max(rates)

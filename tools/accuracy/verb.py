@@ -17,14 +17,14 @@ from typing import Any, Final
 import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.offline.figures import reason_unsavable
+from softfinger.server.offline.figures import check_figure_path
 from softfinger.tools.accuracy import meshes, pixels
-from softfinger.tools.accuracy.cases import RADIUS_M, TOLERANCE, Sweep, cases, has_method
+from softfinger.tools.accuracy.cases import RADIUS_M, TOLERANCE, Sweep, has_method, list_cases
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
-from softfinger.tools.accuracy.front import fronts, orders, recommendations
+from softfinger.tools.accuracy.front import find_fronts, fit_orders, list_recommendations
 from softfinger.tools.accuracy.measure import DRIFT_BLOCK, DriftCase, run_block, run_drift_block
 from softfinger.tools.accuracy.options import DRIFT_STEPS, METHODS, REPORT, SURFACES
-from softfinger.tools.accuracy.paper import experiment, speed
+from softfinger.tools.accuracy.paper import measure_speed, run_experiment
 from softfinger.tools.accuracy.report import print_report, write_report
 from softfinger.tools.measure import show
 from softfinger.tools.sweep import run_cases
@@ -41,27 +41,27 @@ def run(args: argparse.Namespace) -> int:
         return meshes.run(args)
     if args.heightmap:
         return pixels.run(args)
-    sweep, drift_cases = plan(args)
+    sweep, drift_cases = plan_sweep(args)
     if args.figures is not None:
         prepare_figures(args.figures)
-    paper, times = experiment(), speed()
+    paper, times = run_experiment(), measure_speed()
     # One thread, so that nothing runs concurrently with the timing.
     settings = {"scheduler": args.scheduler, "results": args.results, "threads": 1}
-    trade = run_cases(run_block, cases(sweep), label="measuring speed and accuracy", **settings)
+    trade = run_cases(run_block, list_cases(sweep), label="measuring speed and accuracy", **settings)
     drift = run_cases(run_drift_block, drift_cases, label="measuring drift", **settings)
     drift_by_case = {(row["surface"], row["method"]): row["drift_m"] for row in drift}
     trade = [row | {"drift_m": drift_by_case[row["surface"], row["method"]]} for row in trade]
     result: dict[str, Any] = {
-        "machine": machine(),
+        "machine": describe_machine(),
         "radius_m": RADIUS_M,
         "tolerance": TOLERANCE,
         "paper": paper,
         "speed": times,
         "trade": trade,
         "drift": drift,
-        "orders": orders(trade),
-        "pareto": fronts(trade),
-        "recommendations": recommendations(trade, args.error_below),
+        "orders": fit_orders(trade),
+        "pareto": find_fronts(trade),
+        "recommendations": list_recommendations(trade, args.error_below),
     }
     if args.json:
         show(result, True, ())
@@ -82,11 +82,11 @@ def prepare_figures(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"--figures {folder}: {error.strerror}: use a writable folder") from error
-    if (why := reason_unsavable(folder / next(iter(FIGURES)))) is not None:
+    if (why := check_figure_path(folder / next(iter(FIGURES)))) is not None:
         raise ConfigError(f"--figures {folder}: {why}")
 
 
-def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
+def plan_sweep(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
     """Return the sweep for the options; raises ConfigError for a value out of range, or if nothing can be measured."""
     for name, (low, high, unit) in LIMITS.items():
         option_values = getattr(args, name)
@@ -106,7 +106,7 @@ def plan(args: argparse.Namespace) -> tuple[Sweep, list[DriftCase]]:
     return sweep, [DriftCase(surface, method, steps) for surface, method in pairs]
 
 
-def machine() -> dict[str, Any]:
+def describe_machine() -> dict[str, Any]:
     """Describe the machine on which the times were measured."""
     return {
         "processor": llvm.get_host_cpu_name(),

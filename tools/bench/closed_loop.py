@@ -23,18 +23,18 @@ from softfinger.drivers.simulated.plant import (
     make_rest_state,
 )
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.jit.pack import Packed, packed, unpack
-from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch, thread_cpu_ns
+from softfinger.proxy.kernels.jit.pack import PackedTree, packed, unpack
+from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns, thread_cpu_ns
 from softfinger.server.loop.tick import Memory, Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import TickRange, close_loop
 from softfinger.server.progress import map_with_progress
-from softfinger.tools.bench.step import ROUNDS, quiet, reference_ns
+from softfinger.tools.bench.step import ROUNDS, find_quietest, measure_reference_ns
 from softfinger.tools.measure import draw_bars, show_and_draw
 
 TICKS: Final = 10_000
 """Ticks in a block."""
-SHORT: Final = 1_000
+CLOCK_TICKS: Final = 1_000
 """Ticks between two readings of the clock, about 0.1 ms, and two cycles of the hand's sway.
 
 Another program that takes the processor for a millisecond disturbs only a few of them.
@@ -43,13 +43,13 @@ PERIOD_S: Final = 0.001
 DEPTH_M: Final = 0.001
 """Depth of the intended lowest point of the fingertip below the surface; the hand presses all the time."""
 HAND: Final = Impedance(mass=0.1, damping=8.0, stiffness=1000.0)
-BARE: Final = Handle((0.2, 0.2, 0.2), (1.0, 1.0, 1.0), force_max=12.0)
+BARE_HANDLE: Final = Handle((0.2, 0.2, 0.2), (1.0, 1.0, 1.0), force_max=12.0)
 HANDLES: Final = {
-    "mass, damping and hand": BARE,
-    "and 2 ticks of delay": BARE._replace(delay=2),
-    "and encoders of 10 um": BARE._replace(delay=2, resolution=1e-5),
-    "and amplifier lag": BARE._replace(delay=2, resolution=1e-5, lag=0.0005),
-    "and Coulomb friction": BARE._replace(delay=2, resolution=1e-5, lag=0.0005, friction=(0.1, 0.1, 0.1)),
+    "mass, damping and hand": BARE_HANDLE,
+    "and 2 ticks of delay": BARE_HANDLE._replace(delay=2),
+    "and encoders of 10 um": BARE_HANDLE._replace(delay=2, resolution=1e-5),
+    "and amplifier lag": BARE_HANDLE._replace(delay=2, resolution=1e-5, lag=0.0005),
+    "and Coulomb friction": BARE_HANDLE._replace(delay=2, resolution=1e-5, lag=0.0005, friction=(0.1, 0.1, 0.1)),
 }
 """Handles that are timed in the hand; each adds an effect to the one before.
 
@@ -59,7 +59,7 @@ All plants have one type, so that they run the same code.
 
 @entry
 def time_ticks(
-    tuning_packed: Packed,
+    tuning_packed: PackedTree,
     start: Memory,
     plant: Plant,
     state: PlantState,
@@ -68,7 +68,7 @@ def time_ticks(
     watch: Stopwatch,
     cpu_ns: NDArray[np.int64],
 ) -> float:
-    """Run SHORT ticks for each element of `watch` (blocks, m), in sequence, and return the largest force.
+    """Run CLOCK_TICKS ticks for each element of `watch` (blocks, m), in sequence, and return the largest force.
 
     `cpu_ns` (blocks,) receives the processor time of the thread in each block.
     """
@@ -77,12 +77,12 @@ def time_ticks(
     for block in range(short_ns.shape[0]):
         cpu_begun = thread_cpu_ns(timespec)
         for part in range(short_ns.shape[1]):
-            begun = now_ns(timespec)
-            end = close_loop(tuning, start, memory, plant, state, drive, TickRange(tick, SHORT, dt), np.inf)
+            begun = read_clock_ns(timespec)
+            end = close_loop(tuning, start, memory, plant, state, drive, TickRange(tick, CLOCK_TICKS, dt), np.inf)
             memory, state = end.memory, end.state
             strongest = max(strongest, end.force)
-            tick += SHORT
-            short_ns[block, part] = now_ns(timespec) - begun
+            tick += CLOCK_TICKS
+            short_ns[block, part] = read_clock_ns(timespec) - begun
         cpu_ns[block] = thread_cpu_ns(timespec) - cpu_begun
     return strongest
 
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
 
 def summarize(turns: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the quietest turn of a plant."""
-    row: dict[str, Any] = {key: quiet([turn[key] for turn in turns]) for key in turns[0]}
+    row: dict[str, Any] = {key: find_quietest([turn[key] for turn in turns]) for key in turns[0]}
     row["p99_block_ns_per_tick"] = float(np.median([turn["p99_block_ns_per_tick"] for turn in turns]))
     row["ticks_per_s"], row["ratio"] = 1e9 / row["ns_per_tick"], row["ns_per_tick"] / row["reference_ns"]
     return row
@@ -126,16 +126,16 @@ def measure(tuning: Tuning, radius: float, handle: Handle, blocks: int) -> dict[
     plant = make_plant(PERIOD_S, handle, HAND)
     state, poses = make_rest_state((0.0, 0.0, goal)), np.array([0.0, 0.0, goal, 1.0, 0.0, 0.0, 0.0])
     sway = Intention(1.0, 1.0, (0.0005, 0.0, 0.0002), 0.0023, 0.0)  # 2.3 Hz back and forth, so that friction acts
-    watch, cpu = stopwatch(blocks, TICKS // SHORT), np.zeros(blocks, np.int64)
+    watch, cpu = make_stopwatch(blocks, TICKS // CLOCK_TICKS), np.zeros(blocks, np.int64)
     drive = PlantInputs(sway, poses, np.zeros(DELAY_LINE_SIZE))
     arguments = (packed(tuning), begin(tuning.scene), plant, state, drive, PERIOD_S)
-    time_ticks(*arguments, stopwatch(1, TICKS // SHORT), cpu[:1].copy())
-    unit = reference_ns()
+    time_ticks(*arguments, make_stopwatch(1, TICKS // CLOCK_TICKS), cpu[:1].copy())
+    unit = measure_reference_ns()
     force = time_ticks(*arguments, watch, cpu)
-    cost = float(np.median(watch.ns)) / SHORT
+    cost = float(np.median(watch.ns)) / CLOCK_TICKS
     return {
         "ns_per_tick": cost,
-        "p99_block_ns_per_tick": float(np.percentile(watch.ns, 99)) / SHORT,
+        "p99_block_ns_per_tick": float(np.percentile(watch.ns, 99)) / CLOCK_TICKS,
         "cpu_ns_per_tick": float(np.median(cpu)) / TICKS,
         "reference_ns": unit,
         "largest_force_n": float(force),

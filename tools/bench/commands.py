@@ -24,10 +24,10 @@ import numpy as np
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.loop.guard import PAUSE_MAX_S
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.tools.bench.telemetry import source
+from softfinger.tools.bench.telemetry import run_source
 from softfinger.tools.measure import Array, draw_lines, show_and_draw
 
 DEPTH_M: Final = 0.001
@@ -115,7 +115,7 @@ class Listener:
 def run(args: argparse.Namespace) -> int:
     with (
         tempfile.TemporaryDirectory() as folder,
-        daemon(Path(folder)) as (process, endpoint, commands),
+        run_daemon(Path(folder)) as (process, endpoint, commands),
         subscribe(endpoint) as subscription,
         Control(commands, TURN_S) as control,
     ):
@@ -138,10 +138,10 @@ def run(args: argparse.Namespace) -> int:
     }  # fmt: skip
     lines = {"daemon": (range(len(memory)), memory)}
     draw = partial(draw_lines, lines=lines, x="scenes set", y="resident, MB")
-    return show_and_draw(args, result, table(result), draw)
+    return show_and_draw(args, result, format_table(result), draw)
 
 
-def table(result: dict[str, Any]) -> list[str]:
+def format_table(result: dict[str, Any]) -> list[str]:
     memory = result["resident_mb"]
     spots = ", ".join(f"{memory[at]:.1f}" for at in sorted({0, len(memory) // 10, len(memory) // 2, len(memory) - 1}))
     return [
@@ -156,7 +156,7 @@ def table(result: dict[str, Any]) -> list[str]:
 
 
 @contextmanager
-def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
+def run_daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
     """Run a daemon until the block ends; yields its process and its two endpoints."""
     endpoint, commands = f"ipc://{folder}/telemetry", f"ipc://{folder}/commands"
     poses, scene, rig = folder / "held.csv", folder / "pressed.toml", folder / "rig.toml"
@@ -164,7 +164,7 @@ def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
     scene.write_text(SCENE, "utf-8")
     rig.write_text(RIG.format(recording=poses), "utf-8")
     words = ["run", "--rig", str(rig), "--scene", str(scene), "--endpoint", endpoint, "--commands", commands]
-    with source([sys.executable, "-m", "softfinger.server.cli", *words], endpoint) as process:
+    with run_source([sys.executable, "-m", "softfinger.server.cli", *words], endpoint) as process:
         yield process, endpoint, commands
 
 
@@ -184,7 +184,7 @@ def call_at_rate(
     """Call `ask` at a rate; return the ticks in that time, (n, 6), and the duration of each call, s."""
     count = max(1, round(rate_hz * seconds))
     durations = np.zeros(count)
-    with progress(operation, count) as advance:
+    with show_progress(operation, count) as advance:
         begun = time.monotonic()
         for number in range(count):
             listener.take(begun + number / rate_hz)
@@ -199,11 +199,11 @@ def alternate_scenes(listener: Listener, control: Control, pid: int, count: int)
     """Alternate set_scene; return the ticks in that time, (n, 6), and the resident memory after each call, MB."""
     pressed = control.describe()["scene"]
     memory = []
-    with progress("set_scene", count) as advance:
+    with show_progress("set_scene", count) as advance:
         for number in range(count):
             control.set_scene(pressed if number % 2 else SECOND_SCENE)
             listener.wait_until_applied()
-            memory.append(resident_mb(pid))
+            memory.append(measure_resident_mb(pid))
             advance(number + 1)
     return listener.rows(), memory
 
@@ -218,6 +218,6 @@ def count_torn(rows: Array) -> int:
     return int(np.count_nonzero(np.abs(left_alone[:, 2] - FORCE_N) > ROUNDING * FORCE_N))
 
 
-def resident_mb(pid: int) -> float:
+def measure_resident_mb(pid: int) -> float:
     pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -8,10 +8,10 @@ from typing import Any
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers.registry import open_device
 from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, make_disarmed_guard
-from softfinger.tools.exchange_figures import burst_figures, burst_line, figures, table
+from softfinger.tools.exchange_figures import format_burst, format_table, summarize_burst, summarize_part
 from softfinger.tools.measure import Array, draw_exceedance, show_and_draw
 
 
@@ -20,7 +20,10 @@ def run(args: argparse.Namespace) -> int:
     check_seconds(args.seconds)
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
-    with open_device(single_device(rig), rate) as device, Exchange(device, rig, make_disarmed_guard(rig)) as exchange:
+    with (
+        open_device(find_single_device(rig), rate) as device,
+        Exchange(device, rig, make_disarmed_guard(rig)) as exchange,
+    ):
         rows = exchange.record(args.seconds)
         burst = exchange.burst()
         failure = exchange.failure()
@@ -29,12 +32,12 @@ def run(args: argparse.Namespace) -> int:
         name, settings = device.info.name, exchange.settings
     if len(rows) == 0:
         raise ConfigError(f"--rig {args.rig}: the recording ended before the first exchange: use a looping one")
-    result: dict[str, Any] = {"rig": args.rig, "device": name, "rate_hz": rate} | figures(rows, rate)
-    result["without_pauses"] = burst_figures(burst) if len(burst) else None
+    result: dict[str, Any] = {"rig": args.rig, "device": name, "rate_hz": rate} | summarize_part(rows, rate)
+    result["without_pauses"] = summarize_burst(burst) if len(burst) else None
     result["realtime"] = {setting.name: setting.ok for setting in settings}
-    lines = [f"exchange with {name} at {rate:g} Hz, {len(rows)} ticks", *table(result)]
+    lines = [f"exchange with {name} at {rate:g} Hz, {len(rows)} ticks", *format_table(result)]
     if len(burst):
-        lines.append(burst_line(result["without_pauses"]))
+        lines.append(format_burst(result["without_pauses"]))
     lines.append("  real time: " + ", ".join(f"{k} {'yes' if v else 'no'}" for k, v in result["realtime"].items()))
     return show_and_draw(args, result, lines, lambda path: draw(path, rows, f"{name} at {rate:g} Hz"))
 

@@ -110,7 +110,7 @@ class Feature(NamedTuple):
     poses: Callable[[], tuple[Array, Array]] | None = None
 
 
-def corner_poses() -> Array:
+def make_corner_poses() -> Array:
     """Return poses (BLOCK, 7) that press about 1 mm into three walls at right angles and turn; the radius is 10 mm."""
     poses = np.zeros((BLOCK, 7))
     t = 2.0 * np.pi * np.arange(BLOCK) / BLOCK
@@ -131,48 +131,50 @@ def _carry_poses(first: schema.Scene, second: schema.Scene) -> tuple[Array, Arra
     return poses, np.hstack([position, *orientation])
 
 
-def all_features() -> Iterator[Feature]:
+def iter_features() -> Iterator[Feature]:
     """Yield every feature, in the order of the tables of a scene file."""
-    bare, full = _scene(), _scene(material=GRIP, **ROLLING)
+    bare, full = _make_scene(), _make_scene(material=GRIP, **ROLLING)
     on_bare, on_full = ("bare plane", bare), ("plane with friction, torsion, rolling", full)
 
-    yield from _each("normal force {}", NORMALS, *on_bare, lambda keys: {"material": MATERIAL | keys})
-    yield from _rolling()
+    yield from _iter_table("normal force {}", NORMALS, *on_bare, lambda keys: {"material": MATERIAL | keys})
+    yield from _iter_rolling()
 
-    spun = _scene(material=MATERIAL | {"torsion": TORSION})
-    yield Feature("friction static and kinetic", "plane with torsion", spun, _scene(material=GRIP))
-    yield from _each("friction {}", LAWS, *on_full, lambda keys: {"material": GRIP | {"friction": FRICTION | keys}})
-    paper = _scene(material=GRIP, rolling={"method": "euler_zxz", "state_machine": "paper"})
+    spun = _make_scene(material=MATERIAL | {"torsion": TORSION})
+    yield Feature("friction static and kinetic", "plane with torsion", spun, _make_scene(material=GRIP))
+    yield from _iter_table(
+        "friction {}", LAWS, *on_full, lambda keys: {"material": GRIP | {"friction": FRICTION | keys}}
+    )
+    paper = _make_scene(material=GRIP, rolling={"method": "euler_zxz", "state_machine": "paper"})
     yield Feature("state machine paper, for default", *on_full, paper)
 
-    flat = "plane with friction, rolling", _scene(material=MATERIAL | {"friction": FRICTION}, **ROLLING)
-    yield from _each("torsion {}", TORSIONS, *flat, lambda keys: {"material": GRIP | {"torsion": TORSION | keys}})
-    yield from _each("patch {}", PATCHES, *on_full, lambda keys: {"fingertip": {"radius_m": 0.01, "patch": keys}})
-    yield from _forms()
-    yield from _shapes()
-    yield from _several()
-    yield from _each("motion {}", MOTIONS, *on_full, lambda keys: {"object_motion": keys})
-    yield from _textures()
+    flat = "plane with friction, rolling", _make_scene(material=MATERIAL | {"friction": FRICTION}, **ROLLING)
+    yield from _iter_table("torsion {}", TORSIONS, *flat, lambda keys: {"material": GRIP | {"torsion": TORSION | keys}})
+    yield from _iter_table("patch {}", PATCHES, *on_full, lambda keys: {"fingertip": {"radius_m": 0.01, "patch": keys}})
+    yield from _iter_forms()
+    yield from _iter_shapes()
+    yield from _iter_several()
+    yield from _iter_table("motion {}", MOTIONS, *on_full, lambda keys: {"object_motion": keys})
+    yield from _iter_textures()
 
-    yield from _each("effect {}, workspace", WORKSPACE, *on_bare, lambda keys: {"effect": [keys]})
+    yield from _iter_table("effect {}, workspace", WORKSPACE, *on_bare, lambda keys: {"effect": [keys]})
     oil = WORKSPACE["viscosity"]
-    oiled = "bare plane with viscosity", _scene(effect=[oil])
-    yield from _each(
+    oiled = "bare plane with viscosity", _make_scene(effect=[oil])
+    yield from _iter_table(
         "region {}", REGIONS, *oiled, lambda keys: {"effect": [oil | {"region": keys | {"edge_m": 0.005}}]}
     )
-    yield from _each("effect {}, object", OF_OBJECTS, *on_bare, lambda keys: {"object_effect": [keys]})
+    yield from _iter_table("effect {}, object", OF_OBJECTS, *on_bare, lambda keys: {"object_effect": [keys]})
 
 
-def _each(
+def _iter_table(
     name: str, table: Mapping[str, Table], base: str, without: schema.Scene, changes: Callable[[Table], Table]
 ) -> Iterator[Feature]:
     """Yield a feature for each entry of a table; a scene with friction also has torsion and rolling."""
     rest = {"material": GRIP, **ROLLING} if "friction" in base else {}
     for entry, keys in table.items():
-        yield Feature(name.format(entry), base, without, _scene(**rest | changes(keys)))
+        yield Feature(name.format(entry), base, without, _make_scene(**rest | changes(keys)))
 
 
-def _scene(
+def _make_scene(
     shape: str = "plane", material: Mapping[str, Any] = MATERIAL, others: list[Table] | None = None, **changes: Any
 ) -> schema.Scene:
     """Return a scene with an object of that shape.
@@ -186,7 +188,7 @@ def _scene(
     return build(schema.Scene, {"fingertip": {"radius_m": 0.01}, "object": objects, **tables}, f"bench, {shape}")
 
 
-def _rolling() -> Iterator[Feature]:
+def _iter_rolling() -> Iterator[Feature]:
     for shape, methods in {
         "plane": get_args(schema.RollingMethod),
         "sphere": ("rotation_vector",),
@@ -194,50 +196,69 @@ def _rolling() -> Iterator[Feature]:
         "ellipsoid": tuple(m for m in get_args(schema.RollingMethod) if m != "rotation_vector"),
     }.items():
         for method in methods:
-            without, having = _scene(shape, GRIP), _scene(shape, GRIP, rolling={"method": method})
+            without, having = _make_scene(shape, GRIP), _make_scene(shape, GRIP, rolling={"method": method})
             yield Feature(f"rolling {method}, {shape}", f"{shape} with friction and torsion", without, having)
 
 
-def _forms() -> Iterator[Feature]:
+def _iter_forms() -> Iterator[Feature]:
     tip = {"radii_m": [0.01, 0.009, 0.012], "orientation_wxyz": [0.8, 0.36, 0.48, 0.0]}
     for shape in ("plane", "sphere", "cylinder"):
-        having = _scene(shape, fingertip=tip)
-        yield Feature(f"fingertip an ellipsoid, on a {shape}", f"bare {shape}", _scene(shape), having)
+        having = _make_scene(shape, fingertip=tip)
+        yield Feature(f"fingertip an ellipsoid, on a {shape}", f"bare {shape}", _make_scene(shape), having)
     rolled: Table = {"rolling": {"method": "midpoint"}}
-    without, having = _scene(material=GRIP, **rolled), _scene(material=GRIP, fingertip=tip, **rolled)
+    without, having = _make_scene(material=GRIP, **rolled), _make_scene(material=GRIP, fingertip=tip, **rolled)
     yield Feature("fingertip an ellipsoid, rolling", "plane with friction, torsion, midpoint", without, having)
 
 
-def _shapes() -> Iterator[Feature]:
-    plane = _scene()
+def _iter_shapes() -> Iterator[Feature]:
+    plane = _make_scene()
     for name in SHAPES:
         if name != "plane":
-            yield Feature(f"shape {name}, for plane", "bare plane", plane, _scene(name))
+            yield Feature(f"shape {name}, for plane", "bare plane", plane, _make_scene(name))
     for name in SHAPES:
         if name not in ("plane", "heightmap"):
-            yield Feature(f"inside {name}, for outside", f"bare {name}", _scene(name), _scene(name, object_inside=True))
-    bare, place, turn = _scene("ellipsoid"), [0.01, 0.02, 0.03], [0.8, 0.36, 0.48, 0.0]
-    moved, turned = _scene("ellipsoid", object_position_m=place), _scene("ellipsoid", object_orientation_wxyz=turn)
+            yield Feature(
+                f"inside {name}, for outside", f"bare {name}", _make_scene(name), _make_scene(name, object_inside=True)
+            )
+    bare, place, turn = _make_scene("ellipsoid"), [0.01, 0.02, 0.03], [0.8, 0.36, 0.48, 0.0]
+    moved, turned = (
+        _make_scene("ellipsoid", object_position_m=place),
+        _make_scene("ellipsoid", object_orientation_wxyz=turn),
+    )
     yield Feature("object moved", "bare ellipsoid", bare, moved, lambda: _carry_poses(bare, moved))
     yield Feature("object turned", "bare ellipsoid", bare, turned, lambda: _carry_poses(bare, turned))
 
 
-def _several() -> Iterator[Feature]:
+def _iter_several() -> Iterator[Feature]:
     far_plane = {"name": "far below", "shape": "plane", "position_m": [0.0, 0.0, -1.0]}
-    yield Feature("second object, apart", "bare plane", _scene(), _scene(others=[far_plane]))
+    yield Feature("second object, apart", "bare plane", _make_scene(), _make_scene(others=[far_plane]))
     yield Feature(
-        "second object, apart from a sphere", "bare sphere", _scene("sphere"), _scene("sphere", others=[far_plane])
+        "second object, apart from a sphere",
+        "bare sphere",
+        _make_scene("sphere"),
+        _make_scene("sphere", others=[far_plane]),
     )
-    two, three = _scene(others=WALLS[:1]), _scene(others=WALLS)
-    yield Feature("second object, touched too", "bare plane", _scene(), two, lambda: (corner_poses(), corner_poses()))
-    yield Feature("third object, touched too", "two bare planes", two, three, lambda: (corner_poses(), corner_poses()))
+    two, three = _make_scene(others=WALLS[:1]), _make_scene(others=WALLS)
+    yield Feature(
+        "second object, touched too",
+        "bare plane",
+        _make_scene(),
+        two,
+        lambda: (make_corner_poses(), make_corner_poses()),
+    )
+    yield Feature(
+        "third object, touched too", "two bare planes", two, three, lambda: (make_corner_poses(), make_corner_poses())
+    )
 
 
-def _textures() -> Iterator[Feature]:
+def _iter_textures() -> Iterator[Feature]:
     for shape in ("plane", "cylinder", "box"):
         for name, keys in TEXTURES.items():
             texture = {"file": str(RIBS), "size_m": [ROUND_M, 0.004], **keys}
             base = f"{shape} with friction and torsion"
             yield Feature(
-                f"texture {name}, {shape}", base, _scene(shape, GRIP), _scene(shape, GRIP, object_texture=texture)
+                f"texture {name}, {shape}",
+                base,
+                _make_scene(shape, GRIP),
+                _make_scene(shape, GRIP, object_texture=texture),
             )

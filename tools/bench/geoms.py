@@ -11,7 +11,7 @@ from softfinger.config.errors import ConfigError
 GEOMS_MAX: Final = 24
 """Largest number of geoms in a scene that fingers touch."""
 HALF_M: Final = 0.02
-APART_M: Final = 0.06
+SPACING_M: Final = 0.06
 """Distance between the centres, so that the bodies do not touch."""
 KINDS: Final = {
     "box": f"{HALF_M} {HALF_M} {HALF_M}",
@@ -34,7 +34,7 @@ MODEL: Final = """
 """
 
 
-def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
+def make_scene(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
     """Return a scene of `count` bodies of 100 g on a floor, touched by two fingers, with its model in `folder`.
 
     The bodies are of four kinds. Their tops are at z = 0, at which the shipped recording presses and drags. Raises
@@ -46,7 +46,7 @@ def scene_of_geoms(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
     bodies = []
     for number, (x, y) in enumerate(islice(places, count)):
         kind = list(KINDS)[number % len(KINDS)]
-        placement = {"x": round(x * APART_M, 6), "y": round(y * APART_M, 6), "half": HALF_M}
+        placement = {"x": round(x * SPACING_M, 6), "y": round(y * SPACING_M, 6), "half": HALF_M}
         bodies.append(GEOM.format(name=f"{kind}-{number}", kind=kind, size=KINDS[kind], **placement))
     model = folder / "geoms.xml"
     text = MODEL.format(timestep=1.0 / rate_hz, height=2.0 * HALF_M, bodies="".join(bodies))

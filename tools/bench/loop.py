@@ -20,17 +20,24 @@ import numpy as np
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.schema.pairing import pair
+from softfinger.config.schema.pairing import pair_devices
 from softfinger.drivers.base import Device
 from softfinger.drivers.registry import open_device
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.arguments import default_rig
+from softfinger.server.arguments import find_default_rig
 from softfinger.server.loop import realtime
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.progress import progress
-from softfinger.tools.bench.geoms import scene_of_geoms
-from softfinger.tools.measure import Array, compile_c, draw_exceedance, microseconds, quantiles, show_and_draw
+from softfinger.server.progress import show_progress
+from softfinger.tools.bench.geoms import make_scene
+from softfinger.tools.measure import (
+    Array,
+    compile_c,
+    compute_quantiles,
+    draw_exceedance,
+    format_microseconds,
+    show_and_draw,
+)
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")
@@ -38,16 +45,16 @@ FIGURES: Final = [AT.servo_late, AT.servo_exec, AT.servo_busy, AT.servo_missed]
 
 
 def run(args: argparse.Namespace) -> int:
-    name = "replay" if args.geoms is not None else default_rig(args.scene, "replay")
+    name = "replay" if args.geoms is not None else find_default_rig(args.scene, "replay")
     rig = load_rig(name, {"servo.rate_hz": args.rate, "servo.realtime": args.realtime})
     with tempfile.TemporaryDirectory() as folder:
-        scene = args.scene if args.geoms is None else scene_of_geoms(args.geoms, args.rate, Path(folder))
+        scene = args.scene if args.geoms is None else make_scene(args.geoms, args.rate, Path(folder))
         runs, settings = measure(rig, load_scene(scene), args.seconds, busy=True)
     result = {"scene": args.scene if args.geoms is None else f"{args.geoms} geoms"} | evaluate(
         {name: np.concatenate(parts) for name, parts in runs.items()}, args.rate
     )
     result["realtime"] = {setting.name: setting.ok for setting in settings}
-    return show_and_draw(args, result, table(result), lambda path: draw(path, runs, args.rate))
+    return show_and_draw(args, result, format_table(result), lambda path: draw(path, runs, args.rate))
 
 
 def measure(
@@ -70,7 +77,7 @@ def measure(
         if program is not None:
             loops = {"c": lambda: run_reference(program, rig, ticks), **loops}
         runs: dict[str, list[Array]] = {name: [] for name in loops}
-        with progress("measuring the servo loop", turns * len(loops)) as advance:
+        with show_progress("measuring the servo loop", turns * len(loops)) as advance:
             run_servo(rig, scene, 10, settings)  # compiles, and touches memory that the first turn would touch first
             for turn in range(turns):
                 for number, (name, loop) in enumerate(loops.items()):
@@ -87,7 +94,7 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
         settings[:] = applied.settings
         return applied.undo
 
-    with devices_of(rig, scene) as devices:
+    with open_devices(rig, scene) as devices:
         servo = ServoThread(devices, make_tuning(scene, rig.guard), rig.servo.rate_hz, ticks, prepare)
         servo.compile()
         servo.start()
@@ -108,7 +115,7 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
 
 
 @contextmanager
-def devices_of(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
+def open_devices(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
     """Yield an open device for each finger.
 
     If a rig has one device for several fingers, they share it: each reads the pose after the pose of another one.
@@ -119,7 +126,7 @@ def devices_of(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
         else:
             yield [
                 opened.enter_context(open_device(device.device, rig.servo.rate_hz, device.table))
-                for device in pair(scene, rig)
+                for device in pair_devices(scene, rig)
             ]
 
 
@@ -162,8 +169,8 @@ def evaluate(figures: dict[str, Array], rate_hz: float) -> dict[str, Any]:
     block = round(rate_hz)
     result: dict[str, Any] = {"rate_hz": rate_hz}
     for name, values in figures.items():
-        late, execution = quantiles(values[:, 0], block), quantiles(values[:, 1], block)
-        busy = quantiles(values[:, 2], block)
+        late, execution = compute_quantiles(values[:, 0], block), compute_quantiles(values[:, 1], block)
+        busy = compute_quantiles(values[:, 2], block)
         result[name] = {"ticks": len(values), "late": late, "exec": execution, "busy": busy}
         result[name]["missed"] = (
             count_missed_by_c(values, 1.0 / rate_hz) if name == "c" else count_missed_by_servo(values)
@@ -194,7 +201,7 @@ def count_missed_by_c(values: Array, period_s: float) -> int:
     return int(np.where(over > 0.0, np.floor(over / period_s) + 1.0, 0.0).sum())
 
 
-def table(result: dict[str, Any]) -> list[str]:
+def format_table(result: dict[str, Any]) -> list[str]:
     lines = [
         f"servo loop at {result['rate_hz']:g} Hz, {result['scene']}, us; in brackets the median over blocks of 1 s",
         "  late: wake-up after the deadline; exec: until the device write returned; busy: until it slept again",
@@ -204,7 +211,9 @@ def table(result: dict[str, Any]) -> list[str]:
         for quantity in ("late", "exec", "busy"):
             cost = result.get(loop, {}).get(quantity)
             if cost is not None:
-                cells = (f"{microseconds(cost[q])} ({microseconds(cost['blocks'][q])})" for q in cost["blocks"])
+                cells = (
+                    f"{format_microseconds(cost[q])} ({format_microseconds(cost['blocks'][q])})" for q in cost["blocks"]
+                )
                 lines.append(f"  {loop:<11}{quantity:<6}" + "".join(f"{cell:>22}" for cell in cells))
     lines += [
         f"  {loop}: {result[loop]['missed']} deadlines missed in {result[loop]['ticks']} ticks"

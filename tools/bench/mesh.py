@@ -18,14 +18,14 @@ from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import flatten, packed, unpack
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
-from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
-from softfinger.proxy.kernels.shapes.mesh.triangle import corners_of, foot_on
+from softfinger.proxy.kernels.shapes.mesh.nearest import find_nearest
+from softfinger.proxy.kernels.shapes.mesh.triangle import find_foot_on, read_corners
 from softfinger.proxy.scene import build_scene, start_state
-from softfinger.server.loop.clock import stopwatch
+from softfinger.server.loop.clock import make_stopwatch
 from softfinger.server.offline.cost import time_steps
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.tools.bench.features import GRIP
-from softfinger.tools.measure import Array, draw_lines, quantiles, show_and_draw
+from softfinger.tools.measure import Array, compute_quantiles, draw_lines, show_and_draw
 
 RADIUS_M: Final = 0.05
 """Radius of the ball."""
@@ -34,7 +34,7 @@ DEPTH_M: Final = 0.001
 SPEED_M: Final = 1e-4
 """Distance of the fingertip per tick: 0.1 m/s."""
 BLOCK: Final = 1000
-CHECKED: Final = 20
+CHECKED_POINTS: Final = 20
 """Points at which the distance is compared with a search over all triangles."""
 
 
@@ -45,24 +45,24 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--ticks and --paced: {BLOCK} or more each; --fingertip: 0.0005 to 0.03 m")
     cases = [(level, bumpy, r) for level in args.levels for bumpy in (False, True) for r in args.fingertip]
     rows: list[dict[str, Any]] = []
-    with tempfile.TemporaryDirectory() as folder, progress("measuring meshes", len(cases)) as advance:
+    with tempfile.TemporaryDirectory() as folder, show_progress("measuring meshes", len(cases)) as advance:
         for level, bumpy, radius in cases:
-            file, vertices, triangles = ball(Path(folder), level, BUMPS_M if bumpy else 0.0)
+            file, vertices, triangles = write_ball(Path(folder), level, BUMPS_M if bumpy else 0.0)
             begun = time.perf_counter()
-            scene = scene_of(radius, shape="mesh", file=file)
+            scene = make_scene(radius, shape="mesh", file=file)
             row = {"triangles": len(triangles), "bumpy": bumpy, "fingertip_m": radius}
             row["loaded_s"] = time.perf_counter() - begun
             rows.append(row | measure_ticks(scene, radius, args) | count_visits(scene, vertices[triangles], radius))
             advance(len(rows))
-        spheres = [measure_ticks(scene_of(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
+        spheres = [measure_ticks(make_scene(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
     result = {
         "rows": rows,
         "sphere": [{"fingertip_m": r} | row for r, row in zip(args.fingertip, spheres, strict=True)],
     }
-    return show_and_draw(args, result, table(result), lambda path: draw(result, path))
+    return show_and_draw(args, result, format_table(result), lambda path: draw(result, path))
 
 
-def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
+def write_ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
     """Write a ball of 20 x 4^level triangles, smooth or bumpy; returns file, vertices (n, 3) m and triangles (m, 3)."""
     try:
         import trimesh
@@ -78,7 +78,7 @@ def ball(folder: Path, level: int, bumps: float) -> tuple[str, Array, Array]:
     return str(file), np.asarray(sphere.vertices), np.asarray(sphere.faces)
 
 
-def scene_of(radius: float, **shape: Any) -> schema.Scene:
+def make_scene(radius: float, **shape: Any) -> schema.Scene:
     obj = {"name": "ball", "material": GRIP, **shape}
     coupling = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0}
     tables = {"fingertip": {"radius_m": radius}, "rolling": {"method": "midpoint"}, "coupling": coupling}
@@ -110,14 +110,14 @@ def measure_ticks(scene: schema.Scene, radius: float, args: argparse.Namespace) 
     away = poses.copy()
     away[:, :3] *= 1.3
     costs: dict[str, Any] = {}
-    watch = stopwatch(1, BLOCK)  # a thousand intervals without a pose: the cost of reading the clock
+    watch = make_stopwatch(1, BLOCK)  # a thousand intervals without a pose: the cost of reading the clock
     time_steps(parameters, packed(start_state(tree)), poses[:1], 0.001, watch, np.zeros(1, np.int64))
     clock = float(np.median(watch.ns))
     for name, along, apart_ns in (("touching", poses, 0), ("free", away, 0), ("paced", paced, 1_000_000)):
-        watch = stopwatch(1, len(along))
+        watch = make_stopwatch(1, len(along))
         time_steps(parameters, packed(start_state(tree)), along, 0.001, watch, np.zeros(1, np.int64), apart_ns)
         ns = watch.ns[0].astype(np.float64) - clock
-        costs[f"{name}_ns"] = quantiles(ns[BLOCK // 2 :], BLOCK)
+        costs[f"{name}_ns"] = compute_quantiles(ns[BLOCK // 2 :], BLOCK)
     return costs
 
 
@@ -125,18 +125,18 @@ def measure_ticks(scene: schema.Scene, radius: float, args: argparse.Namespace) 
 def ask(like: Any, values: Array, points: Array, visits: Array) -> None:
     """Store in `visits` (n, 3) the results for each of `points` (n, 3) m.
 
-    The columns are the squared distance, the number of nodes and triangles visited and, for the first CHECKED points,
+    The columns are the squared distance, the number of nodes and triangles visited and, for the first CHECKED_POINTS,
     the squared distance over all triangles.
     """
     mesh = unpack(like, values)
     triangles = mesh.row[0]
     for i in range(len(points)):
         x = (points[i, 0], points[i, 1], points[i, 2])
-        near = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
+        near = find_nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
         visits[i, 0], visits[i, 1], visits[i, 2] = near.square, near.spent, 1e300
-        if i < CHECKED:
+        if i < CHECKED_POINTS:
             for k in range(int(triangles.number)):
-                visits[i, 2] = min(visits[i, 2], foot_on(corners_of(triangles, k), x).square)
+                visits[i, 2] = min(visits[i, 2], find_foot_on(read_corners(triangles, k), x).square)
 
 
 def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:
@@ -145,23 +145,23 @@ def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str
     points = np.ascontiguousarray(make_path(BLOCK, radius)[:, :3])
     nearest = np.zeros((len(points), 3))
     ask(mesh, flatten(mesh), points, nearest)
-    wrong = np.abs(np.sqrt(nearest[:CHECKED, 0]) - np.sqrt(nearest[:CHECKED, 2])).max()
+    wrong = np.abs(np.sqrt(nearest[:CHECKED_POINTS, 0]) - np.sqrt(nearest[:CHECKED_POINTS, 2])).max()
     percentiles_s = [float(np.percentile(nearest[:, 1], at)) for at in (50, 99, 100)]
     return {"asked": dict(zip(("p50", "p99", "max"), percentiles_s, strict=True)), "distance_error_m": float(wrong)}
 
 
-def table(result: dict[str, Any]) -> Iterator[str]:
+def format_table(result: dict[str, Any]) -> Iterator[str]:
     yield "a tick with friction, torsion and rolling, us: p50 / p99 / p99.9"
     yield "asked: nodes and triangles for the nearest one"
     for row in result["rows"]:
         name = f"{row['triangles']:>9,} {'bumpy' if row['bumpy'] else 'smooth'}"
         asked_of = f"asked {row['asked']['p50']:.0f} / {row['asked']['p99']:.0f}"
-        yield f"{name:17}{_line(row)}  {asked_of}, off by {row['distance_error_m']:.1e} m"
+        yield f"{name:17}{_format_line(row)}  {asked_of}, off by {row['distance_error_m']:.1e} m"
     for row in result["sphere"]:
-        yield f"{'the ball itself':17}{_line(row)}"
+        yield f"{'the ball itself':17}{_format_line(row)}"
 
 
-def _line(row: dict[str, Any]) -> str:
+def _format_line(row: dict[str, Any]) -> str:
     parts = [f"r {1000.0 * row['fingertip_m']:4.1f} mm"]
     for name in ("touching", "paced", "free"):
         cost = row[f"{name}_ns"]

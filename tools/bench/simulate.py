@@ -16,7 +16,7 @@ import numpy as np
 from softfinger.config.errors import ConfigError
 from softfinger.drivers.poses import POSE_COLUMNS, load_poses
 from softfinger.drivers.resample import close_loop, resample
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.server.recording.results import SUFFIXES, write_csv_rows
 from softfinger.tools.measure import Array, draw_bars, show_and_draw
 
@@ -31,12 +31,12 @@ def run(args: argparse.Namespace) -> int:
     durations: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
         poses = Path(folder, "poses.csv")
-        with progress("first run, which compiles kernels that are not cached"):
+        with show_progress("first run, which compiles kernels that are not cached"):
             with poses.open("wb") as file:
                 file.write(",".join(POSE_COLUMNS).encode() + b"\n")
-                write_csv_rows(file, motion(args.poses, ticks))
+                write_csv_rows(file, load_motion(args.poses, ticks))
             simulate(args.scene, poses, Path(folder, "warm.npz"))
-        with progress("simulating", rounds * len(SUFFIXES)) as advance:
+        with show_progress("simulating", rounds * len(SUFFIXES)) as advance:
             for turn in range(rounds):
                 for place, ending in enumerate(SUFFIXES):
                     durations[ending].append(simulate(args.scene, poses, Path(folder, f"results{ending}")))
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     return show_and_draw(args, result, lines, lambda path: draw_bars(path, speeds, "times real time"))
 
 
-def motion(recording: str, ticks: int) -> Array:
+def load_motion(recording: str, ticks: int) -> Array:
     """Return the recording as a loop: (ticks, 8), times and poses."""
     once = close_loop(resample(load_poses(recording), RATE_HZ), RATE_HZ)
     return np.column_stack((np.arange(ticks) / RATE_HZ, np.resize(once, (ticks, once.shape[1]))))
@@ -62,18 +62,18 @@ def motion(recording: str, ticks: int) -> Array:
 def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:
     """Run the program once and remove its file; returns wall-clock and processor time, s."""
     words = ["simulate", "--scene", scene, "--poses", str(poses), "--out", str(out)]
-    before, begun = children_s(), time.perf_counter()
+    before, begun = measure_children_s(), time.perf_counter()
     ended = subprocess.run(
         [sys.executable, "-m", "softfinger.server.cli", *words], capture_output=True, text=True, check=False
     )
-    duration = time.perf_counter() - begun, children_s() - before
+    duration = time.perf_counter() - begun, measure_children_s() - before
     out.unlink(missing_ok=True)
     if ended.returncode:
         raise ConfigError(f"simulate failed: {ended.stderr.strip()}")
     return duration
 
 
-def children_s() -> float:
+def measure_children_s() -> float:
     """Return the processor time of finished child processes."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime

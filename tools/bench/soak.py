@@ -30,12 +30,12 @@ from softfinger.config.errors import ConfigError, Unfit
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.server import signals
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.loop import SOURCE, run_reference
-from softfinger.tools.bench.telemetry import source
-from softfinger.tools.bench.view import viewer
+from softfinger.tools.bench.telemetry import run_source
+from softfinger.tools.bench.view import run_viewer
 from softfinger.tools.measure import Array, compile_c, draw_lines, show_and_draw
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ Sizes = dict[str, tuple[float, ...]]
 """MB, descriptors and threads of processes, by name."""
 
 
-class Soaked(NamedTuple):
+class SoakResult(NamedTuple):
     """Results of a run.
 
     times      (n,) s         of the samples
@@ -97,39 +97,39 @@ def run(args: argparse.Namespace) -> int:
     if not 0.1 <= args.minutes <= 10_000.0:
         raise ConfigError(f"--minutes {args.minutes:g} must be from 0.1 to 10 000")
     rig = load_rig("simulated", {"servo.realtime": args.realtime})
-    soaked = soak(rig, 60.0 * args.minutes)
+    soaked = run_soak(rig, 60.0 * args.minutes)
     result = evaluate(soaked)
     lines = {name: (soaked.times / 60.0, values[:, 0]) for name, values in soaked.processes.items()}
     draw = partial(draw_lines, lines=lines, x="time, minutes", y="resident memory, MB")
-    show_and_draw(args, result, table(result), draw)
+    show_and_draw(args, result, format_table(result), draw)
     if result["faults"]:
         raise Unfit("; ".join(result["faults"]))
     return 0
 
 
-def soak(rig: Rig, seconds: float) -> Soaked:
+def run_soak(rig: Rig, seconds: float) -> SoakResult:
     """Run everything for `seconds` and sample it once a second."""
     with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
         folder = Path(folder_name)
         endpoint, commands = (f"ipc://{folder}/{name}" for name in ("telemetry", "commands"))
         words = ["run", "--rig", "simulated", "--realtime", rig.servo.realtime, "--record", str(folder / "soak.mcap")]
         words += ["--endpoint", endpoint, "--commands", commands]
-        daemon = running.enter_context(source([sys.executable, "-m", "softfinger.server.cli", *words], endpoint))
-        page, address = running.enter_context(viewer("--endpoint", endpoint, "--commands", commands))
-        running.enter_context(helper("--page", address))
-        readers = [running.enter_context(helper(endpoint)) for _ in range(SUBSCRIBERS)]
+        daemon = running.enter_context(run_source([sys.executable, "-m", "softfinger.server.cli", *words], endpoint))
+        page, address = running.enter_context(run_viewer("--endpoint", endpoint, "--commands", commands))
+        running.enter_context(run_helper("--page", address))
+        readers = [running.enter_context(run_helper(endpoint)) for _ in range(SUBSCRIBERS)]
         running.enter_context(end_after([sys.executable, "-c", BUSY]))
         client = running.enter_context(Client(endpoint, commands, timeout_s=30.0))
         c_loop = running.enter_context(run_c_loop(rig, folder))
         trees = {"daemon": daemon.pid, "page": page.pid}
         trees |= {f"subscriber {number}": reader.pid for number, reader in enumerate(readers, 1)}
-        first = newest(endpoint)
+        first = find_newest(endpoint)
         times, processes = watch_processes(trees, lambda number: change(client, number), seconds)
-        last = newest(endpoint)
+        last = find_newest(endpoint)
         for reader in readers:
             reader.send_signal(signal.SIGTERM)
         lost_ticks = sum(int(reader.communicate(timeout=30.0)[0]) for reader in readers)
-        return Soaked(times, processes, last[0] - first[0], last[1] - first[1], c_loop(), lost_ticks)
+        return SoakResult(times, processes, last[0] - first[0], last[1] - first[1], c_loop(), lost_ticks)
 
 
 def watch_processes(
@@ -143,14 +143,14 @@ def watch_processes(
     begun, passed, number = time.monotonic(), 0.0, 0
     times, samples = list[float](), list[Sizes]()
     stopped = threading.Event()
-    with progress("soaking", round(seconds)) as advance, signals.stop_on_signal(stopped.set):
+    with show_progress("soaking", round(seconds)) as advance, signals.stop_on_signal(stopped.set):
         while passed < seconds and not stopped.is_set():
             act(number)
             if passed >= SAMPLE_S * len(times):
                 times.append(passed)
                 samples.append({})
                 for name, pid in trees.items():
-                    samples[-1] |= sizes(name, pid)
+                    samples[-1] |= measure_sizes(name, pid)
                 advance(int(passed))
             number += 1
             stopped.wait(max(0.0, begun + CHANGE_S * number - time.monotonic()))
@@ -161,7 +161,7 @@ def watch_processes(
     return np.array(times), {name: rows for name, rows in by_process.items() if np.isfinite(rows[:, 0]).mean() > 0.5}
 
 
-def sizes(name: str, pid: int) -> Sizes:
+def measure_sizes(name: str, pid: int) -> Sizes:
     """Return resident memory (MB), descriptors and threads of a process and of its children, by name."""
     process = Path(f"/proc/{pid}")
     try:
@@ -177,7 +177,7 @@ def sizes(name: str, pid: int) -> Sizes:
         for child in map(int, children):
             words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
             role = next((word for word in words if word in ROLES), "child")
-            result |= sizes(f"{name}: {role}", child)
+            result |= measure_sizes(f"{name}: {role}", child)
     except (OSError, KeyError):  # it has ended
         return {}
     return result
@@ -188,7 +188,7 @@ def change(client: Client, number: int) -> None:
     client.set_params({"object.table.material.stiffness_n_per_m": 900.0 + 100.0 * (number % 3)})
 
 
-def newest(endpoint: str) -> tuple[int, int]:
+def find_newest(endpoint: str) -> tuple[int, int]:
     """Return the latest tick and the deadlines missed until then."""
     with subscribe(endpoint, timeout_s=30.0) as samples:
         tick = next(iter(samples))
@@ -208,7 +208,7 @@ def end_after(words: list[str]) -> Iterator[subprocess.Popen[str]]:
 
 
 @contextmanager
-def helper(*words: str) -> Iterator[subprocess.Popen[str]]:
+def run_helper(*words: str) -> Iterator[subprocess.Popen[str]]:
     """Run this file as a process until the block ends; yields it once it is at work."""
     with end_after([sys.executable, "-m", "softfinger.tools.bench.soak", *words]) as process:
         assert process.stdout is not None
@@ -227,7 +227,7 @@ def run_c_loop(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
         yield lambda: None
         return
     priority = "off" if rig.servo.realtime == "off" else "on"
-    with helper("--c", str(program), repr(rig.servo.rate_hz), priority, str(rig.servo.priority)) as process:
+    with run_helper("--c", str(program), repr(rig.servo.rate_hz), priority, str(rig.servo.priority)) as process:
 
         def missed() -> int:
             process.send_signal(signal.SIGTERM)
@@ -236,7 +236,7 @@ def run_c_loop(rig: Rig, folder: Path) -> Iterator[Callable[[], int | None]]:
         yield missed
 
 
-def evaluate(soaked: Soaked) -> dict[str, Any]:
+def evaluate(soaked: SoakResult) -> dict[str, Any]:
     """Return the growth of every process per hour with its lower bound, and the faults."""
     hours = soaked.times / 3600.0
     faults, processes = list[str](), dict[str, Any]()
@@ -245,7 +245,7 @@ def evaluate(soaked: Soaked) -> dict[str, Any]:
         warm = (soaked.times >= min(WARM_S, soaked.times[-1] / 3.0)) & np.isfinite(values[:, 0])
         for column, field in enumerate(FIELDS):
             column = values[warm, column]
-            slope, at_least = growth(hours[warm], column)
+            slope, at_least = compute_growth(hours[warm], column)
             gained = at_least * (hours[warm][-1] - hours[warm][0])
             processes[name][field] = {"last": float(column[-1]), "an_hour": slope, "an_hour_at_least": at_least}
             if at_least > GROWTH_MAX[field] and gained > LIMITED[field]:
@@ -263,7 +263,7 @@ def evaluate(soaked: Soaked) -> dict[str, Any]:
     }
 
 
-def growth(hours: Array, values: Array) -> tuple[float, float]:
+def compute_growth(hours: Array, values: Array) -> tuple[float, float]:
     """Return the slope per hour and the lower end of its one-sided 95 % interval.
 
     They are the median of the slopes of all pairs, and the order statistic below it. Both ignore single steps and a
@@ -282,7 +282,7 @@ def growth(hours: Array, values: Array) -> tuple[float, float]:
     return float(np.median(slopes)), float(slopes[lower])
 
 
-def table(result: dict[str, Any]) -> list[str]:
+def format_table(result: dict[str, Any]) -> list[str]:
     reference = "no C compiler" if result["missed_c"] is None else f"reference loop in C {result['missed_c']}"
     lines = [
         f"{result['minutes']:.0f} minutes, {result['ticks']} ticks: {result['missed']} deadlines missed ({reference}), "

@@ -16,11 +16,11 @@ from softfinger.config.load import load_scene
 from softfinger.config.schema import Scene
 from softfinger.config.sources import list_shipped
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.server.loop.clock import Stopwatch, now_ns, stopwatch
-from softfinger.server.offline.cost import BLOCK, Cost, keep_contact, make_touching_poses, measure, without_parts
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns
+from softfinger.server.offline.cost import BLOCK, Cost, iter_without_parts, keep_contact, make_touching_poses, measure
+from softfinger.server.offline.figures import make_figure, save
 from softfinger.server.progress import map_with_progress
-from softfinger.tools.bench.features import Feature, all_features, corner_poses
+from softfinger.tools.bench.features import Feature, iter_features, make_corner_poses
 from softfinger.tools.measure import show_and_draw
 
 REFERENCE_OPERATIONS: Final = 100
@@ -35,35 +35,35 @@ def time_reference(factor: float, count: int, watch: Stopwatch) -> float:
     """Run chains of REFERENCE_OPERATIONS multiplications and additions, each dependent on the previous one."""
     x = 0.5
     for block in range(watch.ns.shape[0]):
-        begun = now_ns(watch.timespec)
+        begun = read_clock_ns(watch.timespec)
         for _ in range(count):
             for _ in range(REFERENCE_OPERATIONS // 2):
                 x = x * factor + 0.25
-        watch.ns[block] = now_ns(watch.timespec) - begun
+        watch.ns[block] = read_clock_ns(watch.timespec) - begun
     return x
 
 
-def reference_ns() -> float:
+def measure_reference_ns() -> float:
     """Measure the current duration (ns) of the reference computation, `time_reference`."""
-    watch, count = stopwatch(50), 100
+    watch, count = make_stopwatch(50), 100
     time_reference(0.5, count, watch)
     return float(np.median(watch.ns)) / count
 
 
 def run(args: argparse.Namespace) -> int:
-    chosen = [] if args.features is None else select(list(all_features()), args.features)
+    chosen = [] if args.features is None else select(list(iter_features()), args.features)
     names = list_shipped(Scene) if args.all else args.scene
     blocks = max(args.blocks, 1)
     scenes = map_with_progress(
         "measuring the contact step",
-        lambda name: {"scene": name, "variants": variants(name, load_scene(name), blocks)},
+        lambda name: {"scene": name, "variants": list_variants(name, load_scene(name), blocks)},
         names,
     )
     result = {"steps": BLOCK * blocks, "scenes": scenes} | (scenes[0] if scenes else {})
     if chosen:
-        cost = partial(cost_of, blocks=blocks)
+        cost = partial(measure_cost, blocks=blocks)
         result["features"] = map_with_progress("measuring features", cost, chosen)
-    return show_and_draw(args, result, table(result), lambda path: draw(result, path))
+    return show_and_draw(args, result, format_table(result), lambda path: draw(result, path))
 
 
 def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]:
@@ -80,16 +80,20 @@ def select(offered: Sequence[Feature], patterns: Sequence[str]) -> list[Feature]
     return [f for f in offered if not patterns or any(fnmatch(f.name, pattern) for pattern in patterns)]
 
 
-def variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
-    poses = corner_poses() if name == CORNER else make_touching_poses(scene)
-    parts = [("whole", scene), *((f"without {n}", s) for n, s in without_parts(scene)), ("bare", keep_contact(scene))]
+def list_variants(name: str, scene: Scene, blocks: int) -> list[dict[str, Any]]:
+    poses = make_corner_poses() if name == CORNER else make_touching_poses(scene)
+    parts = [
+        ("whole", scene),
+        *((f"without {n}", s) for n, s in iter_without_parts(scene)),
+        ("bare", keep_contact(scene)),
+    ]
     units, costs = measure_in_turns([(part, poses) for _, part in parts], blocks)
     rows: list[dict[str, Any]] = []
     for (label, _), turns in zip(parts, costs, strict=True):
-        row = {"variant": label, "ns_per_step": quiet([cost.median_ns for cost in turns])}
+        row = {"variant": label, "ns_per_step": find_quietest([cost.median_ns for cost in turns])}
         row["p99_block_ns_per_step"] = float(np.median([cost.p99_ns for cost in turns]))
-        row["cpu_ns_per_step"] = quiet([cost.cpu_ns for cost in turns])
-        row |= {"reference_ns": quiet(units), "in_contact": turns[0].in_contact}
+        row["cpu_ns_per_step"] = find_quietest([cost.cpu_ns for cost in turns])
+        row |= {"reference_ns": find_quietest(units), "in_contact": turns[0].in_contact}
         if label.startswith("without"):
             row["marginal_ns"] = rows[0]["ns_per_step"] - row["ns_per_step"]
         rows.append(row)
@@ -103,12 +107,12 @@ def measure_in_turns(measured: Sequence[tuple[Scene, Any]], blocks: int) -> tupl
     """
     units, costs = [], []
     for _ in range(ROUNDS):
-        units.append(reference_ns())
+        units.append(measure_reference_ns())
         costs.append([measure(scene, poses, max(blocks // ROUNDS, 1)) for scene, poses in measured])
     return units, [list(turns) for turns in zip(*costs, strict=True)]
 
 
-def quiet(values: Any) -> float:
+def find_quietest(values: Any) -> float:
     """Return the value of the quietest turn.
 
     Programs that share a core with this one slow its steps by a third, for seconds. A median over turns would be the
@@ -117,7 +121,7 @@ def quiet(values: Any) -> float:
     return float(np.min(values))
 
 
-def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
+def measure_cost(feature: Feature, blocks: int) -> dict[str, Any]:
     """Return the cost of a scene with a feature, and the difference from the scene without it, in ns.
 
     Both are measured over turns of `blocks` blocks in all; the poses change with the touched surface.
@@ -134,15 +138,15 @@ def cost_of(feature: Feature, blocks: int) -> dict[str, Any]:
     return {
         "feature": feature.name,
         "base": feature.base,
-        "ns_per_step": quiet(after),
-        "base_ns_per_step": quiet(before),
+        "ns_per_step": find_quietest(after),
+        "base_ns_per_step": find_quietest(before),
         "marginal_ns": float(np.median(after - before)),
-        "reference_ns": quiet(units),
+        "reference_ns": find_quietest(units),
         "in_contact": having[0].in_contact,
     }
 
 
-def table(result: dict[str, Any]) -> list[str]:
+def format_table(result: dict[str, Any]) -> list[str]:
     lines = [f"contact step, back to back; ratio to a chain of {REFERENCE_OPERATIONS} dependent operations"]
     for scene in result["scenes"]:
         lines.append(str(scene["scene"]))
@@ -169,7 +173,7 @@ def draw(result: dict[str, Any], path: Path) -> None:
     steps = [(f"{s['scene']}: {row['variant']}", row["ns_per_step"]) for s in result["scenes"] for row in s["variants"]]
     added = [(row["feature"], row["marginal_ns"]) for row in result.get("features", [])]
     parts = [(rows, axis) for rows, axis in ((steps, "ns per step, back to back"), (added, "ns added")) if rows]
-    drawing = figure(height=len(parts) + 0.3 * (len(steps) + len(added)))
+    drawing = make_figure(height=len(parts) + 0.3 * (len(steps) + len(added)))
     grid = drawing.subplots(len(parts), 1, squeeze=False, height_ratios=[1 + len(rows) for rows, _ in parts])
     for axes, (rows, axis) in zip(grid[:, 0], parts, strict=True):
         axes.barh([label for label, _ in rows][::-1], [cost for _, cost in rows][::-1])

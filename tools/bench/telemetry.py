@@ -25,12 +25,19 @@ import zmq
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import AT, NAMED, PATCHES, RECORD_SIZE
 from softfinger.server.keys import client_keys, make_pair
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.server.socket_process.messages import Messages
 from softfinger.server.socket_process.setup import StateInfo, TickParameters
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
-from softfinger.tools.measure import Array, compile_c, draw_exceedance, microseconds, quantiles, show_and_draw
+from softfinger.tools.measure import (
+    Array,
+    compile_c,
+    compute_quantiles,
+    draw_exceedance,
+    format_microseconds,
+    show_and_draw,
+)
 
 START_S: Final = 180.0
 """Longest time for a cold daemon to compile."""
@@ -61,7 +68,7 @@ class PublisherProcess(NamedTuple):
 def run(args: argparse.Namespace) -> int:
     turns = max(1, round(args.seconds / TURN_S))
     with tempfile.TemporaryDirectory() as folder:
-        sources = commands(args, Path(folder))
+        sources = list_commands(args, Path(folder))
         results: dict[str, list[SourceResult]] = {name: [] for name in sources}
         for _ in range(turns):
             for name, words in sources.items():
@@ -72,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         arrivals = [rows for part in parts for rows in part.arrivals]
         latencies[name] = np.concatenate([rows[:, 1] for rows in arrivals])
         result[name] = {
-            "latency": quantiles(latencies[name], round(args.rate)),
+            "latency": compute_quantiles(latencies[name], round(args.rate)),
             "messages": sum(len(rows) for rows in arrivals),
             "lost": int(sum((np.diff(rows[:, 0]) - 1).sum() for rows in arrivals)),
             "load": float(np.mean([part.load for part in parts])),
@@ -81,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     own = result["daemon"]["latency"]["blocks"]
     for name in results:
         latency = result[name]["latency"]["blocks"]
-        cells = "  ".join(f"{q} {microseconds(latency[q])} ({latency[q] / own[q]:4.2f})" for q in ("p50", "p99"))
+        cells = "  ".join(f"{q} {format_microseconds(latency[q])} ({latency[q] / own[q]:4.2f})" for q in ("p50", "p99"))
         loss_text = f"lost {result[name]['lost']} of {result[name]['messages']}"
         lines.append(f"  {name:<10} {cells}   {loss_text}   processor {100.0 * result[name]['load']:4.1f} %")
     lines.append("  medians over blocks of a second; in brackets the ratio to the daemon")
@@ -89,12 +96,12 @@ def run(args: argparse.Namespace) -> int:
     return show_and_draw(args, result, lines, lambda path: draw_exceedance(path, latencies, 1.0, *texts))
 
 
-def commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
+def list_commands(args: argparse.Namespace, folder: Path) -> dict[str, list[str]]:
     """Return the command line of each source; `ENDPOINT` is replaced by its endpoint."""
     daemon = ["run", "--endpoint", "ENDPOINT", "--commands", "off", "--rate", repr(args.rate)]
     lines = {}
     if (program := compile_reference(folder)) is not None:
-        lines["c"] = [*program, "ENDPOINT", repr(args.rate), CONTACT, *body(folder)]
+        lines["c"] = [*program, "ENDPOINT", repr(args.rate), CONTACT, *write_message(folder)]
     lines["daemon"] = [sys.executable, "-m", "softfinger.server.cli", *daemon]
     if args.forward:
         lines[FORWARD] = lines["daemon"]
@@ -113,7 +120,7 @@ def compile_reference(folder: Path) -> list[str] | None:
     return [str(program), libraries.pop()]
 
 
-def body(folder: Path) -> list[str]:
+def write_message(folder: Path) -> list[str]:
     """Write a file with the map of a message in free space; returns it with the positions of time and tick."""
     record, path = [0.0] * RECORD_SIZE, folder / "body"
     for i in range(PATCHES):
@@ -135,26 +142,27 @@ def measure(name: str, words: list[str], args: argparse.Namespace, seconds: floa
         endpoint = f"tcp://127.0.0.1:{probe.bind_to_random_port('tcp://127.0.0.1')}"
     with tempfile.TemporaryDirectory() as folder_name, ExitStack() as running:
         started = [endpoint if word == "ENDPOINT" else word for word in words]
-        publisher = PublisherProcess(running.enter_context(source(started, endpoint)), endpoint)
+        publisher = PublisherProcess(running.enter_context(run_source(started, endpoint)), endpoint)
         if name == FORWARD:
             publisher = running.enter_context(forward(publisher.endpoint, args.keys, Path(folder_name)))
-        start_cpu_s, begun = processor_s(publisher.process.pid), time.monotonic()
+        start_cpu_s, begun = measure_processor_s(publisher.process.pid), time.monotonic()
         ticks_of_subscribers = subscribe_all(name, publisher, args.subscribers, seconds, Path(folder_name))
         return SourceResult(
-            ticks_of_subscribers, (processor_s(publisher.process.pid) - start_cpu_s) / (time.monotonic() - begun)
+            ticks_of_subscribers,
+            (measure_processor_s(publisher.process.pid) - start_cpu_s) / (time.monotonic() - begun),
         )
 
 
-def processor_s(pid: int) -> float:
+def measure_processor_s(pid: int) -> float:
     """Return the processor time of a process and its children."""
     fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
     children = " ".join(path.read_text("ascii") for path in Path(f"/proc/{pid}/task").glob("*/children")).split()
     own_s = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    return own_s + sum(processor_s(int(child)) for child in children)
+    return own_s + sum(measure_processor_s(int(child)) for child in children)
 
 
 @contextmanager
-def running_process(words: list[str], **options: Any) -> Iterator[subprocess.Popen[Any]]:
+def run_process(words: list[str], **options: Any) -> Iterator[subprocess.Popen[Any]]:
     """Run a process until the block ends."""
     with subprocess.Popen(words, **options) as process:
         try:
@@ -165,9 +173,9 @@ def running_process(words: list[str], **options: Any) -> Iterator[subprocess.Pop
 
 
 @contextmanager
-def source(words: list[str], endpoint: str) -> Iterator[subprocess.Popen[Any]]:
+def run_source(words: list[str], endpoint: str) -> Iterator[subprocess.Popen[Any]]:
     """Run a process that publishes at an endpoint until the block ends; yields it after its first message."""
-    with running_process(words, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C does not reach it
+    with run_process(words, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C does not reach it
         await_messages(endpoint)
         yield process
 
@@ -184,7 +192,7 @@ def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[PublisherProces
         (folder / "readers" / public.name).write_bytes(public.read_bytes())
         words += ["--keys", str(folder / "server.key_secret"), "--readers", str(folder / "readers")]
         pair = str(folder / "client.key_secret"), str(folder / "server.key")
-    with running_process(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+    with run_process(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         line_with_endpoint = next((line for line in process.stderr if "forwarded on " in line), "")
         yield PublisherProcess(process, line_with_endpoint.partition("forwarded on ")[2].partition(",")[0], pair)
@@ -196,7 +204,7 @@ def await_messages(endpoint: str) -> None:
         socket.linger = 0
         socket.subscribe(b"contact")
         socket.connect(endpoint)
-        with progress("the daemon starts, and compiles kernels that are not cached"):
+        with show_progress("the daemon starts, and compiles kernels that are not cached"):
             if not socket.poll(int(START_S * 1000)):
                 raise NoTelemetry(
                     f"nothing arrived from {endpoint} within {START_S:g} s: check that `softfinger run` starts"
@@ -210,7 +218,7 @@ def subscribe_all(
     paths = [folder / f"{number}.npy" for number in range(subscribers)]
     words = [sys.executable, "-m", "softfinger.tools.bench.telemetry", publisher.endpoint, repr(seconds)]
     processes = [subprocess.Popen([*words, str(path), *publisher.keys]) for path in paths]
-    with progress(f"measuring: {name}", round(seconds)) as advance:
+    with show_progress(f"measuring: {name}", round(seconds)) as advance:
         begun = time.monotonic()
         while any(process.poll() is None for process in processes):
             advance(min(int(time.monotonic() - begun), round(seconds)))

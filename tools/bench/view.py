@@ -22,10 +22,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.server.wire.client import subscribe
-from softfinger.tools.bench.telemetry import processor_s, running_process, source
-from softfinger.tools.measure import Array, draw_exceedance, microseconds, quantiles, show_and_draw
+from softfinger.tools.bench.telemetry import measure_processor_s, run_process, run_source
+from softfinger.tools.measure import Array, compute_quantiles, draw_exceedance, format_microseconds, show_and_draw
 
 TURN_S: Final = 10.0
 SETTLE_S: Final = 8.0
@@ -69,14 +69,14 @@ class TurnResult(NamedTuple):
 
 
 def run(args: argparse.Namespace) -> int:
-    page_counts = cases(args)
+    page_counts = list_cases(args)
     turns = max(1, round(args.seconds / TURN_S))
     parts: dict[str, list[TurnResult]] = {name: [] for name in page_counts}
     with tempfile.TemporaryDirectory() as folder:
         endpoint, commands = (f"ipc://{folder}/{name}" for name in ("telemetry", "commands"))
         words = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", args.rig]
         words += ["--endpoint", endpoint, "--commands", commands]
-        with source(words, endpoint), progress("measuring", turns * len(page_counts)) as advance:
+        with run_source(words, endpoint), show_progress("measuring", turns * len(page_counts)) as advance:
             for number in range(turns * len(page_counts)):
                 name = list(page_counts)[number % len(page_counts)]
                 parts[name].append(measure(page_counts[name], endpoint, commands, args.seconds / turns))
@@ -85,10 +85,10 @@ def run(args: argparse.Namespace) -> int:
     late = {name: np.concatenate([turn.ticks[:, 0] for turn in turns]) for name, turns in parts.items()}
     texts = ("woken late", "ticks later than this", "")
     content = {"rig": args.rig, "seconds": args.seconds, "cases": result}
-    return show_and_draw(args, content, table(result), lambda path: draw_exceedance(path, late, 1.0, *texts))
+    return show_and_draw(args, content, format_table(result), lambda path: draw_exceedance(path, late, 1.0, *texts))
 
 
-def cases(args: argparse.Namespace) -> dict[str, PageCounts]:
+def list_cases(args: argparse.Namespace) -> dict[str, PageCounts]:
     """Return the cases by name; raises ConfigError if browsers are not available."""
     if args.viewers < 1 or args.browsers < 0:
         raise ConfigError(
@@ -110,15 +110,15 @@ def measure(case: PageCounts, endpoint: str, commands: str, seconds: float) -> T
     """Return the daemon's ticks with the viewers and pages of a case."""
     with ExitStack() as running:
         words = ["--endpoint", endpoint, "--commands", commands]
-        served = [running.enter_context(viewer(*words)) for _ in range(case.viewers)]
+        served = [running.enter_context(run_viewer(*words)) for _ in range(case.viewers)]
         pages = running.enter_context(open_pages(served[0][1], case.pages)) if case.pages else []
         for page in pages:
             page.evaluate(COUNT)
-        start_cpu_s, begun = [processor_s(process.pid) for process, _ in served], time.monotonic()
+        start_cpu_s, begun = [measure_processor_s(process.pid) for process, _ in served], time.monotonic()
         ticks = receive_ticks(endpoint, seconds)
         frames = [float(page.evaluate("framesPerSecond()")) for page in pages]
         processor_seconds = [
-            processor_s(process.pid) - before for (process, _), before in zip(served, start_cpu_s, strict=True)
+            measure_processor_s(process.pid) - before for (process, _), before in zip(served, start_cpu_s, strict=True)
         ]
         return TurnResult(
             ticks, float(np.mean(processor_seconds)) / (time.monotonic() - begun) if processor_seconds else 0.0, frames
@@ -137,13 +137,13 @@ def receive_ticks(endpoint: str, seconds: float) -> Array:
 
 
 @contextmanager
-def viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def run_viewer(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run `softfinger view` with arguments; yields the process and the address of its page.
 
     Raises ConfigError with the output of the process if there is no page.
     """
     command = [sys.executable, "-m", "softfinger.server.cli", "view", "--no-open", *words]
-    with running_process(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
+    with run_process(command, stderr=subprocess.PIPE, text=True, process_group=0) as process:  # no Ctrl-C
         assert process.stderr is not None
         output = ""
         while (match := re.search(r"(?m)^(http\S+)\n", output)) is None:
@@ -187,20 +187,22 @@ def summary(turns: list[TurnResult]) -> dict[str, Any]:
     return {
         "ticks": len(late),
         "missed_of_1000": 1e3 * sum(missed) / (sum(missed) + len(late)),
-        "late": quantiles(late, 1000),
-        "busy": quantiles(busy, 1000),
+        "late": compute_quantiles(late, 1000),
+        "busy": compute_quantiles(busy, 1000),
         "viewer_load": float(np.mean([turn.load for turn in turns])),
         "frames_per_s": {"least": min(frames), "median": float(np.median(frames))} if frames else None,
     }
 
 
-def table(result: dict[str, dict[str, Any]]) -> list[str]:
+def format_table(result: dict[str, dict[str, Any]]) -> list[str]:
     lines = [
         "beside the daemon   missed of 1000   late p50        p99   busy p50        p99   a viewer   frames a second"
     ]
     for name, case in result.items():
         cells = "".join(
-            microseconds(case[quantity]["blocks"][q]) + "  " for quantity in ("late", "busy") for q in ("p50", "p99")
+            format_microseconds(case[quantity]["blocks"][q]) + "  "
+            for quantity in ("late", "busy")
+            for q in ("p50", "p99")
         )
         frames = case["frames_per_s"]
         frames_text = f"{frames['median']:.0f}, least {frames['least']:.0f}" if frames else ""

@@ -7,11 +7,11 @@ from typing import Final
 
 from softfinger.config.errors import HapticError
 from softfinger.config.schema import Rig
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system import libusb as system_libusb
-from softfinger.drivers.system.claims import Claim, claims, find_claim, matches
-from softfinger.drivers.system.diagnosis import LIBRARY_DRIVERS, diagnose, makers_library
+from softfinger.drivers.system.claims import Claim, find_claim, list_claims, matches_device
+from softfinger.drivers.system.diagnosis import LIBRARY_DRIVERS, diagnose, find_makers_library
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.tools.doctor.check import STATES, Check, State
 
@@ -19,29 +19,29 @@ OVER_USB: Final = ("falcon", "forcedimension")
 OVER_HID: Final = ("hid", "spacemouse")
 
 
-def checks(rig: Rig) -> list[Check]:
-    results = [libusb(rig), hidapi(rig), *(maker_library(rig, driver) for driver in LIBRARY_DRIVERS)]
-    if single_device(rig).driver == "haply":
-        results.append(inverse_service(rig))
-    return [*results, *devices(rig, discovery.list_attached())]
+def list_checks(rig: Rig) -> list[Check]:
+    results = [check_libusb(rig), check_hidapi(rig), *(check_maker_library(rig, driver) for driver in LIBRARY_DRIVERS)]
+    if find_single_device(rig).driver == "haply":
+        results.append(check_inverse_service(rig))
+    return [*results, *check_devices(rig, discovery.list_attached())]
 
 
 def _grade_missing(needed: bool) -> State:
     return STATES[1 + needed]
 
 
-def libusb(rig: Rig) -> Check:
-    origin = system_libusb.origin()
+def check_libusb(rig: Rig) -> Check:
+    origin = system_libusb.find_origin()
     return Check(
         "libusb",
-        "good" if origin else _grade_missing(single_device(rig).driver in OVER_USB),
+        "good" if origin else _grade_missing(find_single_device(rig).driver in OVER_USB),
         f"found, {origin}" if origin else "not found",
         "there, for a Falcon",
         system_libusb.REMEDY,
     )
 
 
-def hidapi(rig: Rig) -> Check:
+def check_hidapi(rig: Rig) -> Check:
     missing = []
     for name in ("hid", "hidraw"):
         try:
@@ -50,20 +50,20 @@ def hidapi(rig: Rig) -> Check:
             missing.append(f"{name} cannot be imported: {error}")
     return Check(
         "hidapi",
-        _grade_missing(single_device(rig).driver in OVER_HID) if missing else "good",
+        _grade_missing(find_single_device(rig).driver in OVER_HID) if missing else "good",
         "; ".join(missing) or "modules hid and hidraw found",
         "both modules, for HID devices",
         "pip install --force-reinstall hidapi, and apt install libusb-1.0-0 libudev1",
     )
 
 
-def maker_library(rig: Rig, driver: str) -> Check:
+def check_maker_library(rig: Rig, driver: str) -> Check:
     """Check a maker's library, which is not part of this program; only its devices need it."""
-    library = makers_library(driver)
-    needed = single_device(rig).driver == driver
+    library = find_makers_library(driver)
+    needed = find_single_device(rig).driver == driver
     expected = "found, for the maker's devices"
     try:
-        library.load(single_device(rig).options.get("library_file") if needed else None)
+        library.load(find_single_device(rig).options.get("library_file") if needed else None)
     except HapticError as error:
         if not needed:
             return Check(library.NAME, "good", "not found; this rig does not need it", expected)
@@ -71,11 +71,11 @@ def maker_library(rig: Rig, driver: str) -> Check:
     return Check(library.NAME, "good", "found", expected)
 
 
-def inverse_service(rig: Rig) -> Check:
+def check_inverse_service(rig: Rig) -> Check:
     """Check Haply's service, which owns the devices: query its list, without sending anything to a device."""
     from softfinger.drivers.haply import dial, opening
 
-    options = single_device(rig).options
+    options = find_single_device(rig).options
     try:
         reply = opening.identify(options.get("port", opening.PORT), options.get("version"))
     except HapticError as error:
@@ -85,9 +85,9 @@ def inverse_service(rig: Rig) -> Check:
     return Check("Inverse Service", state, observation, "running, with a device", "plug the device in and switch it on")
 
 
-def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
+def check_devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
     """Check each device that a driver claims, as `devices` diagnoses it; bad if the rig needs it and it is unusable."""
-    driver, expected = single_device(rig).driver, "usable"
+    driver, expected = find_single_device(rig).driver, "usable"
     results, is_attached = [], False
     for device in attached:
         claim, is_of_rig = find_claim(device), is_of(rig, device)
@@ -96,7 +96,7 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
         if claim is None:
             continue
         is_attached = is_attached or is_of_rig
-        diagnosis = diagnose(device, claim, single_device(rig))
+        diagnosis = diagnose(device, claim, find_single_device(rig))
         state: State = "good" if diagnosis.state == "usable" else _grade_missing(is_of_rig)
         reason = f": {diagnosis.reason}" if diagnosis.reason else ""
         results.append(
@@ -104,7 +104,7 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
                 f"device {device.ids}", state, f"{device.name}: {diagnosis.state}{reason}", expected, diagnosis.remedy
             )
         )
-    if not is_attached and driver != "haply" and driver in {claim.driver for claim in claims()}:
+    if not is_attached and driver != "haply" and driver in {claim.driver for claim in list_claims()}:
         remedy = "plug it in and switch it on; softfinger devices lists what is attached"
         results.append(
             Check("device of the rig", "bad", f"no device for driver {driver} of this rig", "attached", remedy)
@@ -118,9 +118,9 @@ def devices(rig: Rig, attached: list[SystemDevice]) -> list[Check]:
 
 def is_of(rig: Rig, device: SystemDevice) -> bool:
     """Return whether a device may be the rig's: by its ids or path if the rig gives them, else by its driver."""
-    options, claim = single_device(rig).options, find_claim(device)
+    options, claim = find_single_device(rig).options, find_claim(device)
     if "vendor_id" in options:
-        return matches(device, options)
+        return matches_device(device, options)
     if options.get("path") is not None:
         return bool(device.node == options["path"])
-    return claim is not None and claim.driver == single_device(rig).driver
+    return claim is not None and claim.driver == find_single_device(rig).driver

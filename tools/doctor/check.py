@@ -23,7 +23,7 @@ def grade(value: float, fair: float, bad: float) -> State:
     return STATES[(value > fair) + (value > bad)]
 
 
-def lines(checks: list[Check]) -> list[str]:
+def format_lines(checks: list[Check]) -> list[str]:
     text = []
     for check in checks:
         text.append(f"  {check.state:<16}{check.name}: {check.seen}")

@@ -12,15 +12,15 @@ import numpy as np
 from softfinger.config.errors import AddressInUse, HapticError
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig, Scene
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers.registry import open_device
-from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KEPT
+from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KERNEL_FOLDER
 from softfinger.server.loop import realtime
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.cost import make_touching_poses
 from softfinger.server.offline.cost import measure as step_cost
-from softfinger.server.progress import progress, report_compilation
+from softfinger.server.progress import report_compilation, show_progress
 from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.bench import loop
 from softfinger.tools.doctor.check import STATES, Check, grade
@@ -39,14 +39,14 @@ STEP_BAD: Final = 0.5
 STEP_BLOCKS: Final = 10
 
 
-def without_device(rig: Rig) -> Rig:
+def replace_device(rig: Rig) -> Rig:
     """Return the rig's loop on a recording, so that no force is displayed while the machine is measured."""
     keys = ("rate_hz", "realtime", "priority", "cpu")
     values = {f"servo.{key}": getattr(rig.servo, key) for key in keys}
     return load_rig("replay", {key: value for key, value in values.items() if value is not None})
 
 
-def settings(rig: Rig) -> list[Check]:
+def check_settings(rig: Rig) -> list[Check]:
     """Apply each real-time setting in a separate thread, and undo it."""
     settings_made: list[realtime.Setting] = []
     thread = threading.Thread(target=lambda: settings_made.extend(_apply(rig)))
@@ -68,15 +68,18 @@ def _apply(rig: Rig) -> list[realtime.Setting]:
 
 
 def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
-    bare = without_device(rig)
+    bare = replace_device(rig)
     begun = time.monotonic()
-    with report_compilation("kernels of the scene"), open_device(single_device(bare), bare.servo.rate_hz) as device:
+    with (
+        report_compilation("kernels of the scene"),
+        open_device(find_single_device(bare), bare.servo.rate_hz) as device,
+    ):
         servo = ServoThread([device] * len(scene.fingers), make_tuning(scene, bare.guard), bare.servo.rate_hz)
         warm = servo.compile()
         servo.close()
     seconds_taken = time.monotonic() - begun
     expected = "a folder that this user may write to, with the kernels of the scene in it"
-    if (problem := KEPT.problem()) is not None:
+    if (problem := KERNEL_FOLDER.problem()) is not None:
         state = f"{problem}; every start compiles, now {seconds_taken:.1f} s"
         remedy = "export SOFTFINGER_CACHE_DIR=/a/folder/of/yours"
         return Check("kernel cache", "bad", state, expected, remedy)
@@ -87,12 +90,14 @@ def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
     return Check("kernel cache", "could be better", state, expected, remedy)
 
 
-def lateness(rig: Rig, scene: Scene, seconds: float, plot: Path | None = None) -> tuple[list[Check], dict[str, Any]]:
+def measure_lateness(
+    rig: Rig, scene: Scene, seconds: float, plot: Path | None = None
+) -> tuple[list[Check], dict[str, Any]]:
     """Measure missed ticks and wake-up lateness of the servo on a recording, and the C loop for comparison.
 
     Returns the checks and the figures, and draws the lateness to `plot`.
     """
-    runs, _ = loop.measure(without_device(rig), scene, seconds, busy=False)
+    runs, _ = loop.measure(replace_device(rig), scene, seconds, busy=False)
     result = loop.evaluate({name: np.concatenate(parts) for name, parts in runs.items()}, rig.servo.rate_hz)
     if plot is not None:
         loop.draw(plot, runs, rig.servo.rate_hz)
@@ -128,7 +133,7 @@ def judge_loop(result: dict[str, Any]) -> list[Check]:
 
 def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
     """Measure the cost of a contact step, in contact, relative to the period."""
-    with progress("measuring the contact step", STEP_BLOCKS) as advance:
+    with show_progress("measuring the contact step", STEP_BLOCKS) as advance:
         cost = step_cost(scene, make_touching_poses(scene), STEP_BLOCKS, advance)
     share = cost.median_ns * 1e-9 * rig.servo.rate_hz
     return Check(
@@ -140,7 +145,7 @@ def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
     )
 
 
-def endpoint(rig: Rig) -> Check:
+def check_endpoint(rig: Rig) -> Check:
     """Check whether the rig's telemetry endpoint can be bound; it is released at once."""
     endpoint, expected = rig.telemetry.endpoint, "free to be bound"
     try:

@@ -28,11 +28,19 @@ PROCESSORS: Final = 2
 CONTAINER_WORDS: Final = re.compile(r"docker|containerd|kubepods|libpod|lxc")
 
 
-def checks(root: Path = ROOT) -> list[Check]:
-    return [python(), packages(), kernel(root), virtual(root), processors(root), frequency(root), clock(root)]
+def list_checks(root: Path = ROOT) -> list[Check]:
+    return [
+        check_python(),
+        check_packages(),
+        check_kernel(root),
+        check_virtual(root),
+        check_processors(root),
+        check_frequency(root),
+        check_clock(root),
+    ]
 
 
-def text(path: Path) -> str:
+def read_system_file(path: Path) -> str:
     """Return the stripped contents of a system file, empty if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip("\0\n ")
@@ -40,12 +48,12 @@ def text(path: Path) -> str:
         return ""
 
 
-def python() -> Check:
+def check_python() -> Check:
     expected = metadata.metadata("softfinger")["Requires-Python"]
     return Check("Python", "good", f"{platform.python_implementation()} {platform.python_version()}", expected)
 
 
-def versions() -> dict[str, str]:
+def list_versions() -> dict[str, str]:
     """Return the version of every package that softfinger needs, empty if it is not installed; without extras."""
     result = {}
     for requirement in metadata.requires("softfinger") or []:
@@ -60,8 +68,8 @@ def versions() -> dict[str, str]:
     return result
 
 
-def packages() -> Check:
-    installed = versions()
+def check_packages() -> Check:
+    installed = list_versions()
     missing = [name for name, version in installed.items() if not version]
     state = ", ".join(f"{name} {version or 'MISSING'}" for name, version in installed.items())
     return Check(
@@ -69,8 +77,8 @@ def packages() -> Check:
     )
 
 
-def kernel(root: Path = ROOT) -> Check:
-    is_realtime = text(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version()
+def check_kernel(root: Path = ROOT) -> Check:
+    is_realtime = read_system_file(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version()
     return Check(
         "system",
         "good" if is_realtime else "could be better",
@@ -82,17 +90,19 @@ def kernel(root: Path = ROOT) -> Check:
     )
 
 
-def virtual(root: Path = ROOT) -> Check:
+def check_virtual(root: Path = ROOT) -> Check:
     """Check for a virtual machine, which its host may stall, and for a container, which may lack rights and nodes."""
     remedies: dict[str, str] = {}
-    machine = " ".join(filter(None, (text(root / "sys/class/dmi/id" / key) for key in ("sys_vendor", "product_name"))))
-    if re.search(r"^flags\s*:.*\bhypervisor\b", text(root / "proc/cpuinfo"), re.MULTILINE):
-        guest = f"virtual machine{f' ({machine})' if machine else ''}, {stolen_share(root)}"
+    machine = " ".join(
+        filter(None, (read_system_file(root / "sys/class/dmi/id" / key) for key in ("sys_vendor", "product_name")))
+    )
+    if re.search(r"^flags\s*:.*\bhypervisor\b", read_system_file(root / "proc/cpuinfo"), re.MULTILINE):
+        guest = f"virtual machine{f' ({machine})' if machine else ''}, {measure_stolen_share(root)}"
         remedies[guest] = "run on the machine itself: a host stalls its guests for milliseconds"
     if (
         (root / ".dockerenv").exists()
         or (root / "run/.containerenv").exists()
-        or CONTAINER_WORDS.search(text(root / "proc/1/cgroup"))
+        or CONTAINER_WORDS.search(read_system_file(root / "proc/1/cgroup"))
     ):
         remedies["container"] = "give the container the options in docs/operate/docker.md"
     expected = "neither virtual machine nor container"
@@ -100,20 +110,20 @@ def virtual(root: Path = ROOT) -> Check:
     return Check("bare machine", state, "; ".join(remedies) or expected, expected, "; ".join(remedies.values()))
 
 
-def stolen_share(root: Path = ROOT) -> str:
+def measure_stolen_share(root: Path = ROOT) -> str:
     """Return the share of time that the host has taken from this machine since its start."""
-    words = text(root / "proc/stat").partition("\n")[0].split()[1:9]
+    words = read_system_file(root / "proc/stat").partition("\n")[0].split()[1:9]
     if len(words) < 8 or not sum(map(int, words)):
         return "time taken by its host unknown"
     return f"{int(words[7]) / sum(map(int, words)):.2%} of its time taken by its host"
 
 
-def processors(root: Path = ROOT) -> Check:
+def check_processors(root: Path = ROOT) -> Check:
     usable = os.sched_getaffinity(0)
     state = f"{len(usable)} of {os.cpu_count()} may be used"
-    if text(root / CPUS / "smt" / "active") == "1":
+    if read_system_file(root / CPUS / "smt" / "active") == "1":
         state += ", two threads to a core"
-    if isolated := text(root / CPUS / "isolated"):
+    if isolated := read_system_file(root / CPUS / "isolated"):
         state += f", isolated: {isolated}"
     return Check(
         "processors",
@@ -124,9 +134,9 @@ def processors(root: Path = ROOT) -> Check:
     )
 
 
-def frequency(root: Path = ROOT) -> Check:
+def check_frequency(root: Path = ROOT) -> Check:
     """Check the governor of every processor; power saving makes a processor wake slowly and run at a low clock."""
-    governors = {text(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
+    governors = {read_system_file(path) for path in (root / CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""}
     return Check(
         "processor frequency",
         "good" if governors <= {"performance"} else "could be better",
@@ -136,8 +146,8 @@ def frequency(root: Path = ROOT) -> Check:
     )
 
 
-def clock(root: Path = ROOT) -> Check:
-    source, resolution = text(root / CLOCK), time.get_clock_info("monotonic").resolution
+def check_clock(root: Path = ROOT) -> Check:
+    source, resolution = read_system_file(root / CLOCK), time.get_clock_info("monotonic").resolution
     state = f"{source or 'source unknown'}, resolution {resolution * 1e9:.0f} ns"
     expected = f"one of {', '.join(FAST_CLOCKS)}; a resolution of {RESOLUTION_S * 1e9:.0f} ns or finer"
     if resolution > RESOLUTION_S:

@@ -14,21 +14,21 @@ from softfinger.tools.measure import Array
 
 AXES: Final = "xyz"
 
-MOVED_M: Final = 0.005
+MIN_MOVE_M: Final = 0.005
 """Smallest displacement that counts as a motion; requested motions are some centimetres."""
-TURNED_RAD: Final = 0.1
-CLEAR: Final = 2.0
+MIN_TURN_RAD: Final = 0.1
+CLEAR_RATIO: Final = 2.0
 """A motion is along an axis if that component is this many times the next largest."""
-BY_ITSELF: Final = (5.0, 95.0)
+REST_PERCENTILES: Final = (5.0, 95.0)
 """Percentiles between which the position at rest counts as motion by itself; they exclude initial settling."""
-ENDS: Final = 0.1
+END_SHARE: Final = 0.1
 """Fraction of a part at either end; the median over it is the start or end position."""
 
 SHARE_MIN: Final = 0.5
 """Fraction of the variance of the motion that a push must explain to be its cause."""
-PUSHED_M: Final = 2e-5
+MIN_RESPONSE_M: Final = 2e-5
 """A response smaller than the steps of common encoders counts as none."""
-SPRINGY_DEG: Final = 15.0
+SPRING_LAG_DEG: Final = 15.0
 """Lags closer than this to 0 belong to a handle in a springy hand.
 
 Lags closer than this to half a cycle belong to a free mass or to a force of the wrong sign, which are not
@@ -36,20 +36,20 @@ distinguished.
 """
 
 
-def finite(rows: Array) -> Array:
+def select_finite(rows: Array) -> Array:
     return rows[np.isfinite(rows[:, SAMPLE : SAMPLE + 7]).all(axis=1)]
 
 
-def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
+def measure_rest(rows: Array, turns: bool) -> dict[str, Any] | None:
     """Return mean position and standard deviation per axis, m, and of the rotation about each world axis, rad.
 
     Returns None without rows.
     """
-    valid = finite(rows)
+    valid = select_finite(rows)
     if len(valid) < 2:
         return None
     place = valid[:, SAMPLE : SAMPLE + 3]
-    about = np.array([rotation(valid[0], row) for row in valid]) if turns else None
+    about = np.array([compute_rotation(valid[0], row) for row in valid]) if turns else None
     return {
         "ticks": len(valid),
         "not_finite": len(rows) - len(valid),
@@ -61,35 +61,35 @@ def rest(rows: Array, turns: bool) -> dict[str, Any] | None:
 
 def measure_drift(rows: Array) -> Array:
     """Return the deviation (3,) m of the handle from its middle along each axis while nothing pushed it."""
-    valid = finite(rows)[:, SAMPLE : SAMPLE + 3]
+    valid = select_finite(rows)[:, SAMPLE : SAMPLE + 3]
     if len(valid) == 0:
         return np.zeros(3)
-    low, high = np.percentile(valid, BY_ITSELF, axis=0)
+    low, high = np.percentile(valid, REST_PERCENTILES, axis=0)
     return np.asarray(0.5 * (high - low))
 
 
 def reach(rows: Array) -> dict[str, list[float]] | None:
     """Return the range of the handle: smallest and largest coordinates, m."""
-    valid = finite(rows)[:, SAMPLE : SAMPLE + 3]
+    valid = select_finite(rows)[:, SAMPLE : SAMPLE + 3]
     if len(valid) == 0:
         return None
     return {"position_min_m": valid.min(axis=0).tolist(), "position_max_m": valid.max(axis=0).tolist()}
 
 
-def masks(rows: Array) -> list[int]:
+def list_masks(rows: Array) -> list[int]:
     return sorted({int(value) for value in rows[:, SAMPLE + SAMPLE_BUTTONS] if np.isfinite(value)})
 
 
-def rotation(before: Array, after: Array) -> Array:
+def compute_rotation(before: Array, after: Array) -> Array:
     """Return the shorter rotation vector (3,) rad, world frame, from the orientation of one row to that of another."""
     before, after = before[SAMPLE + 3 : SAMPLE + 7], after[SAMPLE + 3 : SAMPLE + 7]
     return quaternions.log(quaternions.multiply(after, quaternions.conjugate(before)))
 
 
-def translation_of(rows: Array) -> Array:
+def compute_translation(rows: Array) -> Array:
     """Return the displacement (3,) m of the handle from the start of a part to its end."""
-    valid = finite(rows)
-    count = max(1, round(ENDS * len(valid)))
+    valid = select_finite(rows)
+    count = max(1, round(END_SHARE * len(valid)))
     displacement: Array = np.median(valid[-count:, SAMPLE : SAMPLE + 3], axis=0) - np.median(
         valid[:count, SAMPLE : SAMPLE + 3], axis=0
     )
@@ -98,12 +98,12 @@ def translation_of(rows: Array) -> Array:
 
 def move(request: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | None:
     """Return the result of a requested motion. `kind`: translation or rotation; `expected`: an axis, as '+x'."""
-    valid = finite(rows)
+    valid = select_finite(rows)
     if len(valid) == 0:
         return None
     turned = kind == "rotation"
-    vector = rotation(valid[0], valid[-1]) if turned else translation_of(valid)
-    direction = axis_of(vector, TURNED_RAD if turned else MOVED_M)
+    vector = compute_rotation(valid[0], valid[-1]) if turned else compute_translation(valid)
+    direction = name_axis(vector, MIN_TURN_RAD if turned else MIN_MOVE_M)
     return {
         "asked": request,
         "kind": kind,
@@ -115,13 +115,13 @@ def move(request: str, kind: str, expected: str, rows: Array) -> dict[str, Any] 
     }
 
 
-def axis_of(vector: Array, least: float) -> str:
+def name_axis(vector: Array, least: float) -> str:
     """Return the axis and sense of a vector (3,), as '+x', or a text if there is none."""
     sizes = np.abs(vector)
     if sizes.max() < least:
         return "no motion"
     order = np.argsort(sizes)
-    if sizes[order[2]] < CLEAR * sizes[order[1]]:
+    if sizes[order[2]] < CLEAR_RATIO * sizes[order[1]]:
         return "not along one axis"
     largest = int(order[2])
     return f"{'+' if vector[largest] > 0.0 else '-'}{AXES[largest]}"
@@ -146,7 +146,7 @@ def push(
     late = 2.0 * np.pi * frequency_hz / rate_hz * np.cumsum(force)
     t = np.linspace(-1.0, 1.0, len(rows))
     drift = np.stack([np.ones_like(t), t, t * t], axis=1)[is_valid]
-    basis, motion = (_without(drift, part[is_valid]) for part in (np.stack([force, late], axis=1), place))
+    basis, motion = (_remove_drift(drift, part[is_valid]) for part in (np.stack([force, late], axis=1), place))
     solution, *_ = np.linalg.lstsq(basis, motion, rcond=None)
     fitted = basis @ solution
     k = int(np.argmax((fitted**2).sum(axis=0)))
@@ -162,24 +162,24 @@ def push(
         "m_per_n": compliance,
         "lag_deg": lag,
         "share": share,
-        "seen": _verdict(AXES[k], compliance * largest, lag, share, 0.0 if own_m is None else float(own_m[k])),
+        "seen": _judge(AXES[k], compliance * largest, lag, share, 0.0 if own_m is None else float(own_m[k])),
     }
 
 
-def _without(drift: Array, values: Array) -> Array:
+def _remove_drift(drift: Array, values: Array) -> Array:
     """Return `values` (n, k) without the part that `drift` (n, m) explains."""
     fit, *_ = np.linalg.lstsq(drift, values, rcond=None)
     rest_of: Array = values - drift @ fit
     return rest_of
 
 
-def _verdict(axis: str, size_m: float, lag_deg: float, share: float, own_m: float) -> str:
-    if size_m < PUSHED_M:
+def _judge(axis: str, size_m: float, lag_deg: float, share: float, own_m: float) -> str:
+    if size_m < MIN_RESPONSE_M:
         return "no motion"
     if size_m < own_m:
         return f"unclear: at rest the handle moved along {axis} by as much"
     if share < SHARE_MIN:
         return f"not clear: the push accounts for {share:.0%} of the motion"
-    if abs(lag_deg) > 180.0 - SPRINGY_DEG:
+    if abs(lag_deg) > 180.0 - SPRING_LAG_DEG:
         return f"moves along {axis}; a free handle, or the wrong sign: hold it lightly and push again"
-    return f"{'-' if lag_deg < -SPRINGY_DEG else '+'}{axis}"
+    return f"{'-' if lag_deg < -SPRING_LAG_DEG else '+'}{axis}"

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.files import home_folder
+from softfinger.config.files import find_home_folder
 
 KEPT_KEYS: Final = frozenset({"driver", "id"})
 """Keys with values from this program, which a user of the same name as a driver does not change."""
@@ -43,7 +43,7 @@ def shorten_serial(serial: str) -> str:
     return f"...{serial[-2:]}" if len(serial) > 3 else "..." if serial else ""
 
 
-class Privacy:
+class Redactor:
     """Removal of identifying words from texts.
 
     Parameters
@@ -53,7 +53,7 @@ class Privacy:
     """
 
     def __init__(self, serials: Iterable[str] = ()) -> None:
-        folders = dict.fromkeys(_homes(), "~") | {
+        folders = dict.fromkeys(_list_homes(), "~") | {
             str(Path.cwd()): ".",
             sys.prefix: "<environment>",
             str(Path(__file__).resolve().parents[2]): "softfinger",
@@ -65,7 +65,7 @@ class Privacy:
             if folder not in {"", "/", "/usr"}
         ]
         host = platform.node()
-        words = dict.fromkeys(_users(), "<user>") | dict.fromkeys((host, host.partition(".")[0]), "<host>")
+        words = dict.fromkeys(_list_users(), "<user>") | dict.fromkeys((host, host.partition(".")[0]), "<host>")
         words |= {serial: shorten_serial(serial) for serial in serials}
         words.pop("", None)
         self._words = words
@@ -75,12 +75,12 @@ class Privacy:
     def clean(self, value: Any) -> Any:
         """Return `value`, made of mappings, lists and scalars, with every text in it cleaned; keys do not change."""
         if isinstance(value, dict):
-            return {key: self._entry(key, item) for key, item in value.items()}
+            return {key: self._redact_entry(key, item) for key, item in value.items()}
         if isinstance(value, list | tuple):
             return [self.clean(item) for item in value]
         return self.text(value) if isinstance(value, str) else value
 
-    def _entry(self, key: str, value: Any) -> Any:
+    def _redact_entry(self, key: str, value: Any) -> Any:
         if key in KEPT_KEYS:
             return value
         if isinstance(value, str) and key in FILE_KEYS:
@@ -93,21 +93,21 @@ class Privacy:
         for folder, name in self._folders:
             text = folder.sub(name, text)
         for pattern in (_QUOTED, _PATH):
-            text = pattern.sub(lambda match: _file_name(match[0]), text)
+            text = pattern.sub(lambda match: _extract_file_name(match[0]), text)
         text = _RELATIVE.sub("", text)
         text = _BY_ID.sub(r"\1...", text)
         text = _SERIAL.sub(lambda match: match[1] + shorten_serial(match[2]), text)
         return text if self._pattern is None else self._pattern.sub(lambda match: self._words[match[0]], text)
 
 
-def options(values: dict[str, Any]) -> dict[str, Any]:
+def redact_options(values: dict[str, Any]) -> dict[str, Any]:
     """Return the device options of a rig with files without their folders and a shortened serial number."""
     public: dict[str, Any] = {}
     for key, value in values.items():
         if key == "serial":
             public[key] = shorten_serial(str(value))
         elif isinstance(value, dict):
-            public[key] = options(value)
+            public[key] = redact_options(value)
         elif isinstance(value, str) and "/" in value and not value.startswith("/dev/"):
             public[key] = Path(value).name
         else:
@@ -115,19 +115,19 @@ def options(values: dict[str, Any]) -> dict[str, Any]:
     return public
 
 
-def _file_name(path: str) -> str:
+def _extract_file_name(path: str) -> str:
     """Return the last part of a path if it has an ending, else `...`: it may be a folder."""
     return Path(path).name if Path(path).suffix else "..."
 
 
-def _homes() -> set[str]:
-    homes = {str(home_folder() or ""), os.environ.get("HOME", "")}
+def _list_homes() -> set[str]:
+    homes = {str(find_home_folder() or ""), os.environ.get("HOME", "")}
     with contextlib.suppress(KeyError):  # a user without an entry, as in some containers
         homes.add(pwd.getpwuid(os.getuid()).pw_dir)
     return {home.rstrip("/") for home in homes}
 
 
-def _users() -> set[str]:
+def _list_users() -> set[str]:
     names = {os.environ.get(key, "") for key in ("USER", "LOGNAME", "SUDO_USER")}
     with contextlib.suppress(KeyError, OSError):
         names |= {getpass.getuser(), pwd.getpwuid(os.getuid()).pw_name}

@@ -19,7 +19,7 @@ from softfinger.tools.doctor import motions
 from softfinger.tools.doctor.report import Report, ReportRequest, make_report
 from softfinger.tools.doctor.session import TRANSLATIONS, DeviceSession
 from softfinger.tools.exchange import START
-from softfinger.tools.exchange_figures import figures
+from softfinger.tools.exchange_figures import summarize_part
 from softfinger.tools.measure import Array
 from softfinger.tools.options import PUSH_N
 
@@ -27,7 +27,7 @@ WORDS: Final = {"+x": "right", "+y": "away from you", "+z": "up", "-x": "left", 
 PART_S: Final = 2.0
 """Duration of each of five parts: at rest, to the right, away, up, buttons. Ten seconds in all."""
 PUSH_S: Final = 1.5
-PEAK: Final = 3.0 * 3.0**0.5 / 8.0
+PUSH_PEAK: Final = 3.0 * 3.0**0.5 / 8.0
 """Largest value of one sine under its envelope, sin(pi s)^2 sin(2 pi s); it pushes along the axis and back."""
 
 
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises as `report.make_report`, and ConfigError if the rig allows less force than a push has.
     """
-    rig = load_rig(args.rig if args.rig is not None else attached_rig())
+    rig = load_rig(args.rig if args.rig is not None else find_attached_rig())
     if args.push and rig.guard.force_max_n < PUSH_N:
         raise ConfigError(f"--push: guard.force_max_n = {rig.guard.force_max_n:g} is below the push of {PUSH_N:g} N")
     force_n, guided = PUSH_N if args.push else None, sys.stdin.isatty()
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     return make_report(rig, request, ProbeSession, summarize)
 
 
-def attached_rig() -> str:
+def find_attached_rig() -> str:
     """Return the shipped rig of the first attached device that has one. Raises DeviceNotFound if there is none."""
     for device in discovery.list_attached():
         claim = find_claim(device)
@@ -65,8 +65,8 @@ class ProbeSession(DeviceSession):
             "Keep the handle where each motion ends"
         )
         parts = [self._record_motion("hold still")]
-        self._rest_of(parts[0])
-        supported = self._translations()
+        self._measure_rest(parts[0])
+        supported = self._measure_translations()
         for motion in TRANSLATIONS:
             is_supported = motion in supported
             rows = self._record_motion(motion.words) if is_supported else self._record("further options", self._seconds)
@@ -78,11 +78,11 @@ class ProbeSession(DeviceSession):
         parts.append(self._record_motion("press each button in turn, and turn the handle"))
         together = join_rows(parts)
         if len(together):
-            self._report["exchange"] = figures(together, self._exchange.rate_hz)
-            self._report["buttons"] = {"masks": motions.masks(together)}
+            self._report["exchange"] = summarize_part(together, self._exchange.rate_hz)
+            self._report["buttons"] = {"masks": motions.list_masks(together)}
         if force_n is not None:
             warning = f"hold the handle lightly: it pushes with {force_n:g} N along each axis and back"
-            for axis, result in self._push_each(warning, force_n / PEAK, 1.0 / PUSH_S, PUSH_S):
+            for axis, result in self._push_each(warning, force_n / PUSH_PEAK, 1.0 / PUSH_S, PUSH_S):
                 self._report["pushes"].append(result | {"felt": self._ask_direction(motions.AXES[axis])})
 
     def _record_motion(self, words: str) -> Array:
@@ -122,13 +122,13 @@ def summarize(report: Report) -> list[str]:
     """Return the picture of the axes, and the most important figures for a user; nothing without an open device."""
     if report["device"] is None:
         return []
-    text = picture(report)
+    text = draw_range(report)
     if (exchange := report["exchange"]) is not None:
         text.append(f"  {exchange['new_samples_hz']:.0f} new samples a second, the rig requires {report['rate_hz']:g}")
     return text
 
 
-def picture(report: Report) -> list[str]:
+def draw_range(report: Report) -> list[str]:
     """Draw arrows of x, y and z with the range of the handle along each, and list the motions seen along each axis."""
     span = report["range"]
     reach = ["not seen"] * 3
@@ -144,11 +144,11 @@ def picture(report: Report) -> list[str]:
         "    |  /",
         "    | /",
         f"    +----------> {x}",
-        *_motions(report),
+        *_measure_motions(report),
     ]
 
 
-def _motions(report: Report) -> list[str]:
+def _measure_motions(report: Report) -> list[str]:
     motions = []
     for move in report["moves"]:
         if move["kind"] == "translation":

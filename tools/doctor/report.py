@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import ConfigError, DeviceError, HapticError, SafetyStop
-from softfinger.config.files import new_file
+from softfinger.config.files import write_new_file
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
-from softfinger.config.schema.pairing import single_device
+from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers.base import Device
 from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.registry import open_device
@@ -28,7 +28,7 @@ from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answer_questions
 from softfinger.tools.doctor.session import FORCE_MIN_S, DeviceSession
 from softfinger.tools.exchange import Exchange, make_disarmed_guard
-from softfinger.tools.exchange_figures import burst_line, table
+from softfinger.tools.exchange_figures import format_burst, format_table
 from softfinger.tools.measure import show
 
 Report = Mapping[str, Any]
@@ -90,7 +90,7 @@ def make_report(
     `head` returns lines above the text. Raises ConfigError for an unusable file. After the report was written, raises
     the error that prevented opening the device or ended its exchange.
     """
-    file = Path(request.file or f"softfinger-{single_device(rig).driver}-report.json")
+    file = Path(request.file or f"softfinger-{find_single_device(rig).driver}-report.json")
     if not file.parent.is_dir() or file.is_dir():
         raise ConfigError(f"{request.option} {file}: {file.parent} is no folder, or the file is one: name a file")
     report, serials = start_report(rig, request.guided)
@@ -104,9 +104,9 @@ def make_report(
         report["ended"], failure = "by a fault", error
         report["fault"] = {"kind": type(error).__name__, "message": str(error), "in_use": report["device"] is not None}
     report["questions"] = answer_questions(report)
-    report = privacy.Privacy(serials).clean(report)
+    report = privacy.Redactor(serials).clean(report)
     write(file, report, request.option)
-    show(report, request.as_json, [*head(report), *lines(report, file)])
+    show(report, request.as_json, [*head(report), *format_lines(report, file)])
     if failure is not None:
         raise failure
     return 0
@@ -128,7 +128,7 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
 def start_report(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
     devices = [device for device in discovery.list_attached() if attached.is_of(rig, device)]
-    freedom = read_subspace(single_device(rig))
+    freedom = read_subspace(find_single_device(rig))
     report: dict[str, Any] = {
         "report": FORMAT,
         "complete": False,
@@ -137,15 +137,18 @@ def start_report(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
         "system": {
             "system": f"{platform.system()} {platform.release()} {platform.machine()}",
             "python": platform.python_version(),
-            "packages": machine.versions(),
-            "checks": {item.name: item.seen for item in (machine.kernel(), machine.virtual(), machine.processors())},
+            "packages": machine.list_versions(),
+            "checks": {
+                item.name: item.seen
+                for item in (machine.check_kernel(), machine.check_virtual(), machine.check_processors())
+            },
         },
-        "driver": single_device(rig).driver,
-        "options": privacy.options(single_device(rig).options),
+        "driver": find_single_device(rig).driver,
+        "options": privacy.redact_options(find_single_device(rig).options),
         "rate_hz": rig.servo.rate_hz,
         "guided": guided,
         "freedom": "" if freedom is None else freedom.describe(),
-        "identity": [identity(device) for device in devices],
+        "identity": [identify_device(device) for device in devices],
         "maker_library": [],
         "device": None,
         "realtime": {},
@@ -164,7 +167,7 @@ def start_report(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     return report, [device.serial for device in devices]
 
 
-def identity(device: discovery.SystemDevice) -> dict[str, Any]:
+def identify_device(device: discovery.SystemDevice) -> dict[str, Any]:
     """Return a device as the system lists it, for a hidraw node with the report descriptor, read without opening it."""
     identified: dict[str, Any] = {
         "bus": device.bus,
@@ -188,13 +191,13 @@ def record(rig: Rig, report: dict[str, Any], request: ReportRequest, session_typ
 
     Every exit commands zero force. Raises the errors of opening, and the error of a device that failed in use.
     """
-    with open_device(single_device(rig), rig.servo.rate_hz) as device:
+    with open_device(find_single_device(rig), rig.servo.rate_hz) as device:
         report["device"] = asdict(device.info)
-        mapped = {line.split(maxsplit=5)[-1] for line in machine.text(Path("/proc/self/maps")).splitlines()}
+        mapped = {line.split(maxsplit=5)[-1] for line in machine.read_system_file(Path("/proc/self/maps")).splitlines()}
         libraries = {Path(file).name for file in mapped if any(name in file for name in LIBRARIES)}
         report["maker_library"] = sorted(libraries)
-        force_n, freedom = request.force_n, read_subspace(single_device(rig))
-        guard = make_disarmed_guard(rig) if force_n is None else pushing(rig, device, force_n, request.force_option)
+        force_n, freedom = request.force_n, read_subspace(find_single_device(rig))
+        guard = make_disarmed_guard(rig) if force_n is None else limit_guard(rig, device, force_n, request.force_option)
         exchange = Exchange(device, rig, guard)
         session = session_type(exchange, device.info, report, request.seconds, request.guided, freedom)
         try:
@@ -210,7 +213,7 @@ def record(rig: Rig, report: dict[str, Any], request: ReportRequest, session_typ
         draw(request.plot, session.timing, f"{report['driver']} at {report['rate_hz']:g} Hz")
 
 
-def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-force") -> Guard:
+def limit_guard(rig: Rig, device: Device, force_n: float, option: str = "--with-force") -> Guard:
     """Return the rig's guard, limited to the requested force; raises ConfigError if the device cannot push so hard."""
     if device.info.actuated_dof == 0:
         raise ConfigError(f"{option} {force_n:g}: {device.info.name} displays no force: remove the option")
@@ -224,13 +227,13 @@ def pushing(rig: Rig, device: Device, force_n: float, option: str = "--with-forc
 def write(file: Path, report: dict[str, Any], option: str) -> None:
     """Write the file completely or not at all. Raises ConfigError if it cannot be written."""
     try:
-        with new_file(file) as part:
+        with write_new_file(file) as part:
             part.write((json.dumps(report, indent=2) + "\n").encode())
     except OSError as error:
         raise ConfigError(f"{option} {file}: cannot be written: {error.strerror}: choose another file") from error
 
 
-def lines(report: Report, file: Path) -> list[str]:
+def format_lines(report: Report, file: Path) -> list[str]:
     text = [f"device report of driver {report['driver']}, softfinger {report['softfinger']}: {report['ended']}"]
     if report["fault"] is not None:
         text.append(f"  fault: {report['fault']['message']}")
@@ -253,9 +256,9 @@ def lines(report: Report, file: Path) -> list[str]:
 def _format_measured(report: Report) -> list[str]:
     text = []
     if report["exchange"] is not None:
-        text += table(report["exchange"])
+        text += format_table(report["exchange"])
     if report["without_pauses"] is not None:
-        text.append(burst_line(report["without_pauses"]))
+        text.append(format_burst(report["without_pauses"]))
     if (rest := report["rest"]) is not None:
         noise = ", ".join(f"{value * 1e6:.1f}" for value in rest["position_std_m"])
         handle = "at rest" if report["guided"] else "at the start, without a request to hold it still"

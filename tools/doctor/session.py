@@ -12,7 +12,7 @@ from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.kinematics.subspace import MotionSubspace
 from softfinger.tools.doctor import motions
 from softfinger.tools.exchange import FORCE_CYCLES, NO_PUSH, ROW_SIZE, Exchange, Push
-from softfinger.tools.exchange_figures import burst_figures, figures
+from softfinger.tools.exchange_figures import summarize_burst, summarize_part
 from softfinger.tools.measure import Array
 
 REST_S: Final = 1.0
@@ -21,7 +21,7 @@ FORCE_MIN_S: Final = 1.0
 """Shortest part with a push; a handle cannot follow three cycles in less time."""
 
 
-LEAST_PART: Final = 0.5
+MIN_PART: Final = 0.5
 """Smallest part of a motion or push along an axis that the handle must support for the motion to be requested."""
 
 
@@ -87,22 +87,22 @@ class DeviceSession:
     def _record_rest(self) -> None:
         self._ask("release the handle, or hold it still")
         rows = self._record("the handle at rest", REST_S)
-        self._rest_of(rows)
+        self._measure_rest(rows)
 
-    def _rest_of(self, rows: Array) -> None:
-        self._report["rest"] = motions.rest(rows, self._info.sensed_dof > 3)
+    def _measure_rest(self, rows: Array) -> None:
+        self._report["rest"] = motions.measure_rest(rows, self._info.sensed_dof > 3)
         self._own_m = motions.measure_drift(rows)
 
     def _record_timing(self) -> None:
         self.timing = self._record("the exchange", self._seconds)
         if len(self.timing):
-            self._report["exchange"] = figures(self.timing, self._exchange.rate_hz)
+            self._report["exchange"] = summarize_part(self.timing, self._exchange.rate_hz)
         burst = self._exchange.burst()
         if len(burst):
-            self._report["without_pauses"] = burst_figures(burst)
+            self._report["without_pauses"] = summarize_burst(burst)
 
     def _record_moves(self) -> None:
-        moves = [*self._translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
+        moves = [*self._measure_translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
         for motion in moves:
             self._ask(f"{motion.words}, within {self._seconds:g} s, and keep it there")
             result = motions.move(motion.words, motion.kind, motion.expected, self._record(motion.words, self._seconds))
@@ -110,7 +110,7 @@ class DeviceSession:
                 self._report["moves"].append(result)
                 print(f"  seen: {result['seen']}", file=sys.stderr)
         self._ask(f"press each button in turn, within {self._seconds:g} s")
-        self._report["buttons"] = {"masks": motions.masks(self._record("the buttons", self._seconds))}
+        self._report["buttons"] = {"masks": motions.list_masks(self._record("the buttons", self._seconds))}
 
     def _push_each(
         self, warning: str, force_n: float, frequency_hz: float, seconds: float
@@ -120,7 +120,7 @@ class DeviceSession:
             print(warning, file=sys.stderr, flush=True)
         self._ask(warning)
         for axis in range(3):
-            if float(np.linalg.norm(self._part(axis))) > LEAST_PART:
+            if float(np.linalg.norm(self._project_part(axis))) > MIN_PART:
                 x, y, z = (force_n if k == axis else 0.0 for k in range(3))
                 push = Push((x, y, z), frequency_hz, seconds)
                 rows = self._record(f"a push along {motions.AXES[axis]}", seconds, push)
@@ -136,13 +136,13 @@ class DeviceSession:
                 file=sys.stderr,
             )
 
-    def _part(self, axis: int) -> Array:
+    def _project_part(self, axis: int) -> Array:
         """Return the component (3,) of a motion or force that the handle supports along an axis."""
         whole = np.eye(3)[axis]
         return whole if self._freedom is None else self._freedom.project_force(self._freedom.centre, whole)
 
-    def _translations(self) -> list[RequestedMotion]:
-        axes = [motions.axis_of(self._part(k), LEAST_PART) for k in range(len(TRANSLATIONS))]
+    def _measure_translations(self) -> list[RequestedMotion]:
+        axes = [motions.name_axis(self._project_part(k), MIN_PART) for k in range(len(TRANSLATIONS))]
         return [motion for axis, motion in zip(axes, TRANSLATIONS, strict=True) if axis == motion.expected]
 
     def _record(self, operation: str, seconds: float, push: Push | None = None) -> Array:

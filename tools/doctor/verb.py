@@ -14,7 +14,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.doctor import attached, loop, machine, report
-from softfinger.tools.doctor.check import STATES, Check, lines
+from softfinger.tools.doctor.check import STATES, Check, format_lines
 from softfinger.tools.exchange import check_seconds
 from softfinger.tools.measure import show
 
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     checks = [Check(**entry) for entry in result["checks"]]
     head = f"softfinger on this machine, for rig {args.rig} at {rig.servo.rate_hz:g} Hz and scene {args.scene}"
     tail = "  " + ", ".join(f"{result['states'][state]} {state}" for state in STATES)
-    show(result, args.json, [head, *lines(checks), tail])
+    show(result, args.json, [head, *format_lines(checks), tail])
     if bad := [check.name for check in checks if check.state == "bad"]:
         raise Unfit(f"{len(bad)} of {len(checks)} checks failed: {', '.join(bad)}: see the remedy of each")
     return 0
@@ -47,18 +47,18 @@ def examine(
     figures: dict[str, Any] = {}
 
     def lateness() -> list[Check]:
-        late, measured = loop.lateness(rig, scene, seconds, plot)
+        late, measured = loop.measure_lateness(rig, scene, seconds, plot)
         figures.update(measured)
         return late
 
     steps: tuple[Callable[[], list[Check]], ...] = (
-        machine.checks,
-        lambda: loop.settings(rig),
+        machine.list_checks,
+        lambda: loop.check_settings(rig),
         lambda: [loop.cache(rig, scene_name, scene)],
         lateness,
         lambda: [loop.step(rig, scene_name, scene)],
-        lambda: [loop.endpoint(rig)],
-        lambda: attached.checks(rig),
+        lambda: [loop.check_endpoint(rig)],
+        lambda: attached.list_checks(rig),
     )
     checks = list(chain(*map_with_progress("checking the machine", lambda step: step(), steps)))
     counted = Counter(check.state for check in checks)

@@ -17,13 +17,13 @@ from typing import Any, Final
 import numpy as np
 
 from softfinger.config.load import build
-from softfinger.config.materials import fingertips
+from softfinger.config.materials import load_fingertips
 from softfinger.config.schema import Scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
 from softfinger.server.offline import feel_figure, library_texts
-from softfinger.server.offline.figures import figure, legends_below, save
+from softfinger.server.offline.figures import draw_legends_below, make_figure, save
 from softfinger.tools.measure import Array
 from softfinger.tools.pages import moving, sketches, states
 
@@ -33,7 +33,7 @@ GRIP: Final = {"stiffness_n_per_m": STIFFNESS_N_PER_M, "friction": {"static": 0.
 """Fingertip and material of the paper."""
 
 
-def poses(*corners: tuple[float, float, float], ticks: int = 200) -> Array:
+def make_poses(*corners: tuple[float, float, float], ticks: int = 200) -> Array:
     """Return upright poses (n, 7) along straight lines from corner to corner, m."""
     lines = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
     points = np.vstack([*lines, corners[-1]])
@@ -45,40 +45,40 @@ def run(objects: list[dict[str, Any]], path: Array, **tables: Any) -> Any:
     return Engine(build(Scene, mapping, "a figure")).run(path)
 
 
-def plane(**material: Any) -> dict[str, Any]:
+def load_plane(**material: Any) -> dict[str, Any]:
     return {"name": "plane", "shape": "plane", "material": GRIP | material}
 
 
-def normal(axes: Any) -> None:
+def draw_normal(axes: Any) -> None:
     """Draw laws of the normal force against the depth, and the loop of Hunt-Crossley damping."""
     axes = axes[0]
     depth = np.linspace(0.0, 2e-3, 81)
     for exponent, name in ((1.0, "linear, p = 1"), (1.5, "Hertz, p = 1.5"), (2.5, "soft, p = 2.5")):
-        axes.plot(1e3 * depth, depth_force(depth, exponent), label=name)
+        axes.plot(1e3 * depth, compute_depth_force(depth, exponent), label=name)
     phase = np.linspace(0.0, np.pi, 81)
     speed = 0.002 * np.pi * np.cos(phase) * 20.0
     loop = 2e-3 * np.sin(phase)
     axes.plot(
         1e3 * loop,
-        np.maximum(depth_force(loop, 1.5) * (1.0 + 2.0 * speed), 0.0),
+        np.maximum(compute_depth_force(loop, 1.5) * (1.0 + 2.0 * speed), 0.0),
         "--",
         label="p = 1.5 with Hunt-Crossley damping, a press of 50 ms",
     )
     axes.set(xlabel="depth [mm]", ylabel="normal force [N]")
 
 
-def depth_force(depth: Array, exponent: float) -> Array:
+def compute_depth_force(depth: Array, exponent: float) -> Array:
     """Return K d (depth / d)^p, N, with 1000 N/m at 1 mm."""
     force: Array = STIFFNESS_N_PER_M * 1e-3 * (depth / 1e-3) ** exponent
     return force
 
 
-def friction(axes: Any) -> None:
+def draw_friction(axes: Any) -> None:
     """Draw a drag back and forth: tangential force against the position of the probe."""
     axes = axes[0]
     z = RADIUS_M - 1e-3
-    path = poses((0.0, 0.0, z), (0.002, 0.0, z), (0.0, 0.0, z))
-    records = run([plane()], path, rolling={"method": "midpoint"}, coupling={"damping_ns_per_m": 0.0})
+    path = make_poses((0.0, 0.0, z), (0.002, 0.0, z), (0.0, 0.0, z))
+    records = run([load_plane()], path, rolling={"method": "midpoint"}, coupling={"damping_ns_per_m": 0.0})
     x, force, slides = 1e3 * path[:, 0], records["force"][:, 0], records["contact.mode"] == 2
     axes.plot(x, np.where(slides, np.nan, force), label="sticking (mode rolling)")
     axes.plot(x, np.where(slides, force, np.nan), label="sliding")
@@ -88,7 +88,7 @@ def friction(axes: Any) -> None:
     axes.set(ylim=(-0.72, 0.72), xlabel="position of the probe [mm]", ylabel="tangential force [N]")
 
 
-def patch(axes: Any) -> None:
+def draw_patch(axes: Any) -> None:
     """Draw radius and torsional limit of a patch against the load."""
     load = np.linspace(0.0, 4.0, 81)
     hertz = (3.0 * load * RADIUS_M / (16.0 * 45e3)) ** (1.0 / 3.0)
@@ -99,33 +99,34 @@ def patch(axes: Any) -> None:
     axes[1].set(xlabel="normal force [N]", ylabel="torsional limit [N mm]")
 
 
-def materials(axes: Any) -> None:
+def draw_materials(axes: Any) -> None:
     """Draw the friction of the library with published coefficients, and a finger pad's patch growing by two laws."""
-    feel_figure.overview(axes[0])
+    feel_figure.draw_overview(axes[0])
     names = ("human-index", "human-index-plateau")
-    feel_figure.patch(
-        axes[1], {name: (fingertips()[name], library_texts.library_table("fingertip", name)) for name in names}
+    feel_figure.draw_patch(
+        axes[1],
+        {name: (load_fingertips()[name], library_texts.make_library_table("fingertip", name)) for name in names},
     )
     axes[0].figure.set_figheight(3.6)
-    legends_below(axes[0].figure, axes, "small")
+    draw_legends_below(axes[0].figure, axes, "small")
 
 
-def effects(axes: Any) -> None:
+def draw_effects(axes: Any) -> None:
     """Draw a plane with a magnet, approached and pressed: the force of contact and effect."""
     axes = axes[0]
-    path = poses((0.0, 0.0, 0.035), (0.0, 0.0, 0.007))
+    path = make_poses((0.0, 0.0, 0.035), (0.0, 0.0, 0.007))
     magnet = {"kind": "magnet", "force_n": 1.5, "range_m": 0.02}
     for exponent in (1.0, 3.0):
-        records = run([plane(friction=None) | {"effect": [magnet | {"exponent": exponent}]}], path)
+        records = run([load_plane(friction=None) | {"effect": [magnet | {"exponent": exponent}]}], path)
         axes.plot(1e3 * (path[:, 2] - RADIUS_M), records["force"][:, 2], label=f"magnet, exponent {exponent:g}")
     axes.axhline(0.0, linewidth=0.6, color="0.4")
     axes.set(xlabel="height of the fingertip above the plane [mm]", ylabel="force on the hand [N]")
 
 
-def texture(axes: Any) -> None:
+def draw_texture(axes: Any) -> None:
     """Draw a stroke over the shipped ribs: normal force and force along the stroke."""
     z = RADIUS_M - 5e-4
-    path = poses((0.0, 0.0, z), (0.008, 0.0, z), ticks=160)
+    path = make_poses((0.0, 0.0, z), (0.008, 0.0, z), ticks=160)
     records = Engine("ribbed-plane").run(path)
     x = 1e3 * path[:, 0]
     axes[0].plot(x, records["contact.normal_force"])
@@ -134,20 +135,20 @@ def texture(axes: Any) -> None:
     axes[1].set(xlabel="position [mm]", ylabel="force along the stroke [N]")
 
 
-def passivity(axes: Any) -> None:
+def draw_passivity(axes: Any) -> None:
     """Draw the energy that the hand has put in, over presses of several lengths."""
     axes = axes[0]
     z, deep = RADIUS_M, RADIUS_M - 1e-3
     for ticks in (10, 20, 50):
-        path = poses(*[(0.0, 0.0, height) for height in (z, deep) * 4 + (z,)], ticks=ticks)
-        force = run([plane(friction=None)], path)["force"]
+        path = make_poses(*[(0.0, 0.0, height) for height in (z, deep) * 4 + (z,)], ticks=ticks)
+        force = run([load_plane(friction=None)], path)["force"]
         work = -np.cumsum(np.sum(force[:-1] * np.diff(path[:, :3], axis=0), axis=1))
         axes.plot(np.linspace(0.0, 4.0, len(work)), 1e3 * work, label=f"press of {ticks} ticks")
     axes.axhline(0.0, linewidth=0.6, color="0.4")
     axes.set(xlabel="presses", ylabel="energy E [mJ]")
 
 
-def bodies(axes: Any) -> None:
+def draw_bodies(axes: Any) -> None:
     """Draw a box lifted by two fingertips 8 mm off its centre of mass: height, and turn about the line between them."""
     hands = {name: resample(load_poses(f"lift-{name}"), 1000.0)[800:2600] for name in ("thumb", "index")}
     block = 10
@@ -168,20 +169,20 @@ def bodies(axes: Any) -> None:
 Drawing = tuple[Callable[[Any], None], tuple[str, ...]]
 """Function that draws a figure, and free place for a legend in each of its axes, empty without a legend."""
 FIGURES: Final[dict[str, Drawing]] = {
-    "contact": (sketches.contact, ("",)),
-    "conventions": (sketches.conventions, ("", "")),
-    "normal": (normal, ("upper left",)),
-    "rolling": (sketches.rolling, ("",)),
-    "friction": (friction, ("upper right",)),
-    "patch": (patch, ("lower right", "upper left")),
-    "ellipsoid": (sketches.ellipsoid, ("",)),
-    "effects": (effects, ("upper right",)),
-    "materials": (materials, ("", "")),
-    "texture": (texture, ("", "")),
-    "heightmap": (sketches.heightmap, ("upper right",)),
-    "mesh": (sketches.mesh, ("upper right",)),
-    "passivity": (passivity, ("lower left",)),
-    "bodies": (bodies, ("upper left", "")),
+    "contact": (sketches.draw_contact, ("",)),
+    "conventions": (sketches.draw_conventions, ("", "")),
+    "normal": (draw_normal, ("upper left",)),
+    "rolling": (sketches.draw_rolling, ("",)),
+    "friction": (draw_friction, ("upper right",)),
+    "patch": (draw_patch, ("lower right", "upper left")),
+    "ellipsoid": (sketches.draw_ellipsoid, ("",)),
+    "effects": (draw_effects, ("upper right",)),
+    "materials": (draw_materials, ("", "")),
+    "texture": (draw_texture, ("", "")),
+    "heightmap": (sketches.draw_heightmap, ("upper right",)),
+    "mesh": (sketches.draw_mesh, ("upper right",)),
+    "passivity": (draw_passivity, ("lower left",)),
+    "bodies": (draw_bodies, ("upper left", "")),
 }
 """Drawing of each model page; the page on several patches has a figure of the study."""
 
@@ -189,7 +190,7 @@ FIGURES: Final[dict[str, Drawing]] = {
 def draw(drawing: Drawing, path: Path) -> None:
     draw_axes, legends = drawing
     count = len(legends)
-    page = figure(3.6 * count + 1.8 * (count == 1), 2.8)
+    page = make_figure(3.6 * count + 1.8 * (count == 1), 2.8)
     axes = np.atleast_1d(page.subplots(1, count))
     draw_axes(axes)
     for panel, place in zip(axes, legends, strict=True):

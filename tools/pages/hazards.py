@@ -27,46 +27,46 @@ from softfinger.server.services import watches
 from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
 
-SEEN_IN: Final = Path(__file__).with_name("faults_seen.json")
+RESULTS_FILE: Final = Path(__file__).with_name("faults_seen.json")
 """Results of the tests below, written by `make faults-seen`."""
 TICK_S: Final = 0.001
 """Period at 1 kHz, the rate of the table."""
 
 
-def default(options: type[Any], key: str) -> float:
+def find_default(options: type[Any], key: str) -> float:
     """Return the default (SI) of a numeric key of a table."""
     return float(next(field.default for field in msgspec.structs.fields(options) if field.name == key))
 
 
-QUIET_S: Final = {
-    "falcon": default(FalconOptions, "kick_s"),
-    "haply": default(HaplyOptions, "quiet_s"),
-    "hid": default(HidOptions, "kick_s"),
+SILENCE_S: Final = {
+    "falcon": find_default(FalconOptions, "kick_s"),
+    "haply": find_default(HaplyOptions, "quiet_s"),
+    "hid": find_default(HidOptions, "kick_s"),
     "openhaptics": TIMEOUT_NS * 1e-9,
-    "serial": default(SerialOptions, "quiet_s"),
+    "serial": find_default(SerialOptions, "quiet_s"),
 }
 """Silence after which each driver removes the force.
 
 A call of Force Dimension's library that does not return is a loop that stalls.
 """
-GIVEN_UP_S: Final = {
-    "falcon": default(FalconOptions, "timeout_s"),
-    "haply": default(HaplyOptions, "timeout_s"),
-    "hid": default(HidOptions, "timeout_s"),
+ABANDON_S: Final = {
+    "falcon": find_default(FalconOptions, "timeout_s"),
+    "haply": find_default(HaplyOptions, "timeout_s"),
+    "hid": find_default(HidOptions, "timeout_s"),
     "openhaptics": TIMEOUT_NS * 1e-9,
-    "serial": default(SerialOptions, "timeout_s"),
+    "serial": find_default(SerialOptions, "timeout_s"),
 }
 """Silence after which each driver abandons the device."""
 
 
-def by_driver(seconds: Mapping[str, float]) -> str:
+def list_by_driver(seconds: Mapping[str, float]) -> str:
     spans = sorted({*seconds.values()})
     return "; ".join(
         f"{span:g} s of {', '.join(name for name, duration in seconds.items() if duration == span)}" for span in spans
     )
 
 
-def starvation_time_s(gap_s: float, period_s: float = TICK_S) -> float:
+def compute_starvation_time_s(gap_s: float, period_s: float = TICK_S) -> float:
     """Return the time (s) after which stalls of `gap_s`, one after the other with a tick between, end the run.
 
     Notes
@@ -77,15 +77,18 @@ def starvation_time_s(gap_s: float, period_s: float = TICK_S) -> float:
     return (floor(health.LOST_MAX_S / lost) + 1) * (gap_s + period_s)
 
 
-def stall_range_s() -> tuple[float, float]:
+def compute_stall_range_s() -> tuple[float, float]:
     """Return the shortest and the longest time (s) until consecutive stalls end the run, over all their lengths."""
-    times = [starvation_time_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
+    times = [compute_starvation_time_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
     return min(times), max(times)
 
 
 def count_ticks_to_exceed(limit: float, speed: float, period_s: float = TICK_S) -> int:
     """Return the ticks until a handle that starts with `speed` (m/s) exceeds `limit` (m/s); see `smooth_velocity`."""
-    return floor(log(1.0 - limit / speed) / log(limits.SPEED_S / (limits.SPEED_S + period_s))) + 1
+    return (
+        floor(log(1.0 - limit / speed) / log(limits.SPEED_TIME_CONSTANT_S / (limits.SPEED_TIME_CONSTANT_S + period_s)))
+        + 1
+    )
 
 
 class Hazard(NamedTuple):
@@ -118,18 +121,18 @@ _STOPPED: Final = f"zero; the run ends, exit code {SafetyStop.exit_code}"
 _START: Final = "start again"
 _NONE: Final = "none needed"
 _RAMP: Final = f"the ramp; {health.NO_FORCE_MAX_S:g} s of it end the run"
-_JUMPS: Final = floor(health.NO_FORCE_MAX_S / (health.JUMP_S + TICK_S)) + 1
+_JUMPS: Final = floor(health.NO_FORCE_MAX_S / (health.TIME_PER_JUMP_S + TICK_S)) + 1
 _FROZEN: Final = 120
 """`frozen_s = 0.1` of the tests' rig, and a fifth more."""
 _HELD: Final = round(base.IGNORED_WRENCH_MAX_S / TICK_S) + 2
 """Including the tick in which it ends."""
 _STALLED: Final = round(health.STALL_MAX_S / TICK_S)
-_QUIET: Final = round(max(QUIET_S.values()) / TICK_S)
-_STARVED: Final = stall_range_s()
-_FAST: Final = default(Guard, "handle_speed_max_m_per_s")
+_QUIET: Final = round(max(SILENCE_S.values()) / TICK_S)
+_STARVED: Final = compute_stall_range_s()
+_FAST: Final = find_default(Guard, "handle_speed_max_m_per_s")
 _FASTER: Final = 1.5 * _FAST
 _CAUGHT: Final = f"{count_ticks_to_exceed(_FAST, _FASTER)} ticks at {_FASTER:g} m/s"
-_FROZEN_TIME: Final = f"{default(Guard, 'frozen_s'):g} s by default"
+_FROZEN_TIME: Final = f"{find_default(Guard, 'frozen_s'):g} s by default"
 _GAPS: Final = (
     f"{health.LOST_MAX_S:g} s lost above {health.LOST_SHARE:.0%} of the time, in gaps of {health.GAP_MIN_S:g} s or more"
 )
@@ -142,7 +145,8 @@ _NO_FILES: Final = "tests/server/test_out_of_memory.py::test_a_process_that_ends
 HAZARDS: Final = (
     Hazard(
         "a wall that is unstable", "energy given in contacts, `energy_max_j`", "at once",
-        "the force is reduced, finally to zero", f"automatic, over {limits.FORGET_S:g} s", ("guard energy_spent",),
+        "the force is reduced, finally to zero",
+        f"automatic, over {limits.ENERGY_TIME_CONSTANT_S:g} s", ("guard energy_spent",),
         ("tests/server/test_limits.py::test_an_unstable_wall_fades",),
     ),
     Hazard(
@@ -165,7 +169,7 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a handle that runs away", "`handle_speed_max_m_per_s`", _CAUGHT,
-        "zero", f"slow for {limits.SLOW_S:g} s, or `arm`, as set by `arm` in the rig", ("guard too_fast", FAILED),
+        "zero", f"slow for {limits.SLOW_TIME_S:g} s, or `arm`, as set by `arm` in the rig", ("guard too_fast", FAILED),
         ("tests/server/test_limits.py::test_the_filter_removes_the_force_of_a_handle_that_is_too_fast",
          "tests/server/test_arming.py::test_the_force_of_a_handle_that_was_too_fast_returns_automatically",
          "tests/server/test_arming.py::test_a_handle_that_was_too_fast_waits_for_arming"),
@@ -193,8 +197,8 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a device that is silent, or sends invalid data",
-        "the driver: `quiet_s`, `kick_s` of falcon and hid, then `timeout_s`", by_driver(QUIET_S),
-        f"{_LOST}, after {by_driver(GIVEN_UP_S)}; until then the previous force",
+        "the driver: `quiet_s`, `kick_s` of falcon and hid, then `timeout_s`", list_by_driver(SILENCE_S),
+        f"{_LOST}, after {list_by_driver(ABANDON_S)}; until then the previous force",
         "the ramp; start again after the end", ("guard ramping", FAILED),
         ("tests/server/test_silent_devices.py::test_a_silent_device_gets_zero_and_then_counts_as_lost",
          "tests/drivers/test_openhaptics_exchange.py::test_a_silent_library_counts_as_lost"),

@@ -66,8 +66,8 @@ def simulate_lift(torsion: bool) -> tuple[Array, Array, Array]:
     return states[:, 1:3], turn, np.array(fingers)
 
 
-def picture() -> str:
-    halves = [_half(place, *simulate_lift(torsion)) for place, torsion in enumerate((True, False))]
+def draw_picture() -> str:
+    halves = [_round_half(place, *simulate_lift(torsion)) for place, torsion in enumerate((True, False))]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * WIDTH} {HEIGHT}" width="{2 * WIDTH}" '
         f'height="{HEIGHT}" font-family="sans-serif" font-size="14">\n'
@@ -75,7 +75,7 @@ def picture() -> str:
     )
 
 
-def _half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
+def _round_half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
     seconds = len(boxes) * BLOCK / RATE_HZ
     side, size = 2.0 * HALF_M * PIXELS_PER_M, HALF_M * PIXELS_PER_M
     box = (
@@ -88,14 +88,17 @@ def _half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
         f'<text x="{WIDTH / 2:g}" y="20" text-anchor="middle" fill="#222">{TITLES[place]}</text>\n'
         f'<path d="M20 {FLOOR}h{WIDTH - 40}" stroke="#445" stroke-width="2"/>\n'
         + _animate(
-            "translate", _pixels(boxes), seconds, _animate("rotate", [f"{-turn:.1f}" for turn in turns], seconds, box)
+            "translate",
+            _to_pixels(boxes),
+            seconds,
+            _animate("rotate", [f"{-turn:.1f}" for turn in turns], seconds, box),
         )
-        + _animate("translate", _pixels(fingers), seconds, finger)
+        + _animate("translate", _to_pixels(fingers), seconds, finger)
         + "</g>\n"
     )
 
 
-def _pixels(places: Array) -> list[str]:
+def _to_pixels(places: Array) -> list[str]:
     """Convert positions (n, 2) m, to the right and up, to points of a half."""
     return [f"{WIDTH / 2 + PIXELS_PER_M * y:.1f} {FLOOR - PIXELS_PER_M * z:.1f}" for y, z in places.tolist()]
 
@@ -108,4 +111,4 @@ def _animate(kind: str, values: list[str], seconds: float, shape: str) -> str:
 
 
 def draw(path: Path) -> None:
-    path.write_text(picture(), encoding="ascii", newline="\n")
+    path.write_text(draw_picture(), encoding="ascii", newline="\n")

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.materials import flat, papers
+from softfinger.config.materials import flatten_entry, load_papers
 from softfinger.drivers import registry
 from softfinger.proxy.record import CAUSE_NAMES, FIELDS, MODE_NAMES, Field
 from softfinger.server.loop.guard import GUARD_NAMES
@@ -23,7 +23,7 @@ from softfinger.server.verbs import schema, shipped
 from softfinger.server.wire import commands, protocol
 from softfinger.server.wire.protocol import Key
 from softfinger.tools.pages import states
-from softfinger.tools.pages.hazards import HAZARDS, SEEN_IN, Hazard
+from softfinger.tools.pages.hazards import HAZARDS, RESULTS_FILE, Hazard
 
 WIDTH: Final = 120
 GENERATED_NOTE: Final = "<!-- made by `make reference`; change the program, not this file -->"
@@ -33,27 +33,27 @@ Units are SI and end each key. Neither a file nor a flag widens a range. A text 
 *required* or a default may be omitted. `[[name]]` may be repeated."""
 
 
-def scenes() -> str:
+def make_scenes_page() -> str:
     head = f"""\
 # Scenes: every key
 
 A scene file (TOML) describes the fingertips, the objects and the effects: [write a scene](../operate/scenes.md).
 `softfinger schema scene` prints these tables as JSON Schema. {_KEYS} A relative path of a file starts at the scene's
 folder."""
-    return _page(head, "## Shipped scenes", _format_list("scenes"), "## Keys", schema.markdown("scene"))
+    return _make_page(head, "## Shipped scenes", _format_list("scenes"), "## Keys", schema.format_markdown("scene"))
 
 
-def rigs() -> str:
+def make_rigs_page() -> str:
     head = f"""\
 # Rigs: every key
 
 A rig file (TOML) names the device and sets the servo loop, the safety limits and the interfaces: [write a
 rig](../operate/scenes.md#write-a-rig). [Each driver](drivers.md) has further keys. `softfinger schema rig` prints these
 tables as JSON Schema. {_KEYS}"""
-    return _page(head, "## Shipped rigs", _format_list("rigs"), "## Keys", schema.markdown("rig"))
+    return _make_page(head, "## Shipped rigs", _format_list("rigs"), "## Keys", schema.format_markdown("rig"))
 
 
-def drivers() -> str:
+def make_drivers_page() -> str:
     """Return the page with every key of every driver; tables shared by two drivers are printed once."""
     head = """\
 # Drivers: every key
@@ -63,21 +63,23 @@ Keys of a rig's `[device]` besides `driver`; several devices have a table `[devi
     parts, anchors = [], dict[str, str]()
     for name in registry.BUILT_IN:
         parts.append(f"## `{name}`")
-        for heading, body in schema.sections(registry.load(name).Options, "[device]"):
+        for heading, body in schema.list_sections(registry.load(name).Options, "[device]"):
             parts.append(f"### {heading}\n\n{f'As {anchors[body]}.' if body in anchors else body}")
             anchors.setdefault(body, f"{heading} of `{name}`")
-    return _page(head, *parts)
+    return _make_page(head, *parts)
 
 
-def experiments() -> str:
+def make_experiments_page() -> str:
     head = f"""\
 # Experiments: every key
 
 An experiment file (TOML) describes trials and answers: [run an experiment](../run-an-experiment.md).
 `softfinger schema experiment` prints these tables as JSON Schema. {_KEYS}"""
-    folder_files = schema.grid(["file", "content"], [[f"`{name}`", content] for name, content in _FOLDER_FILES.items()])
-    return _page(
-        head, "## Shipped experiments", _format_list("experiments"), "## Keys", schema.markdown("experiment"),
+    folder_files = schema.format_grid(
+        ["file", "content"], [[f"`{name}`", content] for name, content in _FOLDER_FILES.items()]
+    )
+    return _make_page(
+        head, "## Shipped experiments", _format_list("experiments"), "## Keys", schema.format_markdown("experiment"),
         "## Files of the folder", "No file of a participant is overwritten.", folder_files,
     )  # fmt: skip
 
@@ -114,13 +116,13 @@ unused one is -1."""
         ("`contact.cause`", enumerate(CAUSE_NAMES)),
         ("bits of `servo.guard`", ((1 << bit, name) for bit, name in enumerate(GUARD_NAMES))),
     ]
-    numbers = "\n".join(f"- {title}: {_numbers(values)}." for title, values in numbered)
-    rows = [Key(field.name, _kind(field), field.unit, field.frame, field.meaning) for field in FIELDS]
+    numbers = "\n".join(f"- {title}: {_format_numbers(values)}." for title, values in numbered)
+    rows = [Key(field.name, _format_kind(field), field.unit, field.frame, field.meaning) for field in FIELDS]
     once = [row for row in rows if not row.name.startswith(("contacts1", "contacts2"))]
-    return _page(head, keys_table(once), "## Numbers", numbers)
+    return _make_page(head, format_keys_table(once), "## Numbers", numbers)
 
 
-def telemetry() -> str:
+def make_telemetry_page() -> str:
     head = f"""\
 # Telemetry: every key
 
@@ -142,25 +144,25 @@ Keys that events of single kinds add. Other kinds add what the event needs."""
     }
     names = {field.name for field in FIELDS}
     unrecorded = [key for key in protocol.CONTACT_KEYS if key.name.replace("[]", "0") not in names]
-    parts = ["## `contact`", " ".join(contact.split()), keys_table(unrecorded)]
+    parts = ["## `contact`", " ".join(contact.split()), format_keys_table(unrecorded)]
     for title, keys in tables.items():
-        parts += [f"## {title}", keys_table(keys)]
+        parts += [f"## {title}", format_keys_table(keys)]
         if keys is protocol.EVENT_KEYS:
-            parts += [kinds, _kinds_table(protocol.EVENT_EXTRA_KEYS)]
-    return _page(head, *parts)
+            parts += [kinds, _format_kinds(protocol.EVENT_EXTRA_KEYS)]
+    return _make_page(head, *parts)
 
 
-def _kinds_table(kinds: Mapping[str, Iterable[Key]]) -> str:
+def _format_kinds(kinds: Mapping[str, Iterable[Key]]) -> str:
     """Return a table of keys of events with their kinds; a key that several kinds share is printed once."""
     of: dict[Key, list[str]] = {}
     for kind, keys in kinds.items():
         for key in keys:
             of.setdefault(key, []).append(f"`{kind}`")
     rows = [[", ".join(names), f"`{key.name}`", _format_type(key), key.meaning] for key, names in of.items()]
-    return schema.grid(["kind", "key", "type", "meaning"], rows)
+    return schema.format_grid(["kind", "key", "type", "meaning"], rows)
 
 
-def commands_page() -> str:
+def make_commands_page() -> str:
     head = """\
 # Commands: every method
 
@@ -169,34 +171,36 @@ messages. Units are SI. A key in brackets may be omitted. `object` and `finger` 
     results = Counter(method.result for method in commands.METHODS.values())
     shared = [kind for kind, times in results.items() if times > 1]
     parts = []
-    for name, (params, result, meaning) in commands.table().items():
+    for name, (params, result, meaning) in commands.make_table().items():
         method = commands.METHODS[name]
         takes = f"- takes {params}. {_describe_type(method.params)}" if params else ""
         gives = f"- gives {result}. {'' if method.result in shared else _describe_type(method.result)}"
         parts += [f"### `{name}`", meaning, "\n".join(filter(None, [takes, gives.strip()]))]
-    shared_results = schema.grid(
-        ["keys", "meaning"], [[commands.fields(kind), _describe_type(kind)] for kind in shared]
+    shared_results = schema.format_grid(
+        ["keys", "meaning"], [[commands.describe_fields(kind), _describe_type(kind)] for kind in shared]
     )
-    errors = schema.grid(["name", "meaning"], [[f"`{name}`", meaning] for name, meaning in commands.ERRORS.items()])
+    errors = schema.format_grid(
+        ["name", "meaning"], [[f"`{name}`", meaning] for name, meaning in commands.ERRORS.items()]
+    )
     results_of = ["## Results of several methods", shared_results]
-    return _page(
+    return _make_page(
         head, "## Methods", *parts, *results_of, "## Errors", "The text of an error begins with its name.", errors
     )
 
 
-def states_page() -> str:
+def make_states_page() -> str:
     head = """\
 # States: every transition
 
 A daemon is in one of these states. `health.state` and the command `describe` have it, each change is an event of
 kind `state`, and Prometheus has `softfinger_state`. There are no other transitions. `arm` in [`[guard]`](rigs.md)
 selects how the force is armed; [Safety](../safety.md) describes faults."""
-    state_table, transition_table = states.tables()
+    state_table, transition_table = states.format_tables()
     figure = "![states of the daemon, and what leads from one to another](../figures/states.svg)"
-    return _page(head, figure, "## States", state_table, "## Transitions", transition_table)
+    return _make_page(head, figure, "## States", state_table, "## Transitions", transition_table)
 
 
-def faults_page() -> str:
+def make_faults_page() -> str:
     head = """\
 # Faults: every hazard
 
@@ -204,7 +208,7 @@ Each hazard with its detection, reaction and recovery. Reaction times count from
 Every end of a run commands zero force. The tests in the last column inject each fault; `softfinger run --inject`
 [injects faults](../operate/faults.md) of a device. An error that ends a run is the cause of the event `state
 faulted`. [Safety](../safety.md#crashes-that-cannot-be-handled) lists faults that cannot be detected."""
-    results = json.loads(SEEN_IN.read_text("utf-8"))
+    results = json.loads(RESULTS_FILE.read_text("utf-8"))
     rows = [
         [
             hazard.name,
@@ -212,20 +216,24 @@ faulted`. [Safety](../safety.md#crashes-that-cannot-be-handled) lists faults tha
             hazard.state if hazard.reaction == "none" else f"{hazard.reaction}: {hazard.state}",
             hazard.recovery,
             ", ".join(f"`{event}`" for event in hazard.events) or "none",
-            _cases(hazard, results),
+            _format_cases(hazard, results),
         ]
         for hazard in HAZARDS
     ]
-    table = schema.grid(["hazard", "detection", "reaction: safe state", "recovery", "event", "cases passed"], rows)
+    table = schema.format_grid(
+        ["hazard", "detection", "reaction: safe state", "recovery", "event", "cases passed"], rows
+    )
     about = """\
 Results of the test run (`make faults-seen`). Ticks at 1 kHz, from the first tick with the fault until the
 emulated device had received zero, including times that the guard waits, such as `frozen_s` (0.1 s in the tests);
 and the state of the run."""
     columns = ["hazard", "injected", "ticks until zero", "event", "state", "recovery"]
-    return _page(head, table, "## Injected faults and results", about, schema.grid(columns, _injected_rows(results)))
+    return _make_page(
+        head, table, "## Injected faults and results", about, schema.format_grid(columns, _list_injected_rows(results))
+    )
 
 
-def _injected_rows(results: list[dict[str, Any]]) -> list[list[str]]:
+def _list_injected_rows(results: list[dict[str, Any]]) -> list[list[str]]:
     """Return a row for each injected fault, with all its drivers."""
     faults: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for result in results:
@@ -248,7 +256,7 @@ def _injected_rows(results: list[dict[str, Any]]) -> list[list[str]]:
     return rows
 
 
-def _cases(hazard: Hazard, results: list[dict[str, Any]]) -> str:
+def _format_cases(hazard: Hazard, results: list[dict[str, Any]]) -> str:
     """Format the number of passed cases of each test of a hazard, with a link to the test."""
     by_test = {result["test"]: result for result in results if result["hazard"] == hazard.name and "test" in result}
     words = []
@@ -259,21 +267,21 @@ def _cases(hazard: Hazard, results: list[dict[str, Any]]) -> str:
     return ", ".join(words)
 
 
-def materials_page() -> str:
+def make_materials_page() -> str:
     """Return the page of the library of materials and fingertips, with its sources."""
     head = """\
 # Materials and fingertips: every entry
 
 Names that a scene can use: `material = "rubber"`, `fingertip = "human-index"`. [Materials](../model/materials.md)
 compares the models with published measurements; `softfinger materials NAME` prints one, with `--plot` its figure."""
-    listed = library_texts.entries()
+    listed = library_texts.load_entries()
     parts = []
     for kind, title in (("material", "## Materials"), ("fingertip", "## Fingertips")):
         rows = [
             [
                 f"`{name}`",
                 f"{entry.about} {'Friction: ' + entry.friction_of + '.' if entry.friction_of else ''}".strip(),
-                "<br>".join(f"`{key}` {value:g}" for key, value in flat(entry.values)),
+                "<br>".join(f"`{key}` {value:g}" for key, value in flatten_entry(entry.values)),
                 entry.holds,
                 "<br>".join(map(library_texts.format_measured, entry.measured)),
                 ", ".join(entry.papers),
@@ -281,34 +289,36 @@ compares the models with published measurements; `softfinger materials NAME` pri
             for name, (entry_kind, entry) in listed.items()
             if entry_kind == kind
         ]
-        parts += [title, schema.grid(["name", "what", "values", "holds", "published", "sources"], rows)]
+        parts += [title, schema.format_grid(["name", "what", "values", "holds", "published", "sources"], rows)]
     by_read: dict[str, list[str]] = {}
-    for name, paper in papers().items():
+    for name, paper in load_papers().items():
         by_read.setdefault(paper.read, []).append(name)
     *few, most = sorted(by_read, key=lambda read: len(by_read[read]))
     readers = "; ".join(f"of {', '.join(by_read[read])} {read}" for read in few)
-    sources = [[name, paper.text + (f", doi `{paper.doi}`" if paper.doi else "")] for name, paper in papers().items()]
+    sources = [
+        [name, paper.text + (f", doi `{paper.doi}`" if paper.doi else "")] for name, paper in load_papers().items()
+    ]
     read = f"Of each source the {most} was read, but {readers}."
-    return _page(head, *parts, "## Sources", read, schema.grid(["name", "source"], sources))
+    return _make_page(head, *parts, "## Sources", read, schema.format_grid(["name", "source"], sources))
 
 
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
-    "scenes.md": scenes,
-    "rigs.md": rigs,
-    "drivers.md": drivers,
-    "experiments.md": experiments,
+    "scenes.md": make_scenes_page,
+    "rigs.md": make_rigs_page,
+    "drivers.md": make_drivers_page,
+    "experiments.md": make_experiments_page,
     "record.md": record,
-    "telemetry.md": telemetry,
-    "commands.md": commands_page,
-    "states.md": states_page,
-    "faults.md": faults_page,
-    "materials.md": materials_page,
+    "telemetry.md": make_telemetry_page,
+    "commands.md": make_commands_page,
+    "states.md": make_states_page,
+    "faults.md": make_faults_page,
+    "materials.md": make_materials_page,
 }
 
 
-def keys_table(keys: Iterable[Key]) -> str:
+def format_keys_table(keys: Iterable[Key]) -> str:
     rows = [[f"`{key.name}`", _format_type(key), key.meaning] for key in keys if key is not protocol.SCHEMA_KEY]
-    return schema.grid(["key", "type", "meaning"], rows)
+    return schema.format_grid(["key", "type", "meaning"], rows)
 
 
 def _format_type(key: Key) -> str:
@@ -322,20 +332,20 @@ def _describe_type(kind: Any) -> str:
     return " ".join((text or "").split())
 
 
-def _kind(field: Field) -> str:
+def _format_kind(field: Field) -> str:
     return f"{field.kind}[{field.size}]" if field.size > 1 else field.kind
 
 
-def _numbers(values: Iterable[tuple[int, str]]) -> str:
+def _format_numbers(values: Iterable[tuple[int, str]]) -> str:
     return ", ".join(f"{value} `{name}`" for value, name in values)
 
 
 def _format_list(verb: str) -> str:
     rows = [[f"`{item['name']}`", item["description"]] for item in shipped.list_shipped(verb)]
-    return schema.grid(["name", "what it is"], rows)
+    return schema.format_grid(["name", "what it is"], rows)
 
 
-def _page(head: str, *parts: str) -> str:
+def _make_page(head: str, *parts: str) -> str:
     title, _, text = head.partition("\n\n")
     text = textwrap.fill(" ".join(text.split()), WIDTH, break_long_words=False, break_on_hyphens=False)
     return "\n\n".join([title, GENERATED_NOTE, text, *parts]) + "\n"

@@ -15,49 +15,49 @@ GREY: Final = "0.55"
 TURN: Final = np.linspace(0.0, 2.0 * np.pi, 61)
 
 
-def contact(axes: Any) -> None:
+def draw_contact(axes: Any) -> None:
     """Draw probe and proxy of a fingertip that is pressed into a plane and dragged along it."""
     (axes,) = axes
     probe, proxy = np.array([0.35, 0.7]), np.array([0.0, 1.0])
-    _ground(axes, -1.6, 2.2)
-    _circle(axes, proxy, 1.0, BLUE)
-    _circle(axes, probe, 1.0, GREY, "--")
+    _draw_ground(axes, -1.6, 2.2)
+    _draw_circle(axes, proxy, 1.0, BLUE)
+    _draw_circle(axes, probe, 1.0, GREY, "--")
     _mark(axes, proxy, "proxy c", (-46, 4))
     _mark(axes, probe, "probe x", (8, -10))
-    _arrow(axes, (0.0, 0.0), (0.0, 0.75), "n", RED)
+    _draw_arrow(axes, (0.0, 0.0), (0.0, 0.75), "n", RED)
     _span(axes, (probe[0], proxy[1]), probe, r"$\delta$")
     _span(axes, proxy, (probe[0], proxy[1]), "e")
-    _arrow(axes, probe, probe + np.array([-0.5, 1.25]), r"$f_N n + f_t$", BLUE)
-    _bare(axes, (-1.7, 2.3), (-0.5, 2.2))
+    _draw_arrow(axes, probe, probe + np.array([-0.5, 1.25]), r"$f_N n + f_t$", BLUE)
+    _hide_axes(axes, (-1.7, 2.3), (-0.5, 2.2))
 
 
-def conventions(axes: Any) -> None:
+def draw_conventions(axes: Any) -> None:
     """Draw the world axes with a fingertip on a floor, from the front and from above."""
     side, above = axes
-    _ground(side, -1.6, 2.2)
-    _circle(side, np.array([0.0, 0.9]), 1.0, BLUE)
-    _arrow(side, (0.0, 0.9), (0.0, 1.75), "force, normal n", BLUE)
-    _axes_of(side, (1.5, 0.3), "x", "z")
+    _draw_ground(side, -1.6, 2.2)
+    _draw_circle(side, np.array([0.0, 0.9]), 1.0, BLUE)
+    _draw_arrow(side, (0.0, 0.9), (0.0, 1.75), "force, normal n", BLUE)
+    _draw_axes(side, (1.5, 0.3), "x", "z")
     side.set_title("from the front (y points away)", fontsize="small")
-    _circle(above, np.array([0.0, 0.7]), 1.0, BLUE)
+    _draw_circle(above, np.array([0.0, 0.7]), 1.0, BLUE)
     angle = np.linspace(-0.6, 1.6, 30)
     above.plot(0.55 * np.cos(angle), 0.7 + 0.55 * np.sin(angle), color=RED)
-    _arrow(above, (0.08, 1.25), (-0.1, 1.24), "", RED)
+    _draw_arrow(above, (0.08, 1.25), (-0.1, 1.24), "", RED)
     above.annotate("spin > 0", (0.0, 0.7), ha="center", va="center", fontsize="small")
-    _axes_of(above, (1.5, 0.1), "x", "y")
+    _draw_axes(above, (1.5, 0.1), "x", "y")
     above.set_title("from above (z points to you)", fontsize="small")
     for panel in axes:
-        _bare(panel, (-1.7, 2.5), (-0.5, 2.1))
+        _hide_axes(panel, (-1.7, 2.5), (-0.5, 2.1))
 
 
-def rolling(axes: Any) -> None:
+def draw_rolling(axes: Any) -> None:
     """Draw a ball before and after a roll: the contact travels r theta on the ball and on the plane."""
     (axes,) = axes
     theta = 1.1
-    _ground(axes, -1.5, 2.9)
+    _draw_ground(axes, -1.5, 2.9)
     for x, turn, style in ((0.0, 0.0, "--"), (theta, -theta, "-")):
         center = np.array([x, 1.0])
-        _circle(axes, center, 1.0, BLUE, style)
+        _draw_circle(axes, center, 1.0, BLUE, style)
         spoke = center + np.array([np.sin(turn), -np.cos(turn)])
         axes.plot(*zip(center, spoke, strict=True), color=BLUE, linewidth=0.8, linestyle=style)
         _mark(axes, center, "", (0, 0))
@@ -66,14 +66,14 @@ def rolling(axes: Any) -> None:
     axes.plot([0.0, theta], [0.0, 0.0], color=RED, linewidth=2.5)
     axes.annotate(r"$r\,\theta$", (theta / 2.0, -0.25), ha="center", color=RED)
     axes.annotate(r"$\theta$", (theta - 0.28, 0.62), color=BLUE)
-    _bare(axes, (-1.6, 3.0), (-0.5, 2.1))
+    _hide_axes(axes, (-1.6, 3.0), (-0.5, 2.1))
 
 
-def ellipsoid(axes: Any) -> None:
+def draw_ellipsoid(axes: Any) -> None:
     """Draw an ellipse that rolls on a line: the support vector from contact to centre, and the path of the centre."""
     (axes,) = axes
     a, b = 1.3, 0.8
-    _ground(axes, -1.5, 4.7)
+    _draw_ground(axes, -1.5, 4.7)
     turns = np.linspace(0.0, np.pi, 181)
     height = np.sqrt((a * np.sin(turns)) ** 2 + (b * np.cos(turns)) ** 2)
     lean = (a * a - b * b) * np.sin(turns) * np.cos(turns) / height
@@ -86,12 +86,12 @@ def ellipsoid(axes: Any) -> None:
         center = np.array([arc[at] - lean[at], height[at]])
         x, y = a * np.cos(TURN), b * np.sin(TURN)
         axes.plot(center[0] + x * np.cos(t) + y * np.sin(t), center[1] - x * np.sin(t) + y * np.cos(t), color=BLUE)
-        _arrow(axes, (arc[at], 0.0), center, r"$\rho$" if at == 70 else "", RED)
+        _draw_arrow(axes, (arc[at], 0.0), center, r"$\rho$" if at == 70 else "", RED)
     axes.plot(arc - lean, height, color=GREY, linestyle="--", linewidth=0.8)
-    _bare(axes, (-1.6, 4.8), (-0.4, 2.5))
+    _hide_axes(axes, (-1.6, 4.8), (-0.4, 2.5))
 
 
-def heightmap(axes: Any) -> None:
+def draw_heightmap(axes: Any) -> None:
     """Draw hills and the surface on which the centre of a fingertip moves, with a valley that is too narrow for it."""
     (axes,) = axes
     x = np.linspace(-3.0, 3.0, 241)
@@ -104,13 +104,13 @@ def heightmap(axes: Any) -> None:
     axes.plot(x, hills, color="0.3", label="surface")
     axes.plot(x, offset, "--", color=GREY, linewidth=0.8, label="positions of the proxy")
     for at in (int(np.argmin(np.abs(x))), int(np.argmin(np.where(np.abs(x - 1.7) < 0.5, offset, 9.0)))):
-        _circle(axes, np.array([x[at], offset[at]]), radius, BLUE)
+        _draw_circle(axes, np.array([x[at], offset[at]]), radius, BLUE)
         points = [int(np.argmax(np.where(side, lifted[at], -9.0))) for side in (reach[at] <= 0.0, reach[at] >= 0.0)]
         axes.plot(x[points], hills[points], ".", color=RED)
-    _bare(axes, (-3.0, 4.2), (-1.0, 2.8))
+    _hide_axes(axes, (-3.0, 4.2), (-1.0, 2.8))
 
 
-def mesh(axes: Any) -> None:
+def draw_mesh(axes: Any) -> None:
     """Draw a faceted outline, the surface on which the centre moves, and normals with and without shading."""
     (axes,) = axes
     corners = np.array([[2.6 * np.sin(t), 2.6 * np.cos(t) - 2.6] for t in np.linspace(-0.9, 0.9, 5)])
@@ -124,19 +124,19 @@ def mesh(axes: Any) -> None:
     for part in np.linspace(0.15, 0.85, 3):
         place = corners[1] + part * (corners[2] - corners[1])
         smooth = place - np.array([0.0, -2.6])
-        _arrow(axes, place, place + 0.8 * normals[1], "", BLUE)
-        _arrow(axes, place, place + 0.8 * smooth / np.hypot(*smooth), "", RED)
+        _draw_arrow(axes, place, place + 0.8 * normals[1], "", BLUE)
+        _draw_arrow(axes, place, place + 0.8 * smooth / np.hypot(*smooth), "", RED)
     axes.plot([], [], color=BLUE, label='force direction, shading = "none"')
     axes.plot([], [], color=RED, label='force direction, shading = "normals"')
-    _bare(axes, (-2.4, 4.6), (-1.4, 2.0))
+    _hide_axes(axes, (-2.4, 4.6), (-1.4, 2.0))
 
 
-def _ground(axes: Any, left: float, right: float) -> None:
+def _draw_ground(axes: Any, left: float, right: float) -> None:
     axes.fill_between([left, right], [0.0, 0.0], [-0.4, -0.4], color="0.85", linewidth=0)
     axes.plot([left, right], [0.0, 0.0], color="0.3", linewidth=1.0)
 
 
-def _circle(axes: Any, center: Array, radius: float, color: str, style: str = "-") -> None:
+def _draw_circle(axes: Any, center: Array, radius: float, color: str, style: str = "-") -> None:
     axes.plot(center[0] + radius * np.cos(TURN), center[1] + radius * np.sin(TURN), color=color, linestyle=style)
 
 
@@ -145,7 +145,7 @@ def _mark(axes: Any, place: Any, text: str, off: tuple[int, int]) -> None:
     axes.annotate(text, place, xytext=off, textcoords="offset points", fontsize="small")
 
 
-def _arrow(axes: Any, start: Any, end: Any, text: str, color: str) -> None:
+def _draw_arrow(axes: Any, start: Any, end: Any, text: str, color: str) -> None:
     axes.annotate("", end, xytext=start, arrowprops={"arrowstyle": "->", "color": color, "shrinkA": 0, "shrinkB": 0})
     axes.annotate(text, end, xytext=(3, 3), textcoords="offset points", color=color, fontsize="small")
 
@@ -158,12 +158,12 @@ def _span(axes: Any, start: Any, end: Any, text: str) -> None:
     axes.annotate(text, middle, xytext=(4, 2), textcoords="offset points", fontsize="small")
 
 
-def _axes_of(axes: Any, origin: tuple[float, float], right: str, up: str) -> None:
+def _draw_axes(axes: Any, origin: tuple[float, float], right: str, up: str) -> None:
     x, y = origin
-    _arrow(axes, origin, (x + 0.6, y), right, "0.2")
-    _arrow(axes, origin, (x, y + 0.6), up, "0.2")
+    _draw_arrow(axes, origin, (x + 0.6, y), right, "0.2")
+    _draw_arrow(axes, origin, (x, y + 0.6), up, "0.2")
 
 
-def _bare(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
+def _hide_axes(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
     axes.set(xlim=x, ylim=y, aspect="equal")
     axes.axis("off")

@@ -16,12 +16,12 @@ PLACES: Final = {
 }
 """Position of each state in the figure."""
 
-_ALOFT: Final = 0.14
+_ARROW_CURVATURE: Final = 0.14
 """Curvature of an arrow, so that two arrows between the same states are apart."""
 
 
-def tables() -> tuple[str, str]:
-    states = schema.grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
+def format_tables() -> tuple[str, str]:
+    states = schema.format_grid(["state", "meaning"], [[f"`{state}`", meaning] for state, meaning in MEANINGS.items()])
     sources: dict[tuple[Any, DaemonState], list[str]] = {}
     for (before, trigger), after in TRANSITIONS.items():
         sources.setdefault((trigger, after), []).append(f"`{before}`")
@@ -29,7 +29,7 @@ def tables() -> tuple[str, str]:
         [", ".join(before), f"{trigger}: {CAUSES[trigger]}", f"`{after}`"]
         for (trigger, after), before in sources.items()
     ]
-    return states, schema.grid(["from", "by", "to"], rows)
+    return states, schema.format_grid(["from", "by", "to"], rows)
 
 
 def draw(axes: Any) -> None:
@@ -42,7 +42,7 @@ def draw(axes: Any) -> None:
             start,
             arrowprops={
                 "arrowstyle": "->",
-                "connectionstyle": f"arc3,rad={_ALOFT}",
+                "connectionstyle": f"arc3,rad={_ARROW_CURVATURE}",
                 "shrinkA": 26,
                 "shrinkB": 26,
                 "color": "0.4",
@@ -50,7 +50,10 @@ def draw(axes: Any) -> None:
         )
         x, y = (0.5 * (a + b) for a, b in zip(start, end, strict=True))
         dx, dy = end[0] - start[0], end[1] - start[1]
-        at = (x + 0.5 * _ALOFT * dy, y - 0.5 * _ALOFT * dx)  # the middle of an arc with this curvature
+        at = (
+            x + 0.5 * _ARROW_CURVATURE * dy,
+            y - 0.5 * _ARROW_CURVATURE * dx,
+        )  # the middle of an arc with this curvature
         axes.annotate(trigger.value, at, ha="center", va="center", fontsize="small", backgroundcolor="white")
     for state, place in PLACES.items():
         box = {"boxstyle": "round,pad=0.5", "facecolor": "white", "edgecolor": "C0"}

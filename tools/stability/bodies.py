@@ -45,7 +45,7 @@ LIGHT_SUBSTEPS: Final = 4
 """Substeps for bodies lighter than that."""
 KNOCK: Final = (0.01, 0.01, 0.01, 0.3, 0.3, 0.3)
 """Velocity of a knock, m/s and rad/s."""
-STAY_S: Final = 0.2
+PAUSE_S: Final = 0.2
 """Pause of the hands in the middle of a cycle, and before the knock."""
 WATCH_S: Final = 1.0
 QUARTER: Final = round(0.25 * WATCH_S / DT)
@@ -53,15 +53,15 @@ MOVES_M: Final = {"drag": 0.01, "balance": 0.02, "hold": 0.02}
 """Distance by which the hands move a body."""
 LEG: Final = round(0.3 / DT)
 """Ticks from one position of the hands to the next."""
-SPEEDING_UP: Final = 10.0 / sqrt(3.0) / (LEG * DT) ** 2
+LEG_ACCELERATION: Final = 10.0 / sqrt(3.0) / (LEG * DT) ** 2
 """1/s^2: largest acceleration of a leg, over its length."""
-AT_REST: Final = 0.02
+REST_SPEED_SHARE: Final = 0.02
 """Fraction of the knock's speed below which a body is at rest."""
-GROWS: Final = 1.1
+GROWTH_LIMIT: Final = 1.1
 """Growth of the speed, from the third quarter of the observation to the last, above which a body is unstable."""
-BALANCED: Final = 1e-12
+BALANCE_N: Final = 1e-12
 """N: the force on a body and the forces on the hands cancel to rounding."""
-AWAY: Final = (1.0, 0.0, 0.0)
+HAND_DIRECTION: Final = (1.0, 0.0, 0.0)
 MODEL: Final = """
 <mujoco>
   <option timestep="{timestep!r}" integrator="implicitfast"/>
@@ -130,11 +130,11 @@ class PlayResult(NamedTuple):
     unbalanced: float
 
 
-def substeps(mass: float) -> int:
+def count_substeps(mass: float) -> int:
     return LIGHT_SUBSTEPS if mass < LIGHT_KG else 1
 
 
-def damping(cell: Cell) -> float:
+def compute_damping(cell: Cell) -> float:
     """Return the damping, N s/m: a tenth of critical for the body between two springs, but at least 0.6 K T.
 
     A sampled spring generates energy like a damping of -K T / 2.
@@ -142,20 +142,20 @@ def damping(cell: Cell) -> float:
     return max(0.2 * sqrt(cell.stiffness * cell.mass), 0.6 * cell.stiffness * DT)
 
 
-def force(cell: Cell) -> float:
+def compute_force(cell: Cell) -> float:
     """Return the force, N, of a finger: half more than friction needs, and not too little to be felt."""
     weight = cell.mass * G
-    carried = weight + cell.mass * SPEEDING_UP * MOVES_M["hold"]
+    carried = weight + cell.mass * LEG_ACCELERATION * MOVES_M["hold"]
     if cell.case == "balance":
         return weight
     if cell.case == "hold":
         return max(1.0, 1.5 * carried / (2.0 * FRICTION))
-    dragged = FLOOR_FRICTION * weight + cell.mass * SPEEDING_UP * MOVES_M["drag"]
+    dragged = FLOOR_FRICTION * weight + cell.mass * LEG_ACCELERATION * MOVES_M["drag"]
     return max(min(1.0, 10.0 * weight), 1.5 * dragged / (FRICTION - FLOOR_FRICTION))
 
 
-def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
-    steps = substeps(cell.mass)
+def make_scene(cell: Cell, folder: Path) -> dict[str, Any]:
+    steps = count_substeps(cell.mass)
     (folder / "body.xml").write_text(
         MODEL.format(
             timestep=DT / steps,
@@ -170,7 +170,7 @@ def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
     )
     material = {
         "stiffness_n_per_m": cell.stiffness,
-        "damping_ns_per_m": damping(cell),
+        "damping_ns_per_m": compute_damping(cell),
         "friction": {"static": FRICTION, "kinetic": 0.9 * FRICTION},
         "torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": 0.004},
     }
@@ -180,7 +180,7 @@ def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
         "rolling": {"method": "midpoint"},
         "coupling": {
             "stiffness_n_per_m": cell.stiffness,
-            "damping_ns_per_m": damping(cell),
+            "damping_ns_per_m": compute_damping(cell),
             "torsional_damping_nms_per_rad": sqrt(TORSION * inertia),
         },
         "world": {
@@ -191,15 +191,15 @@ def scene_of(cell: Cell, folder: Path) -> dict[str, Any]:
     }
 
 
-def approach_path(cell: Cell) -> Array:
+def make_approach_path(cell: Cell) -> Array:
     """Return the centres of both fingertips (n, 2, 3) m, from their start to their final position."""
-    moved, near, pressed = MOVES_M[cell.case], RADIUS_M + 0.001, RADIUS_M - force(cell) / cell.stiffness
+    moved, near, pressed = MOVES_M[cell.case], RADIUS_M + 0.001, RADIUS_M - compute_force(cell) / cell.stiffness
     if cell.case == "drag":
-        places = [((0.0, 0.0, HALF_M + near), AWAY), ((0.0, 0.0, HALF_M + pressed), AWAY)]
-        places += [((moved, 0.0, HALF_M + pressed), AWAY)]
+        places = [((0.0, 0.0, HALF_M + near), HAND_DIRECTION), ((0.0, 0.0, HALF_M + pressed), HAND_DIRECTION)]
+        places += [((moved, 0.0, HALF_M + pressed), HAND_DIRECTION)]
     elif cell.case == "balance":
         below = -PLATE_HALF_M - RADIUS_M
-        places = [((0.0, 0.0, below), AWAY), ((0.0, 0.0, below + moved), AWAY)]
+        places = [((0.0, 0.0, below), HAND_DIRECTION), ((0.0, 0.0, below + moved), HAND_DIRECTION)]
     else:
         places = [
             ((-HALF_M - away, 0.0, z), (HALF_M + away, 0.0, z))
@@ -213,19 +213,19 @@ def approach_path(cell: Cell) -> Array:
 
 def begin(cell: Cell, folder: Path) -> Engine:
     """Return the engine with the body before contact; a balanced plate is already pressed onto its finger."""
-    engine = Engine(scene_of(cell, folder), 1.0 / DT)
+    engine = Engine(make_scene(cell, folder), 1.0 / DT)
     if cell.case == "balance":
-        engine.data.qpos[2] = -force(cell) / cell.stiffness
+        engine.data.qpos[2] = -compute_force(cell) / cell.stiffness
     return engine
 
 
-def speed_of(engine: Engine) -> float:
+def measure_speed(engine: Engine) -> float:
     """Return the speed of the body, m/s: of its centre, or of the middle of a side about it."""
     velocity = engine.data.qvel
     return float(max(np.linalg.norm(velocity[:3]), HALF_M * np.linalg.norm(velocity[3:])))
 
 
-def poses_of(path: Array) -> dict[str, Array]:
+def make_poses(path: Array) -> dict[str, Array]:
     """Return unrotated poses (n, 7) of each finger for centres (n, 2, 3)."""
     poses = np.zeros((*path.shape[:2], 7))
     poses[:, :, :3], poses[:, :, 3] = path, 1.0
@@ -234,7 +234,7 @@ def poses_of(path: Array) -> dict[str, Array]:
 
 def play(engine: Engine, path: Array) -> PlayResult:
     """Move the fingertips along centres (n, 2, 3)."""
-    poses = poses_of(path)
+    poses = make_poses(path)
     played = PlayResult(np.zeros(path.shape), np.zeros(path.shape[:2]), np.zeros(len(path)), 0.0)
     unbalanced = 0.0
     for tick in range(len(path)):
@@ -242,31 +242,31 @@ def play(engine: Engine, path: Array) -> PlayResult:
         for at, name in enumerate(FINGERS):
             played.force[tick, at] = records[name]["force"][0]
             played.mode[tick, at] = records[name]["contact.mode"][0]
-        played.speed[tick] = speed_of(engine)
+        played.speed[tick] = measure_speed(engine)
         applied = engine.data.xfrc_applied[1, :3]
         unbalanced = max(unbalanced, float(np.abs(played.force[tick].sum(axis=0) + applied).max()))
     return played._replace(unbalanced=unbalanced)
 
 
-def slips(mode: Array) -> int:
+def count_slips(mode: Array) -> int:
     """Count the starts of slip: modes (n, 2)."""
     return int(np.count_nonzero(np.diff((mode == SLIDING).astype(np.int8), axis=0) > 0))
 
 
 def measure(cell: Cell) -> CellResult:
-    result = CellResult(*cell, substeps(cell.mass), force(cell) / cell.stiffness, damping(cell))
+    result = CellResult(*cell, count_substeps(cell.mass), compute_force(cell) / cell.stiffness, compute_damping(cell))
     if result.depth_m > 2.0 * RADIUS_M:
         return result._replace(verdict="deep", reason="it would press deeper than a fingertip is thick")
-    forward = approach_path(cell)
-    stay = np.repeat(forward[-1:], round(STAY_S / DT), axis=0)
+    forward = make_approach_path(cell)
+    stay = np.repeat(forward[-1:], round(PAUSE_S / DT), axis=0)
     with tempfile.TemporaryDirectory() as folder:
         try:
             path = np.concatenate([forward, stay, forward[::-1]])
             cycle = play(begin(cell, Path(folder)), path)
             engine = begin(cell, Path(folder))
-            engine.run(poses_of(np.concatenate([forward, stay])))
+            engine.run(make_poses(np.concatenate([forward, stay])))
             engine.data.qvel[:] = KNOCK
-            knock = speed_of(engine)
+            knock = measure_speed(engine)
             after = play(engine, np.repeat(forward[-1:], round(WATCH_S / DT), axis=0))
         except SafetyStop as error:
             return result._replace(reason=str(error))
@@ -275,7 +275,7 @@ def measure(cell: Cell) -> CellResult:
         left=last / knock,
         grown=last / third if third > 0.0 else 1.0,
         ripple_n=float(np.linalg.norm(np.diff(after.force[-QUARTER:], axis=0), axis=2).max()),
-        slips=slips(cycle.mode[LEG:-LEG]) + slips(after.mode),
+        slips=count_slips(cycle.mode[LEG:-LEG]) + count_slips(after.mode),
         given_j=float(np.sum(cycle.force[:-1] * np.diff(path, axis=0))),
         unbalanced_n=max(cycle.unbalanced, after.unbalanced),
     )
@@ -288,9 +288,9 @@ def judge(result: CellResult, touching: bool) -> CellResult:
     assert result.left is not None and result.grown is not None
     if not touching:
         return result._replace(verdict="lost", reason="a finger touches it no more")
-    if result.left <= AT_REST:
+    if result.left <= REST_SPEED_SHARE:
         return result._replace(verdict="rests")
-    if result.grown > GROWS:
+    if result.grown > GROWTH_LIMIT:
         return result._replace(verdict="unstable", reason=f"grows by {result.grown:.2f} in a quarter of a second")
     return result._replace(verdict="swings", reason="rolls on the fingertip, which no damper resists")
 

@@ -8,27 +8,27 @@ from typing import Final
 
 import numpy as np
 
-from softfinger.server.offline.figures import figure, save
-from softfinger.tools.stability.bodies import AT_REST, BALANCED, CellResult
+from softfinger.server.offline.figures import make_figure, save
+from softfinger.tools.stability.bodies import BALANCE_N, REST_SPEED_SHARE, CellResult
 
 UNSTABLE: Final = ("unstable", "failed")
 
 
-def wrong(results: Sequence[CellResult]) -> list[CellResult]:
+def find_wrong(results: Sequence[CellResult]) -> list[CellResult]:
     """Return the cells that grow or fail, give energy to the hands, or have unbalanced forces."""
     return [
         row
         for row in results
-        if row.verdict in UNSTABLE or (row.given_j or 0.0) > 0.0 or (row.unbalanced_n or 0.0) > BALANCED
+        if row.verdict in UNSTABLE or (row.given_j or 0.0) > 0.0 or (row.unbalanced_n or 0.0) > BALANCE_N
     ]
 
 
-def mass_text(row: CellResult) -> str:
+def format_mass(row: CellResult) -> str:
     mass = f"{row.mass_kg:g} kg" if row.mass_kg >= 1.0 else f"{1e3 * row.mass_kg:g} g"
     return mass if row.substeps == 1 else f"{mass}, {row.substeps} substeps"
 
 
-def lines(results: Sequence[CellResult]) -> list[str]:
+def format_lines(results: Sequence[CellResult]) -> list[str]:
     heads = ("left", "ripple, mN", "slips", "given, mJ", "unbalanced, N")
     text = ["knocked, and the remaining motion after a second; energy given to the hands in a closed cycle"]
     text.append(f"  {'case':<9}{'mass':<17}{'K, N/m':>7}" + "".join(f"{head:>15}" for head in heads) + "  verdict")
@@ -43,14 +43,14 @@ def lines(results: Sequence[CellResult]) -> list[str]:
         )  # fmt: skip
         why = f": {row.reason}" if row.reason else ""
         text.append(
-            f"  {row.case:<9}{mass_text(row):<17}{row.stiffness_n_per_m:>7g}"
+            f"  {row.case:<9}{format_mass(row):<17}{row.stiffness_n_per_m:>7g}"
             + "".join(f"{number:>15}" for number in numbers)
             + f"  {row.verdict}{why}"
         )
     return text
 
 
-def case_table(results: Sequence[CellResult]) -> str:
+def format_cases(results: Sequence[CellResult]) -> str:
     """Return the worst measured values of each case, and the bodies that do not come to rest, with the reason."""
     text = [
         "| case | largest ripple | slips | energy given, at most | forces opposite to | not at rest after a second |"
@@ -77,14 +77,14 @@ def case_table(results: Sequence[CellResult]) -> str:
 def draw(path: Path, results: Sequence[CellResult]) -> None:
     """Draw a panel for each case: remaining speed after a knock against the stiffness, a line for each mass."""
     cases = list(dict.fromkeys(row.case for row in results))
-    drawing = figure(4.0 * len(cases), 4.0)
+    drawing = make_figure(4.0 * len(cases), 4.0)
     panels = drawing.subplots(1, len(cases), squeeze=False, sharey=True)[0]
     for axes, case in zip(panels, cases, strict=True):
         for mass in dict.fromkeys(row.mass_kg for row in results):
             rows = [row for row in results if (row.case, row.mass_kg) == (case, mass)]
             remaining = [np.nan if row.left is None else max(row.left, 1e-6) for row in rows]
-            axes.loglog([row.stiffness_n_per_m for row in rows], remaining, "o-", label=mass_text(rows[0]))
-        axes.axhline(AT_REST, color="0.4", linewidth=0.8)
+            axes.loglog([row.stiffness_n_per_m for row in rows], remaining, "o-", label=format_mass(rows[0]))
+        axes.axhline(REST_SPEED_SHARE, color="0.4", linewidth=0.8)
         stiffnesses = sorted({row.stiffness_n_per_m for row in results})
         axes.set_xticks(stiffnesses, [f"{value:g}" for value in stiffnesses])
         axes.set_xticks([], minor=True)

@@ -21,7 +21,7 @@ from softfinger.proxy.record import AT, FREE, RECORD_SIZE, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.simulate import tick_many
+from softfinger.server.offline.simulate import run_ticks
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.measure import Array
 from softfinger.tools.stability.wrenches import try_wrenches
@@ -33,7 +33,7 @@ TORQUE_MAX_NM: Final = 0.3
 GUARD: Final = schema.Guard(force_max_n=FORCE_MAX_N, torque_max_nm=TORQUE_MAX_NM, ramp_s=0.01)
 ROUNDING: Final = 1e-12
 """A clamp by norm is exact to a few roundings; relative."""
-SUMMING: Final = 1e-9
+SUM_TOLERANCE: Final = 1e-9
 """A force change of 0.04 N at 12 N, as at 50 kHz, is accurate to 1e-13; relative."""
 
 
@@ -52,7 +52,7 @@ class ExtremeResult(NamedTuple):
 # --- scenes and motions ----------------------------------------------------------------------------
 
 
-def scene(
+def make_scene(
     *objects: dict[str, Any],
     radius: float = R,
     method: str = "euler_zxz",
@@ -88,7 +88,7 @@ COUNT: Final = np.arange(TICKS)
 UPRIGHT: Final = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def turns_about(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Array:
+def compute_turns(angles: NDArray[np.floating[Any]], axis: Sequence[float]) -> Array:
     """Return the quaternions (n, 4) of the angles (n,) rad about an axis."""
     return exp(angles[:, None] * np.asarray(axis, float) / np.linalg.norm(axis))
 
@@ -108,8 +108,8 @@ def press(depth: float = 0.001, radius: float = R, distance: float = 0.0, q: Arr
     return samples
 
 
-ON_PLANE: Final = scene()
-EVEN: Final = np.full(TICKS, 0.001)
+ON_PLANE: Final = make_scene()
+EQUAL_STEPS: Final = np.full(TICKS, 0.001)
 
 
 class ExtremeCase(NamedTuple):
@@ -129,7 +129,7 @@ class ExtremeCase(NamedTuple):
     samples: Array
     expects: Callable[[Array], str] = lambda records: ""
     scene: dict[str, Any] = ON_PLANE
-    dts: Array = EVEN
+    dts: Array = EQUAL_STEPS
     period: float = 0.001
     refused: bool = False
 
@@ -137,22 +137,24 @@ class ExtremeCase(NamedTuple):
 # --- further conditions ----------------------------------------------------------------------------
 
 
-def touches_and_leaves(records: Array) -> str:
+def check_touch_and_release(records: Array) -> str:
     modes = records[:, AT.contact_mode]
     if not (modes != FREE).any():
         return "nothing was touched"
     return "" if modes[-1] == FREE else "the contact did not end"
 
 
-def slides(records: Array) -> str:
-    return touches_and_leaves(records) or ("" if (records[:, AT.contact_mode] == SLIDING).any() else "it did not slide")
+def check_slides(records: Array) -> str:
+    return check_touch_and_release(records) or (
+        "" if (records[:, AT.contact_mode] == SLIDING).any() else "it did not slide"
+    )
 
 
-def never_slides(records: Array) -> str:
-    return touches_and_leaves(records) or ("it slid" if (records[:, AT.contact_mode] == SLIDING).any() else "")
+def check_never_slides(records: Array) -> str:
+    return check_touch_and_release(records) or ("it slid" if (records[:, AT.contact_mode] == SLIDING).any() else "")
 
 
-def zero_refused(records: Array) -> str:
+def check_zero_refused(records: Array) -> str:
     refused = records[:, AT.servo_guard] == POSE_REFUSED
     silent = (
         not records[refused][:, AT.force : AT.force + 3].any() and not (records[refused, AT.contact_mode] != FREE).any()
@@ -163,7 +165,7 @@ def zero_refused(records: Array) -> str:
 # --- the cases -------------------------------------------------------------------------------------
 
 
-def cases() -> Iterator[ExtremeCase]:
+def iter_cases() -> Iterator[ExtremeCase]:
     """Yield every extreme; cases of one scene type are consecutive."""
     yield from on_a_plane()
     yield from with_damaged_poses()
@@ -172,52 +174,54 @@ def cases() -> Iterator[ExtremeCase]:
 
 def on_a_plane() -> Iterator[ExtremeCase]:
     drag = press(distance=0.01)
-    yield ExtremeCase("no rotation", "a drag without any turn", drag, slides)
+    yield ExtremeCase("no rotation", "a drag without any turn", drag, check_slides)
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
-        poses = press(q=turns_about(angle * COUNT, (1.0, 0.3, 0.1)))
+        poses = press(q=compute_turns(angle * COUNT, (1.0, 0.3, 0.1)))
         yield ExtremeCase("rotation in one tick", f"{words} about a slanting axis, every tick", poses)
-    poses = press(q=turns_about(0.02 * COUNT, (0.0, 0.0, 1.0)))
-    yield ExtremeCase("gimbal of ZXZ", "theta = 0: pure spin", poses, never_slides)
-    poses = press(q=turns_about(pi * COUNT, (1.0, 0.0, 0.0)))
+    poses = press(q=compute_turns(0.02 * COUNT, (0.0, 0.0, 1.0)))
+    yield ExtremeCase("gimbal of ZXZ", "theta = 0: pure spin", poses, check_never_slides)
+    poses = press(q=compute_turns(pi * COUNT, (1.0, 0.0, 0.0)))
     yield ExtremeCase("gimbal of ZXZ", "theta = pi every tick", poses)
     for radius in (1e-5, 1e3):
         poses = press(0.1 * radius, radius, radius)
-        yield ExtremeCase("fingertip radius", f"r = {radius:g} m", poses, touches_and_leaves, scene(radius=radius))
+        yield ExtremeCase(
+            "fingertip radius", f"r = {radius:g} m", poses, check_touch_and_release, make_scene(radius=radius)
+        )
     for stiffness in (1e-3, 1e6):
-        model = scene(stiffness=stiffness)
-        yield ExtremeCase("stiffness", f"K = {stiffness:g} N/m", drag, touches_and_leaves, model)
-    yield ExtremeCase("friction", "mu = 0", drag, slides, scene(friction=(0.0, 0.0)))
-    yield ExtremeCase("friction", "mu = 1000", drag, never_slides, scene(friction=(1e3, 1e3)))
+        model = make_scene(stiffness=stiffness)
+        yield ExtremeCase("stiffness", f"K = {stiffness:g} N/m", drag, check_touch_and_release, model)
+    yield ExtremeCase("friction", "mu = 0", drag, check_slides, make_scene(friction=(0.0, 0.0)))
+    yield ExtremeCase("friction", "mu = 1000", drag, check_never_slides, make_scene(friction=(1e3, 1e3)))
     for rate in (8000.0, 50.0):
         dts = np.full(TICKS, 1.0 / rate)
-        yield ExtremeCase("period", f"T = 1/{rate:g} s", drag, slides, dts=dts, period=1.0 / rate)
+        yield ExtremeCase("period", f"T = 1/{rate:g} s", drag, check_slides, dts=dts, period=1.0 / rate)
     missed = np.asarray(0.001 * np.random.default_rng(1).integers(1, 100, TICKS), np.float64)
-    yield ExtremeCase("missed ticks", "1 to 99 at a time", drag, touches_and_leaves, dts=missed)
-    yield ExtremeCase("no time passes", "dt = 0", drag, touches_and_leaves, dts=np.zeros(TICKS))
+    yield ExtremeCase("missed ticks", "1 to 99 at a time", drag, check_touch_and_release, dts=missed)
+    yield ExtremeCase("no time passes", "dt = 0", drag, check_touch_and_release, dts=np.zeros(TICKS))
     jumps: Array = 10.0 ** np.random.default_rng(2).uniform(-9.0, 3.0, TICKS)
-    yield ExtremeCase("clock that jumps", "dt from 1e-9 to 1e3 s", drag, touches_and_leaves, dts=jumps)
+    yield ExtremeCase("clock that jumps", "dt from 1e-9 to 1e3 s", drag, check_touch_and_release, dts=jumps)
 
 
 def with_damaged_poses() -> Iterator[ExtremeCase]:
     for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
         poses = press()
         poses[100:300:7, 1] = value
-        yield ExtremeCase("broken position", words, poses, zero_refused, refused=True)
+        yield ExtremeCase("broken position", words, poses, check_zero_refused, refused=True)
     for norm in (0.0, 1e-3, nan, inf, 1e200):
         poses = press()
         poses[100:300:7, 3] = norm
-        yield ExtremeCase("quaternion", f"of norm {norm:g}", poses, zero_refused, refused=True)
+        yield ExtremeCase("quaternion", f"of norm {norm:g}", poses, check_zero_refused, refused=True)
     for norm in (0.51, 1.99):
         poses = press()
         poses[::2, 3] = norm
-        yield ExtremeCase("quaternion", f"of norm {norm:g}", poses, never_slides)
+        yield ExtremeCase("quaternion", f"of norm {norm:g}", poses, check_never_slides)
     subnormal = press(q=np.array([1.0, 5e-324, 5e-324, 5e-324]))
-    yield ExtremeCase("subnormal numbers", "in the quaternion", subnormal, never_slides)
+    yield ExtremeCase("subnormal numbers", "in the quaternion", subnormal, check_never_slides)
     hops = np.random.default_rng(3).uniform(-1.0, 1.0, (TICKS, 3)) * 10.0 ** np.linspace(-3.0, 6.0, TICKS)[:, None]
     poses = press()
     poses[:, :3] = hops
     yield ExtremeCase("teleporting probe", "up to 1000 km a tick, through the plane", poses)
-    yield ExtremeCase("deep penetration", "1 m at 1e6 N/m", press(1.0), clamp_sample, scene(stiffness=1e6))
+    yield ExtremeCase("deep penetration", "1 m at 1e6 N/m", press(1.0), clamp_sample, make_scene(stiffness=1e6))
 
 
 def on_other_objects() -> Iterator[ExtremeCase]:
@@ -226,23 +230,23 @@ def on_other_objects() -> Iterator[ExtremeCase]:
         ball = {"shape": "sphere", "radius_m": object_radius, "position_m": [0.0, 0.0, -min(object_radius, 1e3)]}
         poses = press(0.1 * min(radius, object_radius), radius, 0.1 * min(radius, object_radius))
         words = f"r = {radius:g} m on R = {object_radius:g} m"
-        yield ExtremeCase("curvature", words, poses, touches_and_leaves, scene(ball, radius=radius))
+        yield ExtremeCase("curvature", words, poses, check_touch_and_release, make_scene(ball, radius=radius))
     for sign in (1.0, -1.0):
-        poses = press(q=turns_about(sign * pi / 2 * COUNT, (0.0, 1.0, 0.0)))
-        model = scene(BALL, method="euler_zyx")
+        poses = press(q=compute_turns(sign * pi / 2 * COUNT, (0.0, 1.0, 0.0)))
+        model = make_scene(BALL, method="euler_zyx")
         yield ExtremeCase("gimbal of ZYX", "pitch of pi/2 every tick", poses, scene=model)
 
     for place, words in (((0.01, 0.0), "edge"), ((0.01, 0.01), "corner")):
-        poses = press(distance=0.004, q=turns_about(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0)))
+        poses = press(distance=0.004, q=compute_turns(np.linspace(0.0, 2.0, TICKS), (0.3, 1.0, 0.0)))
         poses[:, :2] += np.asarray(place) - 0.001
         words = f"of a box, rolled over its {words}"
-        yield ExtremeCase("sharp object", words, poses, touches_and_leaves, scene(BLOCK))
+        yield ExtremeCase("sharp object", words, poses, check_touch_and_release, make_scene(BLOCK))
 
     for count in (2, 3):
-        poses = press(distance=0.003, q=turns_about(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0)))
+        poses = press(distance=0.003, q=compute_turns(np.linspace(0.0, 1.0, TICKS), (1.0, 1.0, 1.0)))
         poses[:, : count - 1] += 0.009
         poses[:, count - 1 : 2] += 0.05
-        yield ExtremeCase("several contacts", f"{count} walls at once, turning", poses, scene=scene(*WALLS))
+        yield ExtremeCase("several contacts", f"{count} walls at once, turning", poses, scene=make_scene(*WALLS))
 
 
 def clamp_sample(records: Array) -> str:
@@ -250,16 +254,16 @@ def clamp_sample(records: Array) -> str:
     return "" if force.max() > 0.99 * FORCE_MAX_N else "the clamp was not reached"
 
 
-def tuning_of(mapping: dict[str, Any]) -> Tuning:
+def make_case_tuning(mapping: dict[str, Any]) -> Tuning:
     return make_tuning(build(schema.Scene, mapping, "extreme"), GUARD)
 
 
 def run_case(case: ExtremeCase) -> Array:
     """Return the records (n, RECORD_SIZE) of a case."""
-    tuning = tuning_of(case.scene)
+    tuning = make_case_tuning(case.scene)
     records = np.zeros((len(case.samples), RECORD_SIZE))
     samples, rows = case.samples[:, None], records[:, None]
-    tick_many(packed(tuning), packed(begin(tuning.scene)), samples, case.dts, case.period, 0, rows)
+    run_ticks(packed(tuning), packed(begin(tuning.scene)), samples, case.dts, case.period, 0, rows)
     return records
 
 
@@ -295,19 +299,19 @@ def count_violations(records: Array, period: float) -> int:
         ):
             change = np.linalg.norm(np.diff(records[:, at : at + 3], axis=0), axis=1)
             # Change from the last tick, or from zero after a release of the force.
-            is_within[1:] &= np.minimum(change, size[1:]) <= slew * period * (1.0 + SUMMING)
+            is_within[1:] &= np.minimum(change, size[1:]) <= slew * period * (1.0 + SUM_TOLERANCE)
         return int(np.count_nonzero(~is_within))
 
 
 def try_extremes() -> list[ExtremeResult]:
-    results = map_with_progress("extremes", lambda case: judge(case, run_case(case)), list(cases()))
+    results = map_with_progress("extremes", lambda case: judge(case, run_case(case)), list(iter_cases()))
     return results + [
         ExtremeResult("wrench", wrench, n, force, "-", names, wrong)
         for wrench, n, force, names, wrong in try_wrenches()
     ]
 
 
-def table(results: Sequence[ExtremeResult]) -> str:
+def format_table(results: Sequence[ExtremeResult]) -> str:
     lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
     lines += [
         f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"

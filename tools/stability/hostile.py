@@ -12,23 +12,28 @@ from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
-from softfinger.server.offline.simulate import tick_many
-from softfinger.server.progress import progress
+from softfinger.server.offline.simulate import run_ticks
+from softfinger.server.progress import show_progress
 from softfinger.tools.measure import Array
-from softfinger.tools.stability.extremes import BALL, BLOCK, WALLS, R, count_violations, scene, tuning_of
+from softfinger.tools.stability.extremes import BALL, BLOCK, WALLS, R, count_violations, make_case_tuning, make_scene
 
-HOSTILE_SCENES: Final = {"plane": scene(), "sphere": scene(BALL), "box": scene(BLOCK), "three walls": scene(*WALLS)}
+HOSTILE_SCENES: Final = {
+    "plane": make_scene(),
+    "sphere": make_scene(BALL),
+    "box": make_scene(BLOCK),
+    "three walls": make_scene(*WALLS),
+}
 HOSTILE_BLOCK: Final = 20_000
-WILD: Final = np.array([nan, inf, -inf, 0.0, -0.0, 5e-324, -5e-324, 1.7e308, -1.7e308])
+WILD_VALUES: Final = np.array([nan, inf, -inf, 0.0, -0.0, 5e-324, -5e-324, 1.7e308, -1.7e308])
 """Values that no device should send; numbers of any size are used, too."""
 
 
-def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+def make_garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     """Return samples (count, 7) and time steps (count,) s; a quarter of the samples has invalid values."""
     samples = rng.uniform(-1.0, 1.0, (count, 7))
     samples[:, :3] *= 2.0 * R
     is_invalid = (rng.random((count, 1)) < 0.25) & (rng.random((count, 7)) < 0.125)
-    special = rng.choice(WILD, (count, 7))
+    special = rng.choice(WILD_VALUES, (count, 7))
     sized = rng.choice([-1.0, 1.0], (count, 7)) * 10.0 ** rng.uniform(-300.0, 300.0, (count, 7))
     samples[is_invalid] = np.where(rng.random((count, 7)) < 0.5, special, sized)[is_invalid]
     dts = np.full(count, 0.001)
@@ -41,16 +46,16 @@ def garbage(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
 def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
     """Run `ticks` random ticks on each of HOSTILE_SCENES; returns violations, refusals and the largest force."""
     rows = []
-    with progress("hostile input", ticks * len(HOSTILE_SCENES)) as update:
+    with show_progress("hostile input", ticks * len(HOSTILE_SCENES)) as update:
         for number, (name, mapping) in enumerate(HOSTILE_SCENES.items()):
-            tuning, rng = tuning_of(mapping), np.random.default_rng((seed, number))
+            tuning, rng = make_case_tuning(mapping), np.random.default_rng((seed, number))
             scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
             records = np.zeros((HOSTILE_BLOCK, RECORD_SIZE))
             broken, refused, strongest = 0, 0, 0.0
             for first in range(0, ticks, HOSTILE_BLOCK):
-                samples, dts = garbage(rng, min(HOSTILE_BLOCK, ticks - first))
+                samples, dts = make_garbage(rng, min(HOSTILE_BLOCK, ticks - first))
                 part = records[: len(samples)]
-                tick_many(scene_and_guard, memory, samples[:, None], dts, 0.001, first, part[:, None])
+                run_ticks(scene_and_guard, memory, samples[:, None], dts, 0.001, first, part[:, None])
                 broken += count_violations(part, 0.001)
                 refused += int(np.count_nonzero(part[:, AT.servo_guard] == POSE_REFUSED))
                 strongest = max(strongest, float(np.linalg.norm(part[:, AT.force : AT.force + 3], axis=1).max()))
@@ -59,7 +64,7 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
     return rows
 
 
-def hostile_table(rows: Sequence[dict[str, Any]]) -> str:
+def format_hostile_table(rows: Sequence[dict[str, Any]]) -> str:
     lines = ["| scene | ticks | rules broken | poses refused | largest force |", "|---|---|---|---|---|"]
     lines += [
         f"| {row['scene']} | {row['ticks']} | {row['broken']} | {row['refused']} | {row['force_max_n']:.6g} N |"

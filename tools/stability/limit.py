@@ -36,46 +36,46 @@ from softfinger.proxy.kernels.model import (
     Plane,
     Scene,
     Single,
-    Smooth,
+    SmoothSearch,
 )
-from softfinger.server.loop.clock import NS_PER_S, period_ns
+from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.limits import UNLIMITED
 from softfinger.server.loop.passivity import Passivity
-from softfinger.server.loop.tick import Memory, Tuning, begin, tick
+from softfinger.server.loop.tick import Memory, Tuning, begin, run_tick
 from softfinger.server.offline.closed_loop import NULL_RECORD
-from softfinger.server.progress import progress
+from softfinger.server.progress import show_progress
 from softfinger.tools.measure import Array
 from softfinger.tools.stability.options import CaseOptions
-from softfinger.tools.stability.predicted import LinearLoop, linear_limit, passive_limit
+from softfinger.tools.stability.predicted import LinearLoop, compute_passive_limit, find_linear_limit
 
 RADIUS_M: Final = 0.01
 KNOCK_M: Final = 1e-4
 """Amplitude that the knock gives an undamped handle, m."""
 KNOCK_STEPS: Final = 20.0
 """The same in encoder steps, at least, so that their effect is small in comparison."""
-REACH: Final = 30.0
+UNSTABLE_GROWTH: Final = 30.0
 """A swing that has grown by this factor shows that the wall is unstable."""
 MIN_SWING: Final = 1e-9
 """Fraction of the knock's speed below which the swing is over; rounding is at 1e-13."""
 LIMIT_CYCLE: Final = 1.0
 """The same with encoder steps: a swing of a few steps never ends, and is unstable only if it exceeds the knock."""
-DEPTH: Final = 100.0
-"""Depth of the equilibrium in knocks, at least, so that a swing of REACH remains in contact."""
+DEPTH_KNOCKS: Final = 100.0
+"""Depth of the equilibrium in knocks, at least, so that a swing of UNSTABLE_GROWTH remains in contact."""
 WEIGHT_MAX_N: Final = 1e5
 """Heaviest weight that presses the wall; if more were needed, the knock is smaller. Effects end at 1e6 N."""
-COARSE: Final = 16.0
-FINE: Final = 64.0
+COARSE_SWINGS: Final = 16.0
+FINE_SWINGS: Final = 64.0
 """Swings of the handle in a trial: until the limit is bracketed, and while it is bisected."""
 TICKS_MIN: Final = 2_000.0
 TICKS_MAX: Final = 1_000_000.0
-SCAN: Final = 1.3
+SCAN_FACTOR: Final = 1.3
 """Factor by which the stiffness increases until the wall is unstable for the first time."""
 PRECISION: Final = 1e-4
 """Relative width at which the bisection ends."""
-SOFTEST: Final = 1e-6
+MIN_STIFFNESS_SHARE: Final = 1e-6
 """Fraction of the first stiffness at which softening ends, with a limit of 0."""
-STIFFEST: Final = 1e12
+MAX_STIFFNESS: Final = 1e12
 """A wall of this stiffness in N/m that is stable ends the search: a million times the limit of a scene."""
 
 
@@ -83,7 +83,7 @@ class WallCase(CaseOptions, frozen=True, kw_only=True):
     @property
     def period_s(self) -> float:
         """Length of a tick, in whole ns like the servo's."""
-        return period_ns(self.rate_hz) / NS_PER_S
+        return compute_period_ns(self.rate_hz) / NS_PER_S
 
     def linear(self) -> LinearLoop:
         return LinearLoop(
@@ -119,7 +119,7 @@ class TrialParameters(NamedTuple):
     floor                                      fraction of the knock's speed below which a swing is over
     first                            N/m       first stiffness of the search
     ticks                                      0 to search; else one trial at the first stiffness, of so many ticks
-                                               or, with -1, of FINE swings
+                                               or, with -1, of FINE_SWINGS swings
     """
 
     damping: float
@@ -134,20 +134,20 @@ class TrialParameters(NamedTuple):
     ticks: float
 
 
-def wall_and_weight(
+def make_wall_and_weight(
     stiffness: float, damping: float, velocity_time_constant: float, passivity_damping: float, depth: float
 ) -> Tuning:
     """Return a plane and the weight that presses `depth` m into it, balanced at the origin, with an unlimited guard."""
     material = Material(LinearNormal(stiffness, damping), None, None, None)
     shape = Plane((0.0, 0.0, 1.0), depth - RADIUS_M)
     wall = Object(  # all fields, since a kernel does not know the defaults of a tuple
-        shape=shape, pose=None, motion=None, material=material, number=0.0, was=None, texture=None
+        shape=shape, pose=None, motion=None, material=material, scene_index=0.0, was=None, texture=None
     )
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
     finger = Finger(RADIUS_M, Coupling(1.0, 0.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)
     scene = Scene(
         fingers=(finger,),
-        objects=Single(wall, (), Smooth(0.0)),
+        objects=Single(wall, (), SmoothSearch(0.0)),
         rolling=None,
         effects=(weight,),
         bodies=None,
@@ -162,13 +162,13 @@ def wall_and_weight(
     )
 
 
-pressed_wall: Final = jit(wall_and_weight)
-START: Final = begin(wall_and_weight(1.0, 0.0, 0.0, 0.0, 1.0).scene)
+pressed_wall: Final = jit(make_wall_and_weight)
+START: Final = begin(make_wall_and_weight(1.0, 0.0, 0.0, 0.0, 1.0).scene)
 """Memory before the first tick, the same for every wall."""
 
 
 @jit
-def grows(
+def does_grow(
     loop: TrialParameters, start: Memory, plant: Plant, stiffness: float, swings: float, line: Array
 ) -> tuple[bool, float]:
     """Return whether a knock grows, and the number of ticks until the decision.
@@ -181,8 +181,8 @@ def grows(
     # Natural frequency of the handle on the wall, rad per tick, at most an eighth of a turn.
     natural = min(sqrt((stiffness + loop.hand_stiffness) / loop.mass) * loop.period, 0.25 * pi)
     ticks = loop.ticks if loop.ticks > 0.0 else max(TICKS_MIN, min(TICKS_MAX, swings * 2.0 * pi / natural)) // 1.0
-    # v_k T is at most 2 REACH knocks. The damper's force is then below K delta, and f_N between 0 and 2 K delta.
-    deep = max(DEPTH, 3.0 * REACH * loop.damping / (stiffness * loop.period))
+    # v_k T is at most 2 UNSTABLE_GROWTH knocks: the damper's force is below K delta, and f_N between 0 and 2 K delta.
+    deep = max(DEPTH_KNOCKS, 3.0 * UNSTABLE_GROWTH * loop.damping / (stiffness * loop.period))
     knock = min(loop.knock, WEIGHT_MAX_N / (stiffness * deep))
     depth = knock * deep
     tuning = pressed_wall(stiffness, loop.damping, loop.velocity_time_constant, loop.passivity_damping, depth)
@@ -197,9 +197,9 @@ def grows(
     for k in range(int(ticks)):
         x, y, z = sense(plant, state)
         sample: Any = (x, y, z, 1.0, 0.0, 0.0, 0.0)
-        memory = tick(tuning, start, memory, (sample,), loop.period, loop.period, k, (NULL_RECORD,))
+        memory = run_tick(tuning, start, memory, (sample,), loop.period, loop.period, k, (NULL_RECORD,))
         state = advance(plant, state, memory.fingers[0].guard_state.force, zero, upright, line)
-        if not abs(state.position[2]) < REACH * knock:
+        if not abs(state.position[2]) < UNSTABLE_GROWTH * knock:
             return True, k + 1.0
         u = (k + 0.5) / third - 1.0
         speed = state.velocity[2]
@@ -212,20 +212,20 @@ def grows(
 
 
 @jit
-def first_limit(loop: TrialParameters, start: Memory, plant: Plant, line: Array) -> tuple[float, float, float]:
+def find_limit(loop: TrialParameters, start: Memory, plant: Plant, line: Array) -> tuple[float, float, float]:
     """Return the stiffness, N/m, at which a wall of increasing stiffness first becomes unstable; and trials and ticks.
 
     With `loop.ticks`, run one trial at the first stiffness and return that stiffness if it is stable, else 0.
 
     The stiffness decreases from the first one until it is stable or increases until it is unstable, then it is
-    bisected. A window of instability narrower than SCAN, followed by stability, would be missed. The limit is 0 if no
-    wall is stable down to SOFTEST, and inf if none is unstable up to STIFFEST, as when friction stops the knock at
-    once.
+    bisected. A window of instability narrower than SCAN_FACTOR, followed by stability, would be missed. The limit is 0
+    if no wall is stable down to MIN_STIFFNESS_SHARE, and inf if none is unstable up to MAX_STIFFNESS, as when friction
+    stops the knock at once.
     """
     low, high, stiffness, trials, total = 0.0, inf, loop.first, 0.0, 0.0
     while True:
-        swings = COARSE if loop.ticks == 0.0 and (low == 0.0 or high == inf) else FINE
-        unstable, ticks = grows(loop, start, plant, stiffness, swings, line)
+        swings = COARSE_SWINGS if loop.ticks == 0.0 and (low == 0.0 or high == inf) else FINE_SWINGS
+        unstable, ticks = does_grow(loop, start, plant, stiffness, swings, line)
         trials, total = trials + 1.0, total + ticks
         if unstable:
             high = stiffness
@@ -235,11 +235,11 @@ def first_limit(loop: TrialParameters, start: Memory, plant: Plant, line: Array)
             return low, trials, total
         if low == 0.0:
             stiffness = high / 2.0
-            if stiffness < SOFTEST * loop.first:
+            if stiffness < MIN_STIFFNESS_SHARE * loop.first:
                 return 0.0, trials, total
         elif high == inf:
-            stiffness = low * SCAN
-            if stiffness > STIFFEST:
+            stiffness = low * SCAN_FACTOR
+            if stiffness > MAX_STIFFNESS:
                 return inf, trials, total
         elif high - low <= PRECISION * low:
             return low, trials, total
@@ -248,15 +248,15 @@ def first_limit(loop: TrialParameters, start: Memory, plant: Plant, line: Array)
 
 
 @entry
-def first_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Array, out: Array) -> None:
-    """Store `first_limit` of each row of `loops` (n, 10) and `plants` (n, leaves of Plant) in `out` (n, 3)."""
+def store_limits(start: Memory, loops: Array, plants: Array, like: Any, line: Array, out: Array) -> None:
+    """Store `find_limit` of each row of `loops` (n, 10) and `plants` (n, leaves of Plant) in `out` (n, 3)."""
     for i in range(loops.shape[0]):
         row = loops[i]
         loop = TrialParameters(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
-        out[i, 0], out[i, 1], out[i, 2] = first_limit(loop, start, unpack(like, plants[i]), line)
+        out[i, 0], out[i, 1], out[i, 2] = find_limit(loop, start, unpack(like, plants[i]), line)
 
 
-def first_stiffness(case: WallCase) -> float:
+def choose_first_stiffness(case: WallCase) -> float:
     """Return the first stiffness of the search, N/m: an eighth of the passivity bound with all damping, if any."""
     damping = case.damping_ns_per_m + case.wall_damping_ns_per_m + case.hand_damping_ns_per_m
     if damping == 0.0:
@@ -265,9 +265,9 @@ def first_stiffness(case: WallCase) -> float:
 
 
 def run_rows(loops: Array, plants: Array, like: Plant) -> Array:
-    """Return `first_limit` (n, 3) of each row of `loops` (n, 10) with the plant of leaves `plants` (n, ...)."""
+    """Return `find_limit` (n, 3) of each row of `loops` (n, 10) with the plant of leaves `plants` (n, ...)."""
     out = np.zeros((len(loops), 3))
-    first_limits(START, loops, plants, like, np.zeros(DELAY_LINE_SIZE), out)
+    store_limits(START, loops, plants, like, np.zeros(DELAY_LINE_SIZE), out)
     return out
 
 
@@ -287,15 +287,15 @@ def find_limits(cases: Sequence[WallCase]) -> list[dict[str, Any]]:
     `limit_n_per_m` is found on the real step, None without limit. `predicted_n_per_m` is the exact limit of the linear
     part. `passive_n_per_m` is the passivity bound.
     """
-    loops = np.array([loop_of(case, first_stiffness(case)) for case in cases])
+    loops = np.array([loop_of(case, choose_first_stiffness(case)) for case in cases])
     plants = [case.plant() for case in cases]
     out = run_rows(loops, np.array([flatten(plant) for plant in plants]), plants[0])
     return [
         {
             **msgspec.structs.asdict(case),
             "limit_n_per_m": limit if isfinite(limit) else None,
-            "predicted_n_per_m": linear_limit(case.linear()),
-            "passive_n_per_m": passive_limit(case.linear()),
+            "predicted_n_per_m": find_linear_limit(case.linear()),
+            "passive_n_per_m": compute_passive_limit(case.linear()),
             "trials": int(trials),
             "ticks": int(ticks),
         }
@@ -305,12 +305,12 @@ def find_limits(cases: Sequence[WallCase]) -> list[dict[str, Any]]:
 
 def compile_search() -> None:
     """Compile the search, or load it, once, so that the processes of a local cluster find it compiled."""
-    with progress("kernels"):
+    with show_progress("kernels"):
         plant = WallCase().plant()
         run_rows(np.array([loop_of(WallCase(), 1.0, 1)]), flatten(plant).reshape(1, -1), plant)
 
 
-def grows_at(case: WallCase, stiffness: float) -> bool:
+def does_grow_at(case: WallCase, stiffness: float) -> bool:
     """Return whether a knock grows on a wall of one stiffness, N/m: a single trial of the search."""
     plant = case.plant()
     return bool(run_rows(np.array([loop_of(case, stiffness, -1)]), flatten(plant).reshape(1, -1), plant)[0, 0] == 0.0)

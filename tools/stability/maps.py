@@ -12,11 +12,11 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from softfinger.server.offline.figures import figure, save
+from softfinger.server.offline.figures import make_figure, save
 from softfinger.tools.measure import Array
 from softfinger.tools.stability.limit import WallCase
 from softfinger.tools.stability.options import POINTS
-from softfinger.tools.stability.predicted import linear_limit, passive_limit
+from softfinger.tools.stability.predicted import compute_passive_limit, find_linear_limit
 
 LINE_POINTS: Final = 80
 
@@ -51,14 +51,14 @@ of a scene.
 """
 
 
-def damping_limit(case: WallCase) -> float:
+def find_damping_limit(case: WallCase) -> float:
     """Return the wall damping, N s/m, above which no wall of the linear loop is stable, to a percent."""
     low, high = 0.0, 1.0
-    while linear_limit(vary(case, "wall_damping_ns_per_m", high).linear()) > 0.0:
+    while find_linear_limit(vary(case, "wall_damping_ns_per_m", high).linear()) > 0.0:
         low, high = high, 2.0 * high
     while high - low > 0.01 * high:
         middle = 0.5 * (low + high)
-        if linear_limit(vary(case, "wall_damping_ns_per_m", middle).linear()) > 0.0:
+        if find_linear_limit(vary(case, "wall_damping_ns_per_m", middle).linear()) > 0.0:
             low = middle
         else:
             high = middle
@@ -69,28 +69,30 @@ def vary(case: WallCase, key: str, value: float) -> WallCase:
     return msgspec.structs.replace(case, **{key: value})
 
 
-def axis(name: str, case: WallCase, points: int) -> Array:
+def list_axis_values(name: str, case: WallCase, points: int) -> Array:
     """Return the values along the axis of a map."""
     if name == "zwidth":
         # Start far below the damping of the device, above which no damped wall is passive.
-        top = damping_limit(case)
+        top = find_damping_limit(case)
         return np.geomspace(min(0.1 * case.damping_ns_per_m or 1.0, 1e-3 * top), top, points)
     if name == "rate":
         return np.geomspace(250.0, 16_000.0, points)
     return np.arange(9.0)
 
 
-def cases_of(name: str, case: WallCase, points: int = POINTS) -> list[WallCase]:
+def list_cases(name: str, case: WallCase, points: int = POINTS) -> list[WallCase]:
     key = MAPS[name].key
     is_integer = key == "delay_ticks"
-    return [vary(case, key, int(value) if is_integer else value) for value in axis(name, case, points).tolist()]
+    return [
+        vary(case, key, int(value) if is_integer else value) for value in list_axis_values(name, case, points).tolist()
+    ]
 
 
 def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: WallCase) -> None:
     """Draw a panel for each map: limits of each variant as marks, theory of the first one as lines."""
     names = list(dict.fromkeys(row["map"] for row in rows))
     variants = list(dict.fromkeys(row["variant"] for row in rows))
-    drawing = figure(3.0 + 5.0 * len(names), 5.0)
+    drawing = make_figure(3.0 + 5.0 * len(names), 5.0)
     lines: dict[str, Any] = {}
     for name, axes in zip(names, drawing.subplots(1, len(names), squeeze=False)[0], strict=True):
         key, label, log = MAPS[name]
@@ -102,10 +104,10 @@ def draw_maps(path: Path, rows: Sequence[Mapping[str, Any]], case: WallCase) -> 
             limits = [row["limit_n_per_m"] for row in panel]
             y = [np.nan if limit is None else scale * limit for limit in limits]
             (lines[f"{variant}: found"],) = axes.plot(x, y, "o" if number == 0 else ".-", color=f"C{number}")
-        line = cases_of(name, case, LINE_POINTS)
+        line = list_cases(name, case, LINE_POINTS)
         x, fine = [getattr(point, key) for point in line], [point.linear() for point in line]
-        exact = [scale * linear_limit(loop) for loop in fine]
-        passive = [scale * passive_limit(loop) for loop in fine]
+        exact = [scale * find_linear_limit(loop) for loop in fine]
+        passive = [scale * compute_passive_limit(loop) for loop in fine]
         (lines[f"{variants[0]}: exact linear limit"],) = axes.plot(x, exact, "-", color="C0", linewidth=1.0)
         (lines["passive below"],) = axes.plot(x, passive, "--", color="0.4", linewidth=1.0)
         axes.fill_between(x, passive, color="0.9")

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import unit
+from softfinger.config.fields import find_unit
 from softfinger.server.arguments import add_flag, add_option
 from softfinger.tools.options import add_output_options, add_sweep_options
 
@@ -70,7 +70,7 @@ def configure_stability(parser: argparse.ArgumentParser) -> None:
         kind, meta = get_args(hints[key])
         default = getattr(CaseOptions(), key)
         text = f"{meta.description} (default: {default:g})"
-        group.add_argument(f"--{flag}", type=kind, default=default, metavar=unit(key).upper() or "N", help=text)
+        group.add_argument(f"--{flag}", type=kind, default=default, metavar=find_unit(key).upper() or "N", help=text)
     group = parser.add_argument_group("measurement")
     kinds = group.add_mutually_exclusive_group()
     kinds.add_argument(

@@ -25,7 +25,7 @@ Single eigenvalues near 1 are accurate to about 1e-15 times the condition of a m
 """
 RATIO: Final = 1.05
 """Ratio of neighbouring stiffnesses of the grid."""
-LOWEST: Final = 1e-3
+FIRST_STIFFNESS_SHARE: Final = 1e-3
 """First stiffness of the grid, as a fraction of the stable limit of a slow loop with all damping together.
 
 Without damping, the first stiffness is its square times the scale above which no wall is stable.
@@ -66,7 +66,7 @@ def hold_force(loop: LinearLoop) -> tuple[Array, Array]:
     return after[:2, :2], after[:2, 2]
 
 
-def closed_loop(loop: LinearLoop) -> tuple[Array, Array]:
+def make_closed_loop(loop: LinearLoop) -> tuple[Array, Array]:
     """Return matrices (n, n) with the sum M0 + K M1 that advances the state by a tick; n = 4 + d.
 
     The state has position and velocity, sensed position and filtered velocity of the last tick, and the d delayed
@@ -94,14 +94,14 @@ def closed_loop(loop: LinearLoop) -> tuple[Array, Array]:
     return m0, m1
 
 
-def spectral_radius(loop: LinearLoop, stiffness: Array) -> Array:
+def compute_spectral_radius(loop: LinearLoop, stiffness: Array) -> Array:
     """Return the largest modulus of the eigenvalues of the closed loop for each of `stiffness` (n,) N/m."""
-    m0, m1 = closed_loop(loop)
+    m0, m1 = make_closed_loop(loop)
     radius: Array = np.abs(np.linalg.eigvals(m0 + np.multiply.outer(stiffness, m1))).max(axis=-1)
     return radius
 
 
-def linear_limit(loop: LinearLoop) -> float:
+def find_linear_limit(loop: LinearLoop) -> float:
     """Return the stiffness, N/m, at which a wall of increasing stiffness first becomes unstable; 0 if the softest is.
 
     It is the first crossing. With a hand, with delay or with much wall damping, the stable stiffnesses need not be one
@@ -113,9 +113,9 @@ def linear_limit(loop: LinearLoop) -> float:
     top = 8.0 * (loop.mass / period**2 + damping / period) + loop.hand_stiffness
     # A slow loop becomes unstable at K (T / 2 + d T) = b + B.
     slow = (damping + loop.wall_damping) / ((loop.delay + 0.5) * period)
-    bottom = min(LOWEST * slow if slow > 0.0 else top, LOWEST**2 * top)
+    bottom = min(FIRST_STIFFNESS_SHARE * slow if slow > 0.0 else top, FIRST_STIFFNESS_SHARE**2 * top)
     grid = np.geomspace(bottom, top, 1 + int(np.log(top / bottom) / np.log(RATIO)))
-    unstable = spectral_radius(loop, grid) > 1.0 + RADIUS_TOLERANCE
+    unstable = compute_spectral_radius(loop, grid) > 1.0 + RADIUS_TOLERANCE
     if not unstable.any():
         raise ArithmeticError(f"no wall up to {top:g} N/m is unstable: {loop}")
     first = int(unstable.argmax())
@@ -126,13 +126,13 @@ def linear_limit(loop: LinearLoop) -> float:
         middle = 0.5 * (low + high)
         if not low < middle < high:
             return low
-        if spectral_radius(loop, np.array([middle]))[0] > 1.0 + RADIUS_TOLERANCE:
+        if compute_spectral_radius(loop, np.array([middle]))[0] > 1.0 + RADIUS_TOLERANCE:
             high = middle
         else:
             low = middle
 
 
-def passive_limit(loop: LinearLoop) -> float:
+def compute_passive_limit(loop: LinearLoop) -> float:
     """Return the largest stiffness, N/m, of a passive wall, which feeds no energy to any load of the device.
 
     b > K T / 2 + |B|, the bound of Colgate and Schenkel. With d ticks of delay their condition,

@@ -16,13 +16,13 @@ import numpy as np
 
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.tools.stability.limit import TrialParameters, WallCase, compile_search, loop_of, run_rows
-from softfinger.tools.stability.predicted import passive_limit
+from softfinger.tools.stability.predicted import compute_passive_limit
 from softfinger.tools.sweep import run_cases
 
 RUNS_PER_DEVICE: Final = 100
 """Computing the exact matrices of a device costs as much as about three runs of 1000 ticks."""
 RUNS_PER_BLOCK: Final = 1000
-SENSIBLE: Final = (1_000_000, 1000)
+STUDY_SIZE: Final = (1_000_000, 1000)
 """Runs and ticks of the study for which the time is reported."""
 
 
@@ -35,7 +35,7 @@ class RunBlock(msgspec.Struct, frozen=True):
     seed: int
 
 
-def random_device(random: np.random.Generator) -> WallCase:
+def make_random_device(random: np.random.Generator) -> WallCase:
     """Return a desktop device at a random rate, with up to two ticks of delay."""
     mass, damping, rate = np.exp(random.uniform(np.log([0.05, 0.1, 500.0]), np.log([1.0, 10.0, 8000.0]))).tolist()
     return WallCase(mass_kg=mass, damping_ns_per_m=damping, rate_hz=rate, delay_ticks=int(random.integers(3)))
@@ -51,8 +51,8 @@ def _run_block(block: RunBlock) -> dict[str, int]:
     loops, plants, passive = [], [], []
     for first in range(0, block.runs, RUNS_PER_DEVICE):
         runs = min(RUNS_PER_DEVICE, block.runs - first)
-        device = random_device(random)
-        plant, bare = device.plant(), passive_limit(device.linear())
+        device = make_random_device(random)
+        plant, bare = device.plant(), compute_passive_limit(device.linear())
         # Walls from a tenth to ten times the passive limit of the device, damped by up to twice its damping.
         stiffness = bare * 10.0 ** random.uniform(-1.0, 1.0, runs)
         share = np.maximum(0.0, random.uniform(-1.0, 2.0, runs))
@@ -75,7 +75,7 @@ def _run_block(block: RunBlock) -> dict[str, int]:
 
 
 def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Path | None) -> dict[str, Any]:
-    """Compute random runs; return the sums of all blocks, their time and rate, and the estimated time of SENSIBLE runs.
+    """Compute random runs; return the sums of all blocks, their time and rate, and the estimated time of STUDY_SIZE.
 
     The rate is None if a file already had results, since their time is unknown.
     """
@@ -90,11 +90,11 @@ def measure(runs: int, ticks: int, seed: int, scheduler: str | None, results: Pa
     seconds = time.perf_counter() - start
     sums = {name: sum(part[name] for part in rows) for name in rows[0]}
     rate = sums["ticks"] / seconds if fresh else None
-    needed = SENSIBLE[0] * SENSIBLE[1] / rate if rate else None
+    needed = STUDY_SIZE[0] * STUDY_SIZE[1] / rate if rate else None
     return {**sums, "seconds": seconds, "ticks_per_s": rate, "million_runs_s": needed}
 
 
-def table(result: dict[str, Any]) -> list[str]:
+def format_table(result: dict[str, Any]) -> list[str]:
     lines = [
         f"{result['runs']} random closed-loop runs, {result['ticks']} ticks in {result['seconds']:.1f} s",
         f"  {result['left']} swings grew out of reach; of {result['passive']} passive walls {result['passive_left']}",

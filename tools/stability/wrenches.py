@@ -23,8 +23,8 @@ ROUNDING: Final = 1e-9
 """A hundred sums of a ramp, differences of forces; relative to the limit."""
 RAMP_TICKS: Final = round(LIMITS.ramp / T)
 TICKS: Final = 3 * RAMP_TICKS
-BROKEN_AT: Final = 2 * RAMP_TICKS - 1
-STEADY: Final = np.tile([0.6, 0.0, 0.8, 0.0, 0.01, 0.0], (TICKS, 1))
+BROKEN_TICK: Final = 2 * RAMP_TICKS - 1
+STEADY_WRENCH: Final = np.tile([0.6, 0.0, 0.8, 0.0, 0.01, 0.0], (TICKS, 1))
 """1 N and 0.01 N m, below every limit."""
 
 
@@ -49,50 +49,52 @@ def guard_many(guard: Guard, wrenches: Array, dts: Array, period: float, out: Ar
             out[i, 3 + k] = guarded.torque[k]
 
 
-def cases() -> Iterator[WrenchCase]:
+def list_cases() -> Iterator[WrenchCase]:
     even = np.full(TICKS, T)
-    yield WrenchCase("1 N from the first tick on", STEADY, even, lambda out, bits: fades_in(out, 0))
-    step = STEADY.copy()
+    yield WrenchCase("1 N from the first tick on", STEADY_WRENCH, even, lambda out, bits: check_fade_in(out, 0))
+    step = STEADY_WRENCH.copy()
     step[:RAMP_TICKS] = 0.0
     step[RAMP_TICKS:] *= 10.0
-    yield WrenchCase("10 N from one tick to the next", step, even, climbs)
+    yield WrenchCase("10 N from one tick to the next", step, even, check_climb)
     for value, component in ((nan, 0), (inf, 1), (-inf, 2), (nan, 3), (inf, 4), (-inf, 5)):
-        broken = STEADY.copy()
-        broken[BROKEN_AT, component] = value
+        broken = STEADY_WRENCH.copy()
+        broken[BROKEN_TICK, component] = value
         yield WrenchCase(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, refuse)
-    yield WrenchCase("1e300 N", STEADY * 1e300, even, reaches_the_clamp)
+    yield WrenchCase("1e300 N", STEADY_WRENCH * 1e300, even, check_clamp)
     constant = even.copy()
     constant[RAMP_TICKS] = 0.05
-    yield WrenchCase("10 N after a pause of 50 ms", step, constant, climbs)
+    yield WrenchCase("10 N after a pause of 50 ms", step, constant, check_climb)
     asleep = even.copy()
     asleep[2 * RAMP_TICKS] = 1.0
-    yield WrenchCase("1 N held over a pause of 1 s", STEADY, asleep, lambda out, bits: fades_in(out, 2 * RAMP_TICKS))
+    yield WrenchCase(
+        "1 N held over a pause of 1 s", STEADY_WRENCH, asleep, lambda out, bits: check_fade_in(out, 2 * RAMP_TICKS)
+    )
 
 
-def fades_in(out: Array, first: int) -> str:
-    """Check that from tick `first` on, force and moment are those of STEADY times a share that grows linearly to 1."""
+def check_fade_in(out: Array, first: int) -> str:
+    """Check that from tick `first` on, force and moment are STEADY_WRENCH times a share that grows linearly to 1."""
     share = np.minimum(np.arange(1, len(out) - first + 1) / RAMP_TICKS, 1.0)
-    good = np.allclose(out[first:], share[:, None] * STEADY[first:], rtol=0.0, atol=ROUNDING)
+    good = np.allclose(out[first:], share[:, None] * STEADY_WRENCH[first:], rtol=0.0, atol=ROUNDING)
     return "" if good else "the force did not fade in"
 
 
-def climbs(out: Array, bits: NDArray[np.int64]) -> str:
+def check_climb(out: Array, bits: NDArray[np.int64]) -> str:
     """Check that 10 N are reached in five steps of 2 N."""
     expected = 2.0 * np.arange(1, 6)
     good = np.allclose(np.linalg.norm(out[RAMP_TICKS : RAMP_TICKS + 5, :3], axis=1), expected, rtol=ROUNDING)
     return "" if good else "the force did not come in steps of the slew limit"
 
 
-def reaches_the_clamp(out: Array, bits: NDArray[np.int64]) -> str:
-    good = np.allclose(out[-1], [7.2, 0.0, 9.6, 0.0, 0.3, 0.0], rtol=ROUNDING)  # 12 N, 0.3 N m, as STEADY points
+def check_clamp(out: Array, bits: NDArray[np.int64]) -> str:
+    good = np.allclose(out[-1], [7.2, 0.0, 9.6, 0.0, 0.3, 0.0], rtol=ROUNDING)  # 12 N, 0.3 N m, as STEADY_WRENCH points
     return "" if good else "the limit was not reached, or the direction lost"
 
 
 def refuse(out: Array, bits: NDArray[np.int64]) -> str:
-    at = BROKEN_AT
+    at = BROKEN_TICK
     if out[at].any() or bits[at] != NOT_FINITE or (np.delete(bits, at) & NOT_FINITE).any():
         return "a wrench that is not finite was not refused, or not named"
-    return fades_in(out, at + 1)
+    return check_fade_in(out, at + 1)
 
 
 def find_violation(out: Array) -> str:
@@ -111,7 +113,7 @@ def find_violation(out: Array) -> str:
 
 def try_wrenches() -> Iterator[tuple[str, int, float, str, str]]:
     """Yield for each case its input, ticks, largest force (N), names of guard bits, and the fault."""
-    for case in cases():
+    for case in list_cases():
         out, bits = np.zeros((TICKS, 6)), np.zeros(TICKS, np.int64)
         guard_many(LIMITS, case.wrenches, case.dts, T, out, bits)
         every = int(np.bitwise_or.reduce(bits))

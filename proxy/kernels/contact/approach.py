@@ -15,7 +15,7 @@ NO_PREDICTION = Prediction(NO_CONTACT, (0.0, 0.0, 0.0), 0.0, False)
 
 
 STUCK_TICKS = 8
-"""Value of `stuck` from which the proxy restarts at the probe, see `stuck_ticks`."""
+"""Value of `stuck` from which the proxy restarts at the probe, see `count_stuck_ticks`."""
 MOVING_SHARE = 1.0 / 16.0
 """Increment of `stuck` in a tick in which the proxy moves. It may never come to rest: it may creep by rounding errors,
 or cycle between triangles."""
@@ -24,7 +24,7 @@ or cycle between triangles."""
 class Approach(NamedTuple):
     """Constraints of the proxy at the start of a tick, before friction; without contact, the first has no object.
 
-    start        (3,) m  start of the proxy's path in this tick, see `first_hit`
+    start        (3,) m  start of the proxy's path in this tick, see `find_first_hit`
     outside      (3,) m  position where the proxy is known to be outside of all objects
     center       (3,) m  the proxy, with the roll of the only contact
     active               constraints at `center`
@@ -36,7 +36,7 @@ class Approach(NamedTuple):
     began                True if the contact starts in this tick
     bounded              1 if a roll stopped early because the budget was exhausted
     budget               remaining for the search
-    stuck                count of consecutive ticks without a rest position before this one, see `stuck_ticks`
+    stuck                count of consecutive ticks without a rest position before this one, see `count_stuck_ticks`
     """
 
     start: Vec3
@@ -63,7 +63,7 @@ def has_ended(active: ActiveSet) -> bool:
 
 
 @jit
-def stuck_ticks(approach: Approach, center: Vec3) -> float:
+def count_stuck_ticks(approach: Approach, center: Vec3) -> float:
     """Return the new count of ticks without a rest position, 1 for each tick without a motion of the proxy.
 
     center  (3,) m  proxy at the end of this tick

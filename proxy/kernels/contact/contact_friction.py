@@ -6,14 +6,19 @@ this motion slips.
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.fingertip import radius_of_curvature, velocity_at
-from softfinger.proxy.kernels.contact.normal import normal_force_of
+from softfinger.proxy.kernels.contact.fingertip import add_surface_velocity, compute_radius_of_curvature
+from softfinger.proxy.kernels.contact.normal import compute_normal_force
 from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
-from softfinger.proxy.kernels.contact.texture import texture_depth, texture_friction
-from softfinger.proxy.kernels.friction.contact_patch import ContactPatch, contact_patch, torsion_under, winding_unit
+from softfinger.proxy.kernels.contact.texture import apply_grip, apply_relief
+from softfinger.proxy.kernels.friction.contact_patch import (
+    ContactPatch,
+    adapt_torsion,
+    compute_contact_patch,
+    compute_winding_unit,
+)
 from softfinger.proxy.kernels.friction.laws import rotate_law
 from softfinger.proxy.kernels.friction.stick_slip import stick_slip
-from softfinger.proxy.kernels.friction.torsion import share_of, spring_of
+from softfinger.proxy.kernels.friction.torsion import find_spring, scale_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
@@ -31,20 +36,20 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
-from softfinger.proxy.kernels.query.carry import carry_of, relative_velocity
-from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.carry import compute_relative_velocity, make_carry
+from softfinger.proxy.kernels.query.container import find_object
 
 
 class Ground(NamedTuple):
     """Properties of the object under a contact, apart from its shape.
 
-    number       index in the scene file
+    scene_index  index in the scene file
     material     with the friction at the contact point
     orientation  object to world
-    carried      motion in this tick, see `carry`
+    carried      motion in this tick, see `make_carry`
     """
 
-    number: float
+    scene_index: float
     material: Material
     orientation: Quaternion
     carried: Any
@@ -86,7 +91,7 @@ class ContactForces(NamedTuple):
 
     result             FrictionResult
     area               ContactPatch
-    unit               of the torsional wind-up, see `winding_unit`
+    unit               of the torsional wind-up, see `compute_winding_unit`
     load     N         normal force during friction
     bend     (3,)      wind-up against rolling, see `ContactState.bend`
     bending  (3,) N m  its moment
@@ -101,31 +106,33 @@ class ContactForces(NamedTuple):
 
 
 @jit
-def ground_at(objects: Any, index: float) -> Ground:
+def find_ground(objects: Any, index: float) -> Ground:
     """Return the Ground of object `index`; `objects` have complete materials."""
-    body = object_at(objects, index)
-    return Ground(body.number, body.material, pose_values(body.pose).orientation, carry_of(body))
+    body = find_object(objects, index)
+    return Ground(body.scene_index, body.material, pose_values(body.pose).orientation, make_carry(body))
 
 
 @jit
-def textured_ground_at(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Ground:
-    """Return `ground_at` with the friction that its texture has under the proxy's `center` (3,) m."""
-    body = object_at(objects, index)
-    body = texture_friction(body.texture, body, index, active, center)
-    return Ground(body.number, body.material, pose_values(body.pose).orientation, carry_of(body))
+def find_textured_ground(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Ground:
+    """Return `find_ground` with the friction that its texture has under the proxy's `center` (3,) m."""
+    body = find_object(objects, index)
+    body = apply_grip(body.texture, body, index, active, center)
+    return Ground(body.scene_index, body.material, pose_values(body.pose).orientation, make_carry(body))
 
 
 @jit
-def load_on(
+def compute_load(
     finger: Finger, objects: Any, ground: Ground, constraint: Constraint, motion: ProbeMotion, touches: bool
 ) -> NormalForce:
     """Return the normal force of a constraint; `touches` is True in the first tick of a contact."""
     probe, last, dt = motion
-    speed = relative_velocity(ground.carried, probe.velocity, last.position, dt)
-    speed = velocity_at(finger.form, speed, ground.carried, probe, last, constraint.normal, 0.0 if touches else dt)
-    body = object_at(objects, constraint.body)
-    depth, direction = texture_depth(body.texture, body, constraint.depth, constraint.normal, probe.position)
-    return NormalForce(normal_force_of(ground.material.normal, depth, vec3.dot(speed, direction)), direction)
+    speed = compute_relative_velocity(ground.carried, probe.velocity, last.position, dt)
+    speed = add_surface_velocity(
+        finger.form, speed, ground.carried, probe, last, constraint.normal, 0.0 if touches else dt
+    )
+    body = find_object(objects, constraint.object_index)
+    depth, direction = apply_relief(body.texture, body, constraint.depth, constraint.normal, probe.position)
+    return NormalForce(compute_normal_force(ground.material.normal, depth, vec3.dot(speed, direction)), direction)
 
 
 @jit
@@ -134,14 +141,14 @@ def apply_friction(
 ) -> ContactForces:
     """Compute friction, torsion and rolling resistance of a contact that has this share of the springs."""
     contact, material, probe = predicted.contact, ground.material, motion.probe
-    constraint = Constraint(contact.body, contact.normal, contact.push)
-    load = load_on(finger, objects, ground, constraint, motion, predicted.touches).size
-    round_by = radius_of_curvature(finger.form, finger.radius, probe.orientation, contact.normal)
-    area = contact_patch(finger.patch, round_by, material.compliance, load)
-    unit = winding_unit(spring_of(material.torsion), area, share)
+    constraint = Constraint(contact.object_index, contact.normal, contact.push)
+    load = compute_load(finger, objects, ground, constraint, motion, predicted.touches).size
+    round_by = compute_radius_of_curvature(finger.form, finger.radius, probe.orientation, contact.normal)
+    area = compute_contact_patch(finger.patch, round_by, material.compliance, load)
+    unit = compute_winding_unit(find_spring(material.torsion), area, share)
     result = stick_slip(
         rotate_law(material.friction, ground.orientation),
-        torsion_under(share_of(material.torsion, share), area),
+        adapt_torsion(scale_stiffness(material.torsion, share), area),
         Coupling(
             share * finger.coupling.stiffness,
             share * finger.coupling.damping,

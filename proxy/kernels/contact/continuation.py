@@ -5,18 +5,18 @@ from typing import Any
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, has_ended, release_contacts
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.detection import detect_contact
-from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
+from softfinger.proxy.kernels.contact.rest.active_set import make_single_constraint
 from softfinger.proxy.kernels.contact.rest.facets import roll_over_edge
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
-from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on, roll_on
+from softfinger.proxy.kernels.contact.rolling.on_objects import can_follow, roll_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import Finger, FingerState, Probe, Quaternion, Scene, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.carry import carry_of, move_point, relative_rotation, turn_direction
-from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.objects import slides_round_hollow
+from softfinger.proxy.kernels.query.carry import compute_relative_rotation, make_carry, move_point, turn_direction
+from softfinger.proxy.kernels.query.container import find_object
+from softfinger.proxy.kernels.query.objects import does_slide_round_hollow
 from softfinger.proxy.kernels.shapes import is_hollow, transport
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.record import FREE
@@ -32,10 +32,10 @@ def adjust_roll_in_hollow(
     """
     center, normal = start
     beyond = (-0.0, -0.0, -0.0)
-    strays = not follows_on(body, radius, start, rolled.center)
+    strays = not can_follow(body, radius, start, rolled.center)
     if method is None:
         return Roll(center, normal, ZERO, 0.0, rolled.spin, True) if strays else rolled, beyond, strays
-    strays = strays or not rolled.whole or slides_round_hollow(body, radius, center, normal, rolled.theta)
+    strays = strays or not rolled.whole or does_slide_round_hollow(body, radius, center, normal, rolled.theta)
     if strays:  # the roll winds up the coupling in the tangent plane, and friction decides where the centre moves
         theta, axis = rotations.tilt(turn, normal)
         beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
@@ -54,10 +54,10 @@ def continue_contact(
     scene: Scene, finger: Finger, objects: Any, index: float, state: FingerState, probe: Probe, dt: float
 ) -> Approach:
     """Move the only contact with its object, and roll it by the fingertip's rotation relative to the object."""
-    radius, position, last, body = finger.radius, probe.position, state.contacts[0], object_at(objects, index)
-    carried = carry_of(body)
+    radius, position, last, body = finger.radius, probe.position, state.contacts[0], find_object(objects, index)
+    carried = make_carry(body)
     old_normal, moved = turn_direction(carried, last.normal), move_point(carried, state.center)
-    turn = relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
+    turn = compute_relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
     rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
     start = OffsetPoint(moved, old_normal)
     whole = rolled.whole
@@ -69,7 +69,7 @@ def continue_contact(
     to_proxy = vec3.sub(center, position)
     depth = max(vec3.dot(to_proxy, normal), 0.0)
     contact = replace(
-        last, "body", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode,
+        last, "object_index", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode,
         "deflection", old_deflection, "rolled_part", vec3.add(rolled_part, rolled.motion),
         "bend", turn_direction(carried, last.bend),
     )  # fmt: skip
@@ -78,7 +78,7 @@ def continue_contact(
         start=state.center,
         outside=moved,
         center=center,
-        active=one_constraint(index, normal, depth),
+        active=make_single_constraint(index, normal, depth),
         predicted=first_of(state.contacts, Prediction(contact, deflection, rolled.spin, False), NO_PREDICTION),
         rolled=state.rolled + rolled.theta,
         strays=strays,

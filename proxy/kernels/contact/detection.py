@@ -4,34 +4,34 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.contact_friction import Prediction
-from softfinger.proxy.kernels.contact.first_pose import first_touch, raise_outside
-from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
+from softfinger.proxy.kernels.contact.first_pose import find_first_touch, raise_outside
+from softfinger.proxy.kernels.contact.rest.active_set import make_single_constraint
 from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint
-from softfinger.proxy.kernels.contact.rolling.on_objects import follows_on
+from softfinger.proxy.kernels.contact.rolling.on_objects import can_follow
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
     NONE,
     ActiveSet,
     Constraint,
-    Creased,
-    Faceted,
+    CreasedSearch,
+    FacetedSearch,
     Finger,
     FingerState,
     Probe,
-    Smooth,
+    SmoothSearch,
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
-from softfinger.proxy.kernels.query.carry import any_moves, carry_of, move_point
-from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.kinds import any_mesh, is_mesh_at
-from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest, is_inside
-from softfinger.proxy.kernels.query.sweep import first_hit
+from softfinger.proxy.kernels.query.carry import has_moving_object, make_carry, move_point
+from softfinger.proxy.kernels.query.container import find_object
+from softfinger.proxy.kernels.query.kinds import has_mesh, is_mesh_at
+from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_within, find_deepest, is_inside
+from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes import travel
-from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM, SPENT
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, NO_BUDGET, QUEUE_SIZE
 from softfinger.proxy.record import FREE, ROLLING
 
 
@@ -55,14 +55,14 @@ class Meeting(NamedTuple):
 
 
 @jit
-def first_rest(objects: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
+def place_first_proxy(objects: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
     """Return the initial proxy (3,) m of a contact that was detected with the proxy at `met`.
 
     It is over the probe, at the depth along the normal; `met` if `follows` is False for that position.
     """
-    body = object_at(objects, constraint.body)
+    body = find_object(objects, constraint.object_index)
     above_probe = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
-    return above_probe if follows_on(body, radius, OffsetPoint(met, constraint.normal), above_probe) else met
+    return above_probe if can_follow(body, radius, OffsetPoint(met, constraint.normal), above_probe) else met
 
 
 @jit
@@ -72,12 +72,12 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
     The gap to a facet does not show the side. Between two positions outside of all facets, only a path shorter than
     two radii is certain to cross none.
     """
-    if any_mesh(objects):
+    if has_mesh(objects):
         path = vec3.sub(position, start)
         if vec3.dot(path, path) >= 4.0 * radius * radius:
             return False
-    gap, _, _ = deepest(objects, position, radius, NOBODY, budget)
-    return gap >= radius * (1.0 - INSIDE)
+    gap, _, _ = find_deepest(objects, position, radius, NO_OBJECTS, budget)
+    return gap >= radius * (1.0 - INSIDE_TOLERANCE)
 
 
 @jit
@@ -91,10 +91,10 @@ def refine_touch(
     The flag is False if another object obstructs the path, or if this is unknown. In a scene of meshes, one facet is
     swept: the search of a mesh moves in steps of its clearance, and may end a little before the touch.
     """
-    if not isinstance(objects.search, Faceted):
+    if not isinstance(objects.search, FacetedSearch):
         return met, not is_mesh_at(objects, index)
-    body = object_at(objects, index)
-    path_start = move_point(carry_of(body), start)
+    body = find_object(objects, index)
+    path_start = move_point(make_carry(body), start)
     share = travel(body.shape, into(body.pose, path_start), into(body.pose, end), radius, False)
     touch = vec3.add_scaled(path_start, min(share, 1.0), vec3.sub(end, path_start))
     return touch, is_outside(objects, radius, touch, touch, budget)
@@ -107,10 +107,10 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     Only needed with meshes and height maps, whose searches may not finish. With a height map an exhausted budget is
     accepted: far below its limit a search returns a bound of the distance.
     """
-    if isinstance(objects.search, Smooth):
+    if isinstance(objects.search, SmoothSearch):
         return False
-    touch = first_touch(objects, radius, position, ROOM)
-    is_known = touch.known if isinstance(objects.search, Creased) else touch.budget >= 0
+    touch = find_first_touch(objects, radius, position, QUEUE_SIZE)
+    is_known = touch.known if isinstance(objects.search, CreasedSearch) else touch.budget >= 0
     return is_known and touch.place < 0.0
 
 
@@ -123,30 +123,30 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     """
     radius = finger.radius
     start, budget = position, BUDGET // 2
-    if isinstance(objects.search, Creased):  # a path over a height map takes more queries
+    if isinstance(objects.search, CreasedSearch):  # a path over a height map takes more queries
         budget = 3 * BUDGET // 4
-    remaining, nothing = budget, one_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
+    remaining, nothing = budget, make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     if state.started == 0.0:
-        index, known, remaining = first_touch(objects, radius, position, remaining)
+        index, known, remaining = find_first_touch(objects, radius, position, remaining)
         if not known:
-            return Meeting(start, position, position, nothing, False, SPENT)
+            return Meeting(start, position, position, nothing, False, NO_BUDGET)
         met = position
     else:
         start = state.center
-        index, met, remaining = first_hit(objects, start, position, radius, False, NOBODY, remaining)
+        index, met, remaining = find_first_hit(objects, start, position, radius, False, NO_OBJECTS, remaining)
     active, center, exact = nothing, position, False
     if index >= 0.0:
-        gap, point, normal, remaining = closest_to_within(objects, index, met, remaining)
+        gap, point, normal, remaining = find_closest_within(objects, index, met, remaining)
         center = vec3.add_scaled(point, radius, normal)
-        together = any_mesh(objects)
+        together = has_mesh(objects)
         touch, exact = refine_touch(objects, index, start, position, radius, met, remaining)
         if state.started != 0.0 and together:
             # Other facets may be equally near, or the search did not finish: on this one it might be inside another.
             center = met
             if exact:
-                _, point, normal, remaining = closest_to_within(objects, index, touch, remaining)
+                _, point, normal, remaining = find_closest_within(objects, index, touch, remaining)
                 center = vec3.add_scaled(point, radius, normal)
-        elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE)) and not is_outside(
+        elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE_TOLERANCE)) and not is_outside(
             objects, radius, center, center, remaining
         ):  # the gap is a bound, because the search of a height map did not finish, or another triangle is equally near
             if state.started != 0.0:
@@ -154,26 +154,26 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
             else:
                 center, known = raise_outside(objects, index, radius, center, normal)
                 if not known:
-                    return Meeting(start, position, position, nothing, False, SPENT)
+                    return Meeting(start, position, position, nothing, False, NO_BUDGET)
         depth = max(vec3.dot(vec3.sub(center, position), normal), 0.0)
-        active = one_constraint(index, normal, depth)
-        ended = state.mode != FREE and depth <= INSIDE * radius
+        active = make_single_constraint(index, normal, depth)
+        ended = state.mode != FREE and depth <= INSIDE_TOLERANCE * radius
         if ended and is_outside(objects, radius, state.center, position, remaining):
             active, center = nothing, position  # the contact just released, up to rounding
-    place, over = center, active[0].body >= 0.0 and exact
+    place, over = center, active[0].object_index >= 0.0 and exact
     if over:
-        place = first_rest(objects, radius, position, center, active[0])
+        place = place_first_proxy(objects, radius, position, center, active[0])
     if (
         len(state.contacts) > 1
-        and isinstance(objects.search, Creased)
+        and isinstance(objects.search, CreasedSearch)
         and state.started != 0.0
-        and active[0].body >= 0.0
+        and active[0].object_index >= 0.0
     ):
         center = met  # the gap is only a bound if the search of a height map did not finish
-    if not any_moves(objects):
+    if not has_moving_object(objects):
         start = center
     # Without a height map, the search of the path does not reduce the budget of the rest position: see `BUDGET`.
-    remaining = BUDGET - budget + max(remaining, 0) if isinstance(objects.search, Creased) else BUDGET
+    remaining = BUDGET - budget + max(remaining, 0) if isinstance(objects.search, CreasedSearch) else BUDGET
     return Meeting(start, center, place, active, over, remaining)
 
 
@@ -182,14 +182,14 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
     """Detect a first contact, and compute the rest position of its proxy."""
     meeting = detect_among_several(finger, objects, state, probe.position)
     center, active = meeting.center, meeting.active
-    body = active[0].body
+    body = active[0].object_index
     if body >= 0.0 and meeting.over and is_inside(objects, body):
         # The wall may be far away along the normal of the first touch. Nothing is wound up: use the nearest point.
         center, active, _ = settle_on_one(
             objects, body, finger.radius, probe.position, center, (0.0, 0.0, 0.0), active[0].normal
         )
     contact = replace(
-        state.contacts[0], "body", body, "normal", active[0].normal, "push", active[0].depth, "share", 1.0,
+        state.contacts[0], "object_index", body, "normal", active[0].normal, "push", active[0].depth, "share", 1.0,
         "mode", float(ROLLING),
     )  # fmt: skip
     return Approach(

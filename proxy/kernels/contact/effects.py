@@ -25,7 +25,7 @@ class Effects(NamedTuple):
 
 
 @jit
-def effects_of_tick(
+def sum_effects(
     scene: Scene,
     finger: Finger,
     objects: Any,
@@ -35,7 +35,7 @@ def effects_of_tick(
     dt: float,
 ) -> Effects:
     """Evaluate the effects of the workspace and of the objects at the probe."""
-    up, in_contact = (0.0, 0.0, 1.0), 0.0 if active[0].body < 0.0 else 1.0
+    up, in_contact = (0.0, 0.0, 1.0), 0.0 if active[0].object_index < 0.0 else 1.0
     around = Situation(
         position=probe.position, velocity=probe.velocity, dt=dt, touched=in_contact, gap=0.0, normal=up, carrier=None
     )  # fmt: skip

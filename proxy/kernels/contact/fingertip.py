@@ -9,10 +9,10 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import Many, MinkowskiSum, Probe, Quaternion, Tip, Vec3
+from softfinger.proxy.kernels.model import FingertipForm, Many, MinkowskiSum, Probe, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import pose_values
-from softfinger.proxy.kernels.query.carry import relative_rotation
+from softfinger.proxy.kernels.query.carry import compute_relative_rotation
 from softfinger.proxy.kernels.shapes.minkowski import support_vector
 
 
@@ -23,14 +23,14 @@ def minkowski_objects(form: Any, radius: float, objects: Any, orientation: Quate
         return objects
     turn = rotations.multiply(orientation, form.orientation)
     if isinstance(objects, Many):
-        return replace(objects, "tip", Tip(form.semi_axes, turn, radius))
+        return replace(objects, "tip", FingertipForm(form.semi_axes, turn, radius))
     body = objects.body
     axes = rotations.multiply(rotations.conjugate(pose_values(body.pose).orientation), turn)
     return replace(objects, "body", replace(body, "shape", MinkowskiSum(body.shape, form.semi_axes, axes, radius)))
 
 
 @jit
-def arm(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> Vec3:
+def compute_arm(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> Vec3:
     """Return the displacement (3,) m from the contact point to the fingertip's centre.
 
     orientation  fingertip to the frame of `normal`
@@ -42,7 +42,7 @@ def arm(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> Vec3
 
 
 @jit
-def point_on(form: Any, radius: float, inward: Vec3) -> Vec3:
+def find_finger_point(form: Any, radius: float, inward: Vec3) -> Vec3:
     """Return the contact point (3,) m in the fingertip frame; `inward` (3,) is the object's normal in that frame."""
     if form is None:
         return vec3.scale(-radius, inward)
@@ -50,13 +50,13 @@ def point_on(form: Any, radius: float, inward: Vec3) -> Vec3:
 
 
 @jit
-def point_under(form: Any, radius: float, orientation: Quaternion, center: Vec3, normal: Vec3) -> Vec3:
+def find_contact_point(form: Any, radius: float, orientation: Quaternion, center: Vec3, normal: Vec3) -> Vec3:
     """Return the contact point (3,) m, world frame, of a fingertip at `center` (3,) m on an object with that normal."""
-    return vec3.sub(center, arm(form, radius, orientation, normal))
+    return vec3.sub(center, compute_arm(form, radius, orientation, normal))
 
 
 @jit
-def radius_of_curvature(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> float:
+def compute_radius_of_curvature(form: Any, radius: float, orientation: Quaternion, normal: Vec3) -> float:
     """Return the geometric mean of the two principal radii of curvature at the contact, m.
 
     For an ellipsoid 1 / sqrt(K) with the Gaussian curvature K = h^4 / (a b c)^2.
@@ -64,12 +64,12 @@ def radius_of_curvature(form: Any, radius: float, orientation: Quaternion, norma
     if form is None:
         return radius
     a = form.semi_axes
-    h = vec3.dot(arm(form, radius, orientation, normal), normal)
+    h = vec3.dot(compute_arm(form, radius, orientation, normal), normal)
     return (a[0] / h) * (a[1] / h) * a[2]
 
 
 @jit
-def torque_of(
+def compute_torque(
     form: Any, radius: float, orientation: Quaternion, normal: Vec3, moment: float, pressing: Vec3, tangential: Vec3
 ) -> Vec3:
     """Return the torque (3,) N m about the centre.
@@ -80,15 +80,17 @@ def torque_of(
     spin = vec3.scale(moment, normal)
     if form is None:
         return vec3.add_scaled(spin, -radius, vec3.cross(normal, tangential))
-    return vec3.sub(spin, vec3.cross(arm(form, radius, orientation, normal), vec3.add(pressing, tangential)))
+    return vec3.sub(spin, vec3.cross(compute_arm(form, radius, orientation, normal), vec3.add(pressing, tangential)))
 
 
 @jit
-def velocity_at(form: Any, velocity: Vec3, carried: Any, probe: Probe, last: Probe, normal: Vec3, dt: float) -> Vec3:
+def add_surface_velocity(
+    form: Any, velocity: Vec3, carried: Any, probe: Probe, last: Probe, normal: Vec3, dt: float
+) -> Vec3:
     """Return a velocity (3,) m/s with the normal component of the fingertip's surface at the contact.
 
     velocity  (3,) m/s  of the centre; like the result, relative to the object
-    carried             motion of the object, see `carry`
+    carried             motion of the object, see `make_carry`
     last                probe at the last tick
     dt        s         time since then; 0 if it has not rotated
 
@@ -96,5 +98,5 @@ def velocity_at(form: Any, velocity: Vec3, carried: Any, probe: Probe, last: Pro
     """
     if form is None or dt <= 0.0:
         return velocity
-    turn = rotations.log(relative_rotation(carried, rotations.relative(probe.orientation, last.orientation)))
-    return vec3.add_scaled(velocity, -1.0 / dt, vec3.cross(turn, arm(form, 0.0, probe.orientation, normal)))
+    turn = rotations.log(compute_relative_rotation(carried, rotations.relative(probe.orientation, last.orientation)))
+    return vec3.add_scaled(velocity, -1.0 / dt, vec3.cross(turn, compute_arm(form, 0.0, probe.orientation, normal)))

@@ -7,21 +7,21 @@ result is still unknown, `detection` reports it, and the next tick's pose is tre
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import NONE, Creased, Faceted, Smooth, Vec3
+from softfinger.proxy.kernels.model import NONE, CreasedSearch, FacetedSearch, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
-from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.kinds import any_mesh, has_creases_at
-from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest
-from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, ROOM
-from softfinger.proxy.kernels.shapes.composite import EVERYWHERE, raised_clear
+from softfinger.proxy.kernels.query.container import find_object
+from softfinger.proxy.kernels.query.kinds import has_creases_at, has_mesh
+from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_within, find_deepest
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, QUEUE_SIZE
+from softfinger.proxy.kernels.shapes.composite import NO_LIMIT_M, raised_clear
 
-GRAZE = 1e-4
+OVERLAP_TOLERANCE = 1e-4
 """Overlap with a mesh, as a share of the radius, that counts as clear if the nearest triangle cannot be found: larger
 than the rounding of a bound."""
-RISES = 16
+MAX_RISES = 16
 """Heights over a mesh that are tried for a fingertip that starts inside."""
-RISE, RISES_BY = 1e-5, 4.0
+FIRST_RISE, RISE_GROWTH = 1e-5, 4.0
 """Smallest step from the first height to the second, as a share of the radius, and its growth factor per height."""
 
 
@@ -39,27 +39,29 @@ class FirstTouch(NamedTuple):
 
 
 @jit
-def first_touch(objects: Any, radius: float, position: Vec3, budget: int) -> FirstTouch:
+def find_first_touch(objects: Any, radius: float, position: Vec3, budget: int) -> FirstTouch:
     """Return the object that a fingertip starting at `position` (3,) m touches.
 
     budget  for height maps, and for meshes in a scene with a height map
     """
-    if isinstance(objects.search, Smooth):
-        gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
+    if isinstance(objects.search, SmoothSearch):
+        gap, index, budget = find_deepest(objects, position, NO_LIMIT_M, NO_OBJECTS, budget)
         return FirstTouch(index if gap < radius else NONE, True, budget)
-    if isinstance(objects.search, Creased):  # a search nearby is enough for the side of a height map
-        gap, index, budget = deepest(objects, position, radius, NOBODY, budget)
-        if any_mesh(objects) and gap >= radius:
-            gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, budget)
+    if isinstance(objects.search, CreasedSearch):  # a search nearby is enough for the side of a height map
+        gap, index, budget = find_deepest(objects, position, radius, NO_OBJECTS, budget)
+        if has_mesh(objects) and gap >= radius:
+            gap, index, budget = find_deepest(objects, position, NO_LIMIT_M, NO_OBJECTS, budget)
             if has_creases_at(objects, index):  # only a bound: the first search found it farther away
                 index = NONE
     else:  # the side of a mesh needs a search of all of it
-        gap, index, budget = deepest(objects, position, EVERYWHERE, NOBODY, ROOM)
+        gap, index, budget = find_deepest(objects, position, NO_LIMIT_M, NO_OBJECTS, QUEUE_SIZE)
     if budget < 0 and index >= 0.0 and not has_creases_at(objects, index):
         # The search of a mesh did not finish, so the gap was a bound. Use the nearest triangle found so far.
-        gap, _, _, budget = closest_to_within(objects, index, position, budget)
-        if gap >= radius and not isinstance(objects.search, Creased):
-            gap, nearer, budget = deepest(objects, position, radius * (1.0 - GRAZE), NOBODY, ROOM)
+        gap, _, _, budget = find_closest_within(objects, index, position, budget)
+        if gap >= radius and not isinstance(objects.search, CreasedSearch):
+            gap, nearer, budget = find_deepest(
+                objects, position, radius * (1.0 - OVERLAP_TOLERANCE), NO_OBJECTS, QUEUE_SIZE
+            )
             if budget < 0:
                 return FirstTouch(NONE, False, budget)
             index = nearer if gap < radius else index
@@ -75,21 +77,21 @@ def raise_outside(objects: Any, index: float, radius: float, center: Vec3, norma
 
     In a scene of meshes, it is the first position along the normal that is outside of all objects.
     """
-    if not isinstance(objects.search, Faceted):
-        body = object_at(objects, index)
+    if not isinstance(objects.search, FacetedSearch):
+        body = find_object(objects, index)
         return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius)), True
-    height, step, room = 0.0, RISE * radius, ROOM
-    for _ in range(RISES):
+    height, step, room = 0.0, FIRST_RISE * radius, QUEUE_SIZE
+    for _ in range(MAX_RISES):
         position = vec3.add_scaled(center, height, normal)
-        gap, _, budget = deepest(objects, position, radius, NOBODY, min(room, BUDGET))
+        gap, _, budget = find_deepest(objects, position, radius, NO_OBJECTS, min(room, BUDGET))
         room -= min(room, BUDGET) - max(budget, 0)
-        if budget >= 0 and gap >= radius * (1.0 - INSIDE):  # cuts no triangle; the side needs a search of all
-            gap, _, budget = deepest(objects, position, EVERYWHERE, NOBODY, min(room, BUDGET))
+        if budget >= 0 and gap >= radius * (1.0 - INSIDE_TOLERANCE):  # cuts no triangle; the side needs a search of all
+            gap, _, budget = find_deepest(objects, position, NO_LIMIT_M, NO_OBJECTS, min(room, BUDGET))
             room -= min(room, BUDGET) - max(budget, 0)
-            if budget >= 0 and gap >= radius * (1.0 - INSIDE):
+            if budget >= 0 and gap >= radius * (1.0 - INSIDE_TOLERANCE):
                 return position, True
         if room <= 0:
             break
         height += max(radius - gap if budget >= 0 else 0.0, step)
-        step *= RISES_BY
+        step *= RISE_GROWTH
     return center, False

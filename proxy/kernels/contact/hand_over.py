@@ -8,59 +8,59 @@ continuous, and the energy of the springs does not increase, because it is conve
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.active_set import spring_load
-from softfinger.proxy.kernels.friction.torsion import spring_of, torsional_stiffness
+from softfinger.proxy.kernels.contact.rest.active_set import compute_spring_load
+from softfinger.proxy.kernels.friction.torsion import find_spring, find_torsional_stiffness
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import NO_CONTACT, ActiveSet, Constraint, ContactState, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.record import ROLLING
 
 Contacts = tuple[ContactState, ContactState, ContactState]
 
 
 @jit
-def contact_on(constraint: Any, contacts: Contacts) -> ContactState:
+def find_contact(constraint: Any, contacts: Contacts) -> ContactState:
     """Return the contact on the object of a constraint, or of another contact; NO_CONTACT if there is none."""
-    body = constraint.body
-    if body >= 0.0:
-        if contacts[0].body == body:
+    index = constraint.object_index
+    if index >= 0.0:
+        if contacts[0].object_index == index:
             return contacts[0]
-        if contacts[1].body == body:
+        if contacts[1].object_index == index:
             return contacts[1]
-        if contacts[2].body == body:
+        if contacts[2].object_index == index:
             return contacts[2]
     return NO_CONTACT
 
 
 @jit
-def load_share_lost(contact: ContactState, active: ActiveSet, shares: Vec3) -> float:
+def compute_lost_share(contact: ContactState, active: ActiveSet, shares: Vec3) -> float:
     """Return the part of the load that a contact loses in this tick."""
-    if contact.body < 0.0:
+    if contact.object_index < 0.0:
         return 0.0
     share = 0.0
-    if contact.body == active[0].body:
+    if contact.object_index == active[0].object_index:
         share = shares[0]
-    elif contact.body == active[1].body:
+    elif contact.object_index == active[1].object_index:
         share = shares[1]
-    elif contact.body == active[2].body:
+    elif contact.object_index == active[2].object_index:
         share = shares[2]
     return max(contact.share - share, 0.0)
 
 
 @jit
-def largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
+def find_largest_loser(contacts: Contacts, losses: Vec3) -> ContactState:
     if losses[0] >= losses[1] and losses[0] >= losses[2]:
         return contacts[0]
     return contacts[1] if losses[1] >= losses[2] else contacts[2]
 
 
 @jit
-def winding_stiffness(contact: ContactState, objects: Any) -> float:
+def find_winding_stiffness(contact: ContactState, objects: Any) -> float:
     """Return the stiffness of the torsional spring of a contact, that of the first object for NO_CONTACT."""
-    return torsional_stiffness(spring_of(object_at(objects, contact.body).material.torsion))
+    return find_torsional_stiffness(find_spring(find_object(objects, contact.object_index).material.torsion))
 
 
 class LostWindUp(NamedTuple):
@@ -72,7 +72,7 @@ class LostWindUp(NamedTuple):
 
 
 @jit
-def lost_spin(contact: ContactState, loss: float, of_contact: float, normal: Vec3, stiffness: float) -> float:
+def compute_lost_spin(contact: ContactState, loss: float, of_contact: float, normal: Vec3, stiffness: float) -> float:
     """Return the spin that the share lost by a contact has on a receiver with that normal and torsional stiffness.
 
     On a stiffer torsional spring the spin becomes smaller, so the moment is preserved, and no energy is generated.
@@ -83,7 +83,7 @@ def lost_spin(contact: ContactState, loss: float, of_contact: float, normal: Vec
 
 
 @jit
-def contact_after_hand_over(
+def mix_contact(
     constraint: Constraint, share: float, objects: Any, contacts: Contacts, losses: Vec3, lost: LostWindUp,
     stiffnesses: Vec3,
 ) -> ContactState:  # fmt: skip
@@ -91,25 +91,25 @@ def contact_after_hand_over(
 
     share       current load share of the constraint
     contacts    of the last tick, moved with their objects
-    losses      of these contacts, see `load_share_lost`
+    losses      of these contacts, see `compute_lost_share`
     lost        their wind-up
     stiffnesses of their torsional springs
 
     Vectors are projected onto the tangent plane of the constraint, and the spins onto its normal.
     """
-    body, normal, push = constraint
-    if body < 0.0:
+    index, normal, push = constraint
+    if index < 0.0:
         return NO_CONTACT
-    previous = contact_on(constraint, contacts)
+    previous = find_contact(constraint, contacts)
     total_loss = losses[0] + losses[1] + losses[2]
-    continues = previous.body >= 0.0
-    source = previous if continues or total_loss == 0.0 else largest_loser(contacts, losses)
+    continues = previous.object_index >= 0.0
+    source = previous if continues or total_loss == 0.0 else find_largest_loser(contacts, losses)
     remainder, gain = 0.0, 0.0
     if share > 0.0:
         remainder = min(previous.share, share) / share
         if total_loss > 0.0:
             gain = max(share - previous.share, 0.0) / (total_loss * share)
-    mode = source.mode if source.body >= 0.0 else float(ROLLING)
+    mode = source.mode if source.object_index >= 0.0 else float(ROLLING)
     deflection, rolled_part, bend, spin = ZERO, ZERO, vec3.scale(remainder, previous.bend), remainder * previous.spin
     if continues:
         deflection = vec3.scale(remainder, vec3.reject(previous.deflection, normal))
@@ -118,11 +118,11 @@ def contact_after_hand_over(
         deflection = vec3.add_scaled(deflection, gain, vec3.reject(lost.deflection, normal))
         rolled_part = vec3.add_scaled(rolled_part, gain, vec3.reject(lost.rolled_part, normal))
         bend = vec3.add_scaled(bend, gain, vec3.reject(lost.bend, normal))
-        stiffness = torsional_stiffness(spring_of(object_at(objects, body).material.torsion))
-        spins = map_each(lost_spin, (contacts, losses, stiffnesses), normal, stiffness)
+        stiffness = find_torsional_stiffness(find_spring(find_object(objects, index).material.torsion))
+        spins = map_each(compute_lost_spin, (contacts, losses, stiffnesses), normal, stiffness)
         spin += gain * (spins[0] + spins[1] + spins[2])
     return ContactState(
-        body=body,
+        object_index=index,
         normal=normal,
         push=push,
         share=share,
@@ -141,16 +141,16 @@ def contact_after_hand_over(
 @jit
 def hand_over(objects: Any, contacts: Contacts, active: ActiveSet) -> Contacts:
     """Return the contacts of this tick, one per constraint of the proxy, before they are moved."""
-    loads, shares = map_each(spring_load, (active,), objects), (1.0, 0.0, 0.0)
+    loads, shares = map_each(compute_spring_load, (active,), objects), (1.0, 0.0, 0.0)
     load = loads[0] + loads[1] + loads[2]
     if load > 0.0:
         shares = loads[0] / load, loads[1] / load, loads[2] / load
-    losses = map_each(load_share_lost, (contacts,), active, shares)
+    losses = map_each(compute_lost_share, (contacts,), active, shares)
     one, two, three = contacts
     lost = LostWindUp(
         vec3.weighted_sum(losses, one.deflection, two.deflection, three.deflection),
         vec3.weighted_sum(losses, one.rolled_part, two.rolled_part, three.rolled_part),
         vec3.weighted_sum(losses, one.bend, two.bend, three.bend),
     )
-    stiffnesses = map_each(winding_stiffness, (contacts,), objects)
-    return map_each(contact_after_hand_over, (active, shares), objects, contacts, losses, lost, stiffnesses)
+    stiffnesses = map_each(find_winding_stiffness, (contacts,), objects)
+    return map_each(mix_contact, (active, shares), objects, contacts, losses, lost, stiffnesses)

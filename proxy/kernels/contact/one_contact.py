@@ -2,12 +2,12 @@
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.approach import Approach, stuck_ticks
+from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import ContactForces, Ground, NormalForce, with_friction_result
-from softfinger.proxy.kernels.contact.effects import Effects
-from softfinger.proxy.kernels.contact.fingertip import point_under, torque_of
+from softfinger.proxy.kernels.contact.fingertip import compute_torque, find_contact_point
 from softfinger.proxy.kernels.contact.outcome import Outcome
 from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
+from softfinger.proxy.kernels.effects.forces import NO_FORCE
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of, replace
 from softfinger.proxy.kernels.model import (
@@ -21,7 +21,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.record import CAUSE_NONE, CAUSE_TOUCH, SLIDING
+from softfinger.proxy.record import SLIDING
 
 
 class Landing(NamedTuple):
@@ -44,26 +44,32 @@ def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: Contact
     if friction.mode != SLIDING and friction.deflection == predicted.deflection and not approach.strays:
         return Landing(approach.center, approach.active, 0.0)
     center, active, bounded = settle_on_one(
-        shapes, constraint.body, finger.radius, position, approach.center, friction.deflection, constraint.normal
+        shapes,
+        constraint.object_index,
+        finger.radius,
+        position,
+        approach.center,
+        friction.deflection,
+        constraint.normal,
     )
     return Landing(center, active, bounded)
 
 
 @jit
-def contact_state(landing: Landing, predicted: Any, forces: ContactForces, position: Vec3) -> ContactState:
+def make_contact_state(landing: Landing, predicted: Any, forces: ContactForces, position: Vec3) -> ContactState:
     """Return the contact at the end of the tick; its deflection is the tangential part from probe to proxy."""
     constraint = landing.active[0]
     to_proxy = vec3.sub(landing.center, position)
     return replace(
         with_friction_result(predicted, forces),
-        "body", constraint.body, "normal", constraint.normal, "push", constraint.depth,
+        "object_index", constraint.object_index, "normal", constraint.normal, "push", constraint.depth,
         "deflection", vec3.sub(to_proxy, vec3.scale(constraint.depth, constraint.normal)),
         "rolled_part", vec3.reject(forces.result.rolled_part, constraint.normal),
     )  # fmt: skip
 
 
 @jit
-def outcome_of_one(
+def make_outcome_of_one(
     finger: Finger,
     ground: Ground,
     probe: Probe,
@@ -71,7 +77,6 @@ def outcome_of_one(
     forces: ContactForces,
     landing: Landing,
     load: NormalForce,
-    effects: Effects,
 ) -> Outcome:
     """Compute the forces of the only contact under `load` at its new position, and its state."""
     friction, normal = forces.result, landing.active[0].normal
@@ -83,41 +88,30 @@ def outcome_of_one(
         tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
         bending = vec3.scale(ease * ease, bending)
     pressing = vec3.scale(load.size, load.along)
-    torque = torque_of(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    torque = compute_torque(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
     reported = ContactOutcome(
-        object=ground.number,
-        point=point_under(finger.form, finger.radius, probe.orientation, landing.center, normal),
+        object=ground.scene_index,
+        point=find_contact_point(finger.form, finger.radius, probe.orientation, landing.center, normal),
         normal=normal,
         force=vec3.add(pressing, tangential),
         mode=friction.mode,
         spin=friction.spin,
         torque=torque,
     )
-    cause, bounded, stuck = friction.cause, max(landing.bounded, approach.bounded), 0.0
-    if bounded > 0.0:
-        stuck = stuck_ticks(approach, landing.center)
-    if approach.began and cause == CAUSE_NONE:
-        cause = float(CAUSE_TOUCH)
-    contact = contact_state(landing, approach.predicted[0], forces, probe.position)
+    contact = make_contact_state(landing, approach.predicted[0], forces, probe.position)
+    bounded = max(landing.bounded, approach.bounded)
     return Outcome(
-        mode=friction.mode,
-        cause=cause,
-        object=ground.number,
-        normal=normal,
         center=landing.center,
         contacts=first_of(approach.predicted, contact, NO_CONTACT),
         reported=first_of(approach.predicted, reported, NO_OUTCOME),
         pressing=pressing,
         normal_force=load.size,
         tangential=tangential,
-        effects=effects.force,
-        effect_states=effects.states,
+        trailing=NO_FORCE,
         torque=torque,
         torsion=moment,
-        spin=friction.spin,
         radius=forces.area.radius,
-        rolled=approach.rolled,
-        stuck=stuck,
-        budget=max(bounded, effects.unknown),
+        late=bounded > 0.0,
+        budget=bounded,
     )

@@ -5,97 +5,98 @@ Contacts with one object and with several objects both result in an `Outcome`, f
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.approach import STUCK_TICKS
-from softfinger.proxy.kernels.contact.fingertip import point_on, point_under
+from softfinger.proxy.kernels.contact.approach import STUCK_TICKS, Approach, count_stuck_ticks
+from softfinger.proxy.kernels.contact.effects import Effects
+from softfinger.proxy.kernels.contact.fingertip import find_finger_point
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import first_of
 from softfinger.proxy.kernels.model import NO_CONTACT, NO_OUTCOME, Contact, Finger, FingerState, Probe, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, FREE
+from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, CAUSE_TOUCH, FREE, UNSEARCHED
 
 
 class Outcome(NamedTuple):
     """Contact at the end of a tick.
 
-    mode, cause         of the first contact, and of its change in this tick
-    object              index in the scene file of the object of the first contact, -1 for none
-    normal              (3,)      of that object
-    center              (3,) m    proxy
-    contacts            ContactState of each contact
-    reported            ContactOutcome of each contact
-    pressing            (3,) N    sum of the normal forces
-    normal_force        N         its magnitude
-    tangential          (3,) N    sum of the friction forces
-    effects             (3,) N    force of the effects; `effect_states` are their states for the next tick
-    torque              (3,) N m  about the fingertip's centre
-    torsion, spin                 moment about the normal, N m, and torsional wind-up, rad, of the first contact
-    radius              m         of its contact patch
-    rolled              rad       roll angle since touch
-    stuck                         consecutive ticks without a rest position
-    budget                        see `Contact.budget`
+    center        (3,) m    proxy
+    contacts                ContactState of each contact
+    reported                ContactOutcome of each contact
+    pressing      (3,) N    sum of the normal forces
+    normal_force  N         its magnitude
+    tangential    (3,) N    sum of the friction forces
+    trailing      (3,) N    additional force of a late proxy, see `compute_trailing_force`
+    torque        (3,) N m  about the fingertip's centre
+    torsion       N m       moment about the normal of the first contact
+    radius        m         of its contact patch
+    late                    True if the proxy is not yet at rest
+    budget                  see `Contact.budget`
     """
 
-    mode: float
-    cause: float
-    object: float
-    normal: Vec3
     center: Vec3
     contacts: Any
     reported: Any
     pressing: Vec3
     normal_force: float
     tangential: Vec3
-    effects: Vec3
-    effect_states: Any
+    trailing: Vec3
     torque: Vec3
     torsion: float
-    spin: float
     radius: float
-    rolled: float
-    stuck: float
+    late: bool
     budget: float
 
 
 @jit
-def end_contact_tick(finger: Finger, probe: Probe, outcome: Outcome) -> tuple[FingerState, Contact]:
-    """Return the FingerState after a tick in contact, and its Contact, with the wrench on the hand."""
+def end_contact_tick(
+    finger: Finger, probe: Probe, approach: Approach, cause: float, outcome: Outcome, effects: Effects
+) -> tuple[FingerState, Contact]:
+    """Return the FingerState after a tick in contact, and its Contact, with the wrench on the hand.
+
+    cause  of the change of mode by friction
+    """
+    center, first, budget = outcome.center, outcome.reported[0], outcome.budget
+    stuck = count_stuck_ticks(approach, center) if outcome.late else 0.0
+    if approach.began and cause == CAUSE_NONE:
+        cause = float(CAUSE_TOUCH)
+    if effects.unknown != 0.0:
+        budget = float(UNSEARCHED)
     state = FingerState(
         started=1.0,
         probe=probe,
-        mode=outcome.mode,
-        center=outcome.center,
+        mode=outcome.contacts[0].mode,
+        center=center,
         contacts=outcome.contacts,
-        rolled=outcome.rolled,
-        stuck=outcome.stuck,
-        effects=outcome.effect_states,
+        rolled=approach.rolled,
+        stuck=stuck,
+        effects=effects.states,
     )
     # On a curved surface, a proxy displaced by friction is below the tangent plane of its rest position: the depth is
     # that of the rest position. It is 0 in the tick in which a slip moves the proxy to where the probe is outside.
-    depth = max(vec3.dot(vec3.sub(outcome.center, probe.position), outcome.normal), 0.0)
-    to_fingertip, normal = rotations.conjugate(probe.orientation), outcome.normal
-    inward = rotations.rotate(to_fingertip, normal)
+    depth = max(vec3.dot(vec3.sub(center, probe.position), first.normal), 0.0)
+    to_fingertip = rotations.conjugate(probe.orientation)
+    inward = rotations.rotate(to_fingertip, first.normal)
     contact = Contact(
-        mode=outcome.mode,
-        object=outcome.object,
-        cause=outcome.cause,
+        mode=state.mode,
+        object=first.object,
+        cause=cause,
         velocity=probe.velocity,
-        center=outcome.center,
+        center=center,
         penetration=depth,
-        point=point_under(finger.form, finger.radius, probe.orientation, outcome.center, normal),
-        normal=normal,
-        finger_point=point_on(finger.form, finger.radius, inward),
-        rolled=outcome.rolled,
-        spin=outcome.spin,
+        point=first.point,
+        normal=first.normal,
+        finger_point=find_finger_point(finger.form, finger.radius, inward),
+        rolled=approach.rolled,
+        spin=first.spin,
         normal_force=outcome.normal_force,
         tangential_force=vec3.norm(outcome.tangential),
-        force=vec3.add(vec3.add(outcome.pressing, outcome.tangential), outcome.effects),
+        force=vec3.add(vec3.add(outcome.pressing, outcome.tangential), vec3.add(effects.force, outcome.trailing)),
         torque=outcome.torque,
         torsion=outcome.torsion,
         patch_radius=outcome.radius,
         patch_normal=inward,
-        patch_stretch=rotations.rotate(to_fingertip, vec3.reject(outcome.contacts[0].deflection, normal)),
+        patch_stretch=rotations.rotate(to_fingertip, vec3.reject(outcome.contacts[0].deflection, first.normal)),
         contacts=outcome.reported,
-        budget=outcome.budget,
+        budget=budget,
     )
     return state, contact
 

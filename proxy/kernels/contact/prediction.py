@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
 from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
-from softfinger.proxy.kernels.contact.hand_over import Contacts, contact_on, hand_over
+from softfinger.proxy.kernels.contact.hand_over import Contacts, find_contact, hand_over
 from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -16,8 +16,8 @@ from softfinger.proxy.kernels.jit.tuples import map_each, replace
 from softfinger.proxy.kernels.model import Constraint, ContactState, FingerState, Quaternion, Scene, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.carry import carry, move_point, relative_rotation, turn_direction
-from softfinger.proxy.kernels.query.objects import curvature_of
+from softfinger.proxy.kernels.query.carry import compute_relative_rotation, find_carry, move_point, turn_direction
+from softfinger.proxy.kernels.query.objects import compute_curvature
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
 
@@ -54,7 +54,7 @@ class ContactRoll(NamedTuple):
 
 
 @jit
-def lag_of(contacts: Contacts) -> Vec3:
+def compute_lag(contacts: Contacts) -> Vec3:
     """Return the mean deflection (3,) m of the contacts, weighted by their load shares."""
     one, two, three = contacts
     shares = one.share, two.share, three.share
@@ -64,18 +64,18 @@ def lag_of(contacts: Contacts) -> Vec3:
 @jit
 def move_contact(contact: ContactState, objects: Any) -> ContactState:
     """Return the contact moved with its object."""
-    if contact.body < 0.0:
+    if contact.object_index < 0.0:
         return contact
-    carried = carry(objects, contact.body)
+    carried = find_carry(objects, contact.object_index)
     normal, deflection = turn_direction(carried, contact.normal), turn_direction(carried, contact.deflection)
     rolled_part, bend = turn_direction(carried, contact.rolled_part), turn_direction(carried, contact.bend)
     return replace(contact, "normal", normal, "deflection", deflection, "rolled_part", rolled_part, "bend", bend)
 
 
 @jit
-def displacement_by_push(contact: ContactState, before: Contacts) -> Vec3:
+def compute_displacement_by_push(contact: ContactState, before: Contacts) -> Vec3:
     """Return the displacement (3,) m of the proxy in this tick because the push of a contact has changed."""
-    return vec3.scale(contact.push - contact_on(contact, before).push, contact.normal)
+    return vec3.scale(contact.push - find_contact(contact, before).push, contact.normal)
 
 
 @jit
@@ -87,10 +87,10 @@ def displace_by_pushes(position: Vec3, contacts: Contacts) -> Vec3:
 
 
 @jit
-def shear_of(state: FingerState, last: Contacts, contacts: Contacts, motion: ProbeMotion) -> Shear:
+def compute_shear(state: FingerState, last: Contacts, contacts: Contacts, motion: ProbeMotion) -> Shear:
     """Return the motion of the contacts; `last` are the contacts of the last tick, moved with their objects."""
     probe, last_probe, _ = motion
-    one, two, three = map_each(displacement_by_push, (contacts,), last)
+    one, two, three = map_each(compute_displacement_by_push, (contacts,), last)
     by_push = vec3.add(vec3.add(one, two), three)
     reference = displace_by_pushes(last_probe.position, state.contacts)
     return Shear(
@@ -109,11 +109,13 @@ def roll_contact(
 
     center  (3,) m  proxy before the roll
     """
-    if contact.body < 0.0:
+    if contact.object_index < 0.0:
         return ContactRoll(ZERO, ZERO, ZERO, 0.0, 0.0)
-    normal, carried = contact.normal, carry(objects, contact.body)
-    rolled = roll_flat_on(method, objects, contact.body, radius, normal, relative_rotation(carried, turn))
-    k1, k2, along = curvature_of(objects, contact.body, radius, center, normal)
+    normal, carried = contact.normal, find_carry(objects, contact.object_index)
+    rolled = roll_flat_on(
+        method, objects, contact.object_index, radius, normal, compute_relative_rotation(carried, turn)
+    )
+    k1, k2, along = compute_curvature(objects, contact.object_index, radius, center, normal)
     largest = max(abs(k1), abs(k2)) * contact.push
     # At a product of 1 of depth and curvature, the probe is at the centre of curvature and does not move.
     depth = contact.push / largest if largest > 1.0 else contact.push
@@ -138,9 +140,9 @@ def predict(contact: ContactState, roll: ContactRoll, tilted: Vec3, objects: Any
     The part of the probe's motion that the proxy could not follow counts only if it unwinds e. So the contact
     returns no more work to the hand than its spring stores, independent of the other contacts.
     """
-    if contact.body < 0.0:
+    if contact.object_index < 0.0:
         return NO_PREDICTION
-    normal, carried = contact.normal, carry(objects, contact.body)
+    normal, carried = contact.normal, find_carry(objects, contact.object_index)
     object_motion = vec3.sub(move_point(carried, shear.reference), shear.reference)
     shear_motion = vec3.reject(vec3.sub(shear.free, object_motion), normal)
     roll_motion = vec3.sub(roll.probe, vec3.reject(tilted, normal))
@@ -160,16 +162,16 @@ def continue_several(
 ) -> Approach:
     """Continue all contacts of the last tick, each moved with its object."""
     last = map_each(move_contact, (state.contacts,), shapes)
-    center = move_point(carry(shapes, last[0].body), state.center)
-    base = vec3.add(motion.probe.position, lag_of(last))
+    center = move_point(find_carry(shapes, last[0].object_index), state.center)
+    base = vec3.add(motion.probe.position, compute_lag(last))
     active = (
-        Constraint(last[0].body, last[0].normal, last[0].push),
-        Constraint(last[1].body, last[1].normal, last[1].push),
-        Constraint(last[2].body, last[2].normal, last[2].push),
+        Constraint(last[0].object_index, last[0].normal, last[0].push),
+        Constraint(last[1].object_index, last[1].normal, last[1].push),
+        Constraint(last[2].object_index, last[2].normal, last[2].push),
     )
     active, _ = solve_tangent_planes(shapes, radius, base, center, active)
     contacts = hand_over(objects, last, active)
-    shear = shear_of(state, last, contacts, motion)
+    shear = compute_shear(state, last, contacts, motion)
     rolls = map_each(roll_contact, (contacts,), scene.rolling, shapes, radius, center, shear.turn)
     one, two, three = rolls
     tilts = vec3.add(two.tilt, three.tilt), vec3.add(one.tilt, three.tilt), vec3.add(one.tilt, two.tilt)

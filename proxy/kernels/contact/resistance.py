@@ -8,11 +8,11 @@
 from math import sqrt
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.friction.contact_patch import LEAST_SHARE, MIN_STIFFNESS, ContactPatch
+from softfinger.proxy.kernels.friction.contact_patch import MIN_SHARE, MIN_STIFFNESS, ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import ZERO, Probe, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.carry import relative_rotation
+from softfinger.proxy.kernels.query.carry import compute_relative_rotation
 
 
 class ResistanceInput(NamedTuple):
@@ -68,11 +68,11 @@ def resist_by_loss(
     roll = ZERO
     if not bent.touches:
         turn = rotations.relative(probe.orientation, last.orientation)
-        theta, axis = rotations.tilt(relative_rotation(carried, turn), bent.normal)
+        theta, axis = rotations.tilt(compute_relative_rotation(carried, turn), bent.normal)
         roll = vec3.scale(theta, axis)
     stiffness = max(rolling.share * area.bending, MIN_STIFFNESS)
-    # The energy of the wind-up is constant while load and share change, see `winding_unit`.
-    unit = sqrt(stiffness / max(bent.share, LEAST_SHARE))
+    # The energy of the wind-up is constant while load and share change, see `compute_winding_unit`.
+    unit = sqrt(stiffness / max(bent.share, MIN_SHARE))
     angle = vec3.add(vec3.scale(1.0 / unit, vec3.reject(bent.bend, bent.normal)), roll)
     size = vec3.norm(angle)
     if size > area.bend_max:

@@ -13,14 +13,14 @@ from softfinger.proxy.kernels.contact.contact_friction import (
     Prediction,
     ProbeMotion,
     apply_friction,
-    textured_ground_at,
+    find_textured_ground,
 )
 from softfinger.proxy.kernels.contact.continuation import continue_contact
 from softfinger.proxy.kernels.contact.detection import detect_contact
 from softfinger.proxy.kernels.contact.one_contact import Landing
 from softfinger.proxy.kernels.contact.prediction import continue_several
-from softfinger.proxy.kernels.contact.rest.active_set import one_constraint
-from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST
+from softfinger.proxy.kernels.contact.rest.active_set import make_single_constraint
+from softfinger.proxy.kernels.contact.rest.cutting_planes import REST_STEP
 from softfinger.proxy.kernels.contact.rest.facets import slide_over_facets
 from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
 from softfinger.proxy.kernels.contact.rest.projection import is_safe_step
@@ -31,7 +31,7 @@ from softfinger.proxy.kernels.model import (
     FACETED,
     NONE,
     ActiveSet,
-    Faceted,
+    FacetedSearch,
     Finger,
     FingerState,
     FrictionResult,
@@ -41,11 +41,11 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.carry import any_moves
-from softfinger.proxy.kernels.query.kinds import is_mesh_at, surface_at
-from softfinger.proxy.kernels.query.objects import deepest
-from softfinger.proxy.kernels.query.sweep import first_hit
-from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE
+from softfinger.proxy.kernels.query.carry import has_moving_object
+from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, is_mesh_at
+from softfinger.proxy.kernels.query.objects import find_deepest
+from softfinger.proxy.kernels.query.sweep import find_first_hit
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE
 from softfinger.proxy.record import CAUSE_NONE, FREE, SLIDING
 
 NO_FORCES = ContactForces(
@@ -62,11 +62,11 @@ NO_FORCES = ContactForces(
 def is_single(state: FingerState, radius: float) -> bool:
     """Return True if one object supports the proxy at rest: only its push and deflection displace it from the probe."""
     one, two, _ = state.contacts
-    if two.body >= 0.0:
+    if two.object_index >= 0.0:
         return False
     displacement = vec3.sub(vec3.sub(state.center, state.probe.position), one.deflection)
     residual = vec3.add_scaled(displacement, -one.push, one.normal)
-    return vec3.dot(residual, residual) <= (10.0 * AT_REST * radius) ** 2
+    return vec3.dot(residual, residual) <= (10.0 * REST_STEP * radius) ** 2
 
 
 @jit
@@ -74,7 +74,8 @@ def make_no_approach(probe: Probe) -> Approach:
     """Return an Approach without a contact."""
     return Approach(
         start=probe.position, outside=probe.position, center=probe.position,
-        active=one_constraint(NONE, (0.0, 0.0, 1.0), 0.0), predicted=(NO_PREDICTION, NO_PREDICTION, NO_PREDICTION),
+        active=make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0),
+        predicted=(NO_PREDICTION, NO_PREDICTION, NO_PREDICTION),
         rolled=0.0, strays=False, single=True, began=False, bounded=0.0, budget=BUDGET, stuck=0.0,
     )  # fmt: skip
 
@@ -88,19 +89,19 @@ def is_clear_of_others(
     room  1 if objects that it only touches count, too, such as the second of two flush objects, otherwise -1
     """
     skip = (index, -1.0, -1.0)
-    if start != center or any_moves(objects):
-        hit, _, budget = first_hit(objects, start, center, radius, True, skip, budget)
+    if start != center or has_moving_object(objects):
+        hit, _, budget = find_first_hit(objects, start, center, radius, True, skip, budget)
         if hit >= 0.0:
             return False
-    gap, at, budget = deepest(objects, center, radius * (1.0 + INSIDE), skip, budget)
+    gap, at, budget = find_deepest(objects, center, radius * (1.0 + INSIDE_TOLERANCE), skip, budget)
     # The proxy may cut into the triangle it is on, and into a height map if its search did not finish.
-    surface = surface_at(objects, index)
+    surface = find_surface_kind_at(objects, index)
     is_support = at == index and surface != FACETED and surface != CREASED
-    return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE) or is_support)
+    return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE_TOLERANCE) or is_support)
 
 
 @jit
-def approach_among_several(
+def continue_or_detect_several(
     scene: Scene, finger: Finger, objects: Any, shapes: Any, state: FingerState, motion: ProbeMotion
 ) -> tuple[FingerState, Approach]:
     """Continue the contacts; if all are released, detect a new one in the same tick.
@@ -111,12 +112,12 @@ def approach_among_several(
         single = is_single(state, finger.radius)
         approach = make_no_approach(motion.probe)
         if single:
-            index = state.contacts[0].body
+            index = state.contacts[0].object_index
             approach = continue_contact(scene, finger, shapes, index, state, motion.probe, motion.dt)
             if approach.center != approach.outside:
                 # Past a seam it rolls on the next object. Facets that share an edge are both touched there, and form
                 # one surface.
-                index, center = approach.active[0].body, approach.center
+                index, center = approach.active[0].object_index, approach.center
                 room = -1.0 if is_mesh_at(shapes, index) else 1.0
                 single = is_clear_of_others(shapes, finger.radius, center, center, index, approach.budget, room)
         if not single:
@@ -128,14 +129,14 @@ def approach_among_several(
 
 
 @jit
-def friction_of_contact(
+def apply_friction_of_contact(
     predicted: Prediction, finger: Finger, objects: Any, approach: Approach, motion: ProbeMotion
 ) -> ContactForces:
     """Compute the friction of one of several contacts."""
     contact = predicted.contact
-    if contact.body < 0.0 or contact.share <= 0.0:
+    if contact.object_index < 0.0 or contact.share <= 0.0:
         return NO_FORCES
-    ground = textured_ground_at(objects, contact.body, approach.active, approach.center)
+    ground = find_textured_ground(objects, contact.object_index, approach.active, approach.center)
     return apply_friction(finger, objects, ground, predicted, contact.share, motion)
 
 
@@ -144,7 +145,7 @@ def follow_slip(
     objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, float, bool]:
     """Return `settle_on_one`, on a mesh also across the edges of facets, and True if the proxy is at rest."""
-    if isinstance(objects.search, Faceted) and is_mesh_at(objects, index):
+    if isinstance(objects.search, FacetedSearch) and is_mesh_at(objects, index):
         center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
         return center, active, 0.0, at_rest
     center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
@@ -162,11 +163,13 @@ def land_among_several(
         return Landing(center, active, bounded), False
     if friction.mode == SLIDING or friction.deflection != approach.predicted[0].deflection or approach.strays:
         center, active, bounded, at_rest = follow_slip(
-            objects, constraint.body, radius, position, center, friction.deflection, constraint.normal
+            objects, constraint.object_index, radius, position, center, friction.deflection, constraint.normal
         )
-    if not at_rest or (is_mesh_at(objects, constraint.body) and not is_safe_step(approach.outside, center, radius)):
+    if not at_rest or (
+        is_mesh_at(objects, constraint.object_index) and not is_safe_step(approach.outside, center, radius)
+    ):
         return Landing(center, active, bounded), False
     # A first touch may be over the second of two flush objects, beyond the edge of the one that was hit.
     room = 1.0 if approach.began else -1.0
-    clear = is_clear_of_others(objects, radius, approach.start, center, active[0].body, approach.budget, room)
+    clear = is_clear_of_others(objects, radius, approach.start, center, active[0].object_index, approach.budget, room)
     return Landing(center, active, bounded), clear

@@ -8,15 +8,15 @@ path neither gains nor loses energy; damping also acts along m, and dissipates B
 Friction. The coefficients of the law and the torsional limit are multiplied by the texture's factor at the contact
 point.
 
-    texture_depth(texture, body, depth, normal, position)          -> d, m
-    texture_friction(texture, body, index, active, center)         -> body with the friction of its material there
+    apply_relief(texture, body, depth, normal, position)          -> d, m
+    apply_grip(texture, body, index, active, center)         -> body with the friction of its material there
 """
 
 from math import floor
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.friction.laws import scale_law
-from softfinger.proxy.kernels.friction.torsion import with_scaled_friction
+from softfinger.proxy.kernels.friction.torsion import scale_torsion
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import ActiveSet, Texture, Vec3
@@ -39,7 +39,7 @@ class TextureSample(NamedTuple):
 
 
 @jit
-def weights(t: float) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
+def compute_spline_weights(t: float) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
     """Return a uniform cubic B-spline's weights of four neighbours, at 0 <= t <= 1 between the middle two, and d/dt."""
     s = 1.0 - t
     tt, ss = t * t, s * s
@@ -59,7 +59,7 @@ def wrap_index(index: float, count: float, period: float) -> int:
 
 
 @jit
-def line_at(texture: Texture, row: float, columns: Any, weight: Any, slope: Any) -> tuple[float, float]:
+def sum_line(texture: Texture, row: float, columns: Any, weight: Any, slope: Any) -> tuple[float, float]:
     """Return the weighted sum of four neighbours of one row, and its derivative along the row."""
     start = wrap_index(row, texture.rows, texture.period_v) * int(texture.columns)
     z0, z1 = texture.values[start + columns[0]], texture.values[start + columns[1]]
@@ -74,17 +74,17 @@ def sample(texture: Texture, u: float, v: float) -> TextureSample:
     across = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
     down = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
     left, top = floor(across), floor(down)
-    a, da = weights(across - left)
-    b, db = weights(down - top)
+    a, da = compute_spline_weights(across - left)
+    b, db = compute_spline_weights(down - top)
     i0 = wrap_index(left - 1.0, texture.columns, texture.period_u)
     i1 = wrap_index(left, texture.columns, texture.period_u)
     i2 = wrap_index(left + 1.0, texture.columns, texture.period_u)
     i3 = wrap_index(left + 2.0, texture.columns, texture.period_u)
     columns = (i0, i1, i2, i3)
-    z0, d0 = line_at(texture, top - 1.0, columns, a, da)
-    z1, d1 = line_at(texture, top, columns, a, da)
-    z2, d2 = line_at(texture, top + 1.0, columns, a, da)
-    z3, d3 = line_at(texture, top + 2.0, columns, a, da)
+    z0, d0 = sum_line(texture, top - 1.0, columns, a, da)
+    z1, d1 = sum_line(texture, top, columns, a, da)
+    z2, d2 = sum_line(texture, top + 1.0, columns, a, da)
+    z3, d3 = sum_line(texture, top + 2.0, columns, a, da)
     value = b[0] * z0 + b[1] * z1 + b[2] * z2 + b[3] * z3
     by_v = db[0] * z0 + db[1] * z1 + db[2] * z2 + db[3] * z3
     by_u = b[0] * d0 + b[1] * d1 + b[2] * d2 + b[3] * d3
@@ -92,7 +92,7 @@ def sample(texture: Texture, u: float, v: float) -> TextureSample:
 
 
 @jit
-def chart_at(body: Any, x: Vec3, normal: Vec3) -> Chart:
+def compute_chart(body: Any, x: Vec3, normal: Vec3) -> Chart:
     """Return `chart` for a point and a normal in the world frame."""
     return chart(body.shape, body.texture.fade, into(body.pose, x), turn_into(body.pose, normal))
 
@@ -101,21 +101,21 @@ def chart_at(body: Any, x: Vec3, normal: Vec3) -> Chart:
 
 
 @jit
-def texture_depth(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+def apply_relief(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
     """Return the surface depth d (m) and m (3,) on one object; the probe at `position` is `depth` behind the proxy."""
     if texture is None or texture.columns == 0.0:  # no texture, in a scene with textured objects
         return depth, shade_normal(body.shape, body.pose, normal, position)
-    return raise_by(texture.relief, texture, body, depth, normal, position)
+    return raise_by_relief(texture.relief, texture, body, depth, normal, position)
 
 
 @jit
-def raise_by(
+def raise_by_relief(
     relief: Any, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
 ) -> tuple[float, Vec3]:
     """Add h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`."""
     if relief is None:
         return depth, normal
-    at = chart_at(body, position, normal)
+    at = compute_chart(body, position, normal)
     z = sample(texture, at.u, at.v)
     drop = relief.height * (1.0 - z.value)
     rise = vec3.add(vec3.scale(z.by_u, at.along_u), vec3.scale(z.by_v, at.along_v))
@@ -127,7 +127,7 @@ def raise_by(
 
 
 @jit
-def texture_friction(texture: Any, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
+def apply_grip(texture: Any, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
     """Return object `index`; if it supports the proxy, with its friction under the proxy's `center` (3,) m."""
     if texture is None:
         return body
@@ -140,12 +140,14 @@ def scale_friction(grip: Any, texture: Texture, body: Any, index: float, active:
         return body
     factor = 1.0
     one, two, three = active
-    if texture.columns != 0.0 and (index == one.body or index == two.body or index == three.body):
-        normal = one.normal if index == one.body else two.normal if index == two.body else three.normal
-        at = chart_at(body, center, normal)
+    if texture.columns != 0.0 and (
+        index == one.object_index or index == two.object_index or index == three.object_index
+    ):
+        normal = one.normal if index == one.object_index else two.normal if index == two.object_index else three.normal
+        at = compute_chart(body, center, normal)
         # At an edge of the object, the texture fades to its highest value.
         z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
         factor = grip.low + (grip.high - grip.low) * z
     material = body.material
-    friction, torsion = scale_law(material.friction, factor), with_scaled_friction(material.torsion, factor)
+    friction, torsion = scale_law(material.friction, factor), scale_torsion(material.torsion, factor)
     return replace(body, "material", replace(material, "friction", friction, "torsion", torsion))

@@ -1,7 +1,7 @@
 """Forces on the hand in addition to the contact force: fields of the workspace, and effects of objects.
 
     apply_effects(effects, states, situation) -> force, states     all effects of the workspace or of one object
-    effect_force(effect, state, situation)    -> force, state      one effect
+    compute_effect(effect, state, situation)    -> force, state      one effect
     reach(region, situation)                  -> 0 to 1            share of an effect at this position, in this tick
     start_states(effects)                     -> states            before the first tick; Python only
 
@@ -26,7 +26,7 @@ from softfinger.proxy.kernels.model import (
     SphereRegion,
     Spring,
     StickSlip,
-    Touching,
+    TouchCondition,
     Vec3,
     Vibration,
     Viscosity,
@@ -65,7 +65,7 @@ class Situation(NamedTuple):
 
 
 @by_type
-def effect_force(effect: Any, state: Any, situation: Situation) -> Any: ...
+def compute_effect(effect: Any, state: Any, situation: Situation) -> Any: ...
 
 
 # --- regions -------------------------------------------------------------------------------------
@@ -85,7 +85,7 @@ def share_at(depth: float, edge: float) -> float:
 def reach(region: Any, situation: Situation) -> float:
     if region is None:
         return 1.0
-    if isinstance(region, Touching):
+    if isinstance(region, TouchCondition):
         return 0.0 if situation.touched == 0.0 else region.share
     away = vec3.sub(situation.position, region.center)
     if isinstance(region, SphereRegion):
@@ -111,19 +111,19 @@ def scale_clamped(s: float, v: Vec3) -> Vec3:
 # --- fields --------------------------------------------------------------------------------------
 
 
-@effect_force.of(Viscosity)
-def viscous_force(effect: Viscosity, state: None, situation: Situation) -> tuple[Vec3, None]:
+@compute_effect.of(Viscosity)
+def apply_viscosity(effect: Viscosity, state: None, situation: Situation) -> tuple[Vec3, None]:
     """Return -B v, scaled by the region's share: it dissipates energy everywhere, also at the edge of the region."""
     return scale_clamped(-reach(effect.region, situation) * effect.damping, situation.velocity), None
 
 
-@effect_force.of(ConstantForce)
-def constant_force(effect: ConstantForce, state: None, situation: Situation) -> tuple[Vec3, None]:
+@compute_effect.of(ConstantForce)
+def apply_constant_force(effect: ConstantForce, state: None, situation: Situation) -> tuple[Vec3, None]:
     return scale_clamped(reach(effect.region, situation), effect.force), None
 
 
-@effect_force.of(Spring)
-def spring_force(effect: Spring, state: None, situation: Situation) -> tuple[Vec3, None]:
+@compute_effect.of(Spring)
+def apply_spring(effect: Spring, state: None, situation: Situation) -> tuple[Vec3, None]:
     """Return the force K (d - rest_length) towards the anchor, negative if the spring is shorter, up to `force_max`."""
     towards = vec3.sub(effect.anchor, situation.position)
     length = vec3.norm(towards)
@@ -134,7 +134,7 @@ def spring_force(effect: Spring, state: None, situation: Situation) -> tuple[Vec
 
 
 @jit
-def wall_force(effect: Any, outward: Vec3, situation: Situation) -> Vec3:
+def compute_wall_force(effect: Any, outward: Vec3, situation: Situation) -> Vec3:
     """Return the force of a spring-damper at a boundary.
 
     outward  (3,)  m  displacement beyond the boundary, zero inside
@@ -152,21 +152,21 @@ def wall_force(effect: Any, outward: Vec3, situation: Situation) -> Vec3:
     return scale_clamped(push, inward)
 
 
-@effect_force.of(BoxBoundary)
-def box_boundary_force(effect: BoxBoundary, state: None, situation: Situation) -> tuple[Vec3, None]:
+@compute_effect.of(BoxBoundary)
+def apply_box_boundary(effect: BoxBoundary, state: None, situation: Situation) -> tuple[Vec3, None]:
     away = vec3.sub(situation.position, effect.center)
     half = effect.half_extents
     outward = (away[0] - clamp(away[0], half[0]), away[1] - clamp(away[1], half[1]), away[2] - clamp(away[2], half[2]))
-    return wall_force(effect, outward, situation), None
+    return compute_wall_force(effect, outward, situation), None
 
 
-@effect_force.of(SphereBoundary)
-def sphere_boundary_force(effect: SphereBoundary, state: None, situation: Situation) -> tuple[Vec3, None]:
+@compute_effect.of(SphereBoundary)
+def apply_sphere_boundary(effect: SphereBoundary, state: None, situation: Situation) -> tuple[Vec3, None]:
     away = vec3.sub(situation.position, effect.center)
     distance = vec3.norm(away)
     if distance <= effect.radius:
         return (0.0, 0.0, 0.0), None
-    return wall_force(effect, vec3.scale(1.0 - effect.radius / distance, away), situation), None
+    return compute_wall_force(effect, vec3.scale(1.0 - effect.radius / distance, away), situation), None
 
 
 # --- vibration -----------------------------------------------------------------------------------
@@ -185,15 +185,15 @@ def oscillate(amplitude: float, frequency: float, share: float, state: Phase, dt
     return force, Phase(fraction(state.turns + fraction(frequency * dt)))
 
 
-@effect_force.of(Vibration)
-def vibration_force(effect: Vibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
+@compute_effect.of(Vibration)
+def apply_vibration(effect: Vibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
     share = reach(effect.region, situation)
     force, after = oscillate(effect.amplitude, effect.frequency, share, state, situation.dt)
     return scale_clamped(force, effect.direction), after
 
 
-@effect_force.of(NormalVibration)
-def normal_vibration_force(effect: NormalVibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
+@compute_effect.of(NormalVibration)
+def apply_normal_vibration(effect: NormalVibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
     force, after = oscillate(effect.amplitude, effect.frequency, situation.touched, state, situation.dt)
     return scale_clamped(force, situation.normal), after
 
@@ -201,8 +201,8 @@ def normal_vibration_force(effect: NormalVibration, state: Phase, situation: Sit
 # --- objects -------------------------------------------------------------------------------------
 
 
-@effect_force.of(Magnet)
-def magnet_force(effect: Magnet, state: None, situation: Situation) -> tuple[Vec3, None]:
+@compute_effect.of(Magnet)
+def apply_magnet(effect: Magnet, state: None, situation: Situation) -> tuple[Vec3, None]:
     """Return F (1 - gap / range)^exponent towards the nearest point of the surface.
 
     Full strength during contact: the contact's spring then balances it, without a step of the force at touchdown. The
@@ -214,7 +214,7 @@ def magnet_force(effect: Magnet, state: None, situation: Situation) -> tuple[Vec
     return scale_clamped(-effect.force * (1.0 - gap / effect.range) ** effect.exponent, situation.normal), None
 
 
-@effect_force.of(StickSlip)
+@compute_effect.of(StickSlip)
 def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> tuple[Vec3, Anchor]:
     """Return the force of a spring from the probe to an anchor on the object, along the surface.
 
@@ -241,7 +241,7 @@ def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> 
 @jit
 def apply_effects(effects: Any, states: Any, situation: Situation) -> Any:
     """Return the total force (3,) N of a tuple of effects, and their states after this tick."""
-    forces, after = unzip(map_each(effect_force, (effects, states), situation))
+    forces, after = unzip(map_each(compute_effect, (effects, states), situation))
     return fold_each(vec3.add, forces, NO_FORCE), after
 
 

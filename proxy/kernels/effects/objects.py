@@ -8,10 +8,10 @@ from softfinger.proxy.kernels.jit.tuples import fold_each, map_each, unzip
 from softfinger.proxy.kernels.model import ActiveSet, Carrier, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_out_of
-from softfinger.proxy.kernels.query.carry import carry_of, move_point
-from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.motion import moving_pose
-from softfinger.proxy.kernels.query.objects import number_of
+from softfinger.proxy.kernels.query.carry import make_carry, move_point
+from softfinger.proxy.kernels.query.container import find_object
+from softfinger.proxy.kernels.query.motion import select_moving_pose
+from softfinger.proxy.kernels.query.objects import find_scene_index
 from softfinger.proxy.kernels.shapes import closest_or_bound
 
 
@@ -32,7 +32,7 @@ def apply_objects_effects(objects: Any, states: Any, radius: float, touched: Tou
 
     states  a tuple for each Carrier of the objects
     """
-    results, after = unzip(map_each(effects_of, (objects.effects, states), objects, radius, touched, contact))
+    results, after = unzip(map_each(apply_effects_of, (objects.effects, states), objects, radius, touched, contact))
     force, unsearched = fold_each(add_forces, results, (NO_FORCE, 0.0))
     return force, after, unsearched
 
@@ -44,17 +44,17 @@ def add_forces(first: tuple[Vec3, float], second: tuple[Vec3, float]) -> tuple[V
 
 
 @jit
-def effects_of(
+def apply_effects_of(
     carrier: Carrier, states: Any, objects: Any, radius: float, touched: TouchedObjects, contact: Situation
 ) -> tuple[tuple[Vec3, float], Any]:
     """Force (3,) N of one object's effects and, as above, whether a search did not end; and their states."""
-    body = object_at(objects, carrier.row)
+    body = find_object(objects, carrier.row)
     whole = objects.body if isinstance(objects, Single) else body  # instead of one of its triangles
     gap, _, normal, unsearched = closest_or_bound(whole.shape, into(whole.pose, contact.position))
-    is_touched, normal = contact_normal_on(objects, touched.active, body.number, turn_out_of(whole.pose, normal))
-    frame, velocity = moving_pose(body.motion, body.pose), contact.velocity
+    is_touched, normal = find_contact_normal(objects, touched.active, body.scene_index, turn_out_of(whole.pose, normal))
+    frame, velocity = select_moving_pose(body.motion, body.pose), contact.velocity
     if contact.dt > 0.0:  # relative to this object
-        displacement = vec3.sub(move_point(carry_of(body), touched.before), touched.before)
+        displacement = vec3.sub(move_point(make_carry(body), touched.before), touched.before)
         velocity = vec3.add_scaled(velocity, -1.0 / contact.dt, displacement)
     situation = Situation(
         position=contact.position, velocity=velocity, dt=contact.dt, touched=is_touched, gap=gap - radius,
@@ -65,16 +65,16 @@ def effects_of(
 
 
 @jit
-def contact_normal_on(objects: Any, active: ActiveSet, number: float, normal: Vec3) -> tuple[float, Vec3]:
-    """Return 1 and the normal of the contact on object `number` of the scene file, or 0 and `normal` without one.
+def find_contact_normal(objects: Any, active: ActiveSet, scene_index: float, normal: Vec3) -> tuple[float, Vec3]:
+    """Return 1 and the normal of the contact on object `scene_index` of the scene file, or 0 and `normal` without one.
 
     The normal of the nearest surface point differs from it if the probe has passed through a thin body.
     """
     one, two, three = active
-    if number == number_of(objects, one.body):
+    if scene_index == find_scene_index(objects, one.object_index):
         return 1.0, one.normal
-    if number == number_of(objects, two.body):
+    if scene_index == find_scene_index(objects, two.object_index):
         return 1.0, two.normal
-    if number == number_of(objects, three.body):
+    if scene_index == find_scene_index(objects, three.object_index):
         return 1.0, three.normal
     return 0.0, normal

@@ -44,14 +44,14 @@ def compute_node_rows(elastic: Elastic, first: Spot, second: Spot) -> tuple[Mat3
 
 
 @jit
-def compliance_of(spot: Spot, rows: Any) -> Mat3:
+def read_compliance(spot: Spot, rows: Any) -> Mat3:
     """Return the compliance (3, 3) m/N at a spot from the `rows` of its nodes."""
     compliance = mat3.plus(mat3.ZEROS, spot.weights[0], rows[0])
     return mat3.plus(mat3.plus(compliance, spot.weights[1], rows[1]), spot.weights[2], rows[2])
 
 
 @jit
-def slope_at(first: Spot, second: Spot, rows: Any) -> Mat3:
+def compute_slope(first: Spot, second: Spot, rows: Any) -> Mat3:
     """Return the slope (3, 3) of the displacement at `first` under the load of `second` with the position of `first`.
 
     rows  of the nodes of `first` under loads at `second`
@@ -63,7 +63,7 @@ def slope_at(first: Spot, second: Spot, rows: Any) -> Mat3:
 
 
 @jit
-def slope_by(first: Spot, second: Spot, rows: Any, back: Any) -> Mat3:
+def compute_slope_by(first: Spot, second: Spot, rows: Any, back: Any) -> Mat3:
     """Return the slope (3, 3) of the displacement at `first` with the position of `second`.
 
     The load and the point of `second` change.
@@ -72,14 +72,14 @@ def slope_by(first: Spot, second: Spot, rows: Any, back: Any) -> Mat3:
     back  of the nodes of `second` under loads at `first`: by reciprocity, transposed the responses to loads on these
           nodes
     """
-    slope = mat3.product(compliance_of(first, rows), second.spring)
+    slope = mat3.product(read_compliance(first, rows), second.spring)
     for i in range(3):
         slope = mat3.plus_outer(slope, mat3.times(mat3.transpose(back[i]), second.load), second.slopes[i])
     return slope
 
 
 @jit
-def bending_under(elastic: Elastic, spot: Spot) -> tuple[float, float]:
+def find_bending(elastic: Elastic, spot: Spot) -> tuple[float, float]:
     """Return the largest rotation, rad, and strain of the body under the load of a spot: an upper bound.
 
     Those of the components of the load on each node are added, wherever in the body they are.
@@ -104,12 +104,12 @@ def linearize_both(elastic: Elastic, first: Spot, second: Spot, rows: Any, gain:
     """
     r11, r12, r22 = rows
     r21 = compute_node_rows(elastic, second, first)
-    at_first = mat3.plus(slope_at(first, first, r11), 1.0, slope_at(first, second, r12))
-    at_second = mat3.plus(slope_at(second, second, r22), 1.0, slope_at(second, first, r21))
-    a = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_first, 1.0, slope_by(first, first, r11, r11)))
-    b = mat3.plus(mat3.ZEROS, gain, slope_by(first, second, r12, r21))
-    c = mat3.plus(mat3.ZEROS, gain, slope_by(second, first, r21, r12))
-    d = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_second, 1.0, slope_by(second, second, r22, r22)))
+    at_first = mat3.plus(compute_slope(first, first, r11), 1.0, compute_slope(first, second, r12))
+    at_second = mat3.plus(compute_slope(second, second, r22), 1.0, compute_slope(second, first, r21))
+    a = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_first, 1.0, compute_slope_by(first, first, r11, r11)))
+    b = mat3.plus(mat3.ZEROS, gain, compute_slope_by(first, second, r12, r21))
+    c = mat3.plus(mat3.ZEROS, gain, compute_slope_by(second, first, r21, r12))
+    d = mat3.plus(mat3.IDENTITY, gain, mat3.plus(at_second, 1.0, compute_slope_by(second, second, r22, r22)))
     gradients = mat3.times(mat3.transpose(at_first), first.load), mat3.times(mat3.transpose(at_second), second.load)
     return (a, b, c, d), gradients
 
@@ -126,6 +126,6 @@ def invert_both(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> Blocks:
 
 
 @jit
-def times_both(blocks: Blocks, first: Vec3, second: Vec3) -> tuple[Vec3, Vec3]:
+def multiply_both(blocks: Blocks, first: Vec3, second: Vec3) -> tuple[Vec3, Vec3]:
     (a, b), (c, d) = blocks
     return vec3.add(mat3.times(a, first), mat3.times(b, second)), vec3.add(mat3.times(c, first), mat3.times(d, second))

@@ -3,8 +3,8 @@
 from math import sqrt
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.normal import normal_force_of
-from softfinger.proxy.kernels.friction.stick_slip import ROUNDING
+from softfinger.proxy.kernels.contact.normal import compute_normal_force
+from softfinger.proxy.kernels.friction.stick_slip import SLIP_TOLERANCE
 from softfinger.proxy.kernels.friction.viscous_slip import SLIP_TIME_CONSTANT_S
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -13,17 +13,17 @@ from softfinger.proxy.kernels.model.elastic import Elastic
 from softfinger.proxy.kernels.numerics import mat3, vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into
 from softfinger.proxy.kernels.numerics.mat3 import Mat3
-from softfinger.proxy.kernels.query.objects import NOBODY, closest_to_within, deepest
-from softfinger.proxy.kernels.query.world import all_bare
-from softfinger.proxy.kernels.shapes.budget import ROOM
-from softfinger.proxy.kernels.shapes.composite import EVERYWHERE
+from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_within, find_deepest
+from softfinger.proxy.kernels.query.world import strip_materials
+from softfinger.proxy.kernels.shapes.budget import QUEUE_SIZE
+from softfinger.proxy.kernels.shapes.composite import NO_LIMIT_M
 from softfinger.proxy.record import FREE, ROLLING
 
-ON_EDGE = 1e-9
+EDGE_WEIGHT = 1e-9
 """Barycentric weight below which a contact is on the edge of its facet."""
-LEAN_RAD = 1e-6
+EDGE_TILT_RAD = 1e-6
 """Angle between the contact normal and that of the facet from which the contact is on an edge."""
-LIMITED = 1e-6
+LIMITED_SHARE = 1e-6
 """Share by which the cone has to reduce the friction of a contact that sticks, beyond rounding."""
 DEPTH_STEP_M = 1e-7
 """Change of the depth by which the stiffness of the normal force is measured."""
@@ -53,13 +53,13 @@ class Spot(NamedTuple):
 
 
 @jit
-def empty_spot() -> Spot:
+def make_empty_spot() -> Spot:
     """Return a spot without load on no facet."""
-    return spot_without_load((-1, -1, -1), ZERO, mat3.ZEROS)
+    return make_unloaded_spot((-1, -1, -1), ZERO, mat3.ZEROS)
 
 
 @jit
-def spot_without_load(nodes: tuple[int, int, int], weights: Vec3, slopes: Mat3) -> Spot:
+def make_unloaded_spot(nodes: tuple[int, int, int], weights: Vec3, slopes: Mat3) -> Spot:
     return Spot(
         nodes=nodes,
         weights=weights,
@@ -72,7 +72,7 @@ def spot_without_load(nodes: tuple[int, int, int], weights: Vec3, slopes: Mat3) 
 
 
 @jit
-def spot_on(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3) -> Spot:
+def make_spot(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3) -> Spot:
     """Return the spot of a `point` (3,) m on a facet, without load; `normal` is that of the contact, world frame."""
     mesh, x, n = body.shape.row[0], into(body.pose, point), turn_into(body.pose, normal)
     first = 3 * int(facet)
@@ -89,10 +89,10 @@ def spot_on(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3
     of_a = 1.0 - of_b - of_c
     to_a = vec3.scale(-1.0, vec3.add(to_b, to_c))
     lean = vec3.cross(n, vec3.scale(sqrt(square), up))
-    if vec3.dot(lean, lean) > LEAN_RAD**2:  # the point stays on the edge, or at the corner
+    if vec3.dot(lean, lean) > EDGE_TILT_RAD**2:  # the point stays on the edge, or at the corner
         along, edges = ZERO, 0
         for weight, edge in ((of_a, vec3.sub(c, b)), (of_b, ac), (of_c, ab)):
-            if weight < ON_EDGE:
+            if weight < EDGE_WEIGHT:
                 along, edges = edge, edges + 1
         length = vec3.dot(along, along)
         scale = 1.0 / length if edges == 1 else 0.0
@@ -100,11 +100,11 @@ def spot_on(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Vec3
         to_b = vec3.scale(scale * vec3.dot(to_b, along), along)
         to_c = vec3.scale(scale * vec3.dot(to_c, along), along)
     nodes = (int(elastic.nodes[i]), int(elastic.nodes[j]), int(elastic.nodes[k]))
-    return spot_without_load(nodes, (of_a, of_b, of_c), (to_a, to_b, to_c))
+    return make_unloaded_spot(nodes, (of_a, of_b, of_c), (to_a, to_b, to_c))
 
 
 @jit
-def friction_on(law: Any, force: Vec3, normal: Vec3) -> Vec3:
+def extract_friction(law: Any, force: Vec3, normal: Vec3) -> Vec3:
     """Return the friction (3,) N in a force."""
     if law is None:
         return ZERO
@@ -112,7 +112,7 @@ def friction_on(law: Any, force: Vec3, normal: Vec3) -> Vec3:
 
 
 @jit
-def contact_spot(
+def make_contact_spot(
     elastic: Elastic, body: Any, finger: Finger, last: FingerState, state: FingerState, contact: Contact, dt: float
 ) -> Spot:
     """Return the spot of the most loaded contact, with the load of all contacts of the finger.
@@ -120,7 +120,7 @@ def contact_spot(
     last   before the tick, relative to the surface as `state` is
     state  after it
     """
-    spot = spot_on(elastic, body, state.contacts[0].body, contact.contacts[0].point, contact.normal)
+    spot = make_spot(elastic, body, state.contacts[0].object_index, contact.contacts[0].point, contact.normal)
     force = ZERO
     for k in range(3):
         force = vec3.add(force, contact.contacts[k].force)
@@ -128,15 +128,17 @@ def contact_spot(
     spot = replace(spot, "load", vec3.scale(-1.0, force))
     law, depth, out = body.material.normal, contact.penetration, vec3.dot(contact.velocity, contact.normal)
     faster = out - DEPTH_STEP_M / dt if dt > 0.0 else out
-    more = normal_force_of(law, depth + DEPTH_STEP_M, faster) - normal_force_of(law, depth, out)
+    more = compute_normal_force(law, depth + DEPTH_STEP_M, faster) - compute_normal_force(law, depth, out)
     stiffness, along, spring = more / DEPTH_STEP_M, n, mat3.ZEROS
     tangent_projection = mat3.plus_outer(mat3.IDENTITY, vec3.scale(-1.0, n), n)
-    drag = friction_on(body.material.friction, force, n)
+    drag = extract_friction(body.material.friction, force, n)
     size = vec3.norm(drag)
-    side, unlimited = unlimited_friction(finger, last, state, contact, dt)
+    side, unlimited = make_unlimited_friction(finger, last, state, contact, dt)
     length = vec3.norm(unlimited)
     stuck = mat3.plus_outer(mat3.plus(mat3.ZEROS, side, tangent_projection), vec3.scale(stiffness, n), n)
-    if length <= (1.0 + LIMITED) * size and (contact.mode == ROLLING or (size > 0.0 and not slips(last, state, dt))):
+    if length <= (1.0 + LIMITED_SHARE) * size and (
+        contact.mode == ROLLING or (size > 0.0 and not is_slipping(last, state, dt))
+    ):
         return replace(spot, "slopes", mat3.ZEROS if side > 0.0 else spot.slopes, "spring", stuck)
     if length > size > 0.0:
         spot = replace(spot, "excess", vec3.sub(turn_into(body.pose, unlimited), drag), "stuck", stuck)
@@ -159,7 +161,7 @@ def contact_spot(
 
 
 @jit
-def unlimited_friction(
+def make_unlimited_friction(
     finger: Finger, last: FingerState, state: FingerState, contact: Contact, dt: float
 ) -> tuple[float, Vec3]:
     """Return the stiffness, N/m, of the spring along the surface, and its force (3,) N, before the cone limits it.
@@ -170,17 +172,17 @@ def unlimited_friction(
     if contact.mode != ROLLING:
         moved = vec3.sub(state.probe.position, last.probe.position)
         return spring, vec3.scale(spring, vec3.reject(vec3.sub(before, moved), contact.normal))
-    if last.contacts[0].body < 0.0:
+    if last.contacts[0].object_index < 0.0:
         return 0.0, ZERO
     now, damper = state.contacts[0].deflection, finger.coupling.damping / dt if dt > 0.0 else 0.0
     return spring + damper, vec3.add_scaled(vec3.scale(spring, now), damper, vec3.sub(now, before))
 
 
 @jit
-def slips(last: FingerState, state: FingerState, dt: float) -> bool:
+def is_slipping(last: FingerState, state: FingerState, dt: float) -> bool:
     """Return True if a sliding contact slips in this tick: without slip, the filtered speed only decays."""
     decay = SLIP_TIME_CONSTANT_S / (SLIP_TIME_CONSTANT_S + dt)
-    return state.contacts[0].slip_speed > (1.0 + ROUNDING) * decay * last.contacts[0].slip_speed
+    return state.contacts[0].slip_speed > (1.0 + SLIP_TOLERANCE) * decay * last.contacts[0].slip_speed
 
 
 @jit
@@ -199,18 +201,18 @@ def hold_if_reversed(spot: Spot, error: Vec3) -> tuple[Spot, Vec3]:
 
 
 @jit
-def nearest_spot(elastic: Elastic, objects: Any, position: Vec3) -> Spot:
+def find_nearest_spot(elastic: Elastic, objects: Any, position: Vec3) -> Spot:
     """Return the spot of the surface point nearest to a finger without contact."""
-    shapes = all_bare(objects)
-    _, facet, remaining = deepest(shapes, position, EVERYWHERE, NOBODY, ROOM)
+    shapes = strip_materials(objects)
+    _, facet, remaining = find_deepest(shapes, position, NO_LIMIT_M, NO_OBJECTS, QUEUE_SIZE)
     if facet < 0.0 or remaining < 0:
-        return empty_spot()
-    _, point, normal, _ = closest_to_within(shapes, facet, position, remaining)
-    return replace(spot_on(elastic, objects.body, facet, point, normal), "slopes", mat3.ZEROS)
+        return make_empty_spot()
+    _, point, normal, _ = find_closest_within(shapes, facet, position, remaining)
+    return replace(make_spot(elastic, objects.body, facet, point, normal), "slopes", mat3.ZEROS)
 
 
 @jit
-def spot_of(
+def find_spot(
     elastic: Elastic,
     objects: Any,
     finger: Finger,
@@ -226,7 +228,7 @@ def spot_of(
            than the step, and its result hardly changes.
     """
     if contact.mode != FREE:
-        return contact_spot(elastic, objects.body, finger, last, after, contact, dt)
+        return make_contact_spot(elastic, objects.body, finger, last, after, contact, dt)
     if known.weights == ZERO:
-        return nearest_spot(elastic, objects, after.probe.position)
-    return spot_without_load(known.nodes, known.weights, mat3.ZEROS)
+        return find_nearest_spot(elastic, objects, after.probe.position)
+    return make_unloaded_spot(known.nodes, known.weights, mat3.ZEROS)

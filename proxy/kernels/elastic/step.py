@@ -4,10 +4,10 @@
 
 F is the step on the undeformed mesh, f_i the load of finger i at x_i, u_i the displacement there. So the finger's
 spring is in series with the surface, and friction, torsion and rolling act between the fingertip and the moving
-surface. Newton's method solves for u with the slopes of the load and of the contact point, at most ROUNDS times. It
-begins at the solution of the last tick, corrected for the motion of the probes with the matrix of the last tick, and
-mostly ends after one more correction. Each round steps from the state of the last tick. If it does not converge, the
-last round repeats the one with the least error, since any other may have the force of a rigid surface.
+surface. Newton's method solves for u with the slopes of the load and of the contact point, at most MAX_RIGID_STEPS
+times. It begins at the solution of the last tick, corrected for the motion of the probes with the matrix of the last
+tick, and mostly ends after one more correction. Each round steps from the state of the last tick. If it does not
+converge, the last round repeats the one with the least error, since any other may have the force of a rigid surface.
 
 Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.
 """
@@ -16,26 +16,26 @@ from math import inf
 from typing import Any
 
 from softfinger.proxy.kernels.elastic.response import (
-    bending_under,
-    compliance_of,
     compute_node_rows,
+    compute_slope,
+    compute_slope_by,
+    find_bending,
     invert_both,
     linearize_both,
-    slope_at,
-    slope_by,
-    times_both,
+    multiply_both,
+    read_compliance,
 )
-from softfinger.proxy.kernels.elastic.spots import ZERO, contact_spot, empty_spot, hold_if_reversed, spot_of
+from softfinger.proxy.kernels.elastic.spots import ZERO, find_spot, hold_if_reversed, make_contact_spot, make_empty_spot
 from softfinger.proxy.kernels.elastic.surfaces import (
-    CLOSE,
+    CORRECTION_ERROR_M,
     drive_of,
     expect,
+    move_into_surface,
     place_probe,
-    relative_to,
-    report_on,
+    report_surface,
     share_in_tick,
     shift_pose,
-    surface_after,
+    update_surface,
 )
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
@@ -46,9 +46,9 @@ from softfinger.proxy.kernels.query.world import place_all
 from softfinger.proxy.kernels.step import step_finger, step_once
 from softfinger.proxy.record import FREE
 
-ROUNDS = 8
+MAX_RIGID_STEPS = 8
 """Largest number of rigid steps of a finger in a tick."""
-SOLVED = 1e-11
+SOLVED_ERROR_M = 1e-11
 """Error of the displacement, m, below which it is not corrected: 0.01 uN for a finger of 1000 N/m."""
 
 
@@ -78,38 +78,38 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     largest = vec3.norm(motion) + vec3.norm(last.change)
     u = expect(last, vec3.sub(motion, mat3.times(inverse, drive)), largest)
     rest = vec3.scale(1.0 - gain, last.displacement)
-    before = relative_to(body, state.fingers[0], last.displacement)
+    before = move_into_surface(body, state.fingers[0], last.displacement)
     least, best = inf, u
-    for rounds_left in range(ROUNDS - 1, -1, -1):
+    for rounds_left in range(MAX_RIGID_STEPS - 1, -1, -1):
         after, contact = step_finger(finger, before, shift_pose(body, poses[0], u), scene, objects, dt)
-        spot = empty_spot()
+        spot = make_empty_spot()
         if contact.mode != FREE:
-            spot = contact_spot(elastic, body, finger, before, after, contact, dt)
+            spot = make_contact_spot(elastic, body, finger, before, after, contact, dt)
         rows = compute_node_rows(elastic, spot, spot)
-        goal = vec3.add_scaled(rest, gain, mat3.times(compliance_of(spot, rows), spot.load))
+        goal = vec3.add_scaled(rest, gain, mat3.times(read_compliance(spot, rows), spot.load))
         error = vec3.sub(goal, u)
         square = vec3.dot(error, error)
-        if rounds_left == 0 or square <= SOLVED**2:
+        if rounds_left == 0 or square <= SOLVED_ERROR_M**2:
             break
         if square < least:
             least, best = square, u
-        if rounds_left == 1 and not square <= CLOSE**2:  # also NaN
+        if rounds_left == 1 and not square <= CORRECTION_ERROR_M**2:  # also NaN
             u = best
             continue
         spot, added = hold_if_reversed(spot, error)
-        error = vec3.add_scaled(error, gain, mat3.times(compliance_of(spot, rows), added))
-        moves = mat3.plus(slope_at(spot, spot, rows), 1.0, slope_by(spot, spot, rows, rows))
+        error = vec3.add_scaled(error, gain, mat3.times(read_compliance(spot, rows), added))
+        moves = mat3.plus(compute_slope(spot, spot, rows), 1.0, compute_slope_by(spot, spot, rows, rows))
         inverse = mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves))
         u = vec3.add(u, mat3.times(inverse, error))
     slope = ZERO
     # The slope is that of the surface without damping: otherwise slow cycles would generate energy.
     if body.material.friction is None:
-        at = slope_at(spot, spot, rows)
-        matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, slope_by(spot, spot, rows, rows))
+        at = compute_slope(spot, spot, rows)
+        matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, compute_slope_by(spot, spot, rows, rows))
         slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(at), spot.load))
-    surface = surface_after(scene, finger, last, u, contact, (*bending_under(elastic, spot), square), dt)
+    surface = update_surface(scene, finger, last, u, contact, (*find_bending(elastic, spot), square), dt)
     surface = replace(surface, "inverse", (mat3.IDENTITY if contact.mode == FREE else inverse,))
-    return (place_probe(after, poses[0]),), (report_on(body, contact, surface, slope),), (surface,)
+    return (place_probe(after, poses[0]),), (report_surface(body, contact, surface, slope),), (surface,)
 
 
 @jit
@@ -120,55 +120,65 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     motion_u, drive_u = drive_of(body, last[0], state.fingers[0], poses[0], gain)
     motion_v, drive_v = drive_of(body, last[1], state.fingers[1], poses[1], gain)
     inverse = (last[0].inverse, last[1].inverse)
-    left_u, left_v = times_both(inverse, drive_u, drive_v)
+    left_u, left_v = multiply_both(inverse, drive_u, drive_v)
     largest = vec3.norm(motion_u) + vec3.norm(motion_v) + vec3.norm(last[0].change) + vec3.norm(last[1].change)
     u, v = expect(last[0], vec3.sub(motion_u, left_u), largest), expect(last[1], vec3.sub(motion_v, left_v), largest)
-    before_one = relative_to(body, state.fingers[0], last[0].displacement)
-    before_two = relative_to(body, state.fingers[1], last[1].displacement)
-    x, y = empty_spot(), empty_spot()
+    before_one = move_into_surface(body, state.fingers[0], last[0].displacement)
+    before_two = move_into_surface(body, state.fingers[1], last[1].displacement)
+    x, y = make_empty_spot(), make_empty_spot()
     least, best = inf, (u, v)
-    for rounds_left in range(ROUNDS - 1, -1, -1):
+    for rounds_left in range(MAX_RIGID_STEPS - 1, -1, -1):
         after_one, first = step_finger(fingers[0], before_one, shift_pose(body, poses[0], u), scene, objects, dt)
         after_two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
         is_loaded = first.mode != FREE or second.mode != FREE
-        x = spot_of(elastic, objects, fingers[0], before_one, after_one, first, x, dt) if is_loaded else empty_spot()
-        y = spot_of(elastic, objects, fingers[1], before_two, after_two, second, y, dt) if is_loaded else empty_spot()
+        x = (
+            find_spot(elastic, objects, fingers[0], before_one, after_one, first, x, dt)
+            if is_loaded
+            else make_empty_spot()
+        )
+        y = (
+            find_spot(elastic, objects, fingers[1], before_two, after_two, second, y, dt)
+            if is_loaded
+            else make_empty_spot()
+        )
         rows = compute_node_rows(elastic, x, x), compute_node_rows(elastic, x, y), compute_node_rows(elastic, y, y)
-        coupling = compliance_of(x, rows[1])
-        goal_u = vec3.add(mat3.times(compliance_of(x, rows[0]), x.load), mat3.times(coupling, y.load))
-        goal_v = vec3.add(mat3.times(mat3.transpose(coupling), x.load), mat3.times(compliance_of(y, rows[2]), y.load))
+        coupling = read_compliance(x, rows[1])
+        goal_u = vec3.add(mat3.times(read_compliance(x, rows[0]), x.load), mat3.times(coupling, y.load))
+        goal_v = vec3.add(mat3.times(mat3.transpose(coupling), x.load), mat3.times(read_compliance(y, rows[2]), y.load))
         error_u = vec3.sub(vec3.add_scaled(rest_u, gain, goal_u), u)
         error_v = vec3.sub(vec3.add_scaled(rest_v, gain, goal_v), v)
         square = vec3.dot(error_u, error_u) + vec3.dot(error_v, error_v)
-        if rounds_left == 0 or square <= SOLVED**2:
+        if rounds_left == 0 or square <= SOLVED_ERROR_M**2:
             break
         if square < least:
             least, best = square, (u, v)
-        if rounds_left == 1 and not square <= CLOSE**2:  # also NaN
+        if rounds_left == 1 and not square <= CORRECTION_ERROR_M**2:  # also NaN
             u, v = best
             continue
         held_x, added_x = hold_if_reversed(x, error_u)
         held_y, added_y = hold_if_reversed(y, error_v)
-        more_u = vec3.add(mat3.times(compliance_of(x, rows[0]), added_x), mat3.times(coupling, added_y))
-        more_v = vec3.add(mat3.times(mat3.transpose(coupling), added_x), mat3.times(compliance_of(y, rows[2]), added_y))
+        more_u = vec3.add(mat3.times(read_compliance(x, rows[0]), added_x), mat3.times(coupling, added_y))
+        more_v = vec3.add(
+            mat3.times(mat3.transpose(coupling), added_x), mat3.times(read_compliance(y, rows[2]), added_y)
+        )
         error_u, error_v = vec3.add_scaled(error_u, gain, more_u), vec3.add_scaled(error_v, gain, more_v)
         (a, b, c, d), _ = linearize_both(elastic, held_x, held_y, rows, gain)
         inverse = invert_both(a, b, c, d)
-        change_u, change_v = times_both(inverse, error_u, error_v)
+        change_u, change_v = multiply_both(inverse, error_u, error_v)
         u, v = vec3.add(u, change_u), vec3.add(v, change_v)
     slope_u, slope_v = ZERO, ZERO
     if body.material.friction is None:  # as for one finger
         (a, b, c, d), gradients = linearize_both(elastic, x, y, rows, 1.0)
         (a, b), (c, d) = invert_both(a, b, c, d)
         transposed = (mat3.transpose(a), mat3.transpose(c)), (mat3.transpose(b), mat3.transpose(d))
-        slope_u, slope_v = times_both(transposed, gradients[0], gradients[1])
-    bent_x, bent_y = bending_under(elastic, x), bending_under(elastic, y)
+        slope_u, slope_v = multiply_both(transposed, gradients[0], gradients[1])
+    bent_x, bent_y = find_bending(elastic, x), find_bending(elastic, y)
     measures = (bent_x[0] + bent_y[0], bent_x[1] + bent_y[1], square)
-    surface_u = surface_after(scene, fingers[0], last[0], u, first, measures, dt)
-    surface_v = surface_after(scene, fingers[1], last[1], v, second, measures, dt)
+    surface_u = update_surface(scene, fingers[0], last[0], u, first, measures, dt)
+    surface_v = update_surface(scene, fingers[1], last[1], v, second, measures, dt)
     if not is_loaded:
         inverse = ((mat3.IDENTITY, mat3.ZEROS), (mat3.ZEROS, mat3.IDENTITY))
     surface_u = replace(surface_u, "inverse", inverse[0])
     surface_v = replace(surface_v, "inverse", inverse[1])
-    contacts = (report_on(body, first, surface_u, slope_u), report_on(body, second, surface_v, slope_v))
+    contacts = (report_surface(body, first, surface_u, slope_u), report_surface(body, second, surface_v, slope_v))
     return (place_probe(after_one, poses[0]), place_probe(after_two, poses[1])), contacts, (surface_u, surface_v)

@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import turn_into, turn_out_of
 from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN, UNSOLVED
 
-CLOSE = 1e-6
+CORRECTION_ERROR_M = 1e-6
 """Error, m, below which the last round is a correction, too: it changes the force by 1 mN at 1000 N/m. A larger error
 of the last round is reported as UNSOLVED."""
 ROTATION_MAX_RAD = 10.0 * pi / 180.0
@@ -27,7 +27,7 @@ def shift_pose(body: Any, pose: Pose, surface: Vec3) -> Pose:
 
 
 @jit
-def relative_to(body: Any, state: FingerState, surface: Vec3) -> FingerState:
+def move_into_surface(body: Any, state: FingerState, surface: Vec3) -> FingerState:
     """Return the state of a finger with its probe relative to the displaced surface, where its contact is solved."""
     probe = state.probe
     moved = shift_pose(body, Pose(probe.position, probe.orientation), surface)
@@ -66,7 +66,7 @@ def share_in_tick(elastic: Elastic, dt: float) -> float:
 
 
 @jit
-def surface_after(
+def update_surface(
     scene: Scene, finger: Finger, last: Surface, displacement: Vec3, contact: Contact, measures: Any, dt: float
 ) -> Surface:
     """Return the displacement with its rate, filtered as the probe's velocity is, and the limits that are exceeded.
@@ -85,7 +85,7 @@ def surface_after(
         beyond += LARGE_ROTATION
     if measures[1] > STRAIN_MAX:
         beyond += LARGE_STRAIN
-    if not measures[2] <= CLOSE**2:  # also NaN
+    if not measures[2] <= CORRECTION_ERROR_M**2:  # also NaN
         beyond += UNSOLVED
     if contact.mode == FREE:
         return Surface(displacement, moved, last.inverse, rate, ZERO, 0.0)
@@ -93,7 +93,7 @@ def surface_after(
 
 
 @jit
-def report_on(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Contact:
+def report_surface(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Contact:
     """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added.
 
     slope  part of the force that comes from the slope of the deformed surface. A contact without friction conserves

@@ -1,8 +1,8 @@
 """Contact patch of the fingertip under a load: its size, and the torsion that follows from it.
 
-    contact_patch(patch, radius, compliance, normal_force) -> ContactPatch
-    torsion_under(torsion, area) -> torsion law of this tick
-    winding_unit(spring, area, share) -> sqrt(N m/rad)
+    compute_contact_patch(patch, radius, compliance, normal_force) -> ContactPatch
+    adapt_torsion(torsion, area) -> torsion law of this tick
+    compute_winding_unit(spring, area, share) -> sqrt(N m/rad)
 
 Assumptions: fingertip and object are incompressible, with separate shear moduli, and the object is flat compared with
 the fingertip.
@@ -19,7 +19,7 @@ HERTZ_LEVER = 3.0 * pi / 16.0
 """Mean distance of Hertz's pressure from the centre, over the patch's radius."""
 MIN_STIFFNESS = 1e-30
 """Smallest stiffness, N m/rad: a divisor, so not zero, but without a noticeable moment."""
-LEAST_SHARE = 1e-30
+MIN_SHARE = 1e-30
 """Smallest share of the load by which a stiffness is divided, for a patch without load."""
 
 
@@ -44,7 +44,7 @@ NO_PATCH = ContactPatch(radius=0.0, torsional=0.0, lever=0.0, bending=0.0, bend_
 
 
 @jit
-def contact_patch_of(a: float, lever: float, radius: float, compliance: float, normal_force: float) -> ContactPatch:
+def make_contact_patch(a: float, lever: float, radius: float, compliance: float, normal_force: float) -> ContactPatch:
     """Return a patch of the radius a, at most the fingertip's.
 
     k_z = 16/3 a^3 / (1/G_f + 1/G_o): a disc stuck to two half-spaces in series (Reissner and Sagoci, 1944), and Hertz's
@@ -58,7 +58,7 @@ def contact_patch_of(a: float, lever: float, radius: float, compliance: float, n
 
 
 @jit
-def contact_patch(patch: Any, radius: float, compliance: Any, normal_force: float) -> ContactPatch:
+def compute_contact_patch(patch: Any, radius: float, compliance: Any, normal_force: float) -> ContactPatch:
     """Return the patch of a fingertip of `radius`, m, on an object of shear compliance 1/G, m^2/N; None: no patch.
 
     HertzPatch  a^3 = 3 f_N r / (4 E*), with 1/E* = (1/G_f + 1/G_o) / 4 of incompressible bodies (Hertz, 1882)
@@ -69,28 +69,28 @@ def contact_patch(patch: Any, radius: float, compliance: Any, normal_force: floa
     both = patch.compliance + compliance
     if isinstance(patch, HertzPatch):
         a = (3.0 / 16.0 * normal_force * radius * both) ** (1.0 / 3.0)
-        return contact_patch_of(a, HERTZ_LEVER, radius, both, normal_force)
+        return make_contact_patch(a, HERTZ_LEVER, radius, both, normal_force)
     a = patch.at_newton * normal_force**patch.exponent if normal_force > 0.0 else 0.0
-    return contact_patch_of(a, patch.lever, radius, both, normal_force)
+    return make_contact_patch(a, patch.lever, radius, both, normal_force)
 
 
 @jit
-def torsion_under(torsion: Any, contact_patch: ContactPatch) -> Any:
+def adapt_torsion(torsion: Any, contact_patch: ContactPatch) -> Any:
     """Return the torsion law with the coefficients of this tick."""
     if isinstance(torsion, (LimitSurface, SoftFingerProxy)):
-        return replace(torsion, "law", spring_under(torsion.law, contact_patch))
-    return spring_under(torsion, contact_patch)
+        return replace(torsion, "law", adapt_spring(torsion.law, contact_patch))
+    return adapt_spring(torsion, contact_patch)
 
 
 @jit
-def spring_under(spring: Any, contact_patch: ContactPatch) -> Any:
+def adapt_spring(spring: Any, contact_patch: ContactPatch) -> Any:
     if isinstance(spring, PatchTorsion):
         return Torsion(contact_patch.torsional, spring.friction * contact_patch.lever)
     return spring
 
 
 @jit
-def winding_unit(spring: Any, contact_patch: ContactPatch, share: float) -> float:
+def compute_winding_unit(spring: Any, contact_patch: ContactPatch, share: float) -> float:
     """Return the factor from a wind-up to its stored form: 1, or sqrt(k_z / w) if k_z changes with the load.
 
     w is the patch's share of the load, 1 with one object. The stored energy is w / 2 times the square of phi sqrt(k_z /
@@ -98,4 +98,4 @@ def winding_unit(spring: Any, contact_patch: ContactPatch, share: float) -> floa
     wound-up finger generates no energy, and a trembling hand loses none. Nor does it grow if it is transferred along
     with the share.
     """
-    return sqrt(contact_patch.torsional / max(share, LEAST_SHARE)) if isinstance(spring, PatchTorsion) else 1.0
+    return sqrt(contact_patch.torsional / max(share, MIN_SHARE)) if isinstance(spring, PatchTorsion) else 1.0

@@ -1,11 +1,11 @@
 """Friction laws: limits of the tangential force, and their dependence on the direction.
 
-    isotropic(law) -> law                                      without the directions of an anisotropic law
-    cone(law, normal_force, slip_speed) -> static, kinetic     largest forces of an isotropic law, N
-    viscosity(law) -> s/m or None                              slope of its kinetic coefficient with the speed
-    scales(law, normal, v, breaking) -> d1, d2, s1, s2         principal directions and their scales
-    load_size(law, normal, load) -> N                          magnitude to compare with the static cone
-    cut(law, normal, longest, breaking, deflection) -> deflection, slip, length
+    remove_direction(law) -> law                                      without the directions of an anisotropic law
+    compute_cone(law, normal_force, slip_speed) -> static, kinetic     largest forces of an isotropic law, N
+    find_viscosity(law) -> s/m or None                              slope of its kinetic coefficient with the speed
+    compute_scales(law, normal, v, breaking) -> d1, d2, s1, s2         principal directions and their scales
+    measure_load(law, normal, load) -> N                          magnitude to compare with the static cone
+    cut_to_limit(law, normal, longest, breaking, deflection) -> deflection, slip, length
 
 `breaking` is 1 in the tick of the exit from the static cone; otherwise 0, which selects the kinetic cone.
 """
@@ -15,25 +15,25 @@ from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import Anisotropic, Quaternion, SpeedFriction, Vec3
+from softfinger.proxy.kernels.model import AnisotropicFriction, Quaternion, SpeedFriction, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.ellipsoid import multiplier, shrink
 
 Scales = tuple[Vec3, Vec3, float, float]
 Cut = tuple[Vec3, float, float]
 
-ALONG_NORMAL = 1e-6
+MIN_TANGENT_LENGTH = 1e-6
 """Length of a direction's tangential part below which it is considered parallel to the normal."""
 
 
 @jit
-def isotropic(law: Any) -> Any:
+def remove_direction(law: Any) -> Any:
     """Return the law in a direction of scale 1."""
-    return law.law if isinstance(law, Anisotropic) else law
+    return law.law if isinstance(law, AnisotropicFriction) else law
 
 
 @jit
-def cone(law: Any, normal_force: float, slip_speed: float) -> tuple[float, float]:
+def compute_cone(law: Any, normal_force: float, slip_speed: float) -> tuple[float, float]:
     """Return the limits of an isotropic law.
 
     SpeedFriction: mu(v) = mu_d + (mu_s - mu_d) exp(-(v / v_s)^2) + c v. Source: the general kinetic model in
@@ -41,13 +41,13 @@ def cone(law: Any, normal_force: float, slip_speed: float) -> tuple[float, float
     """
     kinetic: float = law.kinetic
     if isinstance(law, SpeedFriction):
-        drop = (law.static - law.kinetic) * remaining_drop(law.stribeck, slip_speed)
+        drop = (law.static - law.kinetic) * compute_remaining_drop(law.stribeck, slip_speed)
         kinetic = law.kinetic + drop + law.viscous * slip_speed
     return law.static * normal_force, kinetic * normal_force
 
 
 @jit
-def remaining_drop(stribeck: Any, slip_speed: float) -> float:
+def compute_remaining_drop(stribeck: Any, slip_speed: float) -> float:
     """Return the fraction of the drop from static to kinetic friction that remains at a slip speed."""
     if stribeck is None or stribeck.speed <= 0.0:
         return 0.0
@@ -56,15 +56,15 @@ def remaining_drop(stribeck: Any, slip_speed: float) -> float:
 
 
 @jit
-def viscosity(law: Any) -> Any:
+def find_viscosity(law: Any) -> Any:
     """Return the increase of an isotropic law's kinetic coefficient with the slip speed, s/m, None without one."""
     return law.viscous if isinstance(law, SpeedFriction) else None
 
 
 @jit
-def scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales:
-    if isinstance(law, Anisotropic):
-        along = surface_direction(law.direction, normal)
+def compute_scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales:
+    if isinstance(law, AnisotropicFriction):
+        along = project_direction(law.direction, normal)
         across = vec3.cross(normal, along)
         if breaking != 0.0:
             return along, across, law.static_along, law.static_across
@@ -76,14 +76,14 @@ def scales(law: Any, normal: Vec3, v: Vec3, breaking: float) -> Scales:
 
 
 @jit
-def cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
+def cut_to_limit(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
     """Project radially onto a circle, which is the nearest point; never extend, so friction only resists.
 
     With an anisotropic law, project onto the nearest point of the ellipse: the slip is then along its normal (maximum
     dissipation).
     """
-    if isinstance(law, Anisotropic):
-        return anisotropic_cut(law, normal, longest, breaking, deflection)
+    if isinstance(law, AnisotropicFriction):
+        return cut_to_ellipse(law, normal, longest, breaking, deflection)
     length = vec3.norm(deflection)
     slip = max(length - longest, 0.0)
     if slip > 0.0:
@@ -93,10 +93,10 @@ def cut(law: Any, normal: Vec3, longest: float, breaking: float, deflection: Vec
 
 
 @jit
-def load_size(law: Any, normal: Vec3, load: Vec3) -> float:
-    if not isinstance(law, Anisotropic):
+def measure_load(law: Any, normal: Vec3, load: Vec3) -> float:
+    if not isinstance(law, AnisotropicFriction):
         return vec3.norm(load)
-    along, across, s1, s2 = scales(law, normal, load, 1.0)
+    along, across, s1, s2 = compute_scales(law, normal, load, 1.0)
     a, b = vec3.dot(load, along) / s1, vec3.dot(load, across) / s2
     return sqrt(a * a + b * b)
 
@@ -104,7 +104,7 @@ def load_size(law: Any, normal: Vec3, load: Vec3) -> float:
 @jit
 def rotate_law(law: Any, rotation: Quaternion) -> Any:
     """Return the law with its directions rotated with the object."""
-    if isinstance(law, Anisotropic):
+    if isinstance(law, AnisotropicFriction):
         return replace(law, "direction", rotations.rotate(rotation, law.direction))
     return law
 
@@ -114,7 +114,7 @@ def scale_law(law: Any, factor: float) -> Any:
     """Return the law with all its coefficients multiplied by `factor`."""
     if law is None:
         return law
-    if isinstance(law, Anisotropic):
+    if isinstance(law, AnisotropicFriction):
         return replace(law, "law", scale_isotropic(law.law, factor))
     return scale_isotropic(law, factor)
 
@@ -129,14 +129,14 @@ def scale_isotropic(law: Any, factor: float) -> Any:
 
 
 @jit
-def surface_direction(direction: Vec3, normal: Vec3) -> Vec3:
+def project_direction(direction: Vec3, normal: Vec3) -> Vec3:
     """Return the unit tangent along the projection of `direction`.
 
     If that is parallel to the normal, project the coordinate axis that is closest to the tangent plane.
     """
     along = vec3.reject(direction, normal)
     length = vec3.norm(along)
-    if length < ALONG_NORMAL:
+    if length < MIN_TANGENT_LENGTH:
         x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])
         if x <= y and x <= z:
             along = vec3.reject((1.0, 0.0, 0.0), normal)
@@ -149,10 +149,10 @@ def surface_direction(direction: Vec3, normal: Vec3) -> Vec3:
 
 
 @jit
-def anisotropic_cut(law: Anisotropic, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
+def cut_to_ellipse(law: AnisotropicFriction, normal: Vec3, longest: float, breaking: float, deflection: Vec3) -> Cut:
     if longest <= 0.0:
         return (0.0, 0.0, 0.0), vec3.norm(deflection), 0.0
-    along, across, s1, s2 = scales(law, normal, deflection, breaking)
+    along, across, s1, s2 = compute_scales(law, normal, deflection, breaking)
     x, y = vec3.dot(deflection, along) / (s1 * longest), vec3.dot(deflection, across) / (s2 * longest)
     if x * x + y * y <= 1.0:
         return deflection, 0.0, vec3.norm(deflection)

@@ -9,8 +9,8 @@ last tick.
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.laws import cone, isotropic, load_size, viscosity
-from softfinger.proxy.kernels.friction.limit_surface import room
+from softfinger.proxy.kernels.friction.laws import compute_cone, find_viscosity, measure_load, remove_direction
+from softfinger.proxy.kernels.friction.limit_surface import compute_room
 from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_by_equations
 from softfinger.proxy.kernels.friction.torsion import damp_moment, wind_up
 from softfinger.proxy.kernels.friction.viscous_slip import SLIP_TIME_CONSTANT_S, slide_by_viscosity
@@ -25,7 +25,7 @@ REVERSE_SHARE = 0.1
 """Share of the deflection that must be unwound before a slide counts as reversed."""
 REVERSE_STEPS = 3.0
 """Smallest unwinding for a reversal, in encoder steps: a resting hand may flicker by up to that."""
-ROUNDING = 1e-9
+SLIP_TOLERANCE = 1e-9
 """Relative size of rounding: of a slip, as a share of the deflection; of a load, as a share of the cone and of the
 radius."""
 
@@ -55,7 +55,7 @@ def slide_freely(torsion: Any, coupling: Coupling, inputs: FrictionInput) -> Fri
 
 
 @jit
-def split(deflection: Vec3, rolled_part: Vec3) -> tuple[Vec3, Vec3]:
+def split_deflection(deflection: Vec3, rolled_part: Vec3) -> tuple[Vec3, Vec3]:
     """Return the parts of the deflection wound up by dragging (l) and by rolling (p); opposite parts cancel.
 
     The hand that follows a roll drags back exactly the deflection that rolling winds up, and both parts are zero.
@@ -72,7 +72,7 @@ def split(deflection: Vec3, rolled_part: Vec3) -> tuple[Vec3, Vec3]:
 @jit
 def limit_force(law: Any, normal: Vec3, force: Vec3, largest: float) -> Vec3:
     """Scale `force` (3,) N so that its magnitude, as measured by the law, is at most `largest` N."""
-    size = load_size(law, normal, force)
+    size = measure_load(law, normal, force)
     if size > largest:
         return vec3.scale(largest / size, force)
     return force
@@ -85,12 +85,12 @@ def limit_to_cone(law: Any, normal: Vec3, force: Vec3, normal_force: float, slip
         return (0.0, 0.0, 0.0)
     if isinstance(law, PaperFriction):
         return force
-    static_limit, kinetic_limit = cone(isotropic(law), normal_force, slip_speed)
+    static_limit, kinetic_limit = compute_cone(remove_direction(law), normal_force, slip_speed)
     return limit_force(law, normal, force, max(static_limit, kinetic_limit))
 
 
 @jit
-def start_of_sliding(
+def find_start_of_sliding(
     law: Any,
     inputs: FrictionInput,
     stiffness: float,
@@ -104,16 +104,16 @@ def start_of_sliding(
     The larger part of the load determines the cause: CAUSE_DRAG for dragging, CAUSE_THETA_MAX for rolling.
     """
     weighted_load = vec3.add_scaled(vec3.scale(stiffness, dragged), torque_stiffness, rolled_part)
-    load = load_size(law, inputs.normal, weighted_load)
+    load = measure_load(law, inputs.normal, weighted_load)
     # A finger that slid with mu_d = mu_s stops on the cone: rounding must not make it slip again.
-    if load > (1.0 + ROUNDING) * static_limit and load > ROUNDING * stiffness * inputs.radius:
+    if load > (1.0 + SLIP_TOLERANCE) * static_limit and load > SLIP_TOLERANCE * stiffness * inputs.radius:
         by_drag = stiffness * vec3.norm(dragged) >= torque_stiffness * vec3.norm(rolled_part)
         return float(CAUSE_DRAG) if by_drag else float(CAUSE_THETA_MAX)
     return float(CAUSE_NONE)
 
 
 @jit
-def end_of_sliding(
+def find_end_of_sliding(
     law: Any,
     inputs: FrictionInput,
     load: Vec3,
@@ -132,7 +132,7 @@ def end_of_sliding(
     if not has_stopped and unwinding <= max(REVERSE_SHARE * slip_deflection, REVERSE_STEPS * inputs.resolution):
         return float(CAUSE_NONE)
     # With viscous friction the load of a fast slip may exceed the static cone: the contact cannot stick yet.
-    may_stick = load_size(law, inputs.normal, load) <= (1.0 + ROUNDING) * static_limit
+    may_stick = measure_load(law, inputs.normal, load) <= (1.0 + SLIP_TOLERANCE) * static_limit
     if not may_stick:
         return float(CAUSE_NONE)
     return float(CAUSE_STOP) if has_stopped else float(CAUSE_REVERSE)
@@ -154,25 +154,27 @@ def stick_slip_by_law(
     Source: Salvietti et al. (2013), section 3.2, changed by docs/decisions/0003-state-machine.md.
     """
     stiffness = coupling.stiffness
-    whole_limit, kinetic_limit = cone(isotropic(law), inputs.normal_force, inputs.slip_speed)
-    static_limit = whole_limit * room(torsion, inputs.spin + inputs.twist, inputs.normal_force)
+    whole_limit, kinetic_limit = compute_cone(remove_direction(law), inputs.normal_force, inputs.slip_speed)
+    static_limit = whole_limit * compute_room(torsion, inputs.spin + inputs.twist, inputs.normal_force)
     mode, cause, deflection, spin, twist = inputs.mode, float(CAUSE_NONE), inputs.deflection, inputs.spin, inputs.twist
     slip_speed, slip_deflection = inputs.slip_speed, inputs.slip_deflection
-    dragged, rolled_part = split(deflection, inputs.rolled_part)
+    dragged, rolled_part = split_deflection(deflection, inputs.rolled_part)
 
     limit, breaking = -1.0, 0.0
     if mode == ROLLING:
-        cause = start_of_sliding(law, inputs, stiffness, torque_stiffness, dragged, rolled_part, static_limit)
+        cause = find_start_of_sliding(law, inputs, stiffness, torque_stiffness, dragged, rolled_part, static_limit)
         if cause != CAUSE_NONE:
             mode, limit, breaking = float(SLIDING), whole_limit, 1.0
     else:
         limit = kinetic_limit
 
     if limit >= 0.0:
-        result = slide_by_viscosity(viscosity(isotropic(law)), torsion, law, stiffness, limit, breaking, inputs)
+        result = slide_by_viscosity(
+            find_viscosity(remove_direction(law)), torsion, law, stiffness, limit, breaking, inputs
+        )
         deflection, spin, twist, length = result.deflection, result.spin, result.twist, result.length
         rolled_part = (0.0, 0.0, 0.0)
-        slips = result.slip > ROUNDING * length
+        slips = result.slip > SLIP_TOLERANCE * length
         if slips or cause != CAUSE_NONE:
             slip_deflection = length
         speed = result.slip / inputs.dt if inputs.dt > 0.0 else 0.0
@@ -182,7 +184,7 @@ def stick_slip_by_law(
             slip_speed += (speed - slip_speed) * inputs.dt / (SLIP_TIME_CONSTANT_S + inputs.dt)
             if not slips:
                 load = vec3.scale(stiffness, deflection)
-                cause = end_of_sliding(law, inputs, load, static_limit, slip_speed, slip_deflection, length)
+                cause = find_end_of_sliding(law, inputs, load, static_limit, slip_speed, slip_deflection, length)
             if cause != CAUSE_NONE:
                 mode, slip_speed = float(ROLLING), 0.0
 

@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResu
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.record import CAUSE_DRAG, CAUSE_NONE, CAUSE_STOP, CAUSE_THETA_MAX, ROLLING, SLIDING
 
-ROUNDING = 1e-9
+EQUALITY_TOLERANCE = 1e-9
 """Relative tolerance for rounding: the paper's equalities hold up to it."""
 
 
@@ -46,7 +46,10 @@ def stick_slip_by_equations(
             mode, cause = float(SLIDING), float(CAUSE_DRAG)
         elif torque_stiffness * vec3.norm(rolled) > static_limit:
             mode, cause = float(SLIDING), float(CAUSE_THETA_MAX)
-    elif stiffness * length < (1.0 - ROUNDING) * kinetic_limit and vec3.norm(change) <= ROUNDING * length:
+    elif (
+        stiffness * length < (1.0 - EQUALITY_TOLERANCE) * kinetic_limit
+        and vec3.norm(change) <= EQUALITY_TOLERANCE * length
+    ):
         mode, cause = float(ROLLING), float(CAUSE_STOP)
 
     force = vec3.scale(stiffness, deflection)

@@ -18,9 +18,9 @@ STOP_SPIN_RAD_PER_S = 0.05
 finger."""
 SPIN_REVERSE_SHARE = 0.1
 """Fraction of the wind-up that must be unwound before a spinning slip counts as reversed."""
-SPIN_ROUNDING = 1e-9
+SPIN_TOLERANCE = 1e-9
 """Relative slip below which it is rounding."""
-SLOWEST = 1e-300
+MIN_SLIP_SPEED = 1e-300
 """Smallest slip speed of a slipping anchor: not zero, which is the slip speed of one that sticks."""
 
 
@@ -34,13 +34,13 @@ class TorsionResult(NamedTuple):
 
 
 @jit
-def spring_of(torsion: Any) -> Any:
+def find_spring(torsion: Any) -> Any:
     """Return the law of the torsional spring, without the limit surface or the proxy that contains it."""
     return torsion.law if isinstance(torsion, (LimitSurface, SoftFingerProxy)) else torsion
 
 
 @jit
-def torsional_limit(spring: Any, normal_force: float) -> float:
+def compute_torsional_limit(spring: Any, normal_force: float) -> float:
     """Return the largest moment about the normal, N m, under a normal force.
 
     PowerTorsion is for a contact patch with a radius ~ f_N^gamma (Xydas and Kao, 1999; gamma = 1/3 is Hertz's).
@@ -50,17 +50,17 @@ def torsional_limit(spring: Any, normal_force: float) -> float:
 
 
 @jit
-def torsional_stiffness(spring: Any) -> float:
+def find_torsional_stiffness(spring: Any) -> float:
     """Return k_z, N m/rad.
 
     1 without torsion, for comparisons, and for a patch: its wind-up includes the root of its stiffness, see
-    `contact_patch.winding_unit`.
+    `contact_patch.compute_winding_unit`.
     """
     return 1.0 if spring is None or isinstance(spring, PatchTorsion) else spring.stiffness
 
 
 @jit
-def with_scaled_friction(torsion: Any, factor: float) -> Any:
+def scale_torsion(torsion: Any, factor: float) -> Any:
     """Return the law for friction multiplied by `factor`: the torsional limit is due to friction."""
     if isinstance(torsion, (LimitSurface, SoftFingerProxy)):
         return replace(torsion, "law", scale_limit_of_spring(torsion.law, factor))
@@ -77,18 +77,18 @@ def scale_limit_of_spring(spring: Any, factor: float) -> Any:
 
 
 @jit
-def share_of(torsion: Any, share: float) -> Any:
+def scale_stiffness(torsion: Any, share: float) -> Any:
     """Return the law with this share of the spring.
 
     The limit of every law, and the spring of a patch, follow from the normal force of the contact.
     """
     if isinstance(torsion, (LimitSurface, SoftFingerProxy)):
-        return replace(torsion, "law", share_of_spring(torsion.law, share))
-    return share_of_spring(torsion, share)
+        return replace(torsion, "law", scale_stiffness_of_spring(torsion.law, share))
+    return scale_stiffness_of_spring(torsion, share)
 
 
 @jit
-def share_of_spring(spring: Any, share: float) -> Any:
+def scale_stiffness_of_spring(spring: Any, share: float) -> Any:
     if spring is None or isinstance(spring, PatchTorsion):
         return spring
     return replace(spring, "stiffness", share * spring.stiffness)
@@ -103,7 +103,7 @@ def damp_moment(torsion: Any, damping: float, moment: float, wound: float, input
     """
     if torsion is None or damping == 0.0 or inputs.dt <= 0.0:
         return moment
-    limit = torsional_limit(spring_of(torsion), inputs.normal_force)
+    limit = compute_torsional_limit(find_spring(torsion), inputs.normal_force)
     both: float = min(max(moment - damping * wound / inputs.dt, -limit), limit)
     return both
 
@@ -118,7 +118,7 @@ def wind_up(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> To
         return TorsionResult(0.0, 0.0, 0.0, 0.0)
     if isinstance(torsion, SoftFingerProxy):
         return wind_soft_finger(torsion, spin, turn, inputs)
-    return wind_spring(spring_of(torsion), spin, turn, inputs)
+    return wind_spring(find_spring(torsion), spin, turn, inputs)
 
 
 @jit
@@ -127,8 +127,8 @@ def wind_spring(spring: Any, spin: float, turn: float, inputs: FrictionInput) ->
 
     Source: Salvietti et al. (2013), eq. 1; the paper has no limit.
     """
-    stiffness = torsional_stiffness(spring)
-    limit = torsional_limit(spring, inputs.normal_force) / stiffness
+    stiffness = find_torsional_stiffness(spring)
+    limit = compute_torsional_limit(spring, inputs.normal_force) / stiffness
     angle = min(max(spin + turn, -limit), limit)
     return TorsionResult(angle, -stiffness * angle, 0.0, 0.0)
 
@@ -145,23 +145,23 @@ def wind_soft_finger(torsion: SoftFingerProxy, spin: float, turn: float, inputs:
     Source: Barbagli, Frisoli, Salisbury, Bergamasco (2004). Differs from it in ending a slip as tangential
     friction does here (band at standstill, fraction of unwinding) and not only by the cone.
     """
-    stiffness = torsional_stiffness(torsion.law)
-    static_limit = torsional_limit(torsion.law, inputs.normal_force) / stiffness
+    stiffness = find_torsional_stiffness(torsion.law)
+    static_limit = compute_torsional_limit(torsion.law, inputs.normal_force) / stiffness
     slip_speed, slip_angle, dt = inputs.spin_slip_speed, inputs.spin_slip_angle, inputs.dt
     sticks = slip_speed == 0.0
     limit = static_limit if sticks else torsion.kinetic_share * static_limit
     angle = spin + turn
     slip = max(abs(angle) - limit, 0.0)
     angle = min(max(angle, -limit), limit)
-    slips = slip > SPIN_ROUNDING * limit
+    slips = slip > SPIN_TOLERANCE * limit
     speed = slip / dt if dt > 0.0 else 0.0
     if sticks:
         if slips:
-            slip_speed, slip_angle = max(speed, SLOWEST), abs(angle)
+            slip_speed, slip_angle = max(speed, MIN_SLIP_SPEED), abs(angle)
     else:
         if slips:
             slip_angle = abs(angle)
-        slip_speed = max(slip_speed + (speed - slip_speed) * dt / (SPIN_SLIP_TIME_CONSTANT_S + dt), SLOWEST)
+        slip_speed = max(slip_speed + (speed - slip_speed) * dt / (SPIN_SLIP_TIME_CONSTANT_S + dt), MIN_SLIP_SPEED)
         has_stopped = slip_speed < STOP_SPIN_RAD_PER_S
         has_reversed = slip_angle - abs(angle) > SPIN_REVERSE_SHARE * slip_angle
         if not slips and (has_stopped or has_reversed):

@@ -6,7 +6,7 @@ changed the limit by more than the force of the coupling.
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.laws import scales
+from softfinger.proxy.kernels.friction.laws import compute_scales
 from softfinger.proxy.kernels.friction.limit_surface import Slide, slide
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import FrictionInput
@@ -14,9 +14,9 @@ from softfinger.proxy.kernels.model import FrictionInput
 SLIP_TIME_CONSTANT_S = 0.010
 """Time constant of the low-pass of the plastic slip speed: shorter than the period of a tremor, longer than that of the
 encoder steps."""
-ROUNDS = 12
+MAX_SECANT_STEPS = 12
 """Largest number of secant steps for the force limit."""
-ROUNDING = 1e-12
+LIMIT_TOLERANCE = 1e-12
 """Relative error of the force limit at which they end."""
 
 
@@ -40,10 +40,10 @@ def slide_by_viscosity(
     limit = without_slip
     result = slide(torsion, law, stiffness, limit, breaking, inputs)
     excess = slope * result.slip
-    _, _, s1, s2 = scales(law, inputs.normal, inputs.deflection, breaking)
+    _, _, s1, s2 = compute_scales(law, inputs.normal, inputs.deflection, breaking)
     step = excess / (1.0 + max(s1, s2) * slope / stiffness)
-    for _ in range(ROUNDS):
-        if abs(excess) <= ROUNDING * limit:
+    for _ in range(MAX_SECANT_STEPS):
+        if abs(excess) <= LIMIT_TOLERANCE * limit:
             break
         limit += step
         result = slide(torsion, law, stiffness, limit, breaking, inputs)

@@ -21,7 +21,7 @@ from numba.core import cgutils
 from numba.extending import NativeValue, lower_builtin, models, register_model, type_callable, typeof_impl, unbox
 from numpy.typing import ArrayLike, NDArray
 
-KINDS: Final = ("float64", "float32", "int64", "int32")
+ARRAY_TYPES: Final = ("float64", "float32", "int64", "int32")
 
 
 class ReadOnly:
@@ -30,7 +30,7 @@ class ReadOnly:
     Parameters
     ----------
     values
-        Array of any shape with a dtype of KINDS; copied in row-major order.
+        Array of any shape with a dtype of ARRAY_TYPES; copied in row-major order.
 
     Raises
     ------
@@ -46,8 +46,8 @@ class ReadOnly:
 
     def __init__(self, values: ArrayLike) -> None:
         array: NDArray[Any] = np.array(values, order="C").ravel()
-        if array.dtype.name not in KINDS or not array.dtype.isnative:
-            raise TypeError(f"an array of {array.dtype}: a scene can contain arrays of {', '.join(KINDS)}")
+        if array.dtype.name not in ARRAY_TYPES or not array.dtype.isnative:
+            raise TypeError(f"an array of {array.dtype}: a scene can contain arrays of {', '.join(ARRAY_TYPES)}")
         array.setflags(write=False)
         self.array = array
         self.address = int(array.ctypes.data)

@@ -8,26 +8,21 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core.cgutils import get_item_pointer
 from numba.extending import intrinsic
 
-
-def _element(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-    array_type = signature.args[0]
-    array = context.make_array(array_type)(context, builder, args[0])
-    return get_item_pointer(context, builder, array_type, array, [args[1]])
+from softfinger.proxy.kernels.jit.memory import element_pointer
 
 
 def _load(ordering: str) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.load_atomic(_element(context, builder, signature, args), ordering, 8)
+        return builder.load_atomic(element_pointer(context, builder, signature, args), ordering, 8)
 
     return generate
 
 
 def _store(ordering: str) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.store_atomic(args[2], _element(context, builder, signature, args), ordering, 8)
+        builder.store_atomic(args[2], element_pointer(context, builder, signature, args), ordering, 8)
         return context.get_dummy_value()
 
     return generate

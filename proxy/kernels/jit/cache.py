@@ -26,7 +26,7 @@ from numba import types
 
 MAGIC: Final = b"softfinger kernel 1\n"
 LINKS_MAX: Final = 40
-OWN_FOLDER: Final = "set SOFTFINGER_CACHE_DIR to a folder that belongs to you"
+FOLDER_REMEDY: Final = "set SOFTFINGER_CACHE_DIR to a folder that belongs to you"
 
 _PROGRAM: Final = f"{Path(__file__).parents[3]}{os.sep}"
 
@@ -41,7 +41,7 @@ _OWN_FILE: Final = f"{_PROGRAM}config{os.sep}package.py"
 log: Final = logging.getLogger(__name__)
 
 
-class Unsound(Exception):
+class UntrustedCache(Exception):
     """Reason why a folder or a file is not used; the message includes the remedy."""
 
 
@@ -63,12 +63,12 @@ class Folder:
         if not self._looked:
             try:
                 if self.path is None:
-                    raise Unsound(f"this user has no home folder: {OWN_FOLDER}")
+                    raise UntrustedCache(f"this user has no home folder: {FOLDER_REMEDY}")
                 make_private(self.path)
-            except Unsound as error:
+            except UntrustedCache as error:
                 self._problem = str(error)
             except (OSError, ValueError) as error:
-                self._problem = f"{self.path} cannot be created: {_reason(error)}: {OWN_FOLDER}"
+                self._problem = f"{self.path} cannot be created: {_reason(error)}: {FOLDER_REMEDY}"
             self._looked = True  # last: another thread that reads True trusts the folder
         return self._problem
 
@@ -82,10 +82,10 @@ class Folder:
             head = len(MAGIC) + hashlib.sha256().digest_size
             body = data[head:]
             if data[:head] != MAGIC + hashlib.sha256(body).digest():
-                raise Unsound("damaged")
+                raise UntrustedCache("damaged")
         except FileNotFoundError:
             return None
-        except (Unsound, OSError) as error:
+        except (UntrustedCache, OSError) as error:
             self.reject(name, error)
             return None
         return body
@@ -93,17 +93,17 @@ class Folder:
     def opened(self, name: str) -> IO[bytes]:
         """Open a cached file for reading.
 
-        Raises FileNotFoundError, OSError, or Unsound if other users can write to it.
+        Raises FileNotFoundError, OSError, or UntrustedCache if other users can write to it.
         """
         why = self.problem()
         if why is not None or self.path is None:
-            raise Unsound(why)
+            raise UntrustedCache(why)
         path = self.path / name
         fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         status = os.fstat(fd)
         if not stat.S_ISREG(status.st_mode) or _complaint(status, path) is not None:
             os.close(fd)
-            raise Unsound("not a file that only this user can write")
+            raise UntrustedCache("not a file that only this user can write")
         return open(fd, "rb")
 
     def reject(self, name: str, why: Exception) -> None:
@@ -124,7 +124,7 @@ class Folder:
                     file.writelines(parts)
                 os.replace(part, self.path / name)
             except OSError as error:
-                self._problem = f"{self.path} cannot be written to: {_reason(error)}: make room, or {OWN_FOLDER}"
+                self._problem = f"{self.path} cannot be written to: {_reason(error)}: make room, or {FOLDER_REMEDY}"
                 part.unlink(missing_ok=True)
         if self._problem is not None and not self._said:
             self._said = True
@@ -134,8 +134,8 @@ class Folder:
 def make_private(folder: Path) -> None:
     """Create a folder that no other user can change, including missing parents.
 
-    Raises Unsound if that is not possible. The path is checked from the root down: no other user can change a checked
-    folder, so the entries below it cannot be exchanged after their check.
+    Raises UntrustedCache if that is not possible. The path is checked from the root down: no other user can change a
+    checked folder, so the entries below it cannot be exchanged after their check.
     """
     at, parts, links = Path("/"), list(reversed(folder.absolute().parts[1:])), 0
     _check(os.lstat(at), at)
@@ -152,32 +152,32 @@ def make_private(folder: Path) -> None:
         if stat.S_ISLNK(status.st_mode):
             links += 1
             if links > LINKS_MAX:
-                raise Unsound(f"{folder}: links without end: {OWN_FOLDER}")
+                raise UntrustedCache(f"{folder}: links without end: {FOLDER_REMEDY}")
             target = Path(os.readlink(at))
             parts += reversed(target.parts[1:] if target.is_absolute() else target.parts)
             at = Path("/") if target.is_absolute() else at.parent
         elif not stat.S_ISDIR(status.st_mode):
-            raise Unsound(f"{at} is not a folder: {OWN_FOLDER}")
+            raise UntrustedCache(f"{at} is not a folder: {FOLDER_REMEDY}")
     if why := _complaint(status, at):
-        raise Unsound(why)
+        raise UntrustedCache(why)
 
 
 def _check(status: os.stat_result, path: Path) -> None:
-    """Raise Unsound if another user could replace this part of a path.
+    """Raise UntrustedCache if another user could replace this part of a path.
 
     Others may write to a sticky folder: they can neither move nor remove our entries in it.
     """
     sticky = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
     why = _complaint(status, path, 0 if sticky or stat.S_ISLNK(status.st_mode) else stat.S_IWGRP | stat.S_IWOTH)
     if why is not None:
-        raise Unsound(why)
+        raise UntrustedCache(why)
 
 
 def _complaint(status: os.stat_result, path: Path, forbidden: int = stat.S_IWGRP | stat.S_IWOTH) -> str | None:
     if status.st_uid not in (0, os.geteuid()):
-        return f"{path} belongs to user {status.st_uid}, who could replace the kernels: {OWN_FOLDER}"
+        return f"{path} belongs to user {status.st_uid}, who could replace the kernels: {FOLDER_REMEDY}"
     if status.st_mode & forbidden:
-        return f"{path} can be written by other users: chmod go-w it, or {OWN_FOLDER}"
+        return f"{path} can be written by other users: chmod go-w it, or {FOLDER_REMEDY}"
     return None
 
 
@@ -185,7 +185,7 @@ def _reason(error: Exception) -> str:
     return str(error.strerror if isinstance(error, OSError) and error.strerror else error)
 
 
-WRITTEN: Final[dict[Any, dict[str, str | None]]] = {}
+KERNEL_SOURCES: Final[dict[Any, dict[str, str | None]]] = {}
 """Source files outside of this program with the kernels of each kind of node, and their `sources_of`."""
 
 
@@ -198,7 +198,7 @@ def written_in(kind: Any, file: str) -> None:
     module = getattr(sys.modules.get(getattr(kind, "__module__", "")), "__file__", None)
     for name in {file, file if module is None else module}:
         if not name.startswith(_PROGRAM):
-            WRITTEN.setdefault(kind, {})[name] = sources_of(name)
+            KERNEL_SOURCES.setdefault(kind, {})[name] = sources_of(name)
 
 
 def kinds_in(signature: Any) -> list[Any]:

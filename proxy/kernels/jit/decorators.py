@@ -30,7 +30,7 @@ from softfinger.proxy.kernels.jit.compiler.numba_internals import (
     WITHOUT_ALLOCATOR,
     WITHOUT_WRAPPERS,
     CFunction,
-    Inlined,
+    InlinedKernel,
     KernelCache,
     UnitCompiler,
 )
@@ -67,7 +67,7 @@ _ROOT: Final = _cache_root()
 CACHE_DIR: Final = None if _ROOT is None else _ROOT / _fingerprint()
 """Cache folder of this version's compiled kernels, None without one; `SOFTFINGER_CACHE_DIR` moves it."""
 
-KEPT: Final = Folder(CACHE_DIR)
+KERNEL_FOLDER: Final = Folder(CACHE_DIR)
 
 OPTIONS: Final = {"error_model": "numpy", "nogil": True} | WITHOUT_ALLOCATOR | WITHOUT_WRAPPERS
 """Options of all kernels. No allocator and no reference counts: a kernel that would allocate does not compile. No C
@@ -114,7 +114,7 @@ def jit(function: Kernel) -> Kernel:
     """Compile a kernel into its callers; use `outlined` for one that is too large for that."""
     if PLAIN:
         return function
-    return cast(Kernel, Inlined(function, INLINED, KernelCache(function, KEPT, "inlined"), entry))
+    return cast(Kernel, InlinedKernel(function, INLINED, KernelCache(function, KERNEL_FOLDER, "inlined"), entry))
 
 
 def entry(function: Kernel) -> Kernel:
@@ -122,7 +122,7 @@ def entry(function: Kernel) -> Kernel:
     if PLAIN:
         return function
     compiled: Any = numba.njit(pipeline_class=UnitCompiler, **OPTIONS)(function)
-    compiled._cache = KernelCache(function, KEPT)
+    compiled._cache = KernelCache(function, KERNEL_FOLDER)
     return cast(Kernel, compiled)
 
 
@@ -135,7 +135,7 @@ def c_function(signature: Any, on_demand: bool = False) -> Callable[[Callable[..
 
     def decorate(function: Callable[..., Any]) -> Any:
         # Without a cache in plain Python: access to an address must fail, even with a cached function.
-        compiled: Any = CFunction(function, signature, None if PLAIN else KernelCache(function, KEPT, "c"))
+        compiled: Any = CFunction(function, signature, None if PLAIN else KernelCache(function, KERNEL_FOLDER, "c"))
         if not on_demand and not PLAIN:
             compiled.compile()
         return compiled

@@ -14,7 +14,7 @@ from types import NoneType
 from typing import Any, Final
 
 from softfinger.proxy.kernels.jit.cache import written_in
-from softfinger.proxy.kernels.jit.compiler.numba_internals import Choice
+from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelChoice
 from softfinger.proxy.kernels.jit.compiler.passes import class_of
 from softfinger.proxy.kernels.jit.decorators import PLAIN, jit
 
@@ -78,7 +78,7 @@ def by_type(declaration: Callable[..., Any]) -> Any:
     if PLAIN:
         choice = _forwarding(declaration, chosen)
     else:
-        choice = Choice(
+        choice = KernelChoice(
             declaration,
             lambda node, *rest: kernel_for(class_of(node)),
             lambda node, *rest: chosen[type(node)](node, *rest),

@@ -49,7 +49,8 @@ def _exchange(typing_context: Any, address: Any, value: Any) -> Any:
     return types.int64(types.int64, types.int64), build
 
 
-def _element(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+def element_pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Return the pointer to an element, from an array and an index, the first two arguments of an intrinsic."""
     kind = signature.args[0]
     array = context.make_array(kind)(context, builder, arguments[0])
     return get_item_pointer(context, builder, kind, array, list(arguments[1:2]))
@@ -57,7 +58,7 @@ def _element(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 def _address_of(typing_context: Any, array: Any, index: Any) -> Any:
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.ptrtoint(_element(context, builder, signature, arguments), ir.IntType(64))
+        return builder.ptrtoint(element_pointer(context, builder, signature, arguments), ir.IntType(64))
 
     return types.int64(array, types.intp), build
 
@@ -82,7 +83,7 @@ def _put_big_endian(typing_context: Any, array: Any, index: Any, value: Any) -> 
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         word = ir.IntType(64)
-        pointer = builder.bitcast(_element(context, builder, signature, arguments), ir.PointerType(word))
+        pointer = builder.bitcast(element_pointer(context, builder, signature, arguments), ir.PointerType(word))
         builder.store(builder.bswap(builder.bitcast(arguments[2], word)), pointer, align=1)
         return context.get_dummy_value()
 

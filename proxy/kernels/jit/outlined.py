@@ -30,8 +30,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from softfinger.proxy.kernels.jit.compiler.numba_internals import Choice, link_unit
-from softfinger.proxy.kernels.jit.decorators import KEPT, PLAIN, entry, jit
+from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelChoice, link_unit
+from softfinger.proxy.kernels.jit.decorators import KERNEL_FOLDER, PLAIN, entry, jit
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -78,7 +78,7 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
 
     @functools.cache
     def symbol_for(given: types.Type, result: types.Type) -> str:
-        return link_unit(function, KEPT, given, lambda: in_and_out(inner, given, result))
+        return link_unit(function, KERNEL_FOLDER, given, lambda: in_and_out(inner, given, result))
 
     @intrinsic
     def call_unit(typing_context, *args):  # type: ignore[no-untyped-def]
@@ -99,7 +99,7 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
 
         return result(*args), generate
 
-    choice: Any = Choice(
+    choice: Any = KernelChoice(
         function, lambda *args: call_unit if holds(*args) else inner, lambda *args: from_python()(*args)
     )
     return choice

@@ -52,7 +52,7 @@ def unflatten(like: Any, values: Any) -> Any:
     return build(like)
 
 
-class Packed(NamedTuple):
+class PackedTree(NamedTuple):
     """Tree in the form of kernel arguments, which `unpack` reads and `pack` writes.
 
     like    tree of the same type
@@ -69,15 +69,15 @@ class Packed(NamedTuple):
         return repack, (self.like, self.values)
 
 
-def repack(like: Any, values: np.ndarray) -> Packed:
+def repack(like: Any, values: np.ndarray) -> PackedTree:
     """Return `values` as the leaves of `like`, with the addresses of its arrays."""
     rows = [flatten(unflatten(like, row)) for row in np.atleast_2d(values)]
-    return Packed(like, np.reshape(rows, values.shape))
+    return PackedTree(like, np.reshape(rows, values.shape))
 
 
-def packed(tree: Any) -> Packed:
+def packed(tree: Any) -> PackedTree:
     """Return `tree` with a copy of its leaves as float64."""
-    return Packed(tree, flatten(tree))
+    return PackedTree(tree, flatten(tree))
 
 
 def _check(tree: types.Type) -> None:

@@ -27,15 +27,15 @@ from softfinger.proxy.kernels.jit.memory import int32_at, uint8_at
 
 JUMP_BYTES: Final = 1024
 """Size reserved for a jmp_buf: 200 bytes with glibc on x86-64, 312 on AArch64."""
-SAID_BYTES: Final = 256
-RESCUE_BYTES: Final = JUMP_BYTES + SAID_BYTES
+MESSAGE_BYTES: Final = 256
+RESCUE_BYTES: Final = JUMP_BYTES + MESSAGE_BYTES
 RESCUE_ALIGNMENT: Final = 16
 """Alignment of the memory of `call_rescued`: the target of the jump, then the error message, zero-terminated."""
 
 KEY_SYMBOL: Final = "softfinger_rescue_key"
 LOG_ERROR: Final = 3
 """Level of an error message (mjtLogLevel); a message starts with its level, int32."""
-SUBJECT: Final = 8
+TEXT_OFFSET: Final = 8
 """Offset of the text in a message (mjLogMessage)."""
 
 _key: Final = ctypes.c_uint32()
@@ -119,8 +119,8 @@ def jump_on_error(message: int) -> None:
     memory = _getspecific(_rescue_key())
     while memory == 0:
         _pause()
-    text, words = uint8_at(memory + JUMP_BYTES), uint8_at(message + SUBJECT)
-    for i in range(SAID_BYTES - 1):
+    text, words = uint8_at(memory + JUMP_BYTES), uint8_at(message + TEXT_OFFSET)
+    for i in range(MESSAGE_BYTES - 1):
         text[i] = words[i]
         text[i + 1] = 0
         if words[i] == 0:

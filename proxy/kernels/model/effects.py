@@ -24,7 +24,7 @@ class SphereRegion(NamedTuple):
     edge: float
 
 
-class Touching(NamedTuple):
+class TouchCondition(NamedTuple):
     """Condition of an effect: it acts with `share` (0 to 1) of its strength while the object is touched."""
 
     share: float

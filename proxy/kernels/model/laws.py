@@ -49,7 +49,7 @@ class SpeedFriction(NamedTuple):
     viscous: float
 
 
-class Anisotropic(NamedTuple):
+class AnisotropicFriction(NamedTuple):
     """Friction law with coefficients scaled along a direction of the surface and across it.
 
     law        Friction or SpeedFriction

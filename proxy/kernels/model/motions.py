@@ -49,7 +49,7 @@ class Motion(NamedTuple):
 
 NO_BLOCK = ReadOnly(np.zeros(1, np.int64))
 """Placeholder for the addresses of a simulation."""
-AT_REST = Motion(
+NO_MOTION = Motion(
     kind=STILL,
     block=NO_BLOCK,
     body=0.0,

@@ -23,20 +23,20 @@ class Material(NamedTuple):
 class Object(NamedTuple):
     """Element of a scene: one shape with pose, material and effects.
 
-    shape     in the frame of `pose`
-    pose      None (shape in the world), Place or Pose; Pose if it moves
-    motion    None, or the law of its motion
-    material  Material, with the same types of laws for all objects of a scene
-    number    index of its entry in the scene file; several shapes may form one object
-    was       Pose at the last tick of an object that can move; None otherwise, and in a Scene (set in each tick)
-    texture   Texture or None; its coordinates are in the frame of `pose`
+    shape        in the frame of `pose`
+    pose         None (shape in the world), Place or Pose; Pose if it moves
+    motion       None, or the law of its motion
+    material     Material, with the same types of laws for all objects of a scene
+    scene_index  index of its entry in the scene file; several shapes may form one object
+    was          Pose at the last tick of an object that can move; None otherwise, and in a Scene (set in each tick)
+    texture      Texture or None; its coordinates are in the frame of `pose`
     """
 
     shape: Any
     pose: Any
     motion: Any
     material: Material
-    number: float
+    scene_index: float
     was: Any = None
     texture: Any = None
 
@@ -51,33 +51,33 @@ class Carrier(NamedTuple):
 class Entry(NamedTuple):
     """Shape, place and normal law of one of many objects.
 
-    shape   AnyShape in the frame of `pose`
-    pose    Pose at rest
-    motion  Motion
-    normal  law of the normal force, of the same type for all objects of a scene
-    number  of the object in the scene file
+    shape        AnyShape in the frame of `pose`
+    pose         Pose at rest
+    motion       Motion
+    normal       law of the normal force, of the same type for all objects of a scene
+    scene_index  index of the object in the scene file
     """
 
     shape: AnyShape
     pose: Pose
     motion: Motion
     normal: Any
-    number: float
+    scene_index: float
 
 
-class Smooth(NamedTuple):
+class SmoothSearch(NamedTuple):
     """Type of the search in a scene without meshes and height maps."""
 
     meshes: float
 
 
-class Faceted(NamedTuple):
+class FacetedSearch(NamedTuple):
     """Type of the search in a scene with meshes, but without height maps."""
 
     meshes: float
 
 
-class Creased(NamedTuple):
+class CreasedSearch(NamedTuple):
     """Type of the search in a scene with height maps; `meshes`, the number of meshes, may be 0."""
 
     meshes: float
@@ -87,15 +87,15 @@ class Single(NamedTuple):
     """The only object of a scene, of a shape that is known when the scene is compiled.
 
     effects  tuple of Carrier, one or none
-    search   Smooth, Faceted or Creased
+    search   SmoothSearch, FacetedSearch or CreasedSearch
     """
 
     body: Object
     effects: Any = ()
-    search: Any = Smooth(0.0)
+    search: Any = SmoothSearch(0.0)
 
 
-class Tip(NamedTuple):
+class FingertipForm(NamedTuple):
     """Form of an ellipsoidal fingertip in a tick.
 
     semi_axes    m
@@ -116,12 +116,12 @@ class Many(NamedTuple):
     entries    Rows of Entry
     size       number of entries
     movers     int64 rows of entries that can move; `moving` is their number
-    search     Smooth, Faceted or Creased
+    search     SmoothSearch, FacetedSearch or CreasedSearch
     materials  Rows of Material without the normal law, None among bare objects
     textures   Rows of Texture, with 0 columns for an object without one; None in a scene without textures
     effects    tuple of Carrier
     poses      in a tick the World's memory of objects that can move, in a scene None
-    tip        in a tick the Tip of an ellipsoidal fingertip, else None
+    tip        in a tick the FingertipForm of an ellipsoidal fingertip, else None
     """
 
     entries: Any

@@ -38,13 +38,13 @@ NONE = -1.0
 class Constraint(NamedTuple):
     """Tangent plane of an object, offset by the fingertip's radius, that the proxy may not cross.
 
-    body    flat index of the object, -1 for none: it counts through the scene's tuple, its rows and mesh triangles
-    normal  (3,) 1
-    depth   m, of the probe behind the proxy along the normal: the sum of the normals, weighted by it, points from the
-            probe to the proxy
+    object_index      flat index of the object, -1 for none: its row, and the triangle of a mesh (`query.container`)
+    normal        (3,)
+    depth         m   of the probe behind the proxy along the normal: the sum of the normals, weighted by it, points
+                      from the probe to the proxy
     """
 
-    body: float
+    object_index: float
     normal: Vec3
     depth: float
 
@@ -57,14 +57,14 @@ During the search for the rest position, a height map may have several of them, 
 class ContactState(NamedTuple):
     """State of one contact between ticks.
 
-    body             flat index of the touched object as in `Constraint`, -1 for no contact
+    object_index     flat index of the touched object as in `Constraint`, -1 for no contact
     normal           n: outward unit normal of the object at the contact point
     push             m, distance along n by which the object separates the proxy from the probe
     share            of the load, 0 to 1: the contact has this share of the coupling and of the torsional spring
     mode             FREE, ROLLING or SLIDING
     deflection       e: tangential, from the probe to the point where the contact sticks
     rolled_part      p: the part of e wound up by rolling
-    spin             phi: torsional wind-up, rad; with a contact patch in the unit of `contact_patch.winding_unit`
+    spin             phi: torsional wind-up, rad; with a contact patch in the unit of `compute_winding_unit`
     slip_speed       low-passed plastic slip, m/s
     slip_deflection  |e| at the last tick that slipped, m
     spin_slip_speed  low-passed slip of the torsional anchor, rad/s; 0 while it sticks (soft-finger proxy only)
@@ -72,7 +72,7 @@ class ContactState(NamedTuple):
     bend             wind-up against rolling, tangential: rad times the root of its stiffness per share
     """
 
-    body: float
+    object_index: float
     normal: Vec3
     push: float
     share: float
@@ -88,7 +88,7 @@ class ContactState(NamedTuple):
 
 
 NO_CONTACT = ContactState(
-    body=-1.0,
+    object_index=-1.0,
     normal=(0.0, 0.0, 1.0),
     push=0.0,
     share=0.0,
@@ -114,7 +114,7 @@ class FingerState(NamedTuple):
     center           the proxy; with several objects the one not displaced by friction
     contacts         tuple of ContactState: one in a scene of one object, otherwise three, the most loaded first
     rolled           roll angle since touch, rad
-    stuck            count of consecutive ticks without a rest position, see `approach.stuck_ticks`
+    stuck            count of consecutive ticks without a rest position, see `approach.count_stuck_ticks`
     effects          states of the effects of the workspace and of every object. They are separate for each finger,
                      including the phase of a vibration, which remains at its start while the finger is out of reach
     """

@@ -12,11 +12,11 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
-PARALLEL = 1e-9
+PARALLEL_SQUARED_SINE = 1e-9
 """Squared sine of the angle between two normals below which they count as one."""
-SLACK = 1e-12
+DEMAND_TOLERANCE = 1e-12
 """Violation of a constraint that counts as rounding of the solve, as a share of the demands' sum."""
-FACING = -0.98
+FACING_COSINE = -0.98
 """Cosine between two normals below which their walls face each other (at most 11 degrees from parallel). The fingertip
 is then pinched between them, not pushed out of the wedge: a friction coefficient of 0.1 is enough to hold it."""
 
@@ -59,13 +59,13 @@ def _solve(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Vec
     The problem is convex, so that set is the solution. False if no set satisfies them. With `count` 2, the third
     normal and demand are copies of the second.
     """
-    slack = SLACK * (abs(b1) + abs(b2) + abs(b3))
+    slack = DEMAND_TOLERANCE * (abs(b1) + abs(b2) + abs(b3))
     # The full set first: it is the active set of a proxy at rest, and no other has to be tried then.
     c12, c13, c23 = c
     if count == 3:
         # Cramer's rule on the Gram matrix.
         volume = 1.0 + 2.0 * c12 * c13 * c23 - c12 * c12 - c13 * c13 - c23 * c23
-        if volume > PARALLEL:
+        if volume > PARALLEL_SQUARED_SINE:
             scale = 1.0 / volume
             push = (
                 scale * (b1 * (1.0 - c23 * c23) - b2 * (c12 - c13 * c23) - b3 * (c13 - c12 * c23)),
@@ -74,18 +74,18 @@ def _solve(count: int, c: Cosines, b1: float, b2: float, b3: float) -> tuple[Vec
             )
             if push[0] >= 0.0 and push[1] >= 0.0 and push[2] >= 0.0:
                 return push, True
-    if 1.0 - c12 * c12 > PARALLEL:
+    if 1.0 - c12 * c12 > PARALLEL_SQUARED_SINE:
         one, two = _pair(c12, b1, b2)
         push = (one, two, 0.0)
         if not _violates(push, c, b1, b2, b3, slack):
             return push, True
     if count == 3:
-        if 1.0 - c13 * c13 > PARALLEL:
+        if 1.0 - c13 * c13 > PARALLEL_SQUARED_SINE:
             one, three = _pair(c13, b1, b3)
             push = (one, 0.0, three)
             if not _violates(push, c, b1, b2, b3, slack):
                 return push, True
-        if 1.0 - c23 * c23 > PARALLEL:
+        if 1.0 - c23 * c23 > PARALLEL_SQUARED_SINE:
             two, three = _pair(c23, b2, b3)
             push = (0.0, two, three)
             if not _violates(push, c, b1, b2, b3, slack):
@@ -115,7 +115,7 @@ class HalfSpaceSolution(NamedTuple):
 @jit
 def _weights_between(c: float, first: float, second: float, b1: float, b2: float) -> tuple[float, float]:
     """Return the weights of two normals in `place`: halfway between walls that face each other and leave no room."""
-    if c < FACING and b1 + b2 > 0.0:
+    if c < FACING_COSINE and b1 + b2 > 0.0:
         return 0.5 * b1, 0.5 * b2
     return first, second
 
@@ -126,11 +126,11 @@ def _ease_demands(c: float, b1: float, b2: float) -> tuple[float, float]:
 
     `c` is the cosine between the normals.
     """
-    if c < 0.0 or 1.0 - c * c > PARALLEL:
+    if c < 0.0 or 1.0 - c * c > PARALLEL_SQUARED_SINE:
         return b1, b2
     if b1 >= b2:
-        return b1, min(b2, b1 - PARALLEL * abs(b1))
-    return min(b1, b2 - PARALLEL * abs(b2)), b2
+        return b1, min(b2, b1 - PARALLEL_SQUARED_SINE * abs(b1))
+    return min(b1, b2 - PARALLEL_SQUARED_SINE * abs(b2)), b2
 
 
 @jit
@@ -151,8 +151,8 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
         n3, b3 = n2, b2
     true = Cosines(vec3.dot(n1, n2), vec3.dot(n1, n3), vec3.dot(n2, n3))
     # Of two walls that face each other, neither bears any of the other's load.
-    c12, c13 = 0.0 if true.c12 < FACING else true.c12, 0.0 if true.c13 < FACING else true.c13
-    c = Cosines(c12, c13, 0.0 if true.c23 < FACING else true.c23)
+    c12, c13 = 0.0 if true.c12 < FACING_COSINE else true.c12, 0.0 if true.c13 < FACING_COSINE else true.c13
+    c = Cosines(c12, c13, 0.0 if true.c23 < FACING_COSINE else true.c23)
     push, met = _solve(count, c, b1, b2, b3)
     if not met:  # the larger demand of two nearly parallel normals satisfies both
         one, two = _ease_demands(c.c12, b1, b2)

@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 
-SMALL = 0.1
+SERIES_MAX = 0.1
 """Angles (rad) and tangents below this use a power series, which takes a fifth of the time of the library function. The
 first omitted term is below 1e-17 of the sum. The rotation of one tick is rarely larger."""
 
@@ -22,7 +22,7 @@ of squares has a relative error of at most 4 u; its root 3 u, with the root's ro
 @jit
 def sinc(x: float) -> float:
     """Return sin(x) / x, and 1 at 0."""
-    if abs(x) < SMALL:
+    if abs(x) < SERIES_MAX:
         y = x * x
         return 1.0 - y * (1.0 / 6.0 - y * (1.0 / 120.0 - y * (1.0 / 5040.0 - y * (1.0 / 362880.0))))
     return sin(x) / x
@@ -31,7 +31,7 @@ def sinc(x: float) -> float:
 @jit
 def angle_of(s: float, c: float) -> float:
     """Return the angle (rad) of a rotation from sine and cosine of its half: 2 atan2(s, c), for c >= 0."""
-    if abs(s) < SMALL * c:
+    if abs(s) < SERIES_MAX * c:
         t = s / c
         y = t * t
         series = 1.0 / 7.0 - y * (1.0 / 9.0 - y * (1.0 / 11.0 - y * (1.0 / 13.0 - y * (1.0 / 15.0))))

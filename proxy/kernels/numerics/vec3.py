@@ -32,23 +32,23 @@ def weighted_sum(weights: Vec3, a: Vec3, b: Vec3, c: Vec3) -> Vec3:
     return add_scaled(add_scaled(scale(weights[0], a), weights[1], b), weights[2], c)
 
 
-LEAST = 1e-300
+MIN_COMPONENT = 1e-300
 """Smaller components of a decaying vector become 0. A tick with a denormal number (below 2e-308) takes 1.3 to 2 times
 as long."""
 
 
 @jit
 def scale_and_flush(s: float, a: Vec3) -> Vec3:
-    """Return s a, with 0 for components of `a` below LEAST.
+    """Return s a, with 0 for components of `a` below MIN_COMPONENT.
 
     A component that decays by a factor in each tick would otherwise become denormal and remain so. A single branch,
     which the processor predicts, rather than three selects: the tick waits for this value.
     """
-    if abs(a[0]) < LEAST or abs(a[1]) < LEAST or abs(a[2]) < LEAST:
+    if abs(a[0]) < MIN_COMPONENT or abs(a[1]) < MIN_COMPONENT or abs(a[2]) < MIN_COMPONENT:
         return (
-            0.0 if abs(a[0]) < LEAST else s * a[0],
-            0.0 if abs(a[1]) < LEAST else s * a[1],
-            0.0 if abs(a[2]) < LEAST else s * a[2],
+            0.0 if abs(a[0]) < MIN_COMPONENT else s * a[0],
+            0.0 if abs(a[1]) < MIN_COMPONENT else s * a[1],
+            0.0 if abs(a[2]) < MIN_COMPONENT else s * a[2],
         )
     return scale(s, a)
 

@@ -74,7 +74,7 @@ SLOW: Final = 3
 
 
 @jit
-def pose_of_body(block: Any, body: float, positions: int) -> Pose:
+def read_body_pose(block: Any, body: float, positions: int) -> Pose:
     """Return the frame of a body in the world.
 
     positions  POSITION, or LAST_POSITION for the frame before the last step of a body that can move
@@ -136,7 +136,7 @@ def write_motion(bodies: Bodies, tick: int, motion: Any) -> None:
     motion[0] = tick
     for i in range(block[MOVING]):
         body, at = bodies.moving[i], 1 + MOTION_SIZE * i
-        x, q = pose_of_body(block, float(body), POSITION)
+        x, q = read_body_pose(block, float(body), POSITION)
         root, v = 3 * roots[body], 6 * body
         rate = (twist[v], twist[v + 1], twist[v + 2])
         arm = vec3.sub(x, (centers[root], centers[root + 1], centers[root + 2]))

@@ -9,7 +9,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Pose, Quaternion, Single, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, pose_values, turn_into, turn_out_of
-from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.motion import can_move
 
 
@@ -25,7 +25,7 @@ class Carry(NamedTuple):
 
 
 @jit
-def carry_of(body: Any) -> Any:
+def make_carry(body: Any) -> Any:
     """Return the motion of an object in this tick: a Carry, or None if it cannot move."""
     if body.motion is None:
         return None
@@ -33,13 +33,13 @@ def carry_of(body: Any) -> Any:
 
 
 @jit
-def carry(objects: Any, index: float) -> Any:
-    """Return the motion in this tick of the object with that index, as `carry_of`."""
-    return carry_of(object_at(objects, index))
+def find_carry(objects: Any, index: float) -> Any:
+    """Return the motion in this tick of the object with that index, as `make_carry`."""
+    return make_carry(find_object(objects, index))
 
 
 @jit
-def any_moves(objects: Any) -> bool:
+def has_moving_object(objects: Any) -> bool:
     """Return whether any object can move."""
     if isinstance(objects, Single):
         return can_move(objects.body.motion) > 0.0
@@ -63,7 +63,7 @@ def turn_direction(carried: Any, v: Vec3) -> Vec3:
 
 
 @jit
-def relative_velocity(carried: Any, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
+def compute_relative_velocity(carried: Any, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
     """Return `velocity` (3,) m/s relative to the object at `position` (3,) m of the last tick.
 
     With dt = 0 the object has no velocity.
@@ -74,7 +74,7 @@ def relative_velocity(carried: Any, velocity: Vec3, position: Vec3, dt: float) -
 
 
 @jit
-def relative_rotation(carried: Any, turn: Quaternion) -> Quaternion:
+def compute_relative_rotation(carried: Any, turn: Quaternion) -> Quaternion:
     """Return the fingertip's rotation `turn` relative to the rotation of the object in this tick, with w >= 0."""
     if carried is None or carried.moves == 0.0:
         return turn

@@ -1,9 +1,9 @@
 """The two containers of a scene's objects: one object of a known shape, or many as data.
 
-    body = object_at(objects, index)
+    body = find_object(objects, index)
 
 All queries of one object start with this call. The index is that of the triangle in a scene of a single mesh, and 0 for
-another single object. Of many it is the row, plus ENTRIES times the index of the triangle of a mesh.
+another single object. Of many it is the row, plus MAX_ENTRIES times the index of the triangle of a mesh.
 """
 
 from typing import Any, Final
@@ -31,19 +31,19 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes.any_shape import plane_of
 
 ENTRY_BITS: Final = 16
-ENTRIES: Final = 1 << ENTRY_BITS
+MAX_ENTRIES: Final = 1 << ENTRY_BITS
 """Largest number of objects. The triangle's index is in the upper bits of an index, which a float64 holds exactly."""
-MEMORY: Final = 16
+POSE_MEMORY_SIZE: Final = 16
 """Numbers in the World's memory for one object: its poses of this tick and the last, and the time of the write."""
-AT_TIME: Final = 14
-NO_PLANE: Final = Plane((0.0, 0.0, 1.0), 0.0)
-"""Placeholder in the result of `world_plane`."""
-ROUNDING: Final = 1.0 + 1e-9
+TIME_OFFSET: Final = 14
+NO_WORLD_PLANE: Final = Plane((0.0, 0.0, 1.0), 0.0)
+"""Placeholder in the result of `find_world_plane`."""
+SQUARE_MARGIN: Final = 1.0 + 1e-9
 """Factor on a squared distance that covers its rounding."""
 
 
 @jit
-def object_at(objects: Any, index: float) -> Any:
+def find_object(objects: Any, index: float) -> Any:
     """Return the object `index`, the first object for an index below 0.
 
     Of many, the compiler loads only the fields that the caller uses.
@@ -51,58 +51,58 @@ def object_at(objects: Any, index: float) -> Any:
     if isinstance(objects, Single):
         body = objects.body
         return replace(body, "shape", Facet(body.shape, index)) if isinstance(body.shape, Mesh) else body
-    row, facet = row_of(index), facet_of(index)
+    row, facet = extract_row(index), extract_facet(index)
     entry = objects.entries[row]
-    pose, was = poses_of(objects.poses, entry, row)
+    pose, was = find_poses(objects.poses, entry, row)
     return Object(
-        shape=shape_for(objects.tip, replace(entry.shape, "facet", facet), pose),
+        shape=make_shape(objects.tip, replace(entry.shape, "facet", facet), pose),
         pose=pose,
         motion=entry.motion,
-        material=material_of_row(objects.materials, entry.normal, row),
-        number=entry.number,
+        material=read_material(objects.materials, entry.normal, row),
+        scene_index=entry.scene_index,
         was=was,
         texture=None if objects.textures is None else objects.textures[row],
     )
 
 
 @jit
-def world_plane(objects: Any, index: float) -> tuple[bool, Plane]:
+def find_world_plane(objects: Any, index: float) -> tuple[bool, Plane]:
     """Return True and its Plane if object `index` of many is a plane at rest, otherwise False.
 
     Such a plane is in the world frame, and its queries need no pose. The compiler knows that of a single object. An
     ellipsoidal fingertip touches Minkowski sums, not planes.
     """
     if isinstance(objects, Many) and objects.tip is None:
-        shape = objects.entries[row_of(index)].shape
+        shape = objects.entries[extract_row(index)].shape
         if shape.surface == WORLD_PLANE:
             return True, plane_of(shape)
-    return False, NO_PLANE
+    return False, NO_WORLD_PLANE
 
 
 @jit
-def row_of(index: float) -> int:
+def extract_row(index: float) -> int:
     """Return the row of one of many objects."""
-    return max(int(index), 0) & (ENTRIES - 1)
+    return max(int(index), 0) & (MAX_ENTRIES - 1)
 
 
 @jit
-def facet_of(index: float) -> float:
+def extract_facet(index: float) -> float:
     """Return the index of the triangle of one of many objects."""
     return float(max(int(index), 0) >> ENTRY_BITS)
 
 
 @jit
-def facet_step(objects: Any) -> float:
+def find_facet_step(objects: Any) -> float:
     """Return the difference between the indices of two neighbouring triangles of a mesh."""
-    return 1.0 if isinstance(objects, Single) else float(ENTRIES)
+    return 1.0 if isinstance(objects, Single) else float(MAX_ENTRIES)
 
 
 @jit
-def poses_of(poses: Any, entry: Entry, row: int) -> tuple[Pose, Pose]:
+def find_poses(poses: Any, entry: Entry, row: int) -> tuple[Pose, Pose]:
     """Return the poses of one of many objects in this tick and in the last."""
     if poses is None or entry.motion.kind == STILL:
         return entry.pose, entry.pose
-    return read_pose(poses, MEMORY * row), read_pose(poses, MEMORY * row + 7)
+    return read_pose(poses, POSE_MEMORY_SIZE * row), read_pose(poses, POSE_MEMORY_SIZE * row + 7)
 
 
 @jit
@@ -119,7 +119,7 @@ def write_pose(poses: Mutable, at: int, pose: Pose) -> None:
 
 
 @jit
-def shape_for(tip: Any, shape: AnyShape, pose: Pose) -> Any:
+def make_shape(tip: Any, shape: AnyShape, pose: Pose) -> Any:
     """Return the shape, for an ellipsoidal fingertip its Minkowski sum with the fingertip."""
     if tip is None:
         return shape
@@ -128,13 +128,13 @@ def shape_for(tip: Any, shape: AnyShape, pose: Pose) -> Any:
 
 
 @jit
-def material_of_row(materials: Any, normal: Any, row: int) -> Any:
+def read_material(materials: Any, normal: Any, row: int) -> Any:
     """Return the material of one of many objects; bare objects have only a normal law."""
     return Material(normal, None, None) if materials is None else replace(materials[row], "normal", normal)
 
 
 @jit
-def largest_semi_axis(tip: Any) -> float:
+def find_largest_semi_axis(tip: Any) -> float:
     """Return the largest semi-axis of an ellipsoidal fingertip, m, otherwise 0."""
     if tip is None:
         return 0.0
@@ -145,7 +145,7 @@ def largest_semi_axis(tip: Any) -> float:
 def is_beyond(objects: Many, row: int, x: Vec3, limit: float) -> bool:
     """Return True if the bounding ball of an object is farther than `limit` (m) from `x`; takes 2 ns."""
     entry = objects.entries[row]
-    pose, _ = poses_of(objects.poses, entry, row)
+    pose, _ = find_poses(objects.poses, entry, row)
     offset = vec3.sub(x, pose.position)
-    distance = max(limit, 0.0) + entry.shape.reach + largest_semi_axis(objects.tip)
-    return vec3.dot(offset, offset) > ROUNDING * distance * distance
+    distance = max(limit, 0.0) + entry.shape.reach + find_largest_semi_axis(objects.tip)
+    return vec3.dot(offset, offset) > SQUARE_MARGIN * distance * distance

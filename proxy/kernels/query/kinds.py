@@ -1,7 +1,7 @@
 """Kinds of objects in a scene, and of one of its objects.
 
 Only meshes and height maps can touch a fingertip at several points. Other scenes are compiled without the code for
-that: `isinstance(objects.search, Faceted)` is known at compile time.
+that: `isinstance(objects.search, FacetedSearch)` is known at compile time.
 """
 
 from typing import Any
@@ -14,18 +14,18 @@ from softfinger.proxy.kernels.model import (
     SMOOTH,
     AnyShape,
     Bodies,
-    Creased,
+    CreasedSearch,
     Facet,
-    Faceted,
+    FacetedSearch,
     Heightmap,
     Many,
     Mesh,
-    Smooth,
+    SmoothSearch,
 )
-from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.container import find_object
 
 
-def moves_by_itself(*given: Any) -> bool:
+def has_simulated_object(*given: Any) -> bool:
     """Return True if one of the arguments contains an object attached to a body of a simulation.
 
     A tick of a simulation takes microseconds, so a call by address costs little. Inlining the code of each finger into
@@ -34,7 +34,7 @@ def moves_by_itself(*given: Any) -> bool:
     return Bodies in kinds_in(given)
 
 
-def takes_long(*given: Any) -> bool:
+def has_slow_query(*given: Any) -> bool:
     """Return True if one of the arguments contains several objects, a mesh or a height map.
 
     Queries of them take so long that the cost of a call by address is negligible.
@@ -43,15 +43,15 @@ def takes_long(*given: Any) -> bool:
 
 
 @jit
-def any_mesh(objects: Any) -> bool:
+def has_mesh(objects: Any) -> bool:
     """Return True if one of the objects is a mesh."""
-    if isinstance(objects, Many) and isinstance(objects.search, Creased):
+    if isinstance(objects, Many) and isinstance(objects.search, CreasedSearch):
         return objects.search.meshes > 0.0
-    return isinstance(objects.search, Faceted)
+    return isinstance(objects.search, FacetedSearch)
 
 
 @jit
-def surface_of(shape: Any) -> float:
+def find_surface_kind(shape: Any) -> float:
     """Return the surface of a shape, see `AnyShape`."""
     if isinstance(shape, AnyShape):
         return shape.surface
@@ -61,20 +61,20 @@ def surface_of(shape: Any) -> float:
 
 
 @jit
-def surface_at(objects: Any, index: float) -> float:
+def find_surface_kind_at(objects: Any, index: float) -> float:
     """Return the surface of object `index`, SMOOTH if `index` names no object."""
-    if isinstance(objects.search, Smooth) or index < 0.0:
+    if isinstance(objects.search, SmoothSearch) or index < 0.0:
         return SMOOTH
-    return surface_of(object_at(objects, index).shape)
+    return find_surface_kind(find_object(objects, index).shape)
 
 
 @jit
 def is_mesh_at(objects: Any, index: float) -> bool:
     """Return True if object `index` is a triangle of a mesh."""
-    return surface_at(objects, index) == FACETED
+    return find_surface_kind_at(objects, index) == FACETED
 
 
 @jit
 def has_creases_at(objects: Any, index: float) -> bool:
     """Return True if object `index` is a height map."""
-    return surface_at(objects, index) == CREASED
+    return find_surface_kind_at(objects, index) == CREASED

@@ -3,17 +3,17 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Single, Smooth, Vec3
+from softfinger.proxy.kernels.model import Single, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.container import (
-    ENTRIES,
-    facet_of,
-    facet_step,
+    MAX_ENTRIES,
+    extract_facet,
+    extract_row,
+    find_facet_step,
+    find_object,
+    find_world_plane,
     is_beyond,
-    object_at,
-    row_of,
-    world_plane,
 )
 from softfinger.proxy.kernels.shapes import (
     bend,
@@ -23,105 +23,107 @@ from softfinger.proxy.kernels.shapes import (
     curvature,
     is_hollow,
 )
-from softfinger.proxy.kernels.shapes.composite import Deepest, nearest_of_shape, neighbour_of
+from softfinger.proxy.kernels.shapes.composite import NearestObject, nearest_of_shape, neighbour_of
 from softfinger.proxy.kernels.shapes.plane import closest_on_plane
 
-NOBODY: Vec3 = (-1.0, -1.0, -1.0)
+NO_OBJECTS: Vec3 = (-1.0, -1.0, -1.0)
 """Three indices of no object."""
-NOWHERE = 1e300
+NO_GAP = 1e300
 """Gap, m, without an object."""
-SWING = 0.2
+MAX_SWING_RAD = 0.2
 """Largest angle of the contact round a hollow in a tick, rad; beyond it the contact slides. At 1 kHz that is thirty
 turns per second, which no hand follows."""
 
 
 @jit
-def closest_on(shape: Any, pose: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
+def find_closest_on(shape: Any, pose: Any, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Return `closest` of a shape with that pose, in the world frame."""
     gap, point, normal = closest(shape, into(pose, x))
     return gap, out_of(pose, point), turn_out_of(pose, normal)
 
 
 @jit
-def closest_to_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
+def find_closest_within(objects: Any, index: float, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest_within` of object `index` in the world frame."""
-    is_plane, plane = world_plane(objects, index)
+    is_plane, plane = find_world_plane(objects, index)
     if is_plane:
         gap, foot, up = closest_on_plane(plane, x)
         return gap, foot, up, budget
-    body = object_at(objects, index)
+    body = find_object(objects, index)
     gap, foot, up, budget = closest_within(body.shape, into(body.pose, x), budget)
     return gap, out_of(body.pose, foot), turn_out_of(body.pose, up), budget
 
 
 @jit
-def constraint_of(
+def find_constraint(
     objects: Any, index: float, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
     """Return `constraint_at` of object `index` in the world frame."""
-    is_plane, plane = world_plane(objects, index)
+    is_plane, plane = find_world_plane(objects, index)
     if is_plane:
         _, foot, up = closest_on_plane(plane, center)
         return foot, up, budget
-    body = object_at(objects, index)
+    body = find_object(objects, index)
     pose = body.pose
     foot, up, budget = constraint_at(body.shape, into(pose, center), radius, turn_into(pose, normal), budget)
     return out_of(pose, foot), turn_out_of(pose, up), budget
 
 
 @jit
-def number_of(objects: Any, index: float) -> float:
+def find_scene_index(objects: Any, index: float) -> float:
     """Return the scene file's index of object `index`, -1 for none; several may form one object of the file."""
-    return object_at(objects, index).number if index >= 0.0 else -1.0
+    return find_object(objects, index).scene_index if index >= 0.0 else -1.0
 
 
 @jit
 def is_inside(objects: Any, index: float) -> bool:
     """Return True if object `index` is touched from inside."""
-    return index >= 0.0 and is_hollow(object_at(objects, index).shape)
+    return index >= 0.0 and is_hollow(find_object(objects, index).shape)
 
 
 @jit
 def is_world_plane(objects: Any, index: float) -> bool:
     """Return True if object `index` is a plane at rest, or if `index` names no object."""
-    is_plane, _ = world_plane(objects, index)
+    is_plane, _ = find_world_plane(objects, index)
     return is_plane or index < 0.0
 
 
 @jit
-def slides_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, theta: float) -> bool:
+def does_slide_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3, theta: float) -> bool:
     """Return True if a roll by `theta` rad moves the contact too far round a hollow to roll there.
 
     The contact turns by k r theta, with k the curvature of the offset surface. In a hollow that the fingertip nearly
     fills, that is many times theta.
     """
     point = into(body.pose, vec3.add_scaled(center, -radius, normal))
-    return bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > SWING
+    return bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > MAX_SWING_RAD
 
 
 @jit
-def curvature_of(objects: Any, index: float, radius: float, center: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
+def compute_curvature(
+    objects: Any, index: float, radius: float, center: Vec3, normal: Vec3
+) -> tuple[float, float, Vec3]:
     """Return `curvature` of object `index` in the world frame."""
-    is_plane, _ = world_plane(objects, index)
+    is_plane, _ = find_world_plane(objects, index)
     if is_plane:
         return 0.0, 0.0, normal
-    body = object_at(objects, index)
+    body = find_object(objects, index)
     point = into(body.pose, vec3.add_scaled(center, -radius, normal))
     k1, k2, along = curvature(body.shape, radius, point, turn_into(body.pose, normal))
     return k1, k2, turn_out_of(body.pose, along)
 
 
 @jit
-def neighbour_on(objects: Any, index: float, x: Vec3) -> float:
+def find_neighbour(objects: Any, index: float, x: Vec3) -> float:
     """Return the index of the neighbouring facet if it is closer to `x` (3,) m than object `index`, else `index`."""
     if index < 0.0:
         return index
-    body = object_at(objects, index)
-    return index + facet_step(objects) * neighbour_of(body.shape, into(body.pose, x))
+    body = find_object(objects, index)
+    return index + find_facet_step(objects) * neighbour_of(body.shape, into(body.pose, x))
 
 
 @jit
-def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
+def find_deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
     """Return the object nearest to `x` (3,) m, with its gap.
 
     within        m  search distance: objects beyond it may be omitted; the gap is 1e300 if none is found
@@ -131,30 +133,30 @@ def deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int) -> D
     if isinstance(objects, Single):
         body = objects.body
         gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, known, budget)
-        return Deepest(gap, facet if gap < NOWHERE else -1.0, budget)
-    smallest, index = NOWHERE, -1.0
+        return NearestObject(gap, facet if gap < NO_GAP else -1.0, budget)
+    smallest, index = NO_GAP, -1.0
     for row in range(int(objects.size)):
-        gap, facet = NOWHERE, 0.0
-        is_plane, plane = world_plane(objects, float(row))
+        gap, facet = NO_GAP, 0.0
+        is_plane, plane = find_world_plane(objects, float(row))
         if is_plane:
             gap, _, _ = closest_on_plane(plane, x)
         elif not is_beyond(objects, row, x, min(within, smallest)):
-            body = object_at(objects, float(row))
-            facets = facets_of(objects.search, row, known)
+            body = find_object(objects, float(row))
+            facets = extract_facets(objects.search, row, known)
             gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, facets, budget)
         if gap < smallest:
-            smallest, index = gap, row + ENTRIES * facet
-    return Deepest(smallest, index, budget)
+            smallest, index = gap, row + MAX_ENTRIES * facet
+    return NearestObject(smallest, index, budget)
 
 
 @jit
-def facets_of(search: Any, row: int, known: Vec3) -> Vec3:
+def extract_facets(search: Any, row: int, known: Vec3) -> Vec3:
     """Return the triangles of object `row` in up to three object indices, -1 for each index of another object."""
-    if isinstance(search, Smooth):
+    if isinstance(search, SmoothSearch):
         return known
-    return facet_in(row, known[0]), facet_in(row, known[1]), facet_in(row, known[2])
+    return extract_facet_of_row(row, known[0]), extract_facet_of_row(row, known[1]), extract_facet_of_row(row, known[2])
 
 
 @jit
-def facet_in(row: int, index: float) -> float:
-    return facet_of(index) if index >= 0.0 and row_of(index) == row else -1.0
+def extract_facet_of_row(row: int, index: float) -> float:
+    return extract_facet(index) if index >= 0.0 and extract_row(index) == row else -1.0

@@ -10,8 +10,8 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import STILL, Single, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
-from softfinger.proxy.kernels.query.carry import carry_of, move_point
-from softfinger.proxy.kernels.query.container import ENTRIES, is_beyond, object_at
+from softfinger.proxy.kernels.query.carry import make_carry, move_point
+from softfinger.proxy.kernels.query.container import MAX_ENTRIES, find_object, is_beyond
 from softfinger.proxy.kernels.shapes import NO_HIT
 from softfinger.proxy.kernels.shapes.protocol import meets
 
@@ -21,13 +21,13 @@ def sweep_to_row(
     body: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
 ) -> tuple[float, float, Vec3, int]:
     """Return the share of the path at the hit, the triangle, the centre (3,) m there, and the remaining budget."""
-    path_start = move_point(carry_of(body), start)
+    path_start = move_point(make_carry(body), start)
     share, facet, budget = meets(body.shape, into(body.pose, path_start), into(body.pose, end), radius, leaves, budget)
     return share, facet, vec3.add_scaled(path_start, share, vec3.sub(end, path_start)), budget
 
 
 @jit
-def first_hit(
+def find_first_hit(
     objects: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, skip: Any, budget: int
 ) -> tuple[float, Vec3, int]:
     """Find the first object that the fingertip hits.
@@ -57,8 +57,8 @@ def first_hit(
         if entry.motion.kind == STILL and is_beyond(objects, row, start, reach):
             continue
         hit_share, facet, hit_center, budget = sweep_to_row(
-            object_at(objects, row_index), start, end, radius, leaves, budget
+            find_object(objects, row_index), start, end, radius, leaves, budget
         )
         if hit_share < share:
-            share, index, center = hit_share, row_index + ENTRIES * facet, hit_center
+            share, index, center = hit_share, row_index + MAX_ENTRIES * facet, hit_center
     return index, center, budget

@@ -9,9 +9,9 @@ from typing import Any
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import SIMULATED, Many, Material, Single, World
-from softfinger.proxy.kernels.query.bodies import LAST_POSITION, pose_of_body
-from softfinger.proxy.kernels.query.container import AT_TIME, MEMORY, read_pose, write_pose
-from softfinger.proxy.kernels.query.motion import moving_pose, pose_at, pose_in_world
+from softfinger.proxy.kernels.query.bodies import LAST_POSITION, read_body_pose
+from softfinger.proxy.kernels.query.container import POSE_MEMORY_SIZE, TIME_OFFSET, read_pose, write_pose
+from softfinger.proxy.kernels.query.motion import compose_pose, compute_pose, select_moving_pose
 
 
 @jit
@@ -23,23 +23,23 @@ def advance(objects: Any, world: World, dt: float) -> World:
     time, memory = world.time + dt, world.poses
     if isinstance(objects, Single):
         body = objects.body
-        pose = moving_pose(body.motion, pose_at(body.motion, body.pose, time))
+        pose = select_moving_pose(body.motion, compute_pose(body.motion, body.pose, time))
         was = memory if world.started != 0.0 else pose  # in the first tick, the object counts as not having moved
         return World(started=1.0, time=time, poses=pose, was=was, surfaces=world.surfaces)
     for i in range(int(objects.moving)):
         row = objects.movers[i]
-        entry, at = objects.entries[row], MEMORY * row
+        entry, at = objects.entries[row], POSE_MEMORY_SIZE * row
         motion, rest = entry.motion, entry.pose
-        pose = pose_at(motion, rest, time)
+        pose = compute_pose(motion, rest, time)
         before = pose
         if motion.kind == SIMULATED:
-            frame = pose_of_body(motion.block, motion.body, LAST_POSITION)
-            before = pose_in_world(frame, rest.position, rest.orientation)
-        elif world.started != 0.0 and memory[at + AT_TIME] == world.time:
+            frame = read_body_pose(motion.block, motion.body, LAST_POSITION)
+            before = compose_pose(frame, rest.position, rest.orientation)
+        elif world.started != 0.0 and memory[at + TIME_OFFSET] == world.time:
             before = read_pose(memory, at)
         write_pose(memory, at + 7, before)
         write_pose(memory, at, pose)
-        memory[at + AT_TIME] = time
+        memory[at + TIME_OFFSET] = time
     return World(started=1.0, time=time, poses=world.poses, was=None, surfaces=world.surfaces)
 
 
@@ -53,7 +53,7 @@ def place_all(objects: Any, world: World) -> Any:
 
 
 @jit
-def all_bare(objects: Any) -> Any:
+def strip_materials(objects: Any) -> Any:
     """Return the objects without friction, torsion, effects and texture: geometry and normal force do not need them.
 
     Kernels for bare objects are compiled once for all scenes with objects of this type, and cached.

@@ -37,7 +37,7 @@ from softfinger.proxy.kernels.model import (
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
 from softfinger.proxy.kernels.shapes.composite import (
-    Deepest,
+    NearestObject,
     nearest_of_shape,
     neighbour_of,
     raised_clear,
@@ -94,7 +94,7 @@ FOOT_AND_FLAG: Final = (0.0, ZERO, ZERO, 0.0)
 POINT_AND_BUDGET: Final = (ZERO, ZERO, 0)
 NO_CURVATURE: Final = (0.0, 0.0, ZERO)
 NO_MEETING: Final = (0.0, 0.0, 0)
-NO_OBJECT: Final = Deepest(0.0, 0.0, 0)
+NO_OBJECT: Final = NearestObject(0.0, 0.0, 0)
 NO_CHART: Final = Chart(0.0, 0.0, ZERO, ZERO, 0.0, ZERO)
 UP: Final = (1.0, 0.0, 0.0, 0.0)
 
@@ -236,11 +236,11 @@ def meets_any(
 
 
 @nearest_of_shape.of(AnyShape)
-def nearest_of_any(shape: AnyShape, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
+def nearest_of_any(shape: AnyShape, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
     if shape.kernels[NEAREST] != 0:
         return called(shape, NEAREST, NO_OBJECT, (x, within, known, budget))
     gap, _, _ = closest(shape, x)
-    return Deepest(gap, 0.0, budget)
+    return NearestObject(gap, 0.0, budget)
 
 
 @neighbour_of.of(AnyShape)

@@ -5,26 +5,26 @@ BUDGET = 1536
 times the number needed on a scanned mesh. The path to a first contact may use half of it."""
 
 
-SPENT = -1
+NO_BUDGET = -1
 """Remaining budget after it was exhausted."""
 
 
-STRIDE = 0.9
+MAX_STRIDE = 0.9
 """Largest distance, as a share of its radius, that a fingertip's centre moves between two searches around it."""
 
 
-ROOM = 4096
+QUEUE_SIZE = 4096
 """Capacity of a query's queue of lanes; the largest possible budget."""
 
 
-INSIDE = 1e-10
+INSIDE_TOLERANCE = 1e-10
 """Depth, as a share of the fingertip's radius, from which a fingertip is inside an object; below it is rounding."""
 
 
-SETTLED = 1e-13
+SETTLED_STEP = 1e-13
 """Motion, as a share of the fingertip's radius, below which the proxy is at rest."""
 
 
-DEEP = 0.5
+DEEP_SHARE = 0.5
 """Depth of the probe, as a share of the fingertip's radius, up to which a contact with several objects is stable: half
 the smallest radius of curvature of the surface on which the proxy moves, that at an edge."""

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Cylinder, Plane, Vec3
-from softfinger.proxy.kernels.shapes.protocol import NORMAL_EPSILON
+from softfinger.proxy.kernels.shapes.protocol import MIN_NORMAL_COMPONENT
 
-ENDLESS = 1e300
+NO_EDGE_M = 1e300
 """Distance to the edge of a surface that has no edge, m."""
 
 
@@ -72,7 +72,7 @@ def flat(fade: float, x: Vec3, normal: Vec3, half: Vec3) -> Chart:
 def round_z(radius: float, x: Vec3, share: float, slope: float) -> Chart:
     """Return the chart of the side of a cylinder; `share` and `slope` are `inside` and its derivative along z."""
     # Lower bound: on the axis the arc length has no finite gradient.
-    away = max(sqrt(x[0] * x[0] + x[1] * x[1]), NORMAL_EPSILON * radius)
+    away = max(sqrt(x[0] * x[0] + x[1] * x[1]), MIN_NORMAL_COMPONENT * radius)
     turned = radius / (away * away)
     around = (-turned * x[1], turned * x[0], 0.0)
     return Chart(radius * atan2(x[1], x[0]), x[2], around, (0.0, 0.0, 1.0), share, (0.0, 0.0, slope))
@@ -80,7 +80,7 @@ def round_z(radius: float, x: Vec3, share: float, slope: float) -> Chart:
 
 @chart.of(Plane)
 def chart_of_plane(shape: Plane, fade: float, x: Vec3, normal: Vec3) -> Chart:
-    return flat(fade, x, shape.normal, (ENDLESS, ENDLESS, ENDLESS))
+    return flat(fade, x, shape.normal, (NO_EDGE_M, NO_EDGE_M, NO_EDGE_M))
 
 
 @chart.of(Box)
@@ -96,7 +96,7 @@ def chart_of_cylinder(shape: Cylinder, fade: float, x: Vec3, normal: Vec3) -> Ch
 @chart.of(CappedCylinder)
 def chart_of_capped_cylinder(shape: CappedCylinder, fade: float, x: Vec3, normal: Vec3) -> Chart:
     if normal[2] * normal[2] > normal[0] * normal[0] + normal[1] * normal[1]:
-        away = max(sqrt(x[0] * x[0] + x[1] * x[1]), NORMAL_EPSILON * shape.radius)
+        away = max(sqrt(x[0] * x[0] + x[1] * x[1]), MIN_NORMAL_COMPONENT * shape.radius)
         share, slope = ease(shape.radius - away, fade)
         inward = (-slope * x[0] / away, -slope * x[1] / away, 0.0)
         return Chart(x[0], x[1], (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), share, inward)

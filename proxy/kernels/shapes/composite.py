@@ -2,7 +2,7 @@
 
 Each triangle of a mesh counts as an object. Every other shape uses the defaults.
 
-    nearest_of_shape(shape, x, within, ...)  -> Deepest          nearest of its objects
+    nearest_of_shape(shape, x, within, ...)  -> NearestObject    nearest of its objects
     neighbour_of(shape, x)                   -> number           of the object across an edge, relative to this one
     raised_clear(shape, x, radius)           -> (3,) m           a point that is certainly outside
     shaded(shape, pose, normal, position)    -> (3,)             direction of the force
@@ -14,14 +14,14 @@ from softfinger.proxy.kernels.jit.dispatch import by_type_with_default
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.shapes.protocol import closest
 
-EVERYWHERE = 1e300
+NO_LIMIT_M = 1e300
 """Search distance without a limit, m."""
-ENOUGH = 1.0 - 1e-6
+ENOUGH_SHARE = 1.0 - 1e-6
 """Share of the search distance below which any triangle of a mesh is accepted, nearest or not: it obstructs the
 fingertip by more than rounding."""
 
 
-class Deepest(NamedTuple):
+class NearestObject(NamedTuple):
     """Object nearest to a point.
 
     gap     m  signed distance; only a lower bound if the budget was exhausted
@@ -35,10 +35,10 @@ class Deepest(NamedTuple):
 
 
 @by_type_with_default
-def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
-    """Return `query.objects.deepest` for the objects of one shape, in its frame; the place is relative to the first."""
+def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
+    """Return `query.objects.find_deepest` of one shape, in its frame; the place counts from its first object."""
     gap, _, _ = closest(shape, x)
-    return Deepest(gap, 0.0, budget)
+    return NearestObject(gap, 0.0, budget)
 
 
 @by_type_with_default

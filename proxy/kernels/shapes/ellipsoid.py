@@ -20,20 +20,20 @@ from softfinger.proxy.kernels.model import Ellipsoid, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import any_tangent, closest, curvature, direction, may_be_hollow, offset
 
-_STEPS = 128
+_MAX_STEPS = 128
 """Limit of Newton's iterations; close to the surface three or four are enough. It is needed at the rim of the medial
 surface, off it by the smallest representable distance: there s grows by half per step, at worst from 1e-60 to 1e-40."""
 
-_CONVERGED = 1e-8
+_STEP_TOLERANCE = 1e-8
 """Relative step below which the next would be below rounding: the convergence is quadratic."""
 
-_NOTHING = 1e-60
+_ZERO_COORDINATE = 1e-60
 """A coordinate below this multiple of the shortest semi-axis counts as zero: it moves the nearest point by at most its
 cube root."""
 
 
 @jit
-def inverse(weight: float, s: float) -> float:
+def invert(weight: float, s: float) -> float:
     """Return 1 / s; 0 if its weight is zero, since s may then be zero."""
     return 1.0 / s if weight > 0.0 else 0.0
 
@@ -45,28 +45,32 @@ def multiply_components(a: Vec3, b: Vec3) -> Vec3:
 
 
 @jit
-def inverses(w: Vec3, s: float, e: Vec3) -> Vec3:
-    return (inverse(w[0], s + e[0]), inverse(w[1], s + e[1]), inverse(w[2], s + e[2]))
+def invert_each(w: Vec3, s: float, e: Vec3) -> Vec3:
+    return (invert(w[0], s + e[0]), invert(w[1], s + e[1]), invert(w[2], s + e[2]))
 
 
 @jit
-def weight(ratio: float, x: float) -> float:
+def compute_weight(ratio: float, x: float) -> float:
     """Return ratio x; 0 if x counts as zero."""
-    return ratio * x if x > _NOTHING else 0.0
+    return ratio * x if x > _ZERO_COORDINATE else 0.0
 
 
 @jit
 def on_ellipsoid(axes: Vec3, shortest: float, x: Vec3) -> Vec3:
     """Return q (3,) of the nearest point, on the unit sphere, for `x` without negative coordinates."""
     a = (axes[0] / shortest, axes[1] / shortest, axes[2] / shortest)
-    weights = (weight(a[0], x[0] / shortest), weight(a[1], x[1] / shortest), weight(a[2], x[2] / shortest))
+    weights = (
+        compute_weight(a[0], x[0] / shortest),
+        compute_weight(a[1], x[1] / shortest),
+        compute_weight(a[2], x[2] / shortest),
+    )
     e = ((a[0] - 1.0) * (a[0] + 1.0), (a[1] - 1.0) * (a[1] + 1.0), (a[2] - 1.0) * (a[2] + 1.0))
     # Lower bound of the root: no q_i exceeds 1.
     least = max(0.0, weights[0] - e[0], weights[1] - e[1], weights[2] - e[2])
     # s = 1 is t = 0, the root for x on the surface; for x outside, the root is larger.
     s = max(least, 1.0)
-    for count in range(_STEPS):
-        inverted = inverses(weights, s, e)
+    for count in range(_MAX_STEPS):
+        inverted = invert_each(weights, s, e)
         q = multiply_components(weights, inverted)
         squares = multiply_components(q, q)
         slope = vec3.dot(squares, inverted)
@@ -77,9 +81,9 @@ def on_ellipsoid(axes: Vec3, shortest: float, x: Vec3) -> Vec3:
         advance = square * (sqrt(square) - 1.0) / slope
         s = max(least, s + advance)
         # Only the first step may be negative; a later one is rounding, which deep inside may exceed the tolerance.
-        if abs(advance) <= _CONVERGED * s or (count > 0 and advance <= 0.0):
+        if abs(advance) <= _STEP_TOLERANCE * s or (count > 0 and advance <= 0.0):
             break
-    q = multiply_components(weights, inverses(weights, s, e))
+    q = multiply_components(weights, invert_each(weights, s, e))
     if s > 0.0:
         return vec3.scale(1.0 / vec3.norm(q), q)
     # x is in the plane of symmetry normal to the shortest axis, so deep that the other two components are inside.

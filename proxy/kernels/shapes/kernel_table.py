@@ -19,8 +19,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic, typeof_impl
 
 from softfinger.proxy.kernels.jit.arrays import ReadOnly, ReadOnlyType
-from softfinger.proxy.kernels.jit.compiler.numba_internals import Inlined, link_unit
-from softfinger.proxy.kernels.jit.decorators import INLINED, KEPT, PLAIN, entry
+from softfinger.proxy.kernels.jit.compiler.numba_internals import InlinedKernel, link_unit
+from softfinger.proxy.kernels.jit.decorators import INLINED, KERNEL_FOLDER, PLAIN, entry
 from softfinger.proxy.kernels.jit.outlined import in_and_out
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import AnyShape, Facet, Mesh, Plane
@@ -137,8 +137,10 @@ def _address(slot: KernelSlot, rows: Any) -> int:
             return choice(row[0], *rest)
 
     packed = types.Tuple((rows, types.float64, *map(numba.typeof, arguments)))
-    inner = Inlined(call, INLINED, None, entry)
-    symbol = link_unit(choice.__wrapped__, KEPT, packed, lambda: in_and_out(inner, packed, numba.typeof(result)))
+    inner = InlinedKernel(call, INLINED, None, entry)
+    symbol = link_unit(
+        choice.__wrapped__, KERNEL_FOLDER, packed, lambda: in_and_out(inner, packed, numba.typeof(result))
+    )
     return int(llvm.address_of_symbol(symbol))
 
 

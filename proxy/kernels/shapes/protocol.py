@@ -44,7 +44,7 @@ X_AXIS: Vec3 = (1.0, 0.0, 0.0)
 Y_AXIS: Vec3 = (0.0, 1.0, 0.0)
 Z_AXIS: Vec3 = (0.0, 0.0, 1.0)
 
-NORMAL_EPSILON = 1e-9
+MIN_NORMAL_COMPONENT = 1e-9
 """A component of a normal below this counts as zero: rotating a normal to the world frame and back leaves 1e-16."""
 BUDGET_OF_A_ROLL = 600
 """Budget of a rolling step with step control, or of each query in the other rolling methods."""
@@ -185,7 +185,7 @@ def direction(v: Vec3, otherwise: Vec3) -> tuple[float, Vec3]:
 def around_z(normal: Vec3) -> Vec3:
     """Return the unit tangent round the z axis, counter-clockwise; the x axis if the normal is along z."""
     length = sqrt(normal[0] * normal[0] + normal[1] * normal[1])
-    if length <= NORMAL_EPSILON:
+    if length <= MIN_NORMAL_COMPONENT:
         return X_AXIS
     return (-normal[1] / length, normal[0] / length, 0.0)
 
@@ -225,13 +225,13 @@ def turn_along(v: Vec3, normal_from: Vec3, normal_to: Vec3) -> Vec3:
     return vec3.add_scaled(flipped, 2.0 * vec3.dot(normal_from, v), normal_to)
 
 
-ADVANCES = 32
+MAX_ADVANCES = 32
 """Limit of the steps of a sweep; each is as long as the clearance, so most sweeps take one or two."""
 
 
-NARROWINGS = 24
+MAX_NARROWINGS = 24
 """Steps of the ternary search for the closest point of a grazing path: 6e-5 of the interval remain."""
-TOUCHING = 1e-9
+TOUCHING_CLEARANCE = 1e-9
 """Clearance, as a share of the radius, below which it counts as zero."""
 
 
@@ -244,12 +244,12 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
     clearance = gap - radius
     if clearance >= length:
         return NO_HIT
-    touching = TOUCHING * radius
+    touching = TOUCHING_CLEARANCE * radius
     if clearance <= touching:
         gap, _, _ = closest(shape, end)
         return 0.0 if gap - radius < (min(clearance, 0.0) if leaves else 0.0) else NO_HIT
     share = 0.0
-    for _ in range(ADVANCES):
+    for _ in range(MAX_ADVANCES):
         share += clearance / length
         if share >= 1.0:
             return NO_HIT
@@ -260,7 +260,7 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
     # A grazing path may pass the shape without touching it: it is a hit only if its remainder is inside somewhere.
     gap, _, _ = closest(shape, end)
     low, high = share, 1.0
-    for _ in range(NARROWINGS):
+    for _ in range(MAX_NARROWINGS):
         if gap < radius:
             return share
         third = (high - low) / 3.0

@@ -4,7 +4,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Capsule, Cylinder, Sphere, Torus, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import (
-    NORMAL_EPSILON,
+    MIN_NORMAL_COMPONENT,
     X_AXIS,
     Z_AXIS,
     any_tangent,
@@ -76,7 +76,7 @@ def closest_on_capsule(shape: Capsule, x: Vec3) -> tuple[float, Vec3, Vec3]:
 def curvature_of_capsule(shape: Capsule, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Return the curvature of a cylinder if the normal is perpendicular to the axis, otherwise of a sphere."""
     k = offset_curvature(shape.radius, shape.side, radius)
-    if abs(normal[2]) <= NORMAL_EPSILON:
+    if abs(normal[2]) <= MIN_NORMAL_COMPONENT:
         return k, 0.0, around_z(normal)
     return k, k, around_z(normal)
 

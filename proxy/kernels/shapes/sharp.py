@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.shapes.protocol import (
     direction,
 )
 
-LEAST_TILT = 1e-7
+MIN_TILT_RAD = 1e-7
 """Tilt of the normal, rad, up to which a contact round an edge counts as on the face. It lowers the fingertip by less
 than the rounding of coordinates of a metre, so the contact may be past a seam, on the face of a flush box."""
 
@@ -47,9 +47,9 @@ def closest_on_box(shape: Box, x: Vec3) -> tuple[float, Vec3, Vec3]:
 def curvature_of_box(shape: Box, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Distinguish face, edge and corner by the normal, which has one, two or three components."""
     flat_x, flat_y, flat_z = (
-        abs(normal[0]) <= LEAST_TILT,
-        abs(normal[1]) <= LEAST_TILT,
-        abs(normal[2]) <= LEAST_TILT,
+        abs(normal[0]) <= MIN_TILT_RAD,
+        abs(normal[1]) <= MIN_TILT_RAD,
+        abs(normal[2]) <= MIN_TILT_RAD,
     )
     count = (1 if flat_x else 0) + (1 if flat_y else 0) + (1 if flat_z else 0)
     if count >= 2:
@@ -82,8 +82,8 @@ def curvature_of_capped_cylinder(
     """End: flat. Side: curved round the axis. Rim: across it as the fingertip, round the axis as a torus."""
     around = around_z(normal)
     level = vec3.norm((normal[0], normal[1], 0.0))
-    if level <= LEAST_TILT:
+    if level <= MIN_TILT_RAD:
         return 0.0, 0.0, around
-    if abs(normal[2]) <= LEAST_TILT:
+    if abs(normal[2]) <= MIN_TILT_RAD:
         return 1.0 / (shape.radius + radius), 0.0, around
     return 1.0 / radius, level / (shape.radius + radius * level), vec3.cross(around, normal)

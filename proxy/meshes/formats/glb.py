@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import limits
-from softfinger.proxy.meshes.formats.polygons import Faces, Indices, Points, strip, triangles_only
-from softfinger.proxy.rotation import matrix_of
+from softfinger.proxy.meshes.formats.polygons import Faces, Indices, Points, require_triangles, split_strip
+from softfinger.proxy.rotation import make_matrix
 
 _COMPONENTS: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC3": 3}
@@ -36,7 +36,7 @@ COUNT_MAX: Final = 3 * int(limits.MESH_TRIANGLES.high)
 
 def read(data: bytes) -> Faces:
     """Return the triangles of a GLB file, in the unit of its scene."""
-    head, buffer = _chunks(data)
+    head, buffer = _read_chunks(data)
     for name in head.get("extensionsRequired", []):
         if not str(name).startswith(_HARMLESS):
             obstacle = "is compressed" if "compression" in str(name) else "needs an unsupported extension"
@@ -57,13 +57,13 @@ def read(data: bytes) -> Faces:
             parts.append((points, triangles))
     if len(parts) < 2:
         points, triangles = parts[0] if parts else (np.empty((0, 3)), np.empty((0, 3), np.int64))
-        return triangles_only(points, triangles, promised)
+        return require_triangles(points, triangles, promised)
     starts = np.cumsum([0, *(len(points) for points, _ in parts)])
     triangles = np.concatenate([part + start for (_, part), start in zip(parts, starts[:-1], strict=True)])
-    return triangles_only(np.concatenate([points for points, _ in parts]), triangles, promised)
+    return require_triangles(np.concatenate([points for points, _ in parts]), triangles, promised)
 
 
-def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+def _read_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     """Return the JSON and the binary chunk."""
     magic, version, size = struct.unpack_from("<4sII", data.ljust(12, b"\0"))
     if magic != b"glTF" or version != 2:
@@ -97,7 +97,7 @@ def _iterate_meshes(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.floa
         if number in visited:
             raise ValueError(f"is damaged: the node {number} has two parents, or is its own ancestor")
         visited.add(number)
-        place = above @ _matrix(node)
+        place = above @ _read_matrix(node)
         waiting += [(int(child), place) for child in node.get("children", [])]
         if "mesh" not in node:
             continue
@@ -110,12 +110,12 @@ def _iterate_meshes(head: dict[str, Any]) -> Iterator[tuple[int, NDArray[np.floa
         yield int(node["mesh"]), place
 
 
-def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
+def _read_matrix(node: dict[str, Any]) -> NDArray[np.float64]:
     """Return the matrix (4, 4) from a node to the one above it."""
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
     x, y, z, w = (float(part) for part in node.get("rotation", (0.0, 0.0, 0.0, 1.0)))
-    turn = np.array(matrix_of((w, x, y, z)))
+    turn = np.array(make_matrix((w, x, y, z)))
     place = np.eye(4)
     place[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), float)
     place[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
@@ -138,9 +138,9 @@ class _File:
 
     def triangles(self, primitive: dict[str, Any]) -> tuple[Points, Indices]:
         """Return vertices and triangles of a part of a mesh."""
-        points = self._accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
+        points = self._read_accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
         numbers = primitive.get("indices")
-        corners = np.arange(len(points)) if numbers is None else self._accessor(numbers, "SCALAR")[:, 0]
+        corners = np.arange(len(points)) if numbers is None else self._read_accessor(numbers, "SCALAR")[:, 0]
         if len(corners) and not (corners.min() >= 0 and corners.max() < len(points)):
             raise ValueError(f"is damaged: a triangle has a corner beyond the vertices 0 to {len(points) - 1}")
         corners = corners.astype(np.int64)
@@ -148,10 +148,10 @@ class _File:
         if mode == TRIANGLES:
             return points, corners.reshape(-1, 3)
         if mode == STRIP or len(corners) < 3:
-            return points, strip(corners)
+            return points, split_strip(corners)
         return points, np.stack([np.full(len(corners) - 2, corners[0]), corners[1:-1], corners[2:]], axis=1)
 
-    def _accessor(self, number: int, kind: str) -> NDArray[Any]:
+    def _read_accessor(self, number: int, kind: str) -> NDArray[Any]:
         """Return the entries (count, width) of an accessor; integers that are normalized as fractions."""
         accessor = self._head["accessors"][number]
         count, component = int(accessor["count"]), np.dtype(_COMPONENTS[accessor["componentType"]])
@@ -180,7 +180,7 @@ class _File:
         view = self._head["bufferViews"][number]
         if packed := [name for name in view.get("extensions", {}) if "compression" in name]:
             raise ValueError(f"is compressed ({packed[0]}): export it without compression")
-        data = self._data(view.get("buffer", 0))
+        data = self._read_data(view.get("buffer", 0))
         row = width * component.itemsize
         stride, start = view.get("byteStride") or row, view.get("byteOffset", 0) + offset
         end = start + max(count - 1, 0) * stride + row * min(count, 1)
@@ -192,7 +192,7 @@ class _File:
             raise ValueError(f"is damaged or not a GLB file: buffer view {number} ends before its {count:,} entries")
         return np.ndarray((count, width), component, data, start, (stride, component.itemsize))
 
-    def _data(self, number: int) -> bytes:
+    def _read_data(self, number: int) -> bytes:
         address = self._head["buffers"][number].get("uri")
         if address is None and number == 0:
             return self._buffer

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from softfinger.proxy.meshes.formats.polygons import Faces, Indices, Points
-from softfinger.proxy.meshes.formats.text import clean, numbers, words_per_line
+from softfinger.proxy.meshes.formats.text import clean, count_words_per_line, parse_numbers
 
 _VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]+([^\n]*)", re.MULTILINE)
 _FACE: Final = re.compile(rb"^[ \t]*fo?[ \t]+([^\n]*)", re.MULTILINE)
@@ -26,23 +26,23 @@ def read(data: bytes) -> Faces:
     if refused := _REFUSED.search(text):
         reason = _REASONS.get(refused[1], "has free-form surfaces")
         raise ValueError(f"{reason} ({refused[1].decode()}): export it as triangles in one file")
-    points = _points(_VERTEX.findall(text))
+    points = _parse_points(_VERTEX.findall(text))
     rows = b"\n".join(_FACE.findall(text))
     if b"/" in rows:
         rows = re.sub(rb"/[^\s]*", b"", rows)
     if not rows:
         return Faces(points, np.empty(0, np.int64), np.empty(0, np.int64), 0)
-    counts = words_per_line(rows)
-    corners = numbers(rows, np.int64)
+    counts = count_words_per_line(rows)
+    corners = parse_numbers(rows, np.int64)
     if len(corners) != counts.sum():
         raise ValueError(f"is damaged: {counts.sum():,} corners of faces, and {len(corners):,} numbers for them")
     return Faces(points, _to_zero_based(text, corners, counts), counts, len(counts))
 
 
-def _points(rows: list[bytes]) -> Points:
+def _parse_points(rows: list[bytes]) -> Points:
     """Return the coordinates (n, 3) in lines of x y z, with a weight or a colour behind them, or not."""
     text = b"\n".join(rows)
-    values, words = numbers(text, np.float64), words_per_line(text) if rows else np.empty(0, np.int64)
+    values, words = parse_numbers(text, np.float64), count_words_per_line(text) if rows else np.empty(0, np.int64)
     if (words == 3).all():
         return values.reshape(-1, 3)
     if (words < 3).any():

@@ -8,8 +8,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.meshes.formats.polygons import Faces, Indices, strip, triangles_only
-from softfinger.proxy.meshes.formats.text import numbers
+from softfinger.proxy.meshes.formats.polygons import Faces, Indices, require_triangles, split_strip
+from softfinger.proxy.meshes.formats.text import parse_numbers
 
 HEAD_MAX: Final = 1 << 16
 """Bytes of a head; scanners write some 500, with comments."""
@@ -57,34 +57,34 @@ Table = dict[str, Column]
 
 def read(data: bytes) -> Faces:
     """Return the faces of a PLY file, or the triangles of its strips."""
-    order, elements, body = _head(data)
+    order, elements, body = _read_head(data)
     is_text = order == ""
     if is_text:  # from here on a text is a binary file of float64
-        body, order = numbers(body.rstrip(b"\0"), np.float64).astype("<f8").tobytes(), "<"
+        body, order = parse_numbers(body.rstrip(b"\0"), np.float64).astype("<f8").tobytes(), "<"
         elements = [entry._replace(properties=list(map(_as_float64, entry.properties))) for entry in elements]
     at, tables, rows = 0, dict[str, Table](), dict[str, int]()
     for element in elements:
         rows[element.name] = element.rows
-        tables[element.name], at = _rows(element, body, at, order)
+        tables[element.name], at = _read_rows(element, body, at, order)
     if behind := body[at:].strip(b"\0 \t\r\n"):
         rest = f"{(len(body) - at) // 8:,} numbers" if is_text else f"{len(behind):,} bytes"
         raise ValueError(f"has other rows than its header declares: {rest} are unused")
     if not rows.get("vertex"):
         return Faces(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64), 0)
-    points = np.stack([_scalar(tables, axis) for axis in "xyz"], axis=1)
+    points = np.stack([_read_scalar(tables, axis) for axis in "xyz"], axis=1)
     if not rows.get("tristrips"):
         empty = Column(np.empty(0, np.int64), np.empty(0, np.int64))
-        corners, counts = _corners(tables["face"]) if rows.get("face") else empty
+        corners, counts = _read_corners(tables["face"]) if rows.get("face") else empty
         return Faces(points, corners, counts, rows.get("face", 0))
     if rows.get("face"):
         raise ValueError("has faces and triangle strips: export it with faces only")
-    strips, counts = _corners(tables["tristrips"])
-    parts = [strip(part) for row in np.split(strips, np.cumsum(counts)[:-1]) for part in _cut(row)]
+    strips, counts = _read_corners(tables["tristrips"])
+    parts = [split_strip(part) for row in np.split(strips, np.cumsum(counts)[:-1]) for part in _cut(row)]
     triangles = np.concatenate(parts)
-    return triangles_only(points, triangles, len(triangles))
+    return require_triangles(points, triangles, len(triangles))
 
 
-def _head(data: bytes) -> tuple[str, list[Element], bytes]:
+def _read_head(data: bytes) -> tuple[str, list[Element], bytes]:
     """Return the byte order, empty for text, the elements, and the bytes after the head."""
     if not data.startswith(b"ply"):
         raise ValueError(f"is not a PLY file: it starts with {data[:8]!r}")
@@ -113,15 +113,15 @@ def _as_float64(column: Property) -> Property:
     return column._replace(kind="f8", length=None if column.length is None else "f8")
 
 
-def _rows(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int]:
+def _read_rows(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int]:
     """Return the values of all rows, which begin at byte `at`, and the place of their end."""
     if not element.rows or not element.properties:
         return {}, at
-    table = _alike(element, body, at, order)
-    return _row_by_row(element, body, at, order) if table is None else table
+    table = _read_equal_rows(element, body, at, order)
+    return _read_unequal_rows(element, body, at, order) if table is None else table
 
 
-def _alike(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int] | None:
+def _read_equal_rows(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int] | None:
     """Read rows with lists as long as in the first row; None if one differs or the file is too short."""
     place, fields, lengths = at, list[Any](), list[int]()
     for number, column in enumerate(element.properties):
@@ -145,7 +145,7 @@ def _alike(element: Element, body: bytes, at: int, order: str) -> tuple[Table, i
     return table, at + element.rows * row.itemsize
 
 
-def _row_by_row(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int]:
+def _read_unequal_rows(element: Element, body: bytes, at: int, order: str) -> tuple[Table, int]:
     """Read rows with lists of different lengths. Raises ValueError if the file ends in one of them."""
     properties = [(column, int(column.kind[1]), int((column.length or "_0")[1])) for column in element.properties]
     least = sum(count_size or size for _, size, count_size in properties)
@@ -176,14 +176,14 @@ def _count(body: bytes, at: int, kind: str) -> int:
     return int(count)
 
 
-def _scalar(tables: dict[str, Table], name: str) -> NDArray[np.float64]:
+def _read_scalar(tables: dict[str, Table], name: str) -> NDArray[np.float64]:
     column = tables.get("vertex", {}).get(name)
     if column is None or (column.counts != 1).any():
         raise ValueError(f"is damaged or no mesh: its vertices have no {name}")
     return column.values.astype(np.float64)
 
 
-def _corners(table: Table) -> Column:
+def _read_corners(table: Table) -> Column:
     corners = next((table[name] for name in _LISTS if name in table), None)
     if corners is None:
         raise ValueError(f"has faces without {_LISTS[0]}; they have {', '.join(table) or 'nothing'}")

@@ -15,7 +15,7 @@ Indices = NDArray[np.int64]
 
 CONCAVE_MAX: Final = 2_000_000
 """Largest sum of squared corner counts of concave faces: cutting their ears takes a minute at most."""
-FLAT: Final = 1e-9
+FLAT_AREA_SHARE: Final = 1e-9
 """Relative area of a triangle wound against its face that counts as rounding."""
 
 
@@ -34,12 +34,12 @@ class Faces(NamedTuple):
     promised: int
 
 
-def triangles_only(points: Points, triangles: Indices, promised: int) -> Faces:
+def require_triangles(points: Points, triangles: Indices, promised: int) -> Faces:
     """Return the faces of a mesh of triangles (m, 3)."""
     return Faces(points, triangles.reshape(-1), np.full(len(triangles), 3, np.int64), promised)
 
 
-def strip(corners: Indices) -> Indices:
+def split_strip(corners: Indices) -> Indices:
     """Return the triangles (k - 2, 3) of a strip of k corners; every second one is turned: all face one side."""
     triangles = np.lib.stride_tricks.sliding_window_view(corners, 3) if len(corners) > 2 else np.empty((0, 3), np.int64)
     triangles = triangles.copy()
@@ -64,27 +64,27 @@ def triangulate(faces: Faces) -> Indices:
     last = counts[face] - 1
     places = np.stack([np.zeros_like(step), np.minimum(step + 1, last), np.minimum(step + 2, last)], axis=1)
     triangles: Indices = faces.corners[starts[face][:, None] + places]
-    for number in _concave(faces.points, triangles, face, counts):
+    for number in _find_concave(faces.points, triangles, face, counts):
         corners = faces.corners[starts[number] : starts[number] + counts[number]]
-        triangles[np.searchsorted(face, number) :][: len(corners) - 2] = _ears(faces.points, corners)
+        triangles[np.searchsorted(face, number) :][: len(corners) - 2] = _cut_ears(faces.points, corners)
     return triangles
 
 
-def _concave(points: Points, triangles: Indices, face: Indices, counts: Indices) -> list[int]:
+def _find_concave(points: Points, triangles: Indices, face: Indices, counts: Indices) -> list[int]:
     """Return the faces with a triangle in their fan that is wound against the face."""
     many = counts[face] > 3
     owner, (a, b, c) = face[many], (points[triangles[many, corner]] for corner in range(3))
     with np.errstate(all="ignore"):  # coordinates that are not finite are refused by the caller
         areas = np.cross(b - a, c - a)
         normals = np.stack([np.bincount(owner, areas[:, axis], len(counts)) for axis in range(3)], axis=1)[owner]
-        against = (areas * normals).sum(axis=1) < -FLAT * (normals * normals).sum(axis=1)
+        against = (areas * normals).sum(axis=1) < -FLAT_AREA_SHARE * (normals * normals).sum(axis=1)
     concave = np.unique(owner[against])
     if (counts[concave] ** 2).sum() > CONCAVE_MAX:
         raise ValueError(f"has {len(concave):,} concave faces, too many to triangulate: export it as triangles")
     return [int(index) for index in concave]
 
 
-def _ears(points: Points, corners: Indices) -> Indices:
+def _cut_ears(points: Points, corners: Indices) -> Indices:
     """Return the triangles (k - 2, 3) of a concave face of k corners, by cutting ears off.
 
     A face that crosses itself has no right division: a remainder without ears becomes a fan.

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from softfinger.proxy.meshes.formats.polygons import Faces, triangles_only
-from softfinger.proxy.meshes.formats.text import clean, numbers
+from softfinger.proxy.meshes.formats.polygons import Faces, require_triangles
+from softfinger.proxy.meshes.formats.text import clean, parse_numbers
 
 HEAD: Final = 84
 """Bytes of a binary file before its triangles."""
@@ -32,7 +32,7 @@ def read(data: bytes) -> Faces:
                 f"states {count:,} triangles, but {len(behind):,} bytes follow them: it is damaged, or has "
                 "several solids; export it as one"
             )
-        return _faces(np.frombuffer(data, _TRIANGLE, count, HEAD)["corners"].astype(np.float64), count)
+        return _read_faces(np.frombuffer(data, _TRIANGLE, count, HEAD)["corners"].astype(np.float64), count)
     text = clean(data).strip(b"\0 \t\n\x1a")
     if text[:5].lower() != b"solid" or b"\0" in text:
         if not data.strip():
@@ -43,10 +43,10 @@ def read(data: bytes) -> Faces:
         raise ValueError(f"{fault}: it is truncated or not an STL file")
     if b"endsolid" not in text[text.rfind(b"\n") + 1 :].lower() and b"endsolid" not in text[-4096:].lower():
         raise ValueError("has no endsolid at its end: it is truncated")
-    corners = numbers(b" ".join(chain.from_iterable(_FACET.findall(text))), np.float64)
-    return _faces(corners, text.lower().count(b"endfacet"))  # a quarter of the time of a search for whole words
+    corners = parse_numbers(b" ".join(chain.from_iterable(_FACET.findall(text))), np.float64)
+    return _read_faces(corners, text.lower().count(b"endfacet"))  # a quarter of the time of a search for whole words
 
 
-def _faces(corners: np.ndarray, promised: int) -> Faces:
+def _read_faces(corners: np.ndarray, promised: int) -> Faces:
     points = corners.reshape(-1, 3)
-    return triangles_only(points, np.arange(len(points)).reshape(-1, 3), promised)
+    return require_triangles(points, np.arange(len(points)).reshape(-1, 3), promised)

@@ -22,7 +22,7 @@ def clean(data: bytes) -> bytes:
     return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
 
 
-def numbers(text: bytes, dtype: Any) -> NDArray[Any]:
+def parse_numbers(text: bytes, dtype: Any) -> NDArray[Any]:
     """Return the numbers of a text, separated by white space. Raises ValueError for other words."""
     if not text.strip():
         return np.empty(0, dtype)
@@ -37,7 +37,7 @@ def numbers(text: bytes, dtype: Any) -> NDArray[Any]:
             raise ValueError(f"is damaged: {bad[:40].decode('latin-1')!r} is not a number") from error
 
 
-def words_per_line(text: bytes) -> Indices:
+def count_words_per_line(text: bytes) -> Indices:
     """Return the number of words of each line."""
     codes = np.frombuffer(text, np.uint8)
     word = codes > 32

@@ -13,12 +13,12 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
 from softfinger.server.gateway.addresses import Addresses, find_addresses
-from softfinger.server.gateway.forward import CommandPath, Forward, ForwardedServer, describe
+from softfinger.server.gateway.forward import CommandPath, ForwardedServer, Forwarder, describe
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.gateway.telemetry_process import TelemetryProcess
 from softfinger.server.keys import ClientKeys
-from softfinger.server.progress import counter
-from softfinger.server.socket_process.allowed import Allowed
+from softfinger.server.progress import show_counter
+from softfinger.server.socket_process.allowed import AllowedKeys
 from softfinger.server.socket_process.peer_socket import KeyLock
 from softfinger.server.wire.endpoint import BoundSocket, listen
 
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     """Forward until a signal; returns 0, or the exit code of the signal."""
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: add --to, --commands-to or --lsl")
-    upstream = None if args.server_key is None else keys.keys_from_options(args)
+    upstream = None if args.server_key is None else keys.read_keys(args)
     origin = find_addresses(args.source, upstream, args.commands_from)
     stop = threading.Event()
     with ExitStack() as stack:
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
             stack.callback(telemetry.end)
         if args.until_eof:
             signals.call_at_end_of_input(stop.set)
-        with signals.stop_on_signal(stop.set), counter() as show:
+        with signals.stop_on_signal(stop.set), show_counter() as show:
             if telemetry is None:
                 forward.run(stop.is_set, show)
             else:  # the other process shows counts
@@ -58,21 +58,21 @@ def run(args: argparse.Namespace) -> int:
 
 def _open_commands(
     args: argparse.Namespace, origin: Addresses, upstream: ClientKeys | None, stack: ExitStack
-) -> Forward:
+) -> Forwarder:
     lock = make_lock(args.commands_to, "--commands-to", args.keys, args.commanders)
     bound = bind(args.commands_to, "--commands-to", stack)
-    return Forward(None, commands=CommandPath(ForwardedServer(origin.command_endpoint(), upstream), bound, lock))
+    return Forwarder(None, commands=CommandPath(ForwardedServer(origin.command_endpoint(), upstream), bound, lock))
 
 
 def _open_telemetry(
     args: argparse.Namespace, origin: Addresses, upstream: ClientKeys | None, stack: ExitStack
-) -> Forward:
+) -> Forwarder:
     readers = None
     if args.to:
         lock = make_lock(args.to, "--to", args.keys, args.readers)
         readers = (bind(args.to, "--to", stack), lock)
     outlets = Outlets(origin.telemetry) if args.lsl else None
-    return Forward(ForwardedServer(origin.telemetry, upstream), readers, outlets=outlets)
+    return Forwarder(ForwardedServer(origin.telemetry, upstream), readers, outlets=outlets)
 
 
 def make_lock(endpoint: str, flag: str, key_file: str | None, folder: str | None) -> KeyLock | None:
@@ -83,7 +83,7 @@ def make_lock(endpoint: str, flag: str, key_file: str | None, folder: str | None
             raise ConfigError(
                 f"{folder_flag} {folder}: a connection with keys also needs a key on this side: add --keys FILE"
             )
-        return KeyLock(keys.read_pair(key_file), Allowed(folder))
+        return KeyLock(keys.read_pair(key_file), AllowedKeys(folder))
     if is_public(endpoint):
         raise ConfigError(
             f"{flag} {endpoint} is open to the network: set the allowed clients with --keys FILE and {folder_flag} DIR "

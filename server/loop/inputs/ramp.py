@@ -21,7 +21,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.jit.rows import Rows
 
-AT_ONCE: Final = 0
+IMMEDIATE: Final = 0
 LINEAR: Final = 1
 GEOMETRIC: Final = 2
 
@@ -51,7 +51,7 @@ _RAMPED: Final[Mapping[type, frozenset[str]]] = {
 class ParameterRamp(NamedTuple):
     """Ramp from the present parameters to the requested ones.
 
-    kinds        (n,)  kind of each leaf: AT_ONCE, LINEAR, GEOMETRIC
+    kinds        (n,)  kind of each leaf: IMMEDIATE, LINEAR, GEOMETRIC
     now, target  (n,)  values as returned by `flatten_tuning`
     ticks_left   (1,)  remaining ticks, of which the last sets the exact target; -1 when the ramp is finished
     rows         (k,)  indices of leaves that are addresses of rows of objects
@@ -70,14 +70,14 @@ class ParameterRamp(NamedTuple):
 
 def flatten_tuning(tuning: Any) -> NDArray[np.float64]:
     """Return the leaves (n,) of a tuning as `flatten` orders them, followed by the leaves of objects in rows."""
-    return np.concatenate([flatten(tuning), *(rows.array for _, rows in _rows(tuning))])
+    return np.concatenate([flatten(tuning), *(rows.array for _, rows in _list_rows(tuning))])
 
 
 def make_ramp(tuning: Any, ticks: int) -> ParameterRamp:
     """Return a ramp for a tuning that takes `ticks` ticks; 0 changes parameters at once."""
-    now, rows = flatten_tuning(tuning), _rows(tuning)
+    now, rows = flatten_tuning(tuning), _list_rows(tuning)
     row_trees = [tree for _, objects in rows for tree in objects.trees]
-    kinds = [kind for tree in (tuning, *row_trees) for kind in _kinds(tree, AT_ONCE)]
+    kinds = [kind for tree in (tuning, *row_trees) for kind in _list_kinds(tree, IMMEDIATE)]
     offsets = len(now) - np.cumsum([len(objects.array) for _, objects in rows][::-1], dtype=np.int64)[::-1]
     return ParameterRamp(
         np.array(kinds, np.int64),
@@ -90,7 +90,7 @@ def make_ramp(tuning: Any, ticks: int) -> ParameterRamp:
     )
 
 
-def _rows(tuning: Any) -> list[tuple[int, Rows]]:
+def _list_rows(tuning: Any) -> list[tuple[int, Rows]]:
     """Return the objects in rows, each with the index of the leaf that is their address."""
     arrays, leaf = list[tuple[int, Rows]](), 0
 
@@ -108,24 +108,26 @@ def _rows(tuning: Any) -> list[tuple[int, Rows]]:
     return arrays
 
 
-def _kinds(node: Any, kind: int) -> list[int]:
+def _list_kinds(node: Any, kind: int) -> list[int]:
     """Return the kind of each leaf of a tree, in the order of `flatten`; `kind` is inherited from the parent field."""
     if not isinstance(node, tuple):
-        return [AT_ONCE if isinstance(node, ReadOnly) else kind]  # the leaf of an array is its address
+        return [IMMEDIATE if isinstance(node, ReadOnly) else kind]  # the leaf of an array is its address
     children = dict(zip(getattr(node, "_fields", range(len(node))), node, strict=True))
     return [
-        kind_of_leaf for name, child in children.items() for kind_of_leaf in _kinds(child, _kind_of(node, name, kind))
+        kind_of_leaf
+        for name, child in children.items()
+        for kind_of_leaf in _list_kinds(child, _find_kind(node, name, kind))
     ]
 
 
-def _kind_of(node: Any, field: Any, kind: int) -> int:
+def _find_kind(node: Any, field: Any, kind: int) -> int:
     match node, field:
         case model.PowerNormal(), "coefficient":  # its unit contains the exponent: force scales geometrically
             return GEOMETRIC
-        case model.Anisotropic(), "direction":
-            return AT_ONCE
+        case model.AnisotropicFriction(), "direction":
+            return IMMEDIATE
         case model.Finger(form=model.EllipsoidTip()), "radius":  # follows from the form, which is not ramped
-            return AT_ONCE
+            return IMMEDIATE
     return LINEAR if field in _RAMPED.get(type(node), ()) else kind
 
 
@@ -143,7 +145,7 @@ def set_target(ramp: ParameterRamp, values: NDArray[np.float64]) -> None:
     """Set the target to `values` (n,); restart the ramp of all values if a ramped one changes."""
     changed = False
     for i in range(values.shape[0]):
-        changed |= ramp.kinds[i] != AT_ONCE and values[i] != ramp.target[i]
+        changed |= ramp.kinds[i] != IMMEDIATE and values[i] != ramp.target[i]
         ramp.target[i] = values[i]
     if changed:
         ramp.ticks_left[0] = ramp.ticks
@@ -156,7 +158,7 @@ def advance(ramp: ParameterRamp) -> None:
     """Advance by one tick; call it only while ticks remain."""
     ticks_left = ramp.ticks_left[0]
     for i in range(ramp.now.shape[0]):
-        if ramp.kinds[i] == AT_ONCE or ticks_left <= 1:
+        if ramp.kinds[i] == IMMEDIATE or ticks_left <= 1:
             ramp.now[i] = ramp.target[i]
         elif ramp.kinds[i] == LINEAR:
             ramp.now[i] += (ramp.target[i] - ramp.now[i]) / ticks_left

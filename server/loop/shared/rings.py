@@ -58,7 +58,7 @@ class Rings:
         is_complete = len(self._rings) > 1  # read before the ring is emptied: a finished loop adds no record
         count = int(take(self._rings[0], out))
         if count == 0 and is_complete:
-            self._next()
+            self._drop_first()
             count = int(take(self._rings[0], out))
         return count
 
@@ -66,7 +66,7 @@ class Rings:
         """Yield each ring once the previous one is complete and empty; the last one completes when the servo ends."""
         yield Feed(self._rings[0], self._completed_rings, self.wake_fd)
         while len(self._rings) > 1:
-            self._next()
+            self._drop_first()
             yield Feed(self._rings[0], self._completed_rings, self.wake_fd)
 
     def close(self) -> None:
@@ -75,7 +75,7 @@ class Rings:
             os.close(self.wake_fd)
             self.wake_fd = -1
 
-    def _next(self) -> None:
+    def _drop_first(self) -> None:
         self._dropped += int(self._rings[0].drops[0])
         del self._rings[0]
 

@@ -7,16 +7,16 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from softfinger.server.recording.summary import extent_text, summary
+from softfinger.server.recording.summary import format_extent, summarize
 
 
 def run(args: argparse.Namespace) -> int:
-    info = summary(args.recording)
-    print(json.dumps(info) if args.json else "\n".join(_lines(info)))
+    info = summarize(args.recording)
+    print(json.dumps(info) if args.json else "\n".join(_format_lines(info)))
     return 0
 
 
-def _lines(info: dict[str, Any]) -> Iterator[str]:
+def _format_lines(info: dict[str, Any]) -> Iterator[str]:
     state = "whole" if info["whole"] else f"incomplete: {info['cut']}"
     yield f"{info['file']}: {info['bytes'] / 1e6:.1f} MB, {state}"
     rate = f" at {info['rate_hz']:g} Hz" if isinstance(info["rate_hz"], int | float) else ""
@@ -34,7 +34,7 @@ def _lines(info: dict[str, Any]) -> Iterator[str]:
     if info["topics"]:
         yield f"  scene {info['scene_name'] or 'unknown'}; device {device or 'unknown'}"
     for name, finger in info["fingers"].items():
-        yield f"  {name or 'finger'}: {'; '.join(_finger_parts(finger))}"
+        yield f"  {name or 'finger'}: {'; '.join(_format_finger_parts(finger))}"
     for kind, count in info["events"].items():
         yield f"  {count} x {kind}"
     for mark in info["marks"]:
@@ -46,7 +46,7 @@ def _lines(info: dict[str, Any]) -> Iterator[str]:
         yield "  " + (", ".join(f"{name} {version}" for name, version in versions.items()) or "of an unknown version")
 
 
-def _finger_parts(finger: dict[str, Any]) -> Iterator[str]:
+def _format_finger_parts(finger: dict[str, Any]) -> Iterator[str]:
     if finger["modes"]:
         yield ", ".join(f"{mode} {count / finger['ticks']:.1%}" for mode, count in finger["modes"].items())
         force, torque = finger.get("force_max_n", 0.0), finger.get("torque_max_nm", 0.0)
@@ -54,4 +54,4 @@ def _finger_parts(finger: dict[str, Any]) -> Iterator[str]:
     else:
         yield "no forces"
     if "position_min_m" in finger:
-        yield extent_text(finger["position_min_m"], finger["position_max_m"])
+        yield format_extent(finger["position_min_m"], finger["position_max_m"])

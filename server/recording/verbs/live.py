@@ -17,12 +17,12 @@ from softfinger.config.errors import HapticError, RecordingError
 from softfinger.config.files import open_recording
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.keys import ClientKeys
-from softfinger.server.progress import counter
+from softfinger.server.progress import show_counter
 from softfinger.server.recording.reader import translate_errors
 from softfinger.server.recording.recorder import Recorder
 from softfinger.server.wire.client import NoTelemetry, Sample, Subscription, explain_no_telemetry, record_of, subscribe
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, SCENE_TOPICS, finger_of
+from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, SCENE_TOPICS, find_finger
 
 log: Final = logging.getLogger(__name__)
 
@@ -109,7 +109,7 @@ class TickBatcher:
 
     def take(self, sample: Sample) -> None:
         """Process the next message; set `end_reason` if the server stopped or restarted."""
-        finger = finger_of(sample.topic)
+        finger = find_finger(sample.topic)
         if sample.topic == EVENT:
             self._receiver.event(sample.data)
             if (sample["kind"], sample["name"]) == ("lifecycle", "stopped"):
@@ -149,7 +149,7 @@ def record_until_end(
     received_s = shown_s = time.monotonic()
     with ExitStack() as stack:
         stack.callback(batcher.flush)
-        show = stack.enter_context(counter())
+        show = stack.enter_context(show_counter())
         for first_sample in first_samples:
             batcher.take(first_sample)
         while not batcher.end_reason:
@@ -175,7 +175,7 @@ def record_until_end(
 
 
 def _is_over(sample: Sample, job: RecordingJob, batcher: TickBatcher) -> bool:
-    if job.duration_s is None or finger_of(sample.topic) is None:
+    if job.duration_s is None or find_finger(sample.topic) is None:
         return False
     # Half a tick early, because the sum of time steps has rounding errors.
     return bool(batcher.seconds > job.duration_s - 0.5 * sample.dt and sample.tick > batcher.last)
@@ -194,8 +194,10 @@ def receive_first(wire: Subscription, job: RecordingJob) -> tuple[list[Sample], 
         If nothing arrives.
     """
     first_samples = _receive_full_tick(wire, job)
-    fingers = list(dict.fromkeys(finger for sample in first_samples if (finger := finger_of(sample.topic)) is not None))
-    return first_samples, fingers, _description(job) | {"every": first_samples[-1]["every"]}
+    fingers = list(
+        dict.fromkeys(finger for sample in first_samples if (finger := find_finger(sample.topic)) is not None)
+    )
+    return first_samples, fingers, _request_description(job) | {"every": first_samples[-1]["every"]}
 
 
 def _receive_full_tick(wire: Subscription, job: RecordingJob) -> list[Sample]:
@@ -208,7 +210,7 @@ def _receive_full_tick(wire: Subscription, job: RecordingJob) -> list[Sample]:
         if sample is None:
             continue
         samples.append(sample)
-        if finger_of(sample.topic) is not None:
+        if find_finger(sample.topic) is not None:
             ticks[sample.topic] = ticks.get(sample.topic, 0) + 1
             # Messages of one tick arrive together: before the third message of one finger, each finger has had one.
             if ticks[sample.topic] == 3:
@@ -216,7 +218,7 @@ def _receive_full_tick(wire: Subscription, job: RecordingJob) -> list[Sample]:
     raise NoTelemetry(explain_no_telemetry(job.addresses.telemetry, job.timeout_s))
 
 
-def _description(job: RecordingJob) -> dict[str, Any]:
+def _request_description(job: RecordingJob) -> dict[str, Any]:
     """Return the daemon's description; empty if it accepts no commands."""
     try:
         with Control(job.addresses.command_endpoint(), DESCRIBE_TIMEOUT_S, keys=job.keys) as control:

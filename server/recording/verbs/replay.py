@@ -21,8 +21,15 @@ from softfinger.drivers.poses import find_recording, load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
 from softfinger.proxy.record import NAMED
-from softfinger.server.offline.figures import figure, save
-from softfinger.server.recording.compare import COMPARED, FIELDS, ReplayComparison, ReplayResult, compare, replay
+from softfinger.server.offline.figures import make_figure, save
+from softfinger.server.recording.compare import (
+    COMPARED_FIELDS,
+    READ_FIELDS,
+    ReplayComparison,
+    ReplayResult,
+    compare,
+    compare_run,
+)
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import Run, load_run
 
@@ -44,12 +51,12 @@ def run(args: argparse.Namespace) -> int:
     if recorded:
         if args.rate is not None:
             raise ConfigError("--rate is for poses: a recording contains its rate")
-        past = load_run(path, FIELDS)
+        past = load_run(path, READ_FIELDS)
         if past.notes.get("every", 1) != 1:
             raise RecordingError(
                 f"{path}: has one tick in {past.notes['every']}: a replay needs every tick: set every = 1"
             )
-        scene = _scene(args.scene, past, path)
+        scene = _find_scene(args.scene, past, path)
         if args.rig is None and "rig" in past.notes:
             rig = build(schema.Rig, past.notes["rig"], f"{path}: rig")
     else:
@@ -57,12 +64,12 @@ def run(args: argparse.Namespace) -> int:
         if args.scene is None or args.against is None:
             raise ConfigError(f"{path}: a table has no scene, and only its poses are read: add --scene and --against")
         past, scene = _run_from_poses(args.recording, rig.servo.rate_hz), load_scene(args.scene)
-    replayed = replay(past, scene, rig)
+    replayed = compare_run(past, scene, rig)
     against = _select_recorded(past) if args.against is None else _from_file(args.against, past)
     outcome = compare(past, replayed, against, args.tolerance)
     if args.plot is not None:
         draw(past, replayed, against, args.plot)
-    print(json.dumps(_to_json(outcome)) if args.json else "\n".join(_lines(outcome, past)))
+    print(json.dumps(_to_json(outcome)) if args.json else "\n".join(_format_lines(outcome, past)))
     if outcome.first is not None:
         first = outcome.first
         raise Different(
@@ -76,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _scene(name: str | None, past: Run, path: Path) -> schema.Scene:
+def _find_scene(name: str | None, past: Run, path: Path) -> schema.Scene:
     if name is not None:
         return load_scene(name)
     if "scene" not in past.notes:
@@ -89,14 +96,14 @@ def _run_from_poses(name: str, rate_hz: float) -> Run:
     poses = resample(load_poses(name), rate_hz)
     count = len(poses)
     fields = {key: np.zeros((count, NAMED[key].size)).squeeze(axis=1) if NAMED[key].size == 1
-              else np.zeros((count, NAMED[key].size)) for key in FIELDS}  # fmt: skip
+              else np.zeros((count, NAMED[key].size)) for key in READ_FIELDS}  # fmt: skip
     fields |= {"tick": np.arange(count, dtype=np.float64), "dt": np.full(count, round(1e9 / rate_hz) / 1e9)}
     fields |= {"probe.position": poses[:, :3], "probe.orientation": poses[:, 3:]}
     return Run({"": fields}, {"rate_hz": rate_hz}, [], "")
 
 
 def _select_recorded(past: Run) -> Against:
-    return {finger: {key: fields[key] for key in COMPARED} for finger, fields in past.fingers.items()}
+    return {finger: {key: fields[key] for key in COMPARED_FIELDS} for finger, fields in past.fingers.items()}
 
 
 def _from_file(path: Path, past: Run) -> Against:
@@ -109,7 +116,7 @@ def _from_file(path: Path, past: Run) -> Against:
         else:
             rows = read_results(path, finger)
             numbers = rows[:, NAMED["tick"].at]
-            values_by_key = {key: rows[:, NAMED[key].at : NAMED[key].at + NAMED[key].size] for key in COMPARED}
+            values_by_key = {key: rows[:, NAMED[key].at : NAMED[key].at + NAMED[key].size] for key in COMPARED_FIELDS}
         missing = ~np.isin(fields["tick"], numbers)
         if missing.any():
             raise RecordingError(
@@ -159,7 +166,7 @@ def _to_json(outcome: ReplayComparison) -> dict[str, Any]:
     return plain
 
 
-def _lines(outcome: ReplayComparison, past: Run) -> list[str]:
+def _format_lines(outcome: ReplayComparison, past: Run) -> list[str]:
     lines = [f"{outcome.compared} of {outcome.ticks} ticks compared, {outcome.different} differ"]
     if past.cut:
         lines.append(f"  the recording is incomplete: {past.cut}")
@@ -172,7 +179,7 @@ def _lines(outcome: ReplayComparison, past: Run) -> list[str]:
 
 def draw(past: Run, replayed: ReplayResult, against: Against, path: Path) -> None:
     """Plot the force magnitude of each finger over time, recorded and recomputed, and the difference where compared."""
-    drawing = figure(8.0, 2.0 + 2.0 * len(past.fingers))
+    drawing = make_figure(8.0, 2.0 + 2.0 * len(past.fingers))
     axes = drawing.subplots(2 * len(past.fingers), 1, sharex=True, squeeze=False)[:, 0]
     seconds = np.cumsum(past.first["dt"])
     plotted = np.unique(np.linspace(0, len(seconds) - 1, min(len(seconds), POINTS_MAX)).astype(int))

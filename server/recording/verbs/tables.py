@@ -6,7 +6,7 @@ import argparse
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.arguments import check_distinct
-from softfinger.server.recording.summary import extent_text
+from softfinger.server.recording.summary import format_extent
 from softfinger.server.recording.tables import make_layout, read_table, write_poses
 
 
@@ -17,6 +17,6 @@ def run(args: argparse.Namespace) -> int:
     check_distinct("--out", args.out, [args.table])
     poses = read_table(args.table, layout)
     write_poses(args.out, poses)
-    extent = extent_text(poses.position.min(axis=0), poses.position.max(axis=0))
+    extent = format_extent(poses.position.min(axis=0), poses.position.max(axis=0))
     print(f"{args.out}: {len(poses.t)} poses over {poses.t[-1]:.6g} s; {extent}")
     return 0

@@ -38,7 +38,7 @@ of their frame; viser's default limit is 50 MB.
 BROWSERS_MAX: Final = 32
 """Maximum number of simultaneous browsers. Each has a separate send buffer."""
 ERROR_TEXT_MAX: Final = 200
-ADVICE: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
+ADDRESS_REMEDY: Final = "open the page by the address that `softfinger view` or `softfinger run --view` printed last\n"
 HEADERS: Final = {
     "X-Frame-Options": "DENY",
     "Content-Security-Policy": "frame-ancestors 'none'",  # prevents clickjacking: no other page may embed this one
@@ -84,7 +84,7 @@ class Access:
     def refusal_reason(self, path: str, headers: Headers, local: tuple[Any, ...]) -> str:
         """Return why a request to the `local` address (host, port, ...) is refused; empty if it is allowed."""
         hosts = [value.lower() for value in headers.get_all("Host")]
-        if len(hosts) != 1 or hosts[0] not in self._hosts(local):
+        if len(hosts) != 1 or hosts[0] not in self._list_hosts(local):
             return f"the request is for the host {hosts}, which is not allowed: add it with --allow-host"
         origins = [value.lower() for value in headers.get_all("Origin")]
         upgrade = "Upgrade" in headers
@@ -95,7 +95,7 @@ class Access:
             return "the address does not have this page's token"
         return ""
 
-    def _hosts(self, local: tuple[Any, ...]) -> set[str]:
+    def _list_hosts(self, local: tuple[Any, ...]) -> set[str]:
         """Return the allowed values of the header Host; numeric addresses cannot belong to a web site's domain."""
         port = int(local[1])
         hosts = {self._host, str(local[0]), *self._allowed}
@@ -111,7 +111,7 @@ class Access:
         def answer(connection: ServerConnection, request: Request) -> Response | None:
             reason = self.refusal_reason(request.path, request.headers, connection.local_address)
             if reason:
-                body = f"Refused: {reason}; {ADVICE}".encode()
+                body = f"Refused: {reason}; {ADDRESS_REMEDY}".encode()
                 headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
                 response: Response | None = Response(HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
             else:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.schema import runtime_folder
+from softfinger.config.schema import find_runtime_folder
 from softfinger.server.wire.endpoint import make_runtime_folder
 
 log: Final = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ def open_browser(address: str) -> Iterator[None]:
     """
     try:
         make_runtime_folder()
-        path = runtime_folder() / f"page-{secrets.token_hex(8)}.html"
+        path = find_runtime_folder() / f"page-{secrets.token_hex(8)}.html"
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     except (ConfigError, OSError) as error:
         log.warning("no browser was opened: %s; open the address of the page", error)

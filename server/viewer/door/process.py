@@ -35,12 +35,12 @@ REQUESTED_EXIT_CODES: Final = (0, *(128 + number for number in _SIGNALS), *(-num
 
 def monitor_command(endpoint: str) -> str:
     """Return the shell command that shows the telemetry of an endpoint."""
-    return f"{program_name()} monitor" + (
+    return f"{find_program_name()} monitor" + (
         "" if endpoint == DEFAULT_ENDPOINT else f" --endpoint {shlex.quote(endpoint)}"
     )
 
 
-def program_name() -> str:
+def find_program_name() -> str:
     """Return the shell command of this program."""
     argv0 = Path(sys.argv[0])
     return str(argv0) if argv0.name == "softfinger" and shutil.which("softfinger") is None else "softfinger"
@@ -141,7 +141,7 @@ class PageProcess:
         text = f"the page has ended, with exit code {code}; the servo continues"
         self._is_final = not self._address or code in REQUESTED_EXIT_CODES or self._restarts >= RESTARTS
         if self._is_final:
-            text += f"; to see it again: {program_name()} {shlex.join(self._arguments)}"
+            text += f"; to see it again: {find_program_name()} {shlex.join(self._arguments)}"
         elif self._restart():
             text += f"; restart {self._restarts} of {RESTARTS}, at the same address"
         else:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.mjcf_geoms import convert_geoms
-from softfinger.proxy.actions import kernel_motion
+from softfinger.proxy.actions import compile_motion
 from softfinger.proxy.kernels.model import Pose
-from softfinger.proxy.kernels.query.motion import pose_at, pose_in_world
+from softfinger.proxy.kernels.query.motion import compose_pose, compute_pose
 from softfinger.proxy.pictures import Filed
 from softfinger.proxy.record import AT
-from softfinger.server.surface_meshes import PLANE_M, SurfaceMesh, surface_mesh
+from softfinger.server.surface_meshes import PLANE_M, SurfaceMesh, make_surface
 from softfinger.server.viewer.nodes.below import PlaneSurface, Projection, TriangleSurface
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
 from softfinger.server.viewer.nodes.looks import CM, MAP, OBJECTS, Colour
@@ -64,7 +64,7 @@ class BodyNodes:
         """Surfaces for `below`, if known."""
         self._deform: Callable[[Mapping[str, NDArray[np.float64]]], None] | None = None
         """Function that draws the elastic object, if its body is known."""
-        self._objects = (*scene.object, *visual_geoms(scene))
+        self._objects = (*scene.object, *list_visual_geoms(scene))
         for scene_index, obj in enumerate(self._objects):
             initial_pose = (obj.position_m, obj.orientation_wxyz)
             self.poses.append(initial_pose)
@@ -73,11 +73,11 @@ class BodyNodes:
             if isinstance(obj.motion, schema.Body):
                 self._body_attachments[scene_index] = (obj.motion.body, initial_pose)
             elif obj.motion is not None:
-                self._moving[scene_index] = (kernel_motion(obj.motion), Pose(*initial_pose))
-            _add_object(api, f"/objects/{scene_index}", obj, _colour(scene_index, obj))
+                self._moving[scene_index] = (compile_motion(obj.motion), Pose(*initial_pose))
+            _add_object(api, f"/objects/{scene_index}", obj, _choose_colour(scene_index, obj))
             if obj.shape == "plane":
                 self._surfaces[scene_index] = PlaneSurface()
-            elif not isinstance(obj, Filed) and (mesh := surface_mesh(obj)) is not None:
+            elif not isinstance(obj, Filed) and (mesh := make_surface(obj)) is not None:
                 self._surfaces[scene_index] = TriangleSurface(mesh)
 
     def draw(self, scene_index: int, mesh: SurfaceMesh) -> None:
@@ -86,16 +86,16 @@ class BodyNodes:
         if len(mesh.faces):  # thinning may leave nothing of a mesh of tiny parts
             self._surfaces[scene_index] = TriangleSurface(mesh)
             drawn = _add_surface(
-                self._api, f"/objects/{scene_index}", obj, mesh._replace(flat=True), _colour(scene_index, obj)
+                self._api, f"/objects/{scene_index}", obj, mesh._replace(flat=True), _choose_colour(scene_index, obj)
             )
             if isinstance(obj, schema.Mesh) and obj.elastic is not None:
-                self._deform = _deformation(obj, mesh.vertices, drawn)
+                self._deform = _make_deformation(obj, mesh.vertices, drawn)
 
     def show(self, row: NDArray[np.float64]) -> None:
         """Move the objects with a motion to their poses in a tick (RECORD_SIZE,)."""
         time = self.start.time(row)
         for scene_index, (motion, initial) in self._moving.items():
-            pose = pose_at(motion, initial, time)
+            pose = compute_pose(motion, initial, time)
             self.poses[scene_index] = (pose.position, pose.orientation)
             self._update_frame(scene_index)
 
@@ -108,7 +108,7 @@ class BodyNodes:
         """Move the objects on bodies to the poses of these bodies (name, world frame)."""
         for scene_index, (name, (position, orientation)) in self._body_attachments.items():
             if name in bodies:
-                carried_pose = pose_in_world(Pose(*bodies[name]), position, orientation)
+                carried_pose = compose_pose(Pose(*bodies[name]), position, orientation)
                 self.poses[scene_index] = (carried_pose.position, carried_pose.orientation)
                 self._update_frame(scene_index)
 
@@ -140,7 +140,7 @@ class BodyNodes:
         self._root.remove()
 
 
-def visual_geoms(scene: schema.Scene) -> list[schema.Object]:
+def list_visual_geoms(scene: schema.Scene) -> list[schema.Object]:
     """Return the geoms of a scene's [world] without contact as objects to draw.
 
     Empty if the model cannot be read, for example because it is on another machine.
@@ -156,33 +156,33 @@ def visual_geoms(scene: schema.Scene) -> list[schema.Object]:
     return [obj for obj in geoms if obj is not None and not isinstance(obj, Filed)]
 
 
-def _deformation(
+def _make_deformation(
     obj: schema.Mesh, vertices: NDArray[np.float64], drawn: Any
 ) -> Callable[[Mapping[str, NDArray[np.float64]]], None] | None:
     """Return the function that moves the vertices of the drawn surface; None if the body was not solved here."""
     from softfinger.proxy.elastic.deformed import Deformed  # only for scenes with an elastic object
-    from softfinger.proxy.elastic.loads import contact_loads
-    from softfinger.proxy.elastic.prepared import stored_body
+    from softfinger.proxy.elastic.loads import compute_contact_loads
+    from softfinger.proxy.elastic.prepared import load_stored_body
 
-    body = stored_body(obj)
+    body = load_stored_body(obj)
     if body is None:
         return None
     deformed = Deformed(obj, body, vertices)
 
     def draw(rows: Mapping[str, NDArray[np.float64]]) -> None:
-        drawn.vertices = (CM * deformed.at(contact_loads(obj, rows))).astype(np.float32)
+        drawn.vertices = (CM * deformed.at(compute_contact_loads(obj, rows))).astype(np.float32)
 
     return draw
 
 
-def _colour(scene_index: int, obj: Any) -> Colour:
+def _choose_colour(scene_index: int, obj: Any) -> Colour:
     return MAP if isinstance(obj, schema.Heightmap) else OBJECTS[scene_index % len(OBJECTS)]
 
 
 def _add_object(api: Any, node: str, obj: Any, colour: tuple[int, int, int]) -> None:
     if isinstance(obj, Filed):  # `BodyNodes.draw` is called if the triangles arrive
         return
-    mesh = surface_mesh(obj)
+    mesh = make_surface(obj)
     if mesh is None:
         api.add_label(f"{node}/name", f"{obj.name}: no picture of a {obj.shape}")
         return

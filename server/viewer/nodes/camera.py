@@ -10,7 +10,7 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.arrays import Array
-from softfinger.server.surface_meshes import surface_mesh
+from softfinger.server.surface_meshes import make_surface
 from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import PoseTuple, rotate
 from softfinger.server.viewer.nodes.looks import CM
@@ -47,7 +47,7 @@ MAX_EXTENT_M: Final = 0.05
 """Maximum distance from an object's centre that the picture includes; farther, a touch would be too small."""
 
 
-def initial_camera(
+def place_camera(
     scene: schema.Scene, file_vertices: dict[int, Array] | None = None, drawn_objects: DrawnObjects | None = None
 ) -> Camera:
     """Return the initial camera of a scene.
@@ -64,7 +64,9 @@ def initial_camera(
     """
     reach = 2.0 * max(max(finger.radii_m or (finger.radius_m,)) for finger in scene.fingers)
     objects = drawn_objects or [(obj, (obj.position_m, obj.orientation_wxyz)) for obj in scene.object]
-    boxes = [_bounding_corners(obj, pose, reach, (file_vertices or {}).get(k)) for k, (obj, pose) in enumerate(objects)]
+    boxes = [
+        _find_bounding_corners(obj, pose, reach, (file_vertices or {}).get(k)) for k, (obj, pose) in enumerate(objects)
+    ]
     solid = [box for box, (obj, _) in zip(boxes, objects, strict=True) if not getattr(obj, "inside", False)]
     corners = np.concatenate(solid or boxes)
     if scene.world is not None and len(scene.fingers) > 1:
@@ -81,10 +83,10 @@ def initial_camera(
     return Camera((x, y, z), tuple(centre.tolist()), FOV)
 
 
-def _bounding_corners(obj: Any, pose: PoseTuple, reach: float, file_vertices: Array | None) -> Array:
+def _find_bounding_corners(obj: Any, pose: PoseTuple, reach: float, file_vertices: Array | None) -> Array:
     """Return the corners (2, 3) m, world frame, of a box around an object with a fingertip on it."""
     position = np.array(pose[0])
-    mesh = surface_mesh(obj)
+    mesh = make_surface(obj)
     points = (
         file_vertices if file_vertices is not None and len(file_vertices) else None if mesh is None else mesh.vertices
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.arrays import Array
-from softfinger.server.surface_meshes import SurfaceMesh, lathe
+from softfinger.server.surface_meshes import SurfaceMesh, revolve
 from softfinger.server.viewer.nodes.below import UP
 from softfinger.server.viewer.nodes.glyphs import rotate
 from softfinger.server.viewer.nodes.looks import CM, NAIL, SHADOW, SKIN
@@ -40,7 +40,7 @@ def add_finger(api: Any, node: str, parts: schema.FingerParts) -> Any:
             opacity=opacity,
             cast_shadow=False,
         )
-        for name, mesh, colour, opacity in (("ball", finger(radii), SKIN, 0.3), ("nail", nail(radii), NAIL, None))
+        for name, mesh, colour, opacity in (("ball", make_finger(radii), SKIN, 0.3), ("nail", nail(radii), NAIL, None))
     )
     return skin
 
@@ -49,7 +49,7 @@ def add_shadow(api: Any, node: str, radius: float) -> Any:
     """Add a horizontal shadow with a soft rim; return its frame."""
     frame = api.add_frame(node, show_axes=False)
     for k in range(SHADOW_STEPS):
-        shade = disc(radius * (1.1 - 0.7 * k / SHADOW_STEPS))
+        shade = make_disc(radius * (1.1 - 0.7 * k / SHADOW_STEPS))
         api.add_mesh_simple(
             f"{node}/{k}",
             shade.vertices + 1e-3 * k * UP,
@@ -62,7 +62,7 @@ def add_shadow(api: Any, node: str, radius: float) -> Any:
     return frame
 
 
-def finger(radii: Array) -> SurfaceMesh:
+def make_finger(radii: Array) -> SurfaceMesh:
     """Return a finger whose tip is the ellipsoid with half axes `radii` (3,) about the origin.
 
     Its axis leaves the lower half of the ellipsoid uncovered, which usually touches. Only the ellipsoid is rendered.
@@ -70,7 +70,7 @@ def finger(radii: Array) -> SurfaceMesh:
     angle = np.linspace(-0.5 * pi, 0.0, 13)
     tip = np.column_stack([np.cos(angle), np.sin(angle)])
     end = tip[::-1] * (1.0, -1.0) + (0.0, LENGTH)
-    shape = lathe(np.concatenate([tip, end]))
+    shape = revolve(np.concatenate([tip, end]))
     return SurfaceMesh(_tilt(shape.vertices) * radii, shape.faces)
 
 
@@ -91,8 +91,8 @@ def nail(radii: Array) -> SurfaceMesh:
     return SurfaceMesh(_tilt(vertices) * radii, faces)
 
 
-def disc(radius: float) -> SurfaceMesh:
-    return lathe(np.array([(radius, 0.0), (0.0, 0.0)]))
+def make_disc(radius: float) -> SurfaceMesh:
+    return revolve(np.array([(radius, 0.0), (0.0, 0.0)]))
 
 
 def _tilt(points: Array) -> Array:

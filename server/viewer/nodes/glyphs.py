@@ -31,7 +31,7 @@ MAX_DEVIATION_STEPS: Final = 0.12
 IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
 
 
-def arc(angle: float, radius: float) -> Array:
+def make_arc(angle: float, radius: float) -> Array:
     """Return segments (ARC_PIECES + 2, 2, 3) of an arc about +z from the x axis, with an arrow head at its end.
 
     angle  rad  right-handed; at most ARC_MAX of it is drawn
@@ -45,13 +45,13 @@ def arc(angle: float, radius: float) -> Array:
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1), np.array(head)])
 
 
-def dashes(start: Array, displacement: Array) -> Array:
+def make_dashes(start: Array, displacement: Array) -> Array:
     """Return segments (DASHES, 2, 3) of a line from `start` (3,) to `start + displacement` with a dash at both ends."""
     share = np.linspace(0.0, 1.0, 2 * DASHES)
     return (start + share[:, None] * displacement).reshape(DASHES, 2, 3)
 
 
-def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
+def make_circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
     """Return segments (3 pieces, 2, 3) of the intersections of an ellipsoid with its principal planes."""
     turn = np.linspace(0.0, 2.0 * pi, pieces + 1)
     c, s, none = np.cos(turn), np.sin(turn), np.zeros_like(turn)
@@ -59,7 +59,7 @@ def circles(radii: tuple[float, float, float], pieces: int = 32) -> Array:
     return np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
 
 
-def rotation_to(normal: Array) -> Quaternion:
+def rotate_z_to(normal: Array) -> Quaternion:
     """Return a rotation from +z to the unit vector `normal` (3,)."""
     x, y, z = (float(n) for n in normal)
     if z < -0.999999:
@@ -74,7 +74,7 @@ def rotate(q: Quaternion, points: Array) -> Array:
     return np.asarray(points + w * cross + np.cross(v, cross))
 
 
-def product(a: Quaternion, b: Quaternion) -> Quaternion:
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -85,11 +85,11 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
-def inverse(q: Quaternion) -> Quaternion:
+def invert(q: Quaternion) -> Quaternion:
     return (q[0], -q[1], -q[2], -q[3])
 
 
-def axis_angle_rotation(axis: Array, angle: float) -> Quaternion:
+def rotate_about(axis: Array, angle: float) -> Quaternion:
     """Return the rotation by `angle` rad about an axis (3,) of any non-zero length."""
     x, y, z = axis / np.linalg.norm(axis) * sin(0.5 * angle)
     return (cos(0.5 * angle), float(x), float(y), float(z))
@@ -116,14 +116,14 @@ class Trace:
     @property
     def segments(self) -> Array:
         """Segments (n, 2, 3), padded with zero-length ones, so that the node grows only every GROWTH segments."""
-        return self._segments[: self._padded_count()]
+        return self._segments[: self._round_up_count()]
 
     @property
     def colours(self) -> NDArray[np.uint8]:
         """Colours of the segments (n, 2, 3)."""
-        return self._colours[: self._padded_count()]
+        return self._colours[: self._round_up_count()]
 
-    def _padded_count(self) -> int:
+    def _round_up_count(self) -> int:
         return min(self._count + GROWTH - self._count % GROWTH, len(self._segments))
 
     def break_line(self) -> None:

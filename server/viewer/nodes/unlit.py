@@ -23,13 +23,13 @@ UNLIT: Final = "KHR_materials_unlit"
 """glTF extension; all materials of the page itself depend on the light."""
 LIGHT: Final = np.array([-0.6, -0.45, 0.66])
 """Direction to the light, a unit vector to three digits: from the left, as on maps."""
-DARK: Final = 0.6
+MIN_BRIGHTNESS: Final = 0.6
 """Relative brightness of the lowest point."""
 
 
 def add_board(api: Any, node: str, edge: float, count: int, colour: Colour, opacity: float) -> None:
     """Add a board of `count` squares per side, in the page's units, visible from above."""
-    corners = squares(edge, count)
+    corners = make_squares(edge, count)
     faces = np.add.outer(4 * np.arange(len(corners)), [(0, 1, 2), (0, 2, 3)]).reshape(-1, 3)
     paint = PBRMaterial(baseColorFactor=[*colour, round(255 * opacity)], alphaMode="BLEND", metallicFactor=0.0)
     _add(api, node, Trimesh(corners.reshape(-1, 3), faces, visual=TextureVisuals(material=paint), process=False))
@@ -42,11 +42,11 @@ def add_relief(api: Any, node: str, mesh: SurfaceMesh, colour: Colour) -> None:
 
 
 def _add(api: Any, node: str, surface: Trimesh) -> None:
-    glb = export_glb(Scene(surface), tree_postprocessor=_unlit)
+    glb = export_glb(Scene(surface), tree_postprocessor=_switch_light_off)
     api.add_glb(node, glb, cast_shadow=False, receive_shadow=False)
 
 
-def _unlit(tree: dict[str, Any]) -> None:
+def _switch_light_off(tree: dict[str, Any]) -> None:
     """Switch the light off for all materials, and for colours of vertices, which have no material, by a new one."""
     tree["extensionsUsed"] = [UNLIT]
     for material in tree.setdefault("materials", [{}]):
@@ -56,7 +56,7 @@ def _unlit(tree: dict[str, Any]) -> None:
             part["material"] = 0
 
 
-def squares(edge: float, count: int) -> NDArray[np.float64]:
+def make_squares(edge: float, count: int) -> NDArray[np.float64]:
     """Return the corners (n, 4, 3), counter-clockwise, of every other square of a horizontal board about the origin.
 
     edge   length of a side
@@ -79,7 +79,7 @@ def shade_vertices(mesh: SurfaceMesh, colour: Colour) -> NDArray[np.uint8]:
         np.add.at(normals, mesh.faces[:, k], across)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     lit = np.clip(normals @ LIGHT / LIGHT[2], 0.0, 1.3)  # 1 on horizontal parts
-    shade = (DARK + (1.0 - DARK) * share) * (0.35 + 0.65 * lit)
+    shade = (MIN_BRIGHTNESS + (1.0 - MIN_BRIGHTNESS) * share) * (0.35 + 0.65 * lit)
     srgb = np.clip(np.outer(shade, colour) / 255.0, 0.0, 1.0)
     # Colours of vertices in glTF are linear: IEC 61966-2-1.
     rgb = 255.0 * np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

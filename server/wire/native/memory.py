@@ -40,7 +40,7 @@ _libc.mmap.restype = ctypes.c_void_p
 _libc.mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_long)
 _libc.munmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
 
-ALIVE_S: Final = 0.5
+ALIVE_PERIOD_S: Final = 0.5
 """Interval at which a waiting reader checks whether the daemon still runs."""
 
 FOLDER: Final = Path("/dev/shm")
@@ -220,7 +220,7 @@ class Local(Closeable):
             remaining_s = until_s - time.monotonic()
             if count or ended or remaining_s <= 0.0:
                 return self._rows[:count]
-            part_s = min(remaining_s, ALIVE_S)
+            part_s = min(remaining_s, ALIVE_PERIOD_S)
             sleep(self._broadcast, bell, np.array([int(part_s), int(part_s % 1.0 * 1e9)]))
 
     @property

@@ -26,7 +26,7 @@ from softfinger.server.loop.shared.ring import Feed, make_ring, take
 from softfinger.server.loop.shared.rings import wait_for_eventfd
 from softfinger.server.progress import report_compilation
 from softfinger.server.wire.native.memory import make_memory, remove, wake_readers, wake_readers_from_python
-from softfinger.server.wire.native.system import reset_eventfd, signal_eventfd, wait_eventfd
+from softfinger.server.wire.native.system import reset_eventfd, wait_eventfd, wake_eventfd
 
 log: Final = logging.getLogger(__name__)
 
@@ -96,7 +96,7 @@ def serve(state: RelayState, feed: Feed, turn: int, call: int, file: NDArray[np.
             reset_eventfd(feed.wake_fd, file)
         elif not woken:
             woken = True
-            signal_eventfd(state.bell_fd)
+            wake_eventfd(state.bell_fd)
 
 
 @jit
@@ -108,10 +108,10 @@ def pass_on(state: RelayState, rows: NDArray[np.float64], count: int) -> bool:
         woken = _has_event(state, rows, r) or woken
     tick = rows[count - 1, AT.tick]
     store_release(state.words, _TICK, int(tick) if tick == tick else -1)
-    signal_eventfd(state.publisher_fd)
+    wake_eventfd(state.publisher_fd)
     wake_readers(state.readers)
     if woken:
-        signal_eventfd(state.bell_fd)
+        wake_eventfd(state.bell_fd)
     return woken
 
 
@@ -142,7 +142,7 @@ class Tap:
         self.close: Final = weakref.finalize(self, os.close, self._bell_fd)
         """Called by the reader when it has finished."""
         self._position = make_read_position(readers)
-        read_rows.compile(_types(readers, self._position, np.empty((1, readers.slots.shape[1]))))  # type: ignore[attr-defined]
+        read_rows.compile(_declare_types(readers, self._position, np.empty((1, readers.slots.shape[1]))))  # type: ignore[attr-defined]
 
     def wait(self) -> None:
         """Sleep until there may be records, or until the end."""
@@ -210,7 +210,7 @@ class Relay:
         ]
         with report_compilation("kernels of the relay"):
             for kernel, arguments in kernels:
-                kernel.compile(_types(*arguments))
+                kernel.compile(_declare_types(*arguments))
 
     @property
     def rows(self) -> int:
@@ -283,5 +283,5 @@ def pass_on_rows(state: RelayState, rows: NDArray[np.float64]) -> None:
     pass_on(state, rows, len(rows))
 
 
-def _types(*arguments: Any) -> tuple[Any, ...]:
+def _declare_types(*arguments: Any) -> tuple[Any, ...]:
     return tuple(numba.typeof(argument) for argument in arguments)

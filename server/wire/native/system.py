@@ -19,7 +19,7 @@ _eventfd_write: Any = types.ExternalFunction("eventfd_write", types.int32(types.
 
 
 @jit
-def signal_eventfd(fd: int) -> None:
+def wake_eventfd(fd: int) -> None:
     """Wake the thread or process that sleeps on an eventfd."""
     _eventfd_write(fd, 1)
 

@@ -12,14 +12,14 @@ from test_trial_order import make_tables
 
 from softfinger.server.experiment.analysis import ALL_PARTICIPANTS, find_excluded_participants, fit_groups
 from softfinger.server.experiment.comparison import (
-    chi_squared_tail,
     compare_levels,
     compare_models,
-    difference_of_levels,
+    compute_chi_squared_tail,
+    compute_level_differences,
     estimate_population,
 )
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.experiment.psychometric import probability
+from softfinger.server.experiment.psychometric import compute_probability
 from softfinger.server.experiment.surveys import compare_scores, survey_table
 
 pytestmark = pytest.mark.plain
@@ -48,7 +48,7 @@ def test_confidence_follows_signal_detection() -> None:
         {"procedure.levels": [0.15], "procedure.repetitions": 2000, "observer.lapse": 0.0},
     )
     rows, observer = experiment.rehearse(), experiment.file.observer
-    mean = stats.norm.ppf(float(probability(0.15, observer.threshold, observer.slope)))
+    mean = stats.norm.ppf(float(compute_probability(0.15, observer.threshold, observer.slope)))
     edges = np.array([0.0, 0.5, 1.0, 1.5, np.inf])
     right = np.diff(stats.norm.cdf(edges - mean))
     wrong = np.diff(stats.norm.cdf(edges + mean))
@@ -82,7 +82,7 @@ def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, 
 
         def loss(point: Any, at: Any = (level, right, damped)) -> float:
             threshold = np.exp(np.where(at[2], point[-2], point[0]))
-            chance = probability(at[0], threshold, np.exp(point[-1]), lapse=0.02)
+            chance = compute_probability(at[0], threshold, np.exp(point[-1]), lapse=0.02)
             return -float(np.log(np.where(at[1], chance, 1.0 - chance)).sum())
 
         slopes = np.log([0.5, 12.0])
@@ -117,7 +117,7 @@ def test_numbers_are_compared_by_regression() -> None:
 def test_chi_squared_is_scipys() -> None:
     for freedom in (1, 2, 3, 4, 5, 8, 31):
         for value in (0.0, 0.1, 1.0, 4.0, 30.0, 200.0):
-            assert chi_squared_tail(value, freedom) == pytest.approx(stats.chi2.sf(value, freedom), rel=1e-9)
+            assert compute_chi_squared_tail(value, freedom) == pytest.approx(stats.chi2.sf(value, freedom), rel=1e-9)
 
 
 def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
@@ -165,7 +165,7 @@ def test_differences_of_two_factors_vary_one_factor_at_a_time() -> None:
         for a in (0.0, 1.0)
         for b in (0.5, 0.7, 0.9)
     }
-    differences = difference_of_levels(file, values | {("sub-03", "0.0, 0.5"): 7.0})
+    differences = compute_level_differences(file, values | {("sub-03", "0.0, 0.5"): 7.0})
     assert [(row.factor, row.level, row.baseline, row.participants) for row in differences] == [
         ("a", "1.0", "0.0", 2), ("b", "0.7", "0.5", 2), ("b", "0.9", "0.5", 2)
     ]  # fmt: skip

@@ -22,11 +22,11 @@ from helpers.waits import WAIT_S, repeated
 from test_trial_order import make_tables
 
 from softfinger.config.errors import CommandRefused, HapticError, RecordingError
-from softfinger.config.materials import materials
-from softfinger.config.sources import EXPERIMENTS, names_in
+from softfinger.config.materials import load_materials
+from softfinger.config.sources import EXPERIMENTS, list_names
 from softfinger.server import cli
 from softfinger.server.experiment.daemon import RunOptions
-from softfinger.server.experiment.experiment import Experiment, results
+from softfinger.server.experiment.experiment import Experiment, load_results
 from softfinger.server.experiment.hands import interpolate_path
 from softfinger.server.experiment.haptics import START_TOLERANCE_M, START_TOLERANCE_RAD, Haptics
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
@@ -223,7 +223,7 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
     folder, run = session
-    for row in results(folder):
+    for row in load_results(folder):
         ticks = pd.read_csv(folder / "sub-01" / "trials" / f"sub-01_trial-{row['trial']:04d}.csv")
         places = np.searchsorted(run.first["tick"], ticks["tick"])
         assert np.array_equal(run.first["force"][places], ticks[["fx_n", "fy_n", "fz_n"]])
@@ -249,7 +249,7 @@ def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> 
     content = json.loads((figures / "numbers.json").read_text())
     assert [entry["condition"] for entry in content] == ["damped", "plain"]
     for entry in content:
-        peaks = [row["peak_force_n"] for row in results(folder) if row["condition"] == entry["condition"]]
+        peaks = [row["peak_force_n"] for row in load_results(folder) if row["condition"] == entry["condition"]]
         assert entry["peak_force_n_mean"] == pytest.approx(float(np.mean(peaks)), rel=1e-12)
 
 
@@ -313,7 +313,7 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
     finally:
         os.close(ours)
         os.close(theirs)
-    rows = results(tmp_path / "out")
+    rows = load_results(tmp_path / "out")
     assert all(0.0 < row["answer_s"] < WAIT_S for row in rows)
     answers = [(row["trial"], row["practice"], row["answer"], row["attempt"]) for row in rows]
     assert answers == [(1, True, "first", 1), (2, False, "second", 1), (3, False, "first", 2)]
@@ -336,13 +336,13 @@ def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
     Experiment(design).run(tmp_path / "out", 1, settings(tmp_path))
     recording = tmp_path / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
     run = load_run(recording, ("contact.normal_force", "contact.penetration"))
-    conditions = [row["condition"] for row in results(tmp_path / "out")]
+    conditions = [row["condition"] for row in load_results(tmp_path / "out")]
     assert sorted(conditions) == ["rubber", "wood"]
     for condition, end in zip(conditions, select_marks(run, "release"), strict=True):
         last = find_tick(run, end["tick"]) - 1
         normal, depth = run.first["contact.normal_force"][last], run.first["contact.penetration"][last]
         # The hand moves at some mm/s, where the damper contributes a thousandth of the force.
-        stiffness = materials()[condition].values["stiffness_n_per_m"]
+        stiffness = load_materials()[condition].values["stiffness_n_per_m"]
         assert normal / depth == pytest.approx(stiffness, rel=0.01) and normal > 0.3
 
 
@@ -353,7 +353,7 @@ def test_a_hand_follows_straight_lines() -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", names_in(EXPERIMENTS))
+@pytest.mark.parametrize("name", list_names(EXPERIMENTS))
 def test_each_shipped_experiment_runs_on_a_daemon(name: str, tmp_path: Path) -> None:
     levels = Experiment(name).file.procedure.levels or (0.1, 0.6)
     changes: dict[str, Any] = {"procedure.kind": "constant", "procedure.levels": [min(levels), max(levels)]}

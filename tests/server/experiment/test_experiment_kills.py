@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from helpers.processes import COMMAND, list_children
 
-from softfinger.server.experiment.experiment import Experiment, results
+from softfinger.server.experiment.experiment import Experiment, load_results
 from softfinger.server.experiment.journal import read
 
 pytestmark = [pytest.mark.real_time, pytest.mark.scaled]
@@ -92,7 +92,7 @@ def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[
     for _ in range(kills):
         kill_while_running(words, own / "sub-01_journal.jsonl", rng)
     assert subprocess.run(words, check=False, stdout=subprocess.DEVNULL, timeout=WAIT_S).returncode == 0
-    rows = results(tmp_path / "out")
+    rows = load_results(tmp_path / "out")
     assert [(row["trial"], row["level"], row["answer"]) for row in rows] == [
         (row["trial"], row["level"], row["answer"]) for row in Experiment(file).rehearse()
     ]

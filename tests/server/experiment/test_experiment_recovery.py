@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from softfinger.config.sources import EXPERIMENTS, names_in
+from softfinger.config.sources import EXPERIMENTS, list_names
 from softfinger.server.experiment.analysis import PowerLaw, fit_groups
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.experiment.trial_order import by_condition
+from softfinger.server.experiment.trial_order import choose_by_condition
 
 pytestmark = pytest.mark.plain
 
@@ -28,7 +28,7 @@ def recover(name: str, seeds: int) -> dict[str, tuple[float, float]]:
         rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
         for group in fit_groups(experiment.file, rows):
             condition = next(candidate for candidate in experiment.conditions if candidate.name == group.condition)
-            observer = by_condition(experiment.file.observer, condition)
+            observer = choose_by_condition(experiment.file.observer, condition)
             if isinstance(group.fit, PowerLaw):
                 truth, interval = observer.exponent, group.fit.exponent_95
                 error = group.fit.exponent / truth - 1.0
@@ -46,7 +46,7 @@ def test_a_power_law_is_recovered() -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", names_in(EXPERIMENTS))
+@pytest.mark.parametrize("name", list_names(EXPERIMENTS))
 def test_intervals_hold_the_truth(name: str) -> None:
     """Over 50 seeds: intervals of 90 % coverage contain the true value in at least 42 of 50 cases in 94 % of such
     studies."""

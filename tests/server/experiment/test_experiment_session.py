@@ -23,16 +23,16 @@ from test_trial_order import make_tables
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import Scene
-from softfinger.config.sources import EXPERIMENTS, FOLDERS, names_in
+from softfinger.config.sources import EXPERIMENTS, FOLDERS, list_names
 from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.daemon import RunOptions
-from softfinger.server.experiment.experiment import Experiment, results
+from softfinger.server.experiment.experiment import Experiment, load_results
 from softfinger.server.experiment.folder import ParticipantFolder, load
 from softfinger.server.experiment.interfaces import NullApparatus
 from softfinger.server.experiment.journal import Journal, MemoryJournal, read
 from softfinger.server.experiment.observer import SimulatedObserver
-from softfinger.server.experiment.report import _starts
+from softfinger.server.experiment.report import _load_starts
 from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
@@ -57,7 +57,7 @@ def test_a_rehearsal_reports_each_trial() -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
-    "name", [name for name in names_in(EXPERIMENTS) if name != "stiffness-and-workload"]
+    "name", [name for name in list_names(EXPERIMENTS) if name != "stiffness-and-workload"]
 )  # tested elsewhere
 def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path: Path) -> None:
     assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
@@ -107,7 +107,7 @@ def kill_and_resume(folder: Path, kills: int, seed: int) -> None:
 
 def test_a_killed_session_resumes_without_loss_or_repetition(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
     kill_and_resume(tmp_path / "killed", cases(3, 50), seed=7)
-    rows = results(tmp_path / "killed")
+    rows = load_results(tmp_path / "killed")
     assert [row["trial"] for row in rows] == list(range(1, len(rows) + 1))
     whole = Experiment("friction-magnitude").rehearse()
     assert [(row["trial"], row["level"], row["answer"]) for row in rows] == [
@@ -259,10 +259,10 @@ def test_a_lost_line_of_a_journal_is_noticed(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match="line 5: entries 5 to 7 are missing between 'begun' of trial 2 and 'begun' of"
     ):
-        results(tmp_path)
+        load_results(tmp_path)
     journal.write_bytes(b"".join(lines[:5] + lines[4:]))
     with pytest.raises(ConfigError, match="line 6: is entry 5, must be entry 6: restore"):
-        results(tmp_path)
+        load_results(tmp_path)
 
 
 @pytest.mark.parametrize("remaining", [None, b"", b"[]\n", b"\xff\xfe\0\n\xff\n", 8])
@@ -282,7 +282,7 @@ def test_the_end_of_a_lost_journal_is_noticed(remaining: bytes | int | None, tmp
         with pytest.raises(ConfigError, match=rf"sub-01_journal\.jsonl: ({lost}|line 1: .*missing)"):
             experiment.run(tmp_path, participant, OFFLINE)
     with pytest.raises(ConfigError, match=lost):
-        results(tmp_path)
+        load_results(tmp_path)
     assert (tmp_path / "trials.csv").read_bytes() == before and not (tmp_path / "sub-02").exists()
 
 
@@ -317,7 +317,7 @@ def test_damaged_files_of_a_folder_are_named(tmp_path: Path) -> None:
     whole = about.read_bytes()
     about.write_bytes(whole[:10])
     with pytest.raises(ConfigError, match=r"sub-01_run-01_about\.json: is damaged: .*: restore the file from a copy"):
-        _starts(tmp_path)
+        _load_starts(tmp_path)
     about.write_bytes(whole)
     whole = described.read_bytes()
     for damaged in (whole[:100], whole.replace(b"title", b"\xffitle"), b"[" * 100_000):
@@ -422,7 +422,7 @@ def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
 def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["experiments"]) == 0
     listed = capsys.readouterr().out
-    assert [line.split()[0] for line in listed.splitlines()] == names_in(EXPERIMENTS)
+    assert [line.split()[0] for line in listed.splitlines()] == list_names(EXPERIMENTS)
     for words, message in (
         (["experiment", "friction-magnitude", "--no-daemon"], "add --dry-run"),
         (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),

@@ -10,7 +10,7 @@ from test_trial_order import make_tables
 
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.observer import SimulatedObserver
-from softfinger.server.experiment.terminal import CHOICES, keyboard, parse_answer
+from softfinger.server.experiment.terminal import CHOICES, parse_answer, read_keyboard
 from softfinger.server.wire.commands import Prompt
 
 pytestmark = pytest.mark.plain
@@ -49,7 +49,7 @@ def test_a_character_split_between_two_reads_is_complete(monkeypatch: pytest.Mon
 
 def open_keyboard(stdin: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr("sys.stdin", stdin)
-    return keyboard(single=False)
+    return read_keyboard(single=False)
 
 
 def test_simulated_numbers_are_within_their_bounds() -> None:

@@ -13,7 +13,7 @@ from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.interfaces import Progress
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.session import number_blocks
-from softfinger.server.experiment.trial_order import list_conditions, plan_trials, williams
+from softfinger.server.experiment.trial_order import list_conditions, make_williams_row, plan_trials
 
 pytestmark = pytest.mark.plain
 
@@ -53,7 +53,7 @@ def test_the_reference_comes_first_as_often_as_second() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 8])
 def test_a_latin_square_is_balanced(count: int) -> None:
     """Each condition occurs equally often at each position and after each other condition (Williams 1949)."""
-    rows = [williams(count, row) for row in range(count * (1 + count % 2))]
+    rows = [make_williams_row(count, row) for row in range(count * (1 + count % 2))]
     for place in range(count):
         assert len(set(Counter(row[place] for row in rows).values())) == 1
     follows = Counter(pair for row in rows for pair in pairwise(row))
@@ -61,7 +61,7 @@ def test_a_latin_square_is_balanced(count: int) -> None:
 
 
 def test_blocks_contain_one_condition_each() -> None:
-    for order, wanted in (("latin-square", williams(3, 1)), ("given", [0, 1, 2])):
+    for order, wanted in (("latin-square", make_williams_row(3, 1)), ("given", [0, 1, 2])):
         trials = plan_trials(make_file(design={"seed": 5, "order": order}), 2)
         assert [trial.condition for trial in trials] == [at for at in wanted for _ in range(12)]
 

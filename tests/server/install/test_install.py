@@ -15,8 +15,8 @@ from helpers.forgotten import forget_user
 from softfinger.config.errors import ConfigError
 from softfinger.server.cli import main
 from softfinger.server.install.ledger import File, Ledger
-from softfinger.server.install.plan import SYSTEM, first_private_folder, user_paths
-from softfinger.server.install.system_commands import after_removing, run_all
+from softfinger.server.install.plan import SYSTEM, find_private_folder, find_user_paths
+from softfinger.server.install.system_commands import list_cleanup_commands, run_all
 
 UNIT = "etc/systemd/system/softfinger.service"
 RULES = "etc/udev/rules.d/70-softfinger.rules"
@@ -224,7 +224,7 @@ def test_a_user_installs_without_root(home: Path) -> None:
 
 
 def test_a_users_folders_follow_xdg() -> None:
-    named = user_paths({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
+    named = find_user_paths({"XDG_CONFIG_HOME": "/c", "XDG_DATA_HOME": "relative"}, Path("/h"))
     assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
 
 
@@ -260,11 +260,11 @@ def test_commands_that_are_missing_or_fail_are_reported(
 
 def test_the_account_is_removed_unless_it_has_recordings(tmp_path: Path) -> None:
     state = tmp_path / "state"
-    assert ("userdel", "softfinger") in after_removing(True, state)
+    assert ("userdel", "softfinger") in list_cleanup_commands(True, state)
     state.mkdir()
-    assert after_removing(True, state)[-2:] == [("rmdir", str(state)), ("userdel", "softfinger")]
+    assert list_cleanup_commands(True, state)[-2:] == [("rmdir", str(state)), ("userdel", "softfinger")]
     (state / "trial.mcap").write_bytes(b"")
-    assert not {"rmdir", "userdel"} & {words[0] for words in after_removing(True, state)}
+    assert not {"rmdir", "userdel"} & {words[0] for words in list_cleanup_commands(True, state)}
 
 
 def test_a_program_in_a_private_folder_is_noticed(tmp_path: Path) -> None:
@@ -272,4 +272,4 @@ def test_a_program_in_a_private_folder_is_noticed(tmp_path: Path) -> None:
     program = tmp_path / "private" / "bin" / "softfinger"
     program.parent.mkdir(parents=True)
     program.parent.parent.chmod(0o700)
-    assert first_private_folder([str(program)]) in (program.parent.parent, *program.parents)
+    assert find_private_folder([str(program)]) in (program.parent.parent, *program.parents)

@@ -15,12 +15,12 @@ from helpers.programs import run_program
 
 from softfinger.config.load import load_rig
 from softfinger.config.schema import DeviceConfig
-from softfinger.drivers.system.claims import claims
-from softfinger.drivers.system.rules import how_to_permit, install_command, udev_rules
-from softfinger.server.cli import VERBS, completion, main, make_parser
-from softfinger.server.install.manual import manual
+from softfinger.drivers.system.claims import list_claims
+from softfinger.drivers.system.rules import explain_permission, install_command, make_udev_rules
+from softfinger.server.cli import VERBS, format_completion, main, make_parser
+from softfinger.server.install.manual import make_manual
 from softfinger.server.install.plan import LIMITS
-from softfinger.server.install.unit import unit
+from softfinger.server.install.unit import make_unit
 
 OWN = DeviceConfig(driver="hid", options={"vendor_id": 0xCAFE, "product_id": 0x0042})
 
@@ -54,15 +54,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_line_is_in_the_grammar_of_udev() -> None:
     """Checked by a regular expression, because udev may be missing."""
-    lines = [line for line in udev_rules([OWN]).splitlines() if line and not line.startswith("#")]
+    lines = [line for line in make_udev_rules([OWN]).splitlines() if line and not line.startswith("#")]
     assert len(lines) > 10
     assert not [line for line in lines if not LINE.fullmatch(line)]
 
 
 def test_every_device_that_a_driver_claims_has_a_rule() -> None:
-    rules = udev_rules()
+    rules = make_udev_rules()
     keys = {"usb": ("usb", "ATTR"), "hid": ("hidraw", "ATTRS"), "serial": ("tty", "ATTRS")}
-    for claim in claims():
+    for claim in list_claims():
         for bus in {claim.bus, "usb"} if claim.driver == "hid" else {claim.bus}:
             subsystem, key = keys[bus]
             number = "" if claim.product is None else rf'{key}\{{idProduct\}}=="[^"]*{claim.product:04x}[^"]*", '
@@ -71,10 +71,10 @@ def test_every_device_that_a_driver_claims_has_a_rule() -> None:
 
 
 def test_a_device_of_a_custom_rig_gets_a_rule() -> None:
-    assert '"cafe", ATTRS{idProduct}=="0042"' in udev_rules([OWN]) and "cafe" not in udev_rules()
-    assert udev_rules(load_rig("woodenhaptics-2019").tables.values()) == udev_rules()  # known already
+    assert '"cafe", ATTRS{idProduct}=="0042"' in make_udev_rules([OWN]) and "cafe" not in make_udev_rules()
+    assert make_udev_rules(load_rig("woodenhaptics-2019").tables.values()) == make_udev_rules()  # known already
     assert install_command(0xCAFE, 0x0042).endswith("install --system --rig YOUR-RIG.toml")
-    assert "install --system`" in how_to_permit(0x0403, 0xCB48)
+    assert "install --system`" in explain_permission(0x0403, 0xCB48)
 
 
 def test_udev_takes_the_rules(root: Path) -> None:
@@ -107,7 +107,7 @@ def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> Non
     odd.chmod(0o755)
     for words in ([str(tool("true"))], [str(odd), "run", "--rig", 'a "rig"\\.toml']):
         file = tmp_path / "softfinger.service"
-        file.write_text(unit(words, system))
+        file.write_text(make_unit(words, system))
         manager = [] if system else ["--user"]
         with TemporaryDirectory() as runtime:  # short path, as units of the machine have sockets in it
             result = run(analyze, *manager, "verify", file, XDG_RUNTIME_DIR=runtime)
@@ -119,18 +119,18 @@ def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> Non
 def test_the_exposure_of_the_service_is_limited(tmp_path: Path) -> None:
     """`systemd-analyze security` rates it at most 2.5 of 10: it needs devices, sockets, real time and compiled code."""
     file = tmp_path / "softfinger.service"
-    file.write_text(unit([str(tool("true"))], True))
+    file.write_text(make_unit([str(tool("true"))], True))
     result = run(tool("systemd-analyze"), "security", "--offline=true", "--threshold=25", file)
     assert result.returncode == 0, result.stdout[-200:] + result.stderr
 
 
 def test_the_unit_has_the_settings_of_the_daemon() -> None:
-    text = unit(["/bin/softfinger"], True)
+    text = make_unit(["/bin/softfinger"], True)
     for line in ("Type=notify", "WatchdogSec=2s", "Restart=no", "NoNewPrivileges=yes", "ProtectSystem=strict"):
         assert f"\n{line}\n" in text
     for line in ("DevicePolicy=closed", "LimitRTPRIO=95", "LimitMEMLOCK=infinity", "RuntimeDirectory=softfinger"):
         assert f"\n{line}\n" in text
-    assert "Limit" not in unit(["/bin/softfinger"], False).partition("[Service]")[2].partition("# Limits")[0]
+    assert "Limit" not in make_unit(["/bin/softfinger"], False).partition("[Service]")[2].partition("# Limits")[0]
 
 
 def test_limits_equal_those_of_the_unit() -> None:
@@ -152,7 +152,7 @@ def test_sysusers_takes_the_account(root: Path, tmp_path: Path) -> None:
 
 def test_the_man_page_has_every_verb_and_option() -> None:
     parser = make_parser().complete()
-    text = manual(parser).replace(r"\-", "-")
+    text = make_manual(parser).replace(r"\-", "-")
     for name in VERBS:
         assert f".SS softfinger {name}\n" in text
     for option in ("--watcher", "--device-report", "--dry-run", "--print-completion"):
@@ -168,13 +168,13 @@ def test_text_is_escaped_for_roff() -> None:
     import argparse
 
     parser = argparse.ArgumentParser("softfinger", description=r".TH is no 'request', \n neither")
-    assert r"\&.TH is no 'request', \en neither" in manual(parser)
+    assert r"\&.TH is no 'request', \en neither" in make_manual(parser)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_shells_take_the_completion(shell: str, tmp_path: Path) -> None:
     script = tmp_path / "softfinger"
-    script.write_text(completion(shell))
+    script.write_text(format_completion(shell))
     result = run(tool(shell), "-n", script)
     assert (result.returncode, result.stderr) == (0, "")
     if shell == "bash":

@@ -21,12 +21,12 @@ from softfinger.server import cli
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.offline.simulate import load_finger_poses, simulate, tick_many
-from softfinger.server.recording.compare import FORGET_TIME_CONSTANTS, ReplayComparison, compare, replay
+from softfinger.server.offline.simulate import load_finger_poses, run_ticks, simulate
+from softfinger.server.recording.compare import MEMORY_TIME_CONSTANTS, ReplayComparison, compare, compare_run
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.verbs.options import TOLERANCE
-from softfinger.server.recording.verbs.replay import FIELDS, _select_recorded
+from softfinger.server.recording.verbs.replay import READ_FIELDS, _select_recorded
 from softfinger.server.recording.writer import RecordingFile
 
 STIFFNESS = "object.0.material.stiffness_n_per_m"
@@ -36,9 +36,9 @@ SETTLE_TICKS = 499
 
 def replay_and_compare(path: Path, **changes: float) -> ReplayComparison:
     scene = load_scene("paper-plane")
-    past = load_run(path, FIELDS)
+    past = load_run(path, READ_FIELDS)
     scene = apply_overrides(scene, changes, "test") if changes else scene
-    return compare(past, replay(past, scene, load_rig("replay")), _select_recorded(past), TOLERANCE)
+    return compare(past, compare_run(past, scene, load_rig("replay")), _select_recorded(past), TOLERANCE)
 
 
 def find_touches() -> list[int]:
@@ -70,8 +70,8 @@ def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_nan_differs_from_every_number(tmp_path: Path) -> None:
-    past = load_run(recorded(tmp_path / "a.mcap", run()), FIELDS)
-    now, then = replay(past, load_scene("paper-plane"), load_rig("replay")), _select_recorded(past)
+    past = load_run(recorded(tmp_path / "a.mcap", run()), READ_FIELDS)
+    now, then = compare_run(past, load_scene("paper-plane"), load_rig("replay")), _select_recorded(past)
     row = find_touches()[0]
     force = then[""]["force"].copy()
     force[row, 1] = np.nan
@@ -170,7 +170,7 @@ def test_forces_withheld_by_the_driver_are_skipped(tmp_path: Path) -> None:
     poses[at] = np.nan
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     refused, dts = np.zeros_like(run()), np.full(len(poses), 1e-3)
-    tick_many(packed(tuning), packed(begin(tuning.scene)), poses[:, None], dts, 1e-3, 0, refused[:, None])
+    run_ticks(packed(tuning), packed(begin(tuning.scene)), poses[:, None], dts, 1e-3, 0, refused[:, None])
     assert int(refused[at, AT.servo_guard]) & POSE_REFUSED
     outcome = replay_and_compare(recorded(tmp_path / "refused.mcap", refused))
     assert (outcome.first, outcome.compared) == (None, len(refused))
@@ -188,8 +188,8 @@ def test_several_fingers(tmp_path: Path) -> None:
         for place, name in enumerate(names):
             recording.ticks(records[:, place], name)
         recording.close()
-    past = load_run(path, FIELDS)
-    replay_result = replay(past, scene, load_rig("replay"))
+    past = load_run(path, READ_FIELDS)
+    replay_result = compare_run(past, scene, load_rig("replay"))
     outcome = compare(past, replay_result, _select_recorded(past), TOLERANCE)
     assert (outcome.compared, outcome.first) == (1500, None)
     deviating = _select_recorded(past)
@@ -277,4 +277,4 @@ def test_info_summarizes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @pytest.mark.plain
 def test_the_filter_forgets_below_the_last_bit() -> None:
-    assert np.exp(-FORGET_TIME_CONSTANTS) < np.finfo(np.float64).eps
+    assert np.exp(-MEMORY_TIME_CONSTANTS) < np.finfo(np.float64).eps

@@ -18,7 +18,7 @@ from softfinger.server import cli
 from softfinger.server.recording.export import export
 from softfinger.server.recording.results import read_results, write_blocks
 from softfinger.server.recording.run import load_run
-from softfinger.server.recording.summary import summary
+from softfinger.server.recording.summary import summarize
 
 pytestmark = pytest.mark.plain
 
@@ -43,12 +43,12 @@ def damaged(path: Path) -> tuple[int, ...]:
 def test_results_with_a_damaged_force_are_refused(ending: str, place: int, tmp_path: Path) -> None:
     path = tmp_path / f"run{ending}"
     at = damaged(path)[place]
-    assert summary(path)["fingers"]
+    assert summarize(path)["fingers"]
     data = bytearray(path.read_bytes())
     data[at + 3] = ord("x")
     path.write_bytes(data)
     with pytest.raises(RecordingError, match=f"{path.name}.*(line {place // 3 + 2}|CRC)"):
-        summary(path)
+        summarize(path)
 
 
 def test_a_file_cut_at_any_place_is_cut_short(tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_a_file_cut_at_any_place_is_cut_short(tmp_path: Path) -> None:
     # The last 8 bytes only repeat the first ones.
     for size in range(len(data) - 9, len(data) // 2, -max(1, len(data) // 200)):
         path.write_bytes(data[:size])
-        assert summary(path)["cut"] == "it has no index at its end: its writer was killed, or the disk was full", size
+        assert summarize(path)["cut"] == "it has no index at its end: its writer was killed, or the disk was full", size
 
 
 def chunk_offsets(path: Path) -> list[int]:
@@ -82,7 +82,7 @@ def test_ticks_after_a_damaged_part_are_read(
     chunks = chunk_offsets(path)
     assert len(chunks) > 8
     flip(path, chunks[3])
-    info = summary(path)
+    info = summarize(path)
     assert not info["whole"] and "a part is damaged, and its ticks are missing: " in info["cut"]
     assert (info["gaps"], info["last_tick"]) == (1, len(run()) - 1)
     assert 0 < info["missing"] == len(run()) - info["ticks"] < len(run()) // 4
@@ -98,19 +98,19 @@ def test_ticks_after_a_damaged_part_are_read(
 def test_the_types_of_a_damaged_first_part_are_read_at_the_end(tmp_path: Path) -> None:
     path = recorded(tmp_path / "run.mcap", run())
     flip(path, chunk_offsets(path)[0])
-    info = summary(path)
+    info = summarize(path)
     assert 0 < info["first_tick"] == len(run()) - info["ticks"] < len(run()) // 4
     assert "a part is damaged" in info["cut"]
     path.write_bytes(path.read_bytes()[:-1000])
     with pytest.raises(RecordingError, match=r"run\.mcap: has no tick: a part is damaged"):
-        summary(path)
+        summarize(path)
 
 
 def test_damaged_metadata_lose_no_tick(tmp_path: Path) -> None:
     path = recorded(tmp_path / "run.mcap", run())
     data = path.read_bytes()
     path.write_bytes(data.replace(b'{"fingertip": ', b'{"fingertip"; ', 1))
-    info = summary(path)
+    info = summarize(path)
     assert info["ticks"] == len(run()) and info["rig"] is not None and info["scene"] is None
     assert "metadata 'scene' is damaged: " in info["cut"]
 
@@ -138,7 +138,7 @@ def test_a_file_of_another_program_is_named_as_such(topic: str, message: str, tm
         channel = writer.register_channel(topic=topic, message_encoding="json", schema_id=schema)
         writer.add_message(channel, log_time=1, data=b"{}", publish_time=1)
         writer.finish()
-    for read in (summary, lambda path: load_run(path, ()), lambda path: export(path, tmp_path / "out.csv")):
+    for read in (summarize, lambda path: load_run(path, ()), lambda path: export(path, tmp_path / "out.csv")):
         with pytest.raises(RecordingError, match=re.escape(f"{path}: {message}")):
             read(path)
     assert list(tmp_path.iterdir()) == [path]

@@ -35,11 +35,11 @@ from softfinger.proxy.record import AT, FIELDS
 from softfinger.server import cli
 from softfinger.server.app import Daemon
 from softfinger.server.recording import picture, schemas
-from softfinger.server.recording.poses_file import CsvPoses, poses_file
+from softfinger.server.recording.poses_file import CsvPoses, open_poses_file
 from softfinger.server.recording.reader import End, Event, Note, TickBlock, read_contents
 from softfinger.server.recording.recorder import NEW_RECORDING_REMEDY, PERIOD_S, QUEUE_EVENTS, QUEUE_ROWS, Recorder
 from softfinger.server.recording.results import McapResults
-from softfinger.server.recording.summary import summary
+from softfinger.server.recording.summary import summarize
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS
@@ -121,14 +121,14 @@ NUMBERS = {
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_foxglove_messages_have_foxglove_numbers(name: str) -> None:
-    fields = schemas.message_class(name).DESCRIPTOR.fields_by_name
+    fields = schemas.make_message_class(name).DESCRIPTOR.fields_by_name
     assert {field: fields[field].number for field in NUMBERS[name]} == NUMBERS[name]
 
 
 @pytest.mark.parametrize("scene", ["sphere", "cylinder", "corner", "pinch"])
 def test_shipped_scenes_are_drawn(scene: str) -> None:
     shown = load_scene(scene)
-    drawn = schemas.message_class(schemas.SCENE).FromString(picture.scene_message(shown, 10**18))
+    drawn = schemas.make_message_class(schemas.SCENE).FromString(picture.encode_scene(shown, 10**18))
     entities, balls = drawn.entities[: len(shown.object)], drawn.entities[len(shown.object) :]
     assert [entity.id for entity in entities] == [entity.name for entity in shown.object]
     assert all(len(t.cubes) + len(t.spheres) + len(t.cylinders) + len(t.lines) for t in entities)
@@ -139,7 +139,7 @@ def test_every_event_survives_encoding() -> None:
     values = {"int": 7, "float": 0.5, "str": "x", "float[3]": [1.0, 2.0, 3.0], "map": {"a": {"b": [1, "c"]}}}
     for kind, keys in [*EVENT_EXTRA_KEYS.items(), ("fault", ())]:
         original = event(kind, "it", 3) | {key.name: values[key.type] for key in keys} | {"message": "new", "n": 1}
-        decoded = schemas.message_class(schemas.EVENT).FromString(schemas.event_message(original))
+        decoded = schemas.make_message_class(schemas.EVENT).FromString(schemas.encode_event(original))
         assert schemas.decode_event(decoded) == original
 
 
@@ -148,7 +148,7 @@ def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
 
     from softfinger.server.recording.mcapfile import McapFile
 
-    files = descriptor_pb2.FileDescriptorSet.FromString(schemas.descriptor_set(schemas.TICK))
+    files = descriptor_pb2.FileDescriptorSet.FromString(schemas.make_descriptor_set(schemas.TICK))
     (tick,) = files.file[0].message_type
     fields = [field for field in tick.field if field.name != "torque"]
     del tick.field[:]
@@ -182,7 +182,7 @@ def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "long.mcap"
     with path.open("wb", buffering=0) as file:
         mcap = McapFile(file)
-        channel = mcap.channel("contact", schemas.TICK, schemas.descriptor_set(schemas.TICK))
+        channel = mcap.channel("contact", schemas.TICK, schemas.make_descriptor_set(schemas.TICK))
         for number in range(count):
             mcap.message(channel, number, b"")
             mcap.flush()
@@ -226,7 +226,7 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
         daemon.stop()
         assert daemon.wait(60.0)
     assert Path(started.file) == tmp_path / "a.mcap" and Path(second.file).exists()
-    assert eventually(lambda: summary(tmp_path / "a.mcap")["whole"])
+    assert eventually(lambda: summarize(tmp_path / "a.mcap")["whole"])
     records, events, notes, end = read(tmp_path / "a.mcap")
     assert (stopped.dropped, stopped.error, end.cut) == (0, "", "")
     assert len(records) >= 2500 and records[0, AT.tick] <= started.tick
@@ -237,7 +237,7 @@ def test_a_daemon_records_by_command(tmp_path: Path) -> None:
     assert notes["scene_name"] == "paper-plane" and notes["rig"]["device"]["recording"] == "tap"
     assert notes["versions"]["softfinger"] and notes["machine"]["cpu"] and notes["settings"][0]["name"]
     assert notes["end"] == {"ticks": len(records), "dropped": 0, "events_dropped": 0}
-    assert summary(tmp_path / "b.mcap")["whole"]
+    assert summarize(tmp_path / "b.mcap")["whole"]
 
 
 NOT_BELOW = {
@@ -302,7 +302,7 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
             pass
     assert ticks == list(range(len(ticks)))
     assert ticks[-1] >= last_tick - LOST_MAX_TICKS
-    report = summary(path)
+    report = summarize(path)
     assert not report["whole"] and report["ticks"] == len(ticks) and report["scene_name"] == "paper-plane"
 
 
@@ -357,7 +357,7 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     _, events, notes, _ = read(tmp_path / "slow.mcap")
     assert [entry["name"] for entry in events] == [f"mark {number}" for number in range(QUEUE_EVENTS)]
     assert notes["end"]["events_dropped"] == 30 and notes["last"] == {"said": True}
-    assert summary(tmp_path / "slow.mcap")["events_dropped"] == 30
+    assert summarize(tmp_path / "slow.mcap")["events_dropped"] == 30
 
 
 def test_a_stalled_disk_loses_ticks_but_delays_nothing(tmp_path: Path) -> None:
@@ -400,7 +400,7 @@ def test_a_stalled_disk_loses_ticks_but_delays_nothing(tmp_path: Path) -> None:
     assert reports == [
         f"{dropped} ticks from tick {records[at, AT.tick] + 1:.0f} on were not recorded: the disk was too slow"
     ]
-    info = summary(tmp_path / "slow.mcap")
+    info = summarize(tmp_path / "slow.mcap")
     assert (info["missing"], info["gaps"], info["longest_gap"], info["dropped"]) == (dropped, 1, dropped, dropped)
 
 
@@ -433,7 +433,7 @@ def test_a_full_disk_is_one_event_and_the_run_continues(tmp_path: Path) -> None:
     assert fault["name"] == "recording" and "No space left" in fault["message"] and "a.mcap" in fault["message"]
     records, _, _, end = read(tmp_path / "a.mcap")
     assert end.cut and len(records) > 100
-    assert summary(tmp_path / "b.mcap")["whole"]
+    assert summarize(tmp_path / "b.mcap")["whole"]
 
 
 def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> None:
@@ -554,14 +554,14 @@ def test_results_on_a_full_disk_end_with_whole_chunks(tmp_path: Path) -> None:
             results.append(rows)
         written = results.count()
     ticks = ticks_by_library(path)  # with an index, because the end finds room
-    assert summary(path)["whole"] and 100 < len(ticks) == written < len(rows)
+    assert summarize(path)["whole"] and 100 < len(ticks) == written < len(rows)
 
 
 @pytest.mark.parametrize("name", ["poses.csv", "poses.mcap"])
 @pytest.mark.parametrize("limit", [0, 10])
 def test_poses_without_a_row_leave_no_file(name: str, limit: int, tmp_path: Path) -> None:
     with file_size_limit(limit), pytest.raises(RecordingError, match=f"{name}: cannot be written: File too large"):
-        poses_file(tmp_path / name)
+        open_poses_file(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -12,8 +12,8 @@ from softfinger.config.load import load_scene
 from softfinger.config.schema import Scene
 from softfinger.config.sources import list_shipped
 from softfinger.server.surface_meshes import SurfaceMesh
-from softfinger.server.viewer.nodes.bodies import visual_geoms
-from softfinger.server.viewer.nodes.camera import Camera, initial_camera
+from softfinger.server.viewer.nodes.bodies import list_visual_geoms
+from softfinger.server.viewer.nodes.camera import Camera, place_camera
 from softfinger.server.viewer.nodes.glyphs import rotate
 from softfinger.server.viewer.nodes.looks import CM, MAP
 from softfinger.server.viewer.nodes.unlit import LIGHT, shade_vertices
@@ -36,7 +36,7 @@ def project(camera: Camera, point: Any) -> tuple[float, float]:
 @pytest.mark.parametrize("name", list_shipped(Scene))
 def test_a_fingertip_on_top_is_in_the_picture_and_large_enough(name: str) -> None:
     scene = load_scene(name)
-    camera = initial_camera(scene)
+    camera = place_camera(scene)
     touched = next(element for element in scene.object if not getattr(element, "inside", False))
     half = {"sphere": 0.02, "cylinder": 0.02, "box": 0.04}.get(touched.shape, 0.0)
     up = np.array([0.0, 0.0, 1.0])
@@ -52,11 +52,11 @@ def test_the_camera_looks_at_the_pose_of_a_body() -> None:
     scene = load_scene("open-a-door")
     (door,) = scene.object
     upright = (1.0, 0.0, 0.0, 0.0)
-    opened, shut = (initial_camera(scene, None, [(door, ((x, 0.0, 0.0), upright))]).look_at[0] for x in (0.08, 0.0))
+    opened, shut = (place_camera(scene, None, [(door, ((x, 0.0, 0.0), upright))]).look_at[0] for x in (0.08, 0.0))
     assert opened - shut == pytest.approx(CM * 0.08) and abs(shut) < 0.5 * CM * 2.0 * RADIUS
     stack = load_scene("stack-boxes")
-    boxes = [(box, ((0.0, 0.0, 0.015 + 0.03 * k), upright)) for k, box in enumerate(visual_geoms(stack))]
-    camera = initial_camera(stack, None, [*boxes, (stack.object[1], ((0.0, 0.0, 0.075), upright))])
+    boxes = [(box, ((0.0, 0.0, 0.015 + 0.03 * k), upright)) for k, box in enumerate(list_visual_geoms(stack))]
+    camera = place_camera(stack, None, [*boxes, (stack.object[1], ((0.0, 0.0, 0.075), upright))])
     assert max(map(abs, (*project(camera, (0.0, 0.0, 0.0)), *project(camera, (0.0, 0.0, 0.18))))) < 1.0
 
 
@@ -65,19 +65,19 @@ def test_the_camera_of_a_bowl_looks_at_the_ball() -> None:
     ball = next(element for element in scene.object if element.name == "ball")
     place = ((0.0, 0.0, 0.015), (1.0, 0.0, 0.0, 0.0))
     posed = [(element, place if element is ball else (element.position_m, place[1])) for element in scene.object]
-    assert abs(initial_camera(scene, None, posed).look_at[2] - CM * 0.015) < CM * RADIUS
+    assert abs(place_camera(scene, None, posed).look_at[2] - CM * 0.015) < CM * RADIUS
 
 
 def test_the_camera_looks_at_walls_from_the_front() -> None:
     scene = load_scene("corner")
-    position = np.array(initial_camera(scene).position)
+    position = np.array(place_camera(scene).position)
     for wall in scene.object:
         normal = rotate(wall.orientation_wxyz, np.array([0.0, 0.0, 1.0]))
         assert normal @ (position - CM * np.array(wall.position_m)) > 0.0
 
 
 def test_neither_of_two_fingers_is_hidden() -> None:
-    camera = initial_camera(load_scene("pinch"))
+    camera = place_camera(load_scene("pinch"))
     assert camera.position[0] == pytest.approx(camera.look_at[0], abs=1.0)  # the fingers differ in size by 2 mm
     for x in (-0.02 - 2.0 * RADIUS, 0.02 + 2.0 * RADIUS):
         assert max(map(abs, project(camera, (x, 0.0, 0.0)))) < 1.0
@@ -87,12 +87,12 @@ def test_the_camera_fits_a_mesh_once_it_is_drawn() -> None:
     scene = load_scene("heightmap")
     flat = np.array([(x, y, 0.0) for x in (-0.1, 0.0, 0.1) for y in (-0.1, 0.0, 0.1)])
     hill = np.array([(0.0, 0.0, 0.06)])
-    near, far = initial_camera(scene, {0: flat}), initial_camera(scene, {0: np.concatenate([flat, hill])})
+    near, far = place_camera(scene, {0: flat}), place_camera(scene, {0: np.concatenate([flat, hill])})
 
     def distance(camera: Camera) -> float:
         return float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
 
-    assert distance(far) > distance(near) >= distance(initial_camera(scene))
+    assert distance(far) > distance(near) >= distance(place_camera(scene))
     assert distance(far) * sin(0.5 * far.fov) >= CM * 0.03  # half the hill fits
 
 

@@ -23,7 +23,7 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingers import FingerNodes
-from softfinger.server.viewer.nodes.glyphs import dashes, rotate
+from softfinger.server.viewer.nodes.glyphs import make_dashes, rotate
 from softfinger.server.viewer.nodes.looks import Looks
 
 numbers = st.floats(-1.0, 1.0)
@@ -101,7 +101,7 @@ def test_the_arrow_shows_the_displayed_force_and_dashes_the_rest() -> None:
 
 @pytest.mark.plain
 def test_a_dashed_line_has_gaps_as_long_as_its_dashes() -> None:
-    line = dashes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 15.0, 0.0]))
+    line = make_dashes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 15.0, 0.0]))
     np.testing.assert_allclose(line[:, :, 1], [[2.0 * k, 2.0 * k + 1.0] for k in range(8)])
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from softfinger.config.load import load_scene
 from softfinger.config.schema import Mesh
-from softfinger.proxy.elastic.prepared import body_of
+from softfinger.proxy.elastic.prepared import prepare_body
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT
 from softfinger.server.surface_meshes import SurfaceMesh
@@ -30,7 +30,7 @@ def test_an_elastic_object_returns_to_its_shape() -> None:
     scene, nodes = load_scene("press-a-pad"), Nodes()
     pad = scene.object[0]
     assert isinstance(pad, Mesh)
-    surface = body_of(pad).surface
+    surface = prepare_body(pad).surface
     mesh = SurfaceMesh(surface.vertices.astype("<f4").astype(float), surface.triangles.astype(np.uint32))
     still = (CM * mesh.vertices).astype(np.float32)
     poses = np.tile([0.0, 0.0, 0.008, 1.0, 0.0, 0.0, 0.0], (80, 1))  # until the damping has decayed

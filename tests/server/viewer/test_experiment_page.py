@@ -10,10 +10,10 @@ from helpers.browser import eventually, shown, why_none
 from helpers.experiment_page import RATING, STUDY, session
 from helpers.waits import WAIT_S
 
-from softfinger.server.experiment.experiment import results
+from softfinger.server.experiment.experiment import load_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.viewer.prompt import assign_keys
-from softfinger.tools.bench.view import viewer
+from softfinger.tools.bench.view import run_viewer
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         run.write("your number", "29")
         run.click("answer")
         assert run.waits("Which plate is stiffer?", "guess if you are not sure")
-        with viewer("--endpoint", f"ipc://{tmp_path}/t", "--role", "watcher") as (_, address):
+        with run_viewer("--endpoint", f"ipc://{tmp_path}/t", "--role", "watcher") as (_, address):
             watcher = shown(run.page.context.browser.new_page(), address)
             assert eventually(lambda: watcher.shows("guess if you are not sure"))
             assert not watcher.page.get_by_role("button", name="begin").count()
@@ -87,7 +87,7 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
         assert run.waits("The plates had other <i>damping</i>.")
         run.click("go on")
         assert run.process.wait(WAIT_S) == 0
-    rows = results(tmp_path / "out")
+    rows = load_results(tmp_path / "out")
     assert [row["answer"] for row in rows] == ["first", "second", "second", "first"]
     assert [row["damping"] for row in rows] == [0.0, 0.0, 2.0, 2.0]
     assert [row["confidence"] for row in rows] == [3.0, 4.0, 1.0, 1.0]
@@ -118,7 +118,7 @@ def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chrom
         assert run.waits("trial 2 of 4", "1: soft, 7: hard")
         run.page.keyboard.press("3")
         assert run.waits("A break")
-    assert [row["answer"] for row in results(tmp_path / "scale" / "out")] == [6.0, 3.0]
+    assert [row["answer"] for row in load_results(tmp_path / "scale" / "out")] == [6.0, 3.0]
     with session(tmp_path / "number", RATING.replace('scale = [1, 7]\nscale_ends = ["soft", "hard"]', "")) as run:
         run.click("begin")
         for text in ("many", "-3"):
@@ -128,7 +128,7 @@ def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chrom
         run.write("your number", "12,5")
         run.click("answer")
         assert run.waits("trial 2 of 4")
-    assert [row["answer"] for row in results(tmp_path / "number" / "out")] == [12.5]
+    assert [row["answer"] for row in load_results(tmp_path / "number" / "out")] == [12.5]
 
 
 @pytest.mark.plain

@@ -139,4 +139,4 @@ def test_the_width_of_a_box_depends_on_its_rotation() -> None:
     """Edges of 20 and 40 mm, turned by 30 degrees: the sum of their projections."""
     size, turn = (0.02, 0.04, 0.01), (np.cos(np.pi / 12).item(), 0.0, 0.0, np.sin(np.pi / 12).item())
     wide = 0.5 * (0.02 * np.cos(np.pi / 6) + 0.04 * np.sin(np.pi / 6))
-    assert gestures.half_width(size, turn) == pytest.approx(wide, rel=1e-12)
+    assert gestures.compute_half_width(size, turn) == pytest.approx(wide, rel=1e-12)

@@ -16,14 +16,14 @@ from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.surface_meshes import SurfaceMesh, cone, surface_mesh
+from softfinger.server.surface_meshes import SurfaceMesh, make_cone, make_surface
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes import glyphs
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
-from softfinger.server.viewer.nodes.fingertip import finger, nail
+from softfinger.server.viewer.nodes.fingertip import make_finger, nail
 from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, PLUMB, TORSION, Looks
 from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
-from softfinger.server.viewer.nodes.unlit import squares
+from softfinger.server.viewer.nodes.unlit import make_squares
 from softfinger.server.viewer.plots import LINES
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 
@@ -58,17 +58,17 @@ def compute_volume(mesh: SurfaceMesh) -> float:
 )
 def test_solids_have_their_volume_and_face_outwards(table: dict[str, Any], exact: float) -> None:
     """A polygon of 40 corners lacks 0.4 % of a circle's area; a meridian lacks half as much again."""
-    assert compute_volume(surface_mesh(make_object(table))) == pytest.approx(exact, rel=0.015)
+    assert compute_volume(make_surface(make_object(table))) == pytest.approx(exact, rel=0.015)
 
 
 def test_a_plane_faces_along_its_normal() -> None:
-    mesh = surface_mesh(make_object({"shape": "plane"}))
+    mesh = make_surface(make_object({"shape": "plane"}))
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     assert (mesh.vertices[:, 2] == 0.0).all() and (np.cross(b - a, c - a) @ UP > 0.0).all()
 
 
 def test_an_infinite_cylinder_has_no_end_faces() -> None:
-    mesh = surface_mesh(make_object({"shape": "cylinder", "radius_m": 0.02}))
+    mesh = make_surface(make_object({"shape": "cylinder", "radius_m": 0.02}))
     np.testing.assert_allclose(np.hypot(*mesh.vertices[:, :2].T), 0.02, rtol=1e-12)  # rounding of a sine
 
 
@@ -77,12 +77,12 @@ def test_an_unknown_shape_has_no_mesh() -> None:
     class Elsewhere:
         shape = "elsewhere"
 
-    assert surface_mesh(Elsewhere()) is None  # type: ignore[arg-type]
+    assert make_surface(Elsewhere()) is None  # type: ignore[arg-type]
 
 
 @given(st.floats(-3.0 * pi, 3.0 * pi), st.floats(0.1, 10.0))
 def test_an_arc_is_as_long_as_its_angle(angle: float, radius: float) -> None:
-    line = glyphs.arc(angle, radius)[: glyphs.ARC_PIECES]
+    line = glyphs.make_arc(angle, radius)[: glyphs.ARC_PIECES]
     drawn = min(abs(angle), glyphs.ARC_MAX)
     chord = 2.0 * radius * sin(drawn / glyphs.ARC_PIECES / 2.0)
     assert np.linalg.norm(line[:, 1] - line[:, 0], axis=1).sum() == pytest.approx(glyphs.ARC_PIECES * chord, abs=1e-9)
@@ -91,19 +91,19 @@ def test_an_arc_is_as_long_as_its_angle(angle: float, radius: float) -> None:
 
 
 def test_a_cone_has_the_slope_of_the_friction() -> None:
-    rim = cone(1.0, 0.6).vertices[-1]
+    rim = make_cone(1.0, 0.6).vertices[-1]
     assert atan2(np.hypot(rim[0], rim[1]), rim[2]) == pytest.approx(atan2(0.6, 1.0), rel=1e-12)
 
 
 def test_marks_are_on_the_surface_of_the_fingertip() -> None:
-    points = glyphs.circles((0.8, 0.7, 1.2)).reshape(-1, 3)
+    points = glyphs.make_circles((0.8, 0.7, 1.2)).reshape(-1, 3)
     np.testing.assert_allclose(((points / (0.8, 0.7, 1.2)) ** 2).sum(axis=1), 1.0, rtol=1e-12)
 
 
 @given(units)
 def test_rotation_to_a_normal_maps_z_to_it(normal: np.ndarray) -> None:
     normal = normal / np.linalg.norm(normal)
-    np.testing.assert_allclose(glyphs.rotate(glyphs.rotation_to(normal), UP), normal, atol=2e-3)  # limited near -z
+    np.testing.assert_allclose(glyphs.rotate(glyphs.rotate_z_to(normal), UP), normal, atol=2e-3)  # limited near -z
 
 
 @given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.floats(-3.0, 3.0))
@@ -112,8 +112,8 @@ def test_angles_of_the_sliders_round_trip(x: float, y: float, z: float) -> None:
 
 
 def test_a_rotation_times_its_inverse_is_the_identity() -> None:
-    q = glyphs.axis_angle_rotation(np.array([1.0, 2.0, 3.0]), 0.7)
-    np.testing.assert_allclose(glyphs.product(q, glyphs.inverse(q)), glyphs.IDENTITY, atol=1e-15)
+    q = glyphs.rotate_about(np.array([1.0, 2.0, 3.0]), 0.7)
+    np.testing.assert_allclose(glyphs.multiply(q, glyphs.invert(q)), glyphs.IDENTITY, atol=1e-15)
 
 
 def test_a_trace_drops_its_oldest_segments() -> None:
@@ -201,7 +201,7 @@ def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
 
 @given(units, st.floats(-0.05, 0.05))
 def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float) -> None:
-    turn = glyphs.rotation_to(normal / np.linalg.norm(normal))
+    turn = glyphs.rotate_z_to(normal / np.linalg.norm(normal))
     material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
     floor = [0.0, 0.0, -0.1]
     planes = [
@@ -226,7 +226,7 @@ def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn
     have 9 degrees in each direction, so they are within 2 r (1 - cos 4.5 degrees) = 0.12 mm of the ball, which is 0.28
     mm of height at the slope of 0.9 r; their normals are within 2 * 4.5 degrees."""
     ball, centre, radius = {"shape": "sphere", "radius_m": 0.02, "name": "ball"}, np.array([0.01, -0.03, 0.05]), 0.02
-    turned = glyphs.axis_angle_rotation(axis, turn)
+    turned = glyphs.rotate_about(axis, turn)
     place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
     material = {"stiffness_n_per_m": 1000.0}
     scene = build(schema.Scene, BALL_TIP | {"object": [ball | place | {"material": material}]}, "test scene")
@@ -355,7 +355,7 @@ def test_a_nudge_moves_rolls_and_spins() -> None:
 
 
 def test_a_board_has_the_dark_squares_of_a_chessboard() -> None:
-    corners = squares(13.0, 13)
+    corners = make_squares(13.0, 13)
     assert corners.shape == (85, 4, 3) and (corners[..., 2] == 0.0).all()
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
     np.testing.assert_allclose(across, np.tile(UP, (85, 1)), atol=1e-12)
@@ -380,7 +380,7 @@ def test_angles_are_about_the_axes_of_the_world() -> None:
 
 def test_the_drawn_fingertip_is_the_rendered_ellipsoid() -> None:
     radii = np.array([0.008, 0.007, 0.012])
-    mesh = finger(radii)
+    mesh = make_finger(radii)
     assert compute_volume(mesh) > 4 / 3 * pi * radii.prod()
     unit = mesh.vertices / radii
     distance = np.linalg.norm(unit, axis=1)

@@ -28,9 +28,9 @@ from softfinger.server.recording.results import write_blocks
 from softfinger.server.viewer.driven import ObjectControls
 from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.live import PREPARING, SILENCE_S, SILENT, LivePage
+from softfinger.server.viewer.live import NEW_SCENE_TEXT, NO_TICKS_TEXT, SILENCE_S, LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
-from softfinger.server.viewer.nodes.camera import initial_camera
+from softfinger.server.viewer.nodes.camera import place_camera
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import TRACE_TICKS, Player, load
 from softfinger.server.viewer.wire import ReceivedData
@@ -108,7 +108,7 @@ def test_a_high_window_shows_a_scene_from_farther_away_also_if_its_page_applies_
     scene = load_scene("paper-plane")
     page.add_views()
     page.change(scene, BEGAN)
-    near = initial_camera(scene)
+    near = place_camera(scene)
     updates: list[Any] = []
     camera = SimpleNamespace(image_height=200, image_width=100, on_update=updates.append)
     page._follow_camera(SimpleNamespace(camera=camera))  # type: ignore[arg-type]
@@ -186,7 +186,7 @@ def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
         live.step(0.5 * SILENCE_S)
         assert not page._message.visible
         live.step(SILENCE_S)
-        assert page._message.visible and page._message.content == SILENT
+        assert page._message.visible and page._message.content == NO_TICKS_TEXT
     assert step_until(live, lambda: not page._message.visible)
     with monkeypatch.context() as silence:
         silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
@@ -200,7 +200,7 @@ def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
 def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(page: Page, live: LivePage) -> None:
     assert step_until(live, lambda: page.fingers)
     live._set_scene("scene", {"scene": "no-such-scene"})
-    assert page._message.content == PREPARING
+    assert page._message.content == NEW_SCENE_TEXT
     assert step_until(live, lambda: "no-such-scene" in page.refusal)
     assert not page._message.visible
 

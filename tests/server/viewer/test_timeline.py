@@ -7,7 +7,14 @@ import pytest
 
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING, SLIDING
 from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
-from softfinger.server.viewer.timeline import COLUMNS, Events, band, describe_event, find_state_runs, pointer
+from softfinger.server.viewer.timeline import (
+    COLUMNS,
+    Events,
+    describe_event,
+    find_state_runs,
+    format_band,
+    format_pointer,
+)
 
 pytestmark = pytest.mark.plain
 
@@ -42,11 +49,11 @@ def test_a_slide_shorter_than_a_column_is_visible() -> None:
 
 
 def test_the_band_and_its_pointer_as_html() -> None:
-    drawn = band({"a<b": rows([FREE] * 10 + [SLIDING] * 30)}, {"a<b": RADIUS})
+    drawn = format_band({"a<b": rows([FREE] * 10 + [SLIDING] * 30)}, {"a<b": RADIUS})
     free, sliding = (f"rgb{COLOURS[state]}" for state in (VisibleState.FREE, VisibleState.SLIDING))
     assert f'<rect x="0" width="10" height="1" fill="{free}"/><rect x="10" width="30"' in drawn
     assert f'fill="{sliding}"' in drawn and "a&lt;b" in drawn and "a<b" not in drawn
-    assert "margin-left: 50.00%" in pointer(0.5)
+    assert "margin-left: 50.00%" in format_pointer(0.5)
 
 
 def test_events_can_be_reached_from_both_sides() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softfinger.config.load import load_scene
-from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart, visual_geoms
+from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart, list_visual_geoms
 
 viser = pytest.importorskip("viser")
 pytestmark = pytest.mark.plain
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.plain
 def test_boxes_without_contacts_are_drawn_at_their_poses() -> None:
     scene = load_scene("stack-boxes")
     assert [element.name for element in scene.object] == ["floor", "top"]
-    assert [element.name for element in visual_geoms(scene)] == ["bottom", "middle"]
+    assert [element.name for element in list_visual_geoms(scene)] == ["bottom", "middle"]
     server = viser.ViserServer(port=0, verbose=False)
     try:
         bodies = BodyNodes(server.scene, scene, SceneStart(0, 0, 1e-3, True))
@@ -35,4 +35,4 @@ def test_a_missing_model_draws_no_more_bodies() -> None:
     scene = load_scene("stack-boxes")
     assert scene.world is not None
     elsewhere = msgspec.structs.replace(scene.world, model="/no/such/place.xml")
-    assert visual_geoms(msgspec.structs.replace(scene, world=elsewhere)) == []
+    assert list_visual_geoms(msgspec.structs.replace(scene, world=elsewhere)) == []

@@ -2,75 +2,82 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.normal import spring
+from softfinger.proxy.kernels.contact.normal import compute_spring_force
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import map_each
 from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.numerics.half_spaces import FACING
-from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.objects import closest_to_within
-from softfinger.proxy.kernels.shapes.budget import INSIDE
-from softfinger.proxy.kernels.shapes.composite import Deepest
+from softfinger.proxy.kernels.numerics.half_spaces import FACING_COSINE
+from softfinger.proxy.kernels.query.container import find_object
+from softfinger.proxy.kernels.query.objects import find_closest_within
+from softfinger.proxy.kernels.shapes.budget import INSIDE_TOLERANCE
+from softfinger.proxy.kernels.shapes.composite import NearestObject
 from softfinger.proxy.kernels.shapes.protocol import direction
 
-SAME_FOOT = 1.0 - 1e-4
+SAME_SUPPORT_COSINE = 1.0 - 1e-4
 """Cosine between the normals of two support points on a height map above which they count as one."""
-FLAT = 1e-4
+COPLANAR_VOLUME = 1e-4
 """Volume spanned by three unit normals below which they count as coplanar and may enclose the proxy in that plane."""
 
 
 @jit
-def one_constraint(body: float, normal: Vec3, depth: float) -> ActiveSet:
+def make_single_constraint(body: float, normal: Vec3, depth: float) -> ActiveSet:
     """Return the active set of a single object."""
     return Constraint(body, normal, depth), Constraint(NONE, normal, 0.0), Constraint(NONE, normal, 0.0)
 
 
 @jit
-def count_of(active: ActiveSet) -> int:
-    if active[1].body < 0.0:
+def count_constraints(active: ActiveSet) -> int:
+    if active[1].object_index < 0.0:
         return 1
-    return 2 if active[2].body < 0.0 else 3
+    return 2 if active[2].object_index < 0.0 else 3
 
 
 @jit
-def active_objects(active: ActiveSet) -> Vec3:
+def list_objects(active: ActiveSet) -> Vec3:
     """Return the flat indices of the objects, -1 for none."""
-    return active[0].body, active[1].body, active[2].body
+    return active[0].object_index, active[1].object_index, active[2].object_index
 
 
 @jit
-def displacement_of(active: ActiveSet) -> Vec3:
+def sum_displacements(active: ActiveSet) -> Vec3:
     """Return the displacement (3,) m from the probe to the proxy."""
     one, two, three = active
     return vec3.weighted_sum((one.depth, two.depth, three.depth), one.normal, two.normal, three.normal)
 
 
 @jit
-def active_set_of_one(index: float, normal: Vec3, to_proxy: Vec3) -> ActiveSet:
+def make_active_set(index: float, normal: Vec3, to_proxy: Vec3) -> ActiveSet:
     """Return the active set of one object with the proxy at `to_proxy` (3,) m from the probe."""
-    return one_constraint(index, normal, max(vec3.dot(to_proxy, normal), 0.0))
+    return make_single_constraint(index, normal, max(vec3.dot(to_proxy, normal), 0.0))
 
 
 @jit
 def add_constraint(active: ActiveSet, index: float, normal: Vec3) -> ActiveSet:
     one, two, three = active
-    if two.body < 0.0:
+    if two.object_index < 0.0:
         return one, Constraint(index, normal, two.depth), Constraint(NONE, normal, three.depth)
     return one, two, Constraint(index, normal, three.depth)
 
 
 @jit
-def add_touched(objects: Any, radius: float, center: Vec3, active: ActiveSet, near: Deepest) -> tuple[ActiveSet, int]:
+def add_touched(
+    objects: Any, radius: float, center: Vec3, active: ActiveSet, near: NearestObject
+) -> tuple[ActiveSet, int]:
     """Add the nearest object if it touches the proxy and fewer than three are active; return the remaining budget, too.
 
-    near  result of `deepest` at `center`
+    near  result of `find_deepest` at `center`
     """
     gap, at, remaining = near
     one, two, three = active
-    if gap > radius * (1.0 + INSIDE) or three.body >= 0.0 or at == one.body or at == two.body:
+    if (
+        gap > radius * (1.0 + INSIDE_TOLERANCE)
+        or three.object_index >= 0.0
+        or at == one.object_index
+        or at == two.object_index
+    ):
         return active, remaining
-    _, _, normal, remaining = closest_to_within(objects, at, center, remaining)
+    _, _, normal, remaining = find_closest_within(objects, at, center, remaining)
     return add_constraint(active, at, normal), remaining
 
 
@@ -89,11 +96,11 @@ def drop_weakest(active: ActiveSet) -> ActiveSet:
 
 
 @jit
-def spring_load(constraint: Constraint, objects: Any) -> float:
+def compute_spring_load(constraint: Constraint, objects: Any) -> float:
     """Return the elastic normal force of a constraint, N; 0 for an unused one."""
-    if constraint.body < 0.0:
+    if constraint.object_index < 0.0:
         return 0.0
-    return spring(object_at(objects, constraint.body).material.normal, constraint.depth)
+    return compute_spring_force(find_object(objects, constraint.object_index).material.normal, constraint.depth)
 
 
 @jit
@@ -102,46 +109,50 @@ def sort_by_load(objects: Any, active: ActiveSet) -> ActiveSet:
 
     A plain comparison of two equal walls would change with every rounding error.
     """
-    load = map_each(spring_load, (active,), objects)
+    load = map_each(compute_spring_load, (active,), objects)
     one, two, three = active
-    if two.body >= 0.0 and load[1] > 1.5 * load[0] and load[1] >= load[2]:
+    if two.object_index >= 0.0 and load[1] > 1.5 * load[0] and load[1] >= load[2]:
         one, two = two, one
-    elif three.body >= 0.0 and load[2] > 1.5 * load[0]:
+    elif three.object_index >= 0.0 and load[2] > 1.5 * load[0]:
         one, three = three, one
-    if three.body >= 0.0 and not three.depth > 0.0:
+    if three.object_index >= 0.0 and not three.depth > 0.0:
         three = Constraint(NONE, two.normal, 0.0)
-    if two.body >= 0.0 and not two.depth > 0.0:
+    if two.object_index >= 0.0 and not two.depth > 0.0:
         two, three = three, Constraint(NONE, three.normal, 0.0)
     return one, two, three
 
 
 @jit
-def leaves_no_room(active: ActiveSet) -> bool:
+def is_enclosed(active: ActiveSet) -> bool:
     """Return True if two constraints face each other, or three enclose the proxy from all sides."""
     one, two, three = active
-    if two.body < 0.0:
+    if two.object_index < 0.0:
         return False
-    if vec3.dot(one.normal, two.normal) < FACING:
+    if vec3.dot(one.normal, two.normal) < FACING_COSINE:
         return True
-    if three.body < 0.0:
+    if three.object_index < 0.0:
         return False
     across = vec3.cross(one.normal, two.normal)
     return (
-        vec3.dot(one.normal, three.normal) < FACING
-        or vec3.dot(two.normal, three.normal) < FACING
-        or abs(vec3.dot(across, three.normal)) < FLAT
+        vec3.dot(one.normal, three.normal) < FACING_COSINE
+        or vec3.dot(two.normal, three.normal) < FACING_COSINE
+        or abs(vec3.dot(across, three.normal)) < COPLANAR_VOLUME
     )
 
 
 @jit
-def is_foot(constraint: Constraint, at: float, normal: Vec3) -> bool:
-    return at == constraint.body and vec3.dot(normal, constraint.normal) > SAME_FOOT
+def is_same_support_point(constraint: Constraint, at: float, normal: Vec3) -> bool:
+    return at == constraint.object_index and vec3.dot(normal, constraint.normal) > SAME_SUPPORT_COSINE
 
 
 @jit
 def is_support_point_of(active: ActiveSet, at: float, normal: Vec3) -> bool:
     """Return True if the active set already contains the point of height map `at` with this normal."""
-    return is_foot(active[0], at, normal) or is_foot(active[1], at, normal) or is_foot(active[2], at, normal)
+    return (
+        is_same_support_point(active[0], at, normal)
+        or is_same_support_point(active[1], at, normal)
+        or is_same_support_point(active[2], at, normal)
+    )
 
 
 @jit
@@ -151,13 +162,13 @@ def merge_support_points(active: ActiveSet) -> ActiveSet:
     The sum of their displacements, depth times normal, gives its direction and depth.
     """
     one, two, three = active
-    if three.body >= 0.0 and (three.body == one.body or three.body == two.body):
-        if three.body == one.body:
+    if three.object_index >= 0.0 and (three.object_index == one.object_index or three.object_index == two.object_index):
+        if three.object_index == one.object_index:
             one = merge_constraints(one, three)
         else:
             two = merge_constraints(two, three)
         three = Constraint(NONE, two.normal, 0.0)
-    if two.body >= 0.0 and two.body == one.body:
+    if two.object_index >= 0.0 and two.object_index == one.object_index:
         one, two = merge_constraints(one, two), three
         three = Constraint(NONE, two.normal, 0.0)
     return one, two, three
@@ -167,4 +178,4 @@ def merge_support_points(active: ActiveSet) -> ActiveSet:
 def merge_constraints(one: Constraint, two: Constraint) -> Constraint:
     push = vec3.add_scaled(vec3.scale(one.depth, one.normal), two.depth, two.normal)
     depth, normal = direction(push, one.normal)
-    return Constraint(one.body, normal, depth)
+    return Constraint(one.object_index, normal, depth)

@@ -13,7 +13,7 @@ never added. (This is sequential convex programming with an inner approximation 
 
 from typing import Any, NamedTuple
 
-from softfinger.proxy.kernels.contact.rest.active_set import active_objects, leaves_no_room
+from softfinger.proxy.kernels.contact.rest.active_set import is_enclosed, list_objects
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.jit.tuples import map_each
@@ -21,39 +21,39 @@ from softfinger.proxy.kernels.model import NONE, ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import solve_half_spaces
 from softfinger.proxy.kernels.query.kinds import is_mesh_at
-from softfinger.proxy.kernels.query.objects import closest_to_within, constraint_of, deepest, neighbour_on
-from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, SPENT, STRIDE
+from softfinger.proxy.kernels.query.objects import find_closest_within, find_constraint, find_deepest, find_neighbour
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, MAX_STRIDE, NO_BUDGET
 
-ADDED = 24
+MAX_ADDED = 24
 """Largest number of obstructing facets added in a step."""
-STEPS = 4
+MAX_STEPS = 4
 """Largest number of steps of the proxy in a tick; a search of the mesh verifies each."""
-SOON, NEARLY = 3, 1e-4
-"""Condition for lifting the proxy off its planes: SOON obstructing facets, or a part of the budget, have been used, and
-the depth in the next is below NEARLY, as a share of the radius. Otherwise each of many facets at about the same
-distance would obstruct the proxy, one after the other."""
-HALVINGS = 6
+LIFT_AFTER, LIFT_DEPTH = 3, 1e-4
+"""Condition for lifting the proxy off its planes: LIFT_AFTER obstructing facets, or a part of the budget, have been
+used, and the depth in the next is below LIFT_DEPTH, as a share of the radius. Otherwise each of many facets at about
+the same distance would obstruct the proxy, one after the other."""
+MAX_HALVINGS = 6
 """Largest number of halvings of a step that ends inside."""
-TOUCHES = 1e-3
+TOUCH_DISTANCE = 1e-3
 """Distance from a facet, as a share of the radius, up to which its plane is used from the start. Any supporting plane
 is valid."""
-AT_REST = 1e-6
+REST_STEP = 1e-6
 """Step, as a share of the radius, below which the proxy is at rest: it rotates a normal by this value in rad."""
-EDGES = 3
+MAX_EDGES = 3
 """Largest number of edges that a fingertip crosses in a tick before the mesh is searched."""
-MISSED = 1e-9
+PLANE_TOLERANCE = 1e-9
 """Violation of a fourth plane by the solution of three, as a share of the radius, that counts as rounding."""
 
 
 class CuttingPlane(NamedTuple):
-    """Supporting plane of the object with flat index `body`, -1 for none: n . x >= offset (m) for x outside."""
+    """Supporting plane of the object `object_index`, -1 for none: n . x >= offset (m) for x outside."""
 
-    body: float
+    object_index: float
     normal: Vec3
     offset: float
 
 
-NO_PLANE = CuttingPlane(NONE, (0.0, 0.0, 1.0), 0.0)
+NO_CUTTING_PLANE = CuttingPlane(NONE, (0.0, 0.0, 1.0), 0.0)
 
 
 class CuttingPlanes(NamedTuple):
@@ -87,16 +87,16 @@ class Rest(NamedTuple):
 
 
 @jit
-def supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x: Vec3) -> CuttingPlane:
+def find_supporting_plane(objects: Any, index: float, radius: float, anchor: Vec3, x: Vec3) -> CuttingPlane:
     """Return the supporting plane of an object at the point nearest to `x` (3,) m, if the anchor is in front of it.
 
     Otherwise return the plane at the point nearest to the anchor, which always is in front of that. The object is a
     triangle or has a shape without a search, so no budget is counted.
     """
-    _, point, normal, _ = closest_to_within(objects, index, x, BUDGET)
+    _, point, normal, _ = find_closest_within(objects, index, x, BUDGET)
     normal = orient_normal(objects, index, normal, vec3.sub(anchor, point))
-    if vec3.dot(normal, vec3.sub(anchor, point)) < radius * (1.0 - INSIDE) and x != anchor:
-        _, point, normal, _ = closest_to_within(objects, index, anchor, BUDGET)
+    if vec3.dot(normal, vec3.sub(anchor, point)) < radius * (1.0 - INSIDE_TOLERANCE) and x != anchor:
+        _, point, normal, _ = find_closest_within(objects, index, anchor, BUDGET)
         normal = orient_normal(objects, index, normal, vec3.sub(anchor, point))
     return CuttingPlane(index, normal, vec3.dot(normal, point) + radius)
 
@@ -113,16 +113,16 @@ def orient_normal(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3
 def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlanes:
     """Return the planes with their solution: the point nearest to the probe that is in front of all by `lift` m."""
     one, two, three = planes.one, planes.two, planes.three
-    if one.body < 0.0:
+    if one.object_index < 0.0:
         return CuttingPlanes(one, two, three, probe, (0.0, 0.0, 0.0))
     count = 1
     n2, n3 = one.normal, one.normal
     b1 = one.offset + lift - vec3.dot(one.normal, probe)
     b2, b3 = b1, b1
-    if two.body >= 0.0:
+    if two.object_index >= 0.0:
         count, n2 = 2, two.normal
         b2 = two.offset + lift - vec3.dot(n2, probe)
-    if three.body >= 0.0:
+    if three.object_index >= 0.0:
         count, n3 = 3, three.normal
         b3 = three.offset + lift - vec3.dot(n3, probe)
     solution = solve_half_spaces(count, one.normal, n2, n3, b1, b2, b3)
@@ -132,7 +132,7 @@ def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlan
 
 
 @jit
-def distance_behind(plane: CuttingPlane, x: Vec3) -> float:
+def compute_distance_behind(plane: CuttingPlane, x: Vec3) -> float:
     """Return the distance (m) of `x` behind a plane, negative in front."""
     return plane.offset - vec3.dot(plane.normal, x)
 
@@ -145,92 +145,92 @@ def add_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: 
     """
     one, two, three = planes.one, planes.two, planes.three
     nowhere, nothing = probe, (0.0, 0.0, 0.0)
-    if one.body < 0.0:
+    if one.object_index < 0.0:
         return solve_planes(CuttingPlanes(plane, two, three, nowhere, nothing), probe, lift)
-    if two.body < 0.0:
+    if two.object_index < 0.0:
         return solve_planes(CuttingPlanes(one, plane, three, nowhere, nothing), probe, lift)
-    if three.body < 0.0:
+    if three.object_index < 0.0:
         return solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
     best = solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
-    least = distance_behind(three, best.center)
+    least = compute_distance_behind(three, best.center)
     for turn in range(2):
-        if least <= MISSED * radius:
+        if least <= PLANE_TOLERANCE * radius:
             break
         if turn == 0:
             other = solve_planes(CuttingPlanes(one, three, plane, nowhere, nothing), probe, lift)
-            far = distance_behind(two, other.center)
+            far = compute_distance_behind(two, other.center)
         else:
             other = solve_planes(CuttingPlanes(two, three, plane, nowhere, nothing), probe, lift)
-            far = distance_behind(one, other.center)
+            far = compute_distance_behind(one, other.center)
         if far < least:
             best, least = other, far
     return best
 
 
 @outlined
-def touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> CuttingPlane:
-    """Return the plane, at the anchor, of an object or its neighbour there; NO_PLANE if the proxy does not touch it."""
-    for _ in range(EDGES):
-        beyond = neighbour_on(objects, index, anchor)
+def find_touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> CuttingPlane:
+    """Return the plane, at the anchor, of an object or its neighbour; NO_CUTTING_PLANE if neither is touched."""
+    for _ in range(MAX_EDGES):
+        beyond = find_neighbour(objects, index, anchor)
         if beyond == index:
             break
         index = beyond
-    plane = supporting_plane(objects, index, radius, anchor, anchor)
-    return NO_PLANE if vec3.dot(plane.normal, anchor) - plane.offset > TOUCHES * radius else plane
+    plane = find_supporting_plane(objects, index, radius, anchor, anchor)
+    return NO_CUTTING_PLANE if vec3.dot(plane.normal, anchor) - plane.offset > TOUCH_DISTANCE * radius else plane
 
 
 @jit
-def planes_at(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> CuttingPlanes:
+def find_planes(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> CuttingPlanes:
     """Return the planes, not solved, of the objects that touch a proxy at the anchor; `active` are flat indices."""
-    one = NO_PLANE if active[0] < 0.0 else touching_plane(objects, active[0], radius, anchor)
-    two = NO_PLANE if active[1] < 0.0 else touching_plane(objects, active[1], radius, anchor)
-    three = NO_PLANE if active[2] < 0.0 else touching_plane(objects, active[2], radius, anchor)
-    if three.body == one.body or three.body == two.body:
-        three = NO_PLANE
-    if two.body == one.body:
-        two = NO_PLANE
-    if two.body < 0.0:
-        two, three = three, NO_PLANE
-    if one.body < 0.0:
-        one, two, three = two, three, NO_PLANE
+    one = NO_CUTTING_PLANE if active[0] < 0.0 else find_touching_plane(objects, active[0], radius, anchor)
+    two = NO_CUTTING_PLANE if active[1] < 0.0 else find_touching_plane(objects, active[1], radius, anchor)
+    three = NO_CUTTING_PLANE if active[2] < 0.0 else find_touching_plane(objects, active[2], radius, anchor)
+    if three.object_index == one.object_index or three.object_index == two.object_index:
+        three = NO_CUTTING_PLANE
+    if two.object_index == one.object_index:
+        two = NO_CUTTING_PLANE
+    if two.object_index < 0.0:
+        two, three = three, NO_CUTTING_PLANE
+    if one.object_index < 0.0:
+        one, two, three = two, three, NO_CUTTING_PLANE
     return CuttingPlanes(one, two, three, anchor, (0.0, 0.0, 0.0))
 
 
 @jit
-def bodies_of(planes: CuttingPlanes) -> Vec3:
-    return planes.one.body, planes.two.body, planes.three.body
+def list_bodies(planes: CuttingPlanes) -> Vec3:
+    return planes.one.object_index, planes.two.object_index, planes.three.object_index
 
 
 @jit
-def constraints_of(planes: CuttingPlanes) -> ActiveSet:
+def make_constraints(planes: CuttingPlanes) -> ActiveSet:
     """Return the solved planes as an active set."""
     one, two, three, push = planes.one, planes.two, planes.three, planes.push
     n1 = one.normal
-    n2 = two.normal if two.body >= 0.0 else n1
-    n3 = three.normal if three.body >= 0.0 else n2
+    n2 = two.normal if two.object_index >= 0.0 else n1
+    n3 = three.normal if three.object_index >= 0.0 else n2
     return (
-        Constraint(one.body, n1, push[0]),
-        Constraint(two.body, n2, push[1]),
-        Constraint(three.body, n3, push[2]),
+        Constraint(one.object_index, n1, push[0]),
+        Constraint(two.object_index, n2, push[1]),
+        Constraint(three.object_index, n3, push[2]),
     )
 
 
 @jit
-def touches(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> bool:
+def is_touching(objects: Any, constraint: Constraint, radius: float, center: Vec3) -> bool:
     """Return True if the object of a loaded constraint touches the proxy."""
-    if constraint.body < 0.0 or constraint.depth <= 0.0:
+    if constraint.object_index < 0.0 or constraint.depth <= 0.0:
         return True
-    _, point, _, _ = closest_to_within(objects, constraint.body, center, BUDGET)
-    return vec3.norm(vec3.sub(center, point)) <= radius * (1.0 + 3.0 * NEARLY)
+    _, point, _, _ = find_closest_within(objects, constraint.object_index, center, BUDGET)
+    return vec3.norm(vec3.sub(center, point)) <= radius * (1.0 + 3.0 * LIFT_DEPTH)
 
 
 @jit
-def touches_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) -> bool:
+def is_touching_all(objects: Any, active: ActiveSet, radius: float, center: Vec3) -> bool:
     """Return True if the objects of all loaded constraints touch the proxy."""
     return (
-        touches(objects, active[0], radius, center)
-        and touches(objects, active[1], radius, center)
-        and touches(objects, active[2], radius, center)
+        is_touching(objects, active[0], radius, center)
+        and is_touching(objects, active[1], radius, center)
+        and is_touching(objects, active[2], radius, center)
     )
 
 
@@ -247,51 +247,51 @@ def step_towards(
     center, is_clear, clipped, lift, budget_at_start = anchor, False, False, 0.0, budget
     reserve = budget // 4  # reserve for the halvings
     budget -= reserve
-    for added in range(ADDED):
+    for added in range(MAX_ADDED):
         center = planes.center
         path = vec3.sub(center, anchor)
         length = vec3.norm(path)
-        clipped = length > STRIDE * radius
+        clipped = length > MAX_STRIDE * radius
         if clipped:
-            center = vec3.add_scaled(anchor, STRIDE * radius / length, path)
-        gap, at, budget = deepest(objects, center, radius, bodies_of(planes), budget)
-        if gap >= radius * (1.0 - INSIDE):
+            center = vec3.add_scaled(anchor, MAX_STRIDE * radius / length, path)
+        gap, at, budget = find_deepest(objects, center, radius, list_bodies(planes), budget)
+        if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             is_clear = True
             break
         if budget < 0 or at < 0.0:
             break
-        plane = supporting_plane(objects, at, radius, anchor, center if nearest else anchor)
-        if gap > radius * (1.0 - NEARLY) and (added >= SOON or 2 * budget < budget_at_start):
+        plane = find_supporting_plane(objects, at, radius, anchor, center if nearest else anchor)
+        if gap > radius * (1.0 - LIFT_DEPTH) and (added >= LIFT_AFTER or 2 * budget < budget_at_start):
             lift = 2.0 * (radius - gap)
         one, two, three = planes.one, planes.two, planes.three
-        if at == one.body:
+        if at == one.object_index:
             one = plane
-        elif at == two.body:
+        elif at == two.object_index:
             two = plane
-        elif at == three.body:
+        elif at == three.object_index:
             three = plane
         else:
             planes = add_plane(planes, plane, radius, probe, lift)
             continue
         planes = solve_planes(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
-    active, late = constraints_of(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
+    active, late = make_constraints(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
     budget = max(budget, 0) + reserve
     if is_clear:
         return Rest(center, active, clipped, budget)
     # Too many facets at about the same distance. Every point on the path to the last centre is closer to the probe
     # than the anchor.
     path = vec3.sub(center, anchor)
-    for _ in range(HALVINGS):
+    for _ in range(MAX_HALVINGS):
         if budget < 0:
             break
         path = vec3.scale(0.5, path)
-        gap, _, budget = deepest(objects, vec3.add(anchor, path), radius, bodies_of(planes), budget)
-        if gap >= radius * (1.0 - INSIDE):
-            return Rest(vec3.add(anchor, path), active, True, SPENT if late else budget)
+        gap, _, budget = find_deepest(objects, vec3.add(anchor, path), radius, list_bodies(planes), budget)
+        if gap >= radius * (1.0 - INSIDE_TOLERANCE):
+            return Rest(vec3.add(anchor, path), active, True, NO_BUDGET if late else budget)
     # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
-    gap, _, budget = deepest(objects, anchor, radius, bodies_of(planes), budget)
-    if budget < 0 or gap >= radius * (1.0 - INSIDE) or not leaves_no_room(active):
-        return Rest(anchor, active, True, SPENT if late else budget)
+    gap, _, budget = find_deepest(objects, anchor, radius, list_bodies(planes), budget)
+    if budget < 0 or gap >= radius * (1.0 - INSIDE_TOLERANCE) or not is_enclosed(active):
+        return Rest(anchor, active, True, NO_BUDGET if late else budget)
     return Rest(center, active, False, budget)
 
 
@@ -299,13 +299,13 @@ def step_towards(
 def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Rest:
     """Move the proxy from the anchor, where it is outside, to rest. Each step ends outside and closer to the probe."""
     stand, nearest = Rest(anchor, active, True, budget), True
-    for _ in range(STEPS):
-        planes = planes_at(objects, radius, stand.center, active_objects(stand.active))
+    for _ in range(MAX_STEPS):
+        planes = find_planes(objects, radius, stand.center, list_objects(stand.active))
         before = stand.center
         stand = step_towards(objects, radius, probe, before, planes, nearest, stand.budget)
-        if stand.budget < 0 or (not stand.late and touches_all(objects, stand.active, radius, stand.center)):
+        if stand.budget < 0 or (not stand.late and is_touching_all(objects, stand.active, radius, stand.center)):
             break
-        if not stand.late or vec3.norm(vec3.sub(stand.center, before)) <= AT_REST * radius:
+        if not stand.late or vec3.norm(vec3.sub(stand.center, before)) <= REST_STEP * radius:
             if not nearest:
                 break
             nearest = False
@@ -313,12 +313,12 @@ def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
 
 
 @jit
-def plane_at(constraint: Constraint, objects: Any, radius: float, center: Vec3) -> CuttingPlane:
-    """Return the tangent plane of the object of a constraint for a proxy at `center` (3,) m, or NO_PLANE."""
-    if constraint.body < 0.0:
-        return NO_PLANE
-    point, normal, _ = constraint_of(objects, constraint.body, center, radius, constraint.normal, BUDGET)
-    return CuttingPlane(constraint.body, normal, vec3.dot(normal, point) + radius)
+def find_tangent_plane(constraint: Constraint, objects: Any, radius: float, center: Vec3) -> CuttingPlane:
+    """Return the tangent plane of the object of a constraint for a proxy at `center` (3,) m, or NO_CUTTING_PLANE."""
+    if constraint.object_index < 0.0:
+        return NO_CUTTING_PLANE
+    point, normal, _ = find_constraint(objects, constraint.object_index, center, radius, constraint.normal, BUDGET)
+    return CuttingPlane(constraint.object_index, normal, vec3.dot(normal, point) + radius)
 
 
 @jit
@@ -329,6 +329,6 @@ def solve_tangent_planes(
 
     Returns the active set with its new depths, and the point (3,) m nearest to the probe in front of these planes.
     """
-    one, two, three = map_each(plane_at, (active,), objects, radius, center)
+    one, two, three = map_each(find_tangent_plane, (active,), objects, radius, center)
     planes = solve_planes(CuttingPlanes(one, two, three, center, (0.0, 0.0, 0.0)), probe, 0.0)
-    return constraints_of(planes), planes.center
+    return make_constraints(planes), planes.center

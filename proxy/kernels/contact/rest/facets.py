@@ -2,25 +2,25 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.rest.active_set import active_set_of_one
-from softfinger.proxy.kernels.contact.rest.cutting_planes import AT_REST, EDGES, Rest, solve_tangent_planes
-from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SAME_SIDE, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rest.active_set import make_active_set
+from softfinger.proxy.kernels.contact.rest.cutting_planes import MAX_EDGES, REST_STEP, Rest, solve_tangent_planes
+from softfinger.proxy.kernels.contact.rest.one_object import MAX_ROUNDS, MAX_SLIDING_ROUNDS, SAME_SIDE_COSINE
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import ActiveSet, Constraint, Faceted, Quaternion, Smooth, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, FacetedSearch, Quaternion, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import is_mesh_at
-from softfinger.proxy.kernels.query.objects import closest_to_within, neighbour_on
-from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP, SETTLED
+from softfinger.proxy.kernels.query.objects import find_closest_within, find_neighbour
+from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP_SHARE, SETTLED_STEP
 from softfinger.proxy.kernels.shapes.protocol import direction, turn_along
 
 
 @jit
-def facet_under(objects: Any, index: float, x: Vec3) -> float:
+def find_facet_under(objects: Any, index: float, x: Vec3) -> float:
     """Return the flat index of the facet nearest to `x` (3,) m, reached from facet `index` over at most EDGES edges."""
-    for _ in range(EDGES):
-        neighbour = neighbour_on(objects, index, x)
+    for _ in range(MAX_EDGES):
+        neighbour = find_neighbour(objects, index, x)
         if neighbour == index:
             break
         index = neighbour
@@ -28,33 +28,37 @@ def facet_under(objects: Any, index: float, x: Vec3) -> float:
 
 
 @jit
-def constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, others: ActiveSet) -> Constraint:
+def move_constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3, others: ActiveSet) -> Constraint:
     """Return the constraint of the facet under a proxy at `center` (3,) m, which may have crossed an edge."""
-    body = constraint.body
+    body = constraint.object_index
     if body < 0.0 or not is_mesh_at(objects, body):
         return constraint
-    neighbour = facet_under(objects, body, center)
-    if neighbour == others[0].body or neighbour == others[1].body or neighbour == others[2].body:
+    neighbour = find_facet_under(objects, body, center)
+    if (
+        neighbour == others[0].object_index
+        or neighbour == others[1].object_index
+        or neighbour == others[2].object_index
+    ):
         return constraint
     return Constraint(neighbour, constraint.normal, constraint.depth)
 
 
 @jit
-def constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
-    """Return the constraints of a proxy at rest: on meshes those of the facets under it, see `constraint_over_edge`.
+def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
+    """Return the constraints of a proxy at rest, on meshes those of the facets under it (`move_constraint_over_edge`).
 
     After a search, the planes may be those before the last motion of the proxy. On meshes they are replaced, unless the
-    probe is deeper than `DEEP`: there, the force would change by more than the proxy moves. With a height map they are
-    not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
+    probe is deeper than `DEEP_SHARE`: there, the force would change by more than the proxy moves. With a height map
+    they are not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
     """
-    if not isinstance(objects.search, Faceted):
+    if not isinstance(objects.search, FacetedSearch):
         return rest.active
     active, center = rest.active, rest.center
-    one = constraint_over_edge(objects, active[0], center, active)
-    two = constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
-    active = one, two, constraint_over_edge(objects, active[2], center, (one, two, active[2]))
+    one = move_constraint_over_edge(objects, active[0], center, active)
+    two = move_constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
+    active = one, two, move_constraint_over_edge(objects, active[2], center, (one, two, active[2]))
     depth = vec3.sub(center, probe)
-    if not rest.late and vec3.dot(depth, depth) <= (DEEP * radius) ** 2:
+    if not rest.late and vec3.dot(depth, depth) <= (DEEP_SHARE * radius) ** 2:
         active, _ = solve_tangent_planes(objects, radius, probe, center, active)
     return active
 
@@ -72,25 +76,25 @@ def roll_over_edge(
     second facet, each for its share of the tick. The error is of third order in the angle of a tick, and zero between
     facets of one plane.
     """
-    if isinstance(objects.search, Smooth):
+    if isinstance(objects.search, SmoothSearch):
         return rolled, index
-    facet = facet_under(objects, index, rolled.center) if is_mesh_at(objects, index) else index
+    facet = find_facet_under(objects, index, rolled.center) if is_mesh_at(objects, index) else index
     if facet == index:
         return rolled, index
-    _, _, normal, _ = closest_to_within(objects, facet, rolled.center, BUDGET)
+    _, _, normal, _ = find_closest_within(objects, facet, rolled.center, BUDGET)
     rate = vec3.cross(rotations.log(turn), normal)
-    on_both = share_of_tick(vec3.sub(rolled.normal, start.normal), rate)
-    on_next = min(share_of_tick(vec3.sub(rolled.normal, normal), rate), on_both)
+    on_both = compute_share_of_tick(vec3.sub(rolled.normal, start.normal), rate)
+    on_next = min(compute_share_of_tick(vec3.sub(rolled.normal, normal), rate), on_both)
     share = 0.5 * (on_both + on_next)
     _, mean = direction(vec3.add_scaled(vec3.scale(1.0 - share, start.normal), share, normal), normal)
     flat = roll_flat_on(method, objects, facet, radius, mean, turn)
-    _, point, normal, _ = closest_to_within(objects, facet, vec3.add(start.center, flat.motion), BUDGET)
+    _, point, normal, _ = find_closest_within(objects, facet, vec3.add(start.center, flat.motion), BUDGET)
     center, motion = vec3.add_scaled(point, radius, normal), turn_along(flat.motion, mean, normal)
     return Roll(center, normal, motion, flat.theta, flat.spin, True), facet
 
 
 @jit
-def share_of_tick(bend: Vec3, rate: Vec3) -> float:
+def compute_share_of_tick(bend: Vec3, rate: Vec3) -> float:
     """Return the share of the tick in which the normal rotates by `bend` (3,), at most 1.
 
     rate  (3,)  change of the normal in a tick round a corner; round an edge, its component along `bend` counts
@@ -108,22 +112,22 @@ def slide_over_facets(
     Return the center of the proxy, the facets that it touches, and whether it is at rest. Without a deflection, it may
     need further steps.
     """
-    rounds, square = SLIDING_ROUNDS, 0.0
+    rounds, square = MAX_SLIDING_ROUNDS, 0.0
     if deflection == (0.0, 0.0, 0.0):
-        rounds, foot = ROUNDS, facet_under(objects, index, probe)
-        _, point, foot_normal, _ = closest_to_within(objects, foot, probe, BUDGET)
-        if vec3.dot(foot_normal, normal) > SAME_SIDE:
+        rounds, foot = MAX_ROUNDS, find_facet_under(objects, index, probe)
+        _, point, foot_normal, _ = find_closest_within(objects, foot, probe, BUDGET)
+        if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:
             center = vec3.add_scaled(point, radius, foot_normal)
-            return center, active_set_of_one(foot, foot_normal, vec3.sub(center, probe)), True
+            return center, make_active_set(foot, foot_normal, vec3.sub(center, probe)), True
     for _ in range(rounds):
         depth = vec3.dot(vec3.sub(center, probe), normal)
         goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
-        index = facet_under(objects, index, goal)
-        _, point, normal, _ = closest_to_within(objects, index, goal, BUDGET)
+        index = find_facet_under(objects, index, goal)
+        _, point, normal, _ = find_closest_within(objects, index, goal, BUDGET)
         landing = vec3.add_scaled(point, radius, normal)
         step = vec3.sub(landing, center)
         center, square = landing, vec3.dot(step, step)
-        if square <= (SETTLED * radius) ** 2:
+        if square <= (SETTLED_STEP * radius) ** 2:
             break
-    at_rest = rounds == SLIDING_ROUNDS or square <= (AT_REST * radius) ** 2
-    return center, active_set_of_one(index, normal, vec3.sub(center, probe)), at_rest
+    at_rest = rounds == MAX_SLIDING_ROUNDS or square <= (REST_STEP * radius) ** 2
+    return center, make_active_set(index, normal, vec3.sub(center, probe)), at_rest

@@ -2,25 +2,25 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.rest.active_set import active_set_of_one
+from softfinger.proxy.kernels.contact.rest.active_set import make_active_set
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import FLAT, ActiveSet, AnyShape, Plane, Pose, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.container import object_at
-from softfinger.proxy.kernels.query.objects import closest_on
+from softfinger.proxy.kernels.query.container import find_object
+from softfinger.proxy.kernels.query.objects import find_closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on
 from softfinger.proxy.kernels.shapes.any_shape import UP
-from softfinger.proxy.kernels.shapes.budget import SETTLED
+from softfinger.proxy.kernels.shapes.budget import SETTLED_STEP
 from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, KernelSlot, called
 
-ROUNDS = 10
+MAX_ROUNDS = 10
 """Largest number of linearisations of a curved surface at the proxy. The digits that each of them gains depend on the
 ratio of depth to radius of curvature."""
-SLIDING_ROUNDS = 2
+MAX_SLIDING_ROUNDS = 2
 """The same for a proxy that slides, and on meshes and height maps. The remaining error is far below the slip of a tick,
 and the next tick corrects it. A proxy that has not converged is outside, not inside."""
-SAME_SIDE = 0.5
+SAME_SIDE_COSINE = 0.5
 """Smallest cosine between the normals of two ticks on the same side of an object: a fingertip does not move round it in
 one tick."""
 
@@ -40,9 +40,9 @@ def settle_on_one(
     normal      (3,)    of the object at `center`
     returns             proxy (3,) m, its active set, and 1 if the search exhausted its budget, otherwise 0
     """
-    body = object_at(objects, index)
+    body = find_object(objects, index)
     center, normal, bounded = rest_on(body.shape, body.pose, radius, probe, center, deflection, normal)
-    return center, active_set_of_one(index, normal, vec3.sub(center, probe)), bounded
+    return center, make_active_set(index, normal, vec3.sub(center, probe)), bounded
 
 
 @rest_on.of(AnyShape)
@@ -61,7 +61,7 @@ def rest_on_plane(
     shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
     """Compute the rest position from the probe only, independent of the last proxy."""
-    gap, _, normal = closest_on(shape, pose, probe)
+    gap, _, normal = find_closest_on(shape, pose, probe)
     return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal, 0.0
 
 
@@ -79,17 +79,17 @@ def rest_on_curved(
     object. Then the normal has jumped, and the proxy moves round the object.
     """
     if deflection == (0.0, 0.0, 0.0):
-        _, point, foot_normal = closest_on(shape, pose, probe)
-        if vec3.dot(foot_normal, normal) > SAME_SIDE:
+        _, point, foot_normal = find_closest_on(shape, pose, probe)
+        if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:
             return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
-    tolerance, rounds = (SETTLED * radius) ** 2, SLIDING_ROUNDS
+    tolerance, rounds = (SETTLED_STEP * radius) ** 2, MAX_SLIDING_ROUNDS
     if deflection == (0.0, 0.0, 0.0):
-        rounds = ROUNDS
+        rounds = MAX_ROUNDS
     hollow = is_hollow(shape)
     for _ in range(rounds):
         depth = 0.0 if hollow else vec3.dot(vec3.sub(center, probe), normal)
         goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
-        _, point, normal = closest_on(shape, pose, goal)
+        _, point, normal = find_closest_on(shape, pose, goal)
         landing = vec3.add_scaled(point, radius, normal)
         step = vec3.sub(landing, center)
         center = landing

@@ -3,25 +3,25 @@
 from math import sqrt
 from typing import Any
 
-from softfinger.proxy.kernels.contact.rest.active_set import count_of
+from softfinger.proxy.kernels.contact.rest.active_set import count_constraints
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import solve_half_spaces
-from softfinger.proxy.kernels.query.objects import constraint_of, is_inside, is_world_plane
-from softfinger.proxy.kernels.shapes.budget import SETTLED, STRIDE
+from softfinger.proxy.kernels.query.objects import find_constraint, is_inside, is_world_plane
+from softfinger.proxy.kernels.shapes.budget import MAX_STRIDE, SETTLED_STEP
 
 
 @jit
 def is_safe_step(start: Vec3, end: Vec3, radius: float) -> bool:
     """Return True if a fingertip outside at both positions cannot cross anything thin between them."""
     step = vec3.sub(end, start)
-    return vec3.dot(step, step) <= (STRIDE * radius) ** 2
+    return vec3.dot(step, step) <= (MAX_STRIDE * radius) ** 2
 
 
 @jit
-def linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: float, m: Vec3) -> Vec3:
+def choose_linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float, n: Vec3, q: float, m: Vec3) -> Vec3:
     """Return the point (3,) m at which the tangent plane of an object is computed.
 
     This is the proxy or, for a hollow, the probe displaced by p along n and q along m.
@@ -43,41 +43,45 @@ def project_until_rest(
     Also returns the distance, m, that the proxy moved in the last round, and the remaining budget.
     """
     square = 1e300
-    tolerance = (SETTLED * radius) ** 2
+    tolerance = (SETTLED_STEP * radius) ** 2
     one, two, three = active
     n1, n2, n3 = one.normal, two.normal, three.normal
     push = (one.depth, two.depth, three.depth)
     inside1, inside2, inside3 = (
-        is_inside(objects, one.body), is_inside(objects, two.body), is_inside(objects, three.body)
-    )  # fmt: skip
+        is_inside(objects, one.object_index),
+        is_inside(objects, two.object_index),
+        is_inside(objects, three.object_index),
+    )
     hollow = inside1 or inside2 or inside3
     flat = (
-        is_world_plane(objects, one.body) and is_world_plane(objects, two.body) and is_world_plane(objects, three.body)
+        is_world_plane(objects, one.object_index)
+        and is_world_plane(objects, two.object_index)
+        and is_world_plane(objects, three.object_index)
     )
     p1, p2, p3 = 0.0, 0.0, 0.0
     for turn in range(rounds):
-        at = linearisation_point(inside1, center, base, p2, n2, p3, n3)
-        point, n1, budget = constraint_of(objects, one.body, at, radius, n1, budget)
+        at = choose_linearisation_point(inside1, center, base, p2, n2, p3, n3)
+        point, n1, budget = find_constraint(objects, one.object_index, at, radius, n1, budget)
         b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
         b2, b3 = b1, b1
-        if two.body < 0.0:
+        if two.object_index < 0.0:
             n2 = n1
         else:
-            at = linearisation_point(inside2, center, base, p1, n1, p3, n3)
-            point, n2, budget = constraint_of(objects, two.body, at, radius, n2, budget)
+            at = choose_linearisation_point(inside2, center, base, p1, n1, p3, n3)
+            point, n2, budget = find_constraint(objects, two.object_index, at, radius, n2, budget)
             b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
-        if three.body < 0.0:
+        if three.object_index < 0.0:
             n3 = n1
         else:
-            at = linearisation_point(inside3, center, base, p1, n1, p2, n2)
-            point, n3, budget = constraint_of(objects, three.body, at, radius, n3, budget)
+            at = choose_linearisation_point(inside3, center, base, p1, n1, p2, n2)
+            point, n3, budget = find_constraint(objects, three.object_index, at, radius, n3, budget)
             b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
         if hollow and turn == 0 and rounds > 1:  # displacements by single constraints are a good start
             p1 = max(b1, 0.0)
-            p2 = 0.0 if two.body < 0.0 else max(b2, 0.0)
-            p3 = 0.0 if three.body < 0.0 else max(b3, 0.0)
+            p2 = 0.0 if two.object_index < 0.0 else max(b2, 0.0)
+            p3 = 0.0 if three.object_index < 0.0 else max(b3, 0.0)
             continue
-        push, place = solve_half_spaces(count_of(active), n1, n2, n3, b1, b2, b3)
+        push, place = solve_half_spaces(count_constraints(active), n1, n2, n3, b1, b2, b3)
         p1, p2, p3 = place
         last, center = center, vec3.add(base, vec3.weighted_sum(place, n1, n2, n3))
         step = vec3.sub(center, last)
@@ -85,8 +89,8 @@ def project_until_rest(
         if square <= tolerance:
             break
     constraints = (
-        Constraint(one.body, n1, push[0]),
-        Constraint(two.body, n2, push[1]),
-        Constraint(three.body, n3, push[2]),
+        Constraint(one.object_index, n1, push[0]),
+        Constraint(two.object_index, n2, push[1]),
+        Constraint(three.object_index, n3, push[2]),
     )
     return center, constraints, sqrt(square), budget

@@ -2,57 +2,57 @@
 
 from typing import Any
 
-from softfinger.proxy.kernels.contact.normal import spring
+from softfinger.proxy.kernels.contact.normal import compute_spring_force
 from softfinger.proxy.kernels.contact.rest.active_set import (
-    active_objects,
     add_constraint,
     add_touched,
-    count_of,
-    displacement_of,
+    compute_spring_load,
+    count_constraints,
     drop_weakest,
+    is_enclosed,
     is_support_point_of,
-    leaves_no_room,
+    list_objects,
+    make_single_constraint,
     merge_support_points,
-    one_constraint,
     sort_by_load,
-    spring_load,
+    sum_displacements,
 )
 from softfinger.proxy.kernels.contact.rest.cutting_planes import (
-    AT_REST,
-    EDGES,
-    NEARLY,
-    SOON,
+    LIFT_AFTER,
+    LIFT_DEPTH,
+    MAX_EDGES,
+    REST_STEP,
     Rest,
     settle_by_planes,
 )
-from softfinger.proxy.kernels.contact.rest.one_object import ROUNDS, SLIDING_ROUNDS
+from softfinger.proxy.kernels.contact.rest.one_object import MAX_ROUNDS, MAX_SLIDING_ROUNDS
 from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, project_until_rest
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.jit.tuples import map_each
-from softfinger.proxy.kernels.model import ActiveSet, Creased, Faceted, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, CreasedSearch, FacetedSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.query.container import object_at
+from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.kinds import (
     has_creases_at,
-    takes_long,
+    has_slow_query,
 )
-from softfinger.proxy.kernels.query.objects import closest_to_within, deepest, neighbour_on
-from softfinger.proxy.kernels.query.sweep import first_hit
-from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE, SETTLED, STRIDE
+from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest, find_neighbour
+from softfinger.proxy.kernels.query.sweep import find_first_hit
+from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, MAX_STRIDE, SETTLED_STEP
 
-ATTEMPTS, ATTEMPTS_ON_MANY = 4, 16
+MAX_OBSTACLES, MAX_OBSTACLES_ON_HEIGHTMAPS = 4, 16
 """Largest number of obstacles added to the active set in a tick, without and with height maps. If more are
 found, the proxy does not move in this tick."""
 
 
-@outlined_where(takes_long)
+@outlined_where(has_slow_query)
 def settle_among_several(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Rest:
     """Return the rest position of the proxy among several objects, without friction.
 
-    start   (3,) m  start of its path in this tick, for the detection of obstacles: see `first_hit`
+    start   (3,) m  start of its path in this tick, for the detection of obstacles: see `find_first_hit`
     center  (3,) m  proxy, after the motion of the objects that support it
     active          constraints that support it, with their depths
     budget          remaining budget
@@ -61,9 +61,9 @@ def settle_among_several(
     (`is_safe_step`). If a probe deep inside requires a longer one, the proxy follows in several ticks: the goal is
     moved closer, so that every step ends at rest. The same applies if no rest position is found.
     """
-    if isinstance(objects.search, Creased):
+    if isinstance(objects.search, CreasedSearch):
         return settle_in_steps(objects, radius, probe, start, center, active, budget)
-    if isinstance(objects.search, Faceted):
+    if isinstance(objects.search, FacetedSearch):
         return settle_on_facets(objects, radius, probe, center, active, budget)
     return settle_for(objects, radius, probe, start, center, active, budget)
 
@@ -74,7 +74,7 @@ def settle_in_steps(
 ) -> Rest:
     rest, target, constraints = Rest(center, active, True, 0), probe, active
     for budget in (3 * remaining // 4, remaining // 4):
-        goal = vec3.add(target, displacement_of(constraints))
+        goal = vec3.add(target, sum_displacements(constraints))
         if is_safe_step(center, goal, radius):
             rest = settle_for(objects, radius, target, start, center, constraints, budget)
             if not is_safe_step(center, rest.center, radius):  # it may have crossed a thin part
@@ -82,7 +82,7 @@ def settle_in_steps(
         if not rest.late:
             break
         depth = vec3.sub(probe, center)
-        target = vec3.add_scaled(center, min(0.5 * STRIDE * radius / vec3.norm(depth), 0.5), depth)
+        target = vec3.add_scaled(center, min(0.5 * MAX_STRIDE * radius / vec3.norm(depth), 0.5), depth)
         _, constraints, _, _ = project_until_rest(objects, radius, target, center, active, 1, rest.budget)
     if target == probe:
         return rest
@@ -98,31 +98,34 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
     they do not, or if it would move away from the probe, it moves from the anchor by supporting planes, which is
     slower. The path needs no sweep for obstacles: with a mesh, no step is longer than `is_safe_step` allows.
     """
-    center = vec3.add(probe, displacement_of(active))
-    center, support, moved, budget = project_until_rest(objects, radius, probe, center, active, ROUNDS, budget)
+    center = vec3.add(probe, sum_displacements(active))
+    center, support, moved, budget = project_until_rest(objects, radius, probe, center, active, MAX_ROUNDS, budget)
     on_nearest = False
-    for turn in range(EDGES + 1):
-        index, is_single = support[0].body, support[1].body < 0.0
-        neighbour = neighbour_on(objects, index, center) if is_single else index
+    for turn in range(MAX_EDGES + 1):
+        index, is_single = support[0].object_index, support[1].object_index < 0.0
+        neighbour = find_neighbour(objects, index, center) if is_single else index
         on_nearest = neighbour == index
-        if on_nearest or turn == EDGES:
+        if on_nearest or turn == MAX_EDGES:
             break
-        support = one_constraint(neighbour, support[0].normal, 0.0)
-        center, support, moved, budget = project_until_rest(objects, radius, probe, center, support, ROUNDS, budget)
-    if support[1].body < 0.0 and moved > SETTLED * radius:  # the last round may have moved from an edge onto the face
+        support = make_single_constraint(neighbour, support[0].normal, 0.0)
+        center, support, moved, budget = project_until_rest(objects, radius, probe, center, support, MAX_ROUNDS, budget)
+    if (
+        support[1].object_index < 0.0 and moved > SETTLED_STEP * radius
+    ):  # the last round may have moved from an edge onto the face
         center, support, moved, budget = project_until_rest(objects, radius, probe, center, support, 1, budget)
     to_proxy, to_anchor = vec3.sub(center, probe), vec3.sub(anchor, probe)
     is_nearer = (
-        vec3.dot(to_proxy, to_proxy) <= (1.0 + INSIDE) * vec3.dot(to_anchor, to_anchor) + (AT_REST * radius) ** 2
+        vec3.dot(to_proxy, to_proxy)
+        <= (1.0 + INSIDE_TOLERANCE) * vec3.dot(to_anchor, to_anchor) + (REST_STEP * radius) ** 2
     )
     # Beyond the edge of a facet its plane is tilted. The gap does not show that: it changes by the square of the tilt.
-    if moved <= AT_REST * radius and on_nearest and is_nearer and is_safe_step(anchor, center, radius):
-        gap, _, budget = deepest(objects, center, radius, active_objects(support), budget)
-        if gap >= radius * (1.0 - INSIDE):
+    if moved <= REST_STEP * radius and on_nearest and is_nearer and is_safe_step(anchor, center, radius):
+        gap, _, budget = find_deepest(objects, center, radius, list_objects(support), budget)
+        if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             return Rest(center, sort_by_load(objects, support), False, budget)
     center, support, late, budget = settle_by_planes(objects, radius, probe, anchor, active, budget)
-    if support[0].body < 0.0:
-        support = one_constraint(active[0].body, active[0].normal, 0.0)
+    if support[0].object_index < 0.0:
+        support = make_single_constraint(active[0].object_index, active[0].normal, 0.0)
     return Rest(center, sort_by_load(objects, support), late, budget)
 
 
@@ -131,16 +134,16 @@ def settle_for(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, remaining: int
 ) -> Rest:
     """Settle the proxy in one step, with the remaining budget `remaining`; see `settle_among_several`."""
-    is_creased = isinstance(objects.search, Creased)
-    rounds = SLIDING_ROUNDS if is_creased else ROUNDS
+    is_creased = isinstance(objects.search, CreasedSearch)
+    rounds = MAX_SLIDING_ROUNDS if is_creased else MAX_ROUNDS
     last_center, last_active = center, active
-    goal = vec3.add(probe, displacement_of(active))
+    goal = vec3.add(probe, sum_displacements(active))
     for _ in range(4):
-        hit, stop, remaining = first_hit(objects, start, goal, radius, True, active_objects(active), remaining)
+        hit, stop, remaining = find_first_hit(objects, start, goal, radius, True, list_objects(active), remaining)
         if hit < 0.0:
             break
-        _, point, normal, remaining = closest_to_within(objects, hit, stop, remaining)
-        if count_of(active) == 3:
+        _, point, normal, remaining = find_closest_within(objects, hit, stop, remaining)
+        if count_constraints(active) == 3:
             # Already three constraints: stop at the fourth, and continue in the next tick.
             goal = stop
             break
@@ -151,35 +154,35 @@ def settle_for(
     center = goal
     if not is_creased:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
-        near = deepest(objects, goal, radius * (1.0 + INSIDE), active_objects(active), remaining)
+        near = find_deepest(objects, goal, radius * (1.0 + INSIDE_TOLERANCE), list_objects(active), remaining)
         active, remaining = add_touched(objects, radius, goal, active, near)
     is_clear, lift, budget = False, 0.0, remaining
-    for attempt in range(ATTEMPTS_ON_MANY if is_creased else ATTEMPTS):
+    for attempt in range(MAX_OBSTACLES_ON_HEIGHTMAPS if is_creased else MAX_OBSTACLES):
         center, active, _, remaining = project_until_rest(
             objects, radius + lift, probe, center, active, rounds, remaining
         )
         if is_creased and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
-        gap, at, remaining = deepest(objects, center, radius, active_objects(active), remaining)
-        if gap >= radius * (1.0 - INSIDE):
+        gap, at, remaining = find_deepest(objects, center, radius, list_objects(active), remaining)
+        if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             is_clear = True
             break
         if remaining < 0:
             break
-        if gap > radius * (1.0 - NEARLY) and (attempt >= SOON or 4 * remaining < 3 * budget):
+        if gap > radius * (1.0 - LIFT_DEPTH) and (attempt >= LIFT_AFTER or 4 * remaining < 3 * budget):
             lift = 2.0 * (radius - gap)
-        is_new = at != active[0].body and at != active[1].body and at != active[2].body
+        is_new = at != active[0].object_index and at != active[1].object_index and at != active[2].object_index
         if is_new or is_creased:
-            _, _, normal, remaining = closest_to_within(objects, at, center, remaining)
+            _, _, normal, remaining = find_closest_within(objects, at, center, remaining)
             if is_new or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
-                if count_of(active) == 3:
+                if count_constraints(active) == 3:
                     active = drop_weakest(active)
                 active = add_constraint(active, at, normal)
     late = not is_clear
     if not is_clear:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
-        gap, _, remaining = deepest(objects, last_center, radius, active_objects(last_active), remaining)
-        late = gap >= radius * (1.0 - INSIDE) or remaining < 0 or not leaves_no_room(active)
+        gap, _, remaining = find_deepest(objects, last_center, radius, list_objects(last_active), remaining)
+        late = gap >= radius * (1.0 - INSIDE_TOLERANCE) or remaining < 0 or not is_enclosed(active)
         if late:
             center = last_center
             _, active, _, remaining = project_until_rest(objects, radius, probe, last_center, last_active, 1, remaining)
@@ -194,19 +197,19 @@ def step_over(objects: Any, radius: float, probe: Vec3, goal: Vec3, active: Acti
 
     A test of the neighbours is cheaper than a search of the mesh, which then only confirms the result.
     """
-    for _ in range(EDGES):
-        if active[1].body >= 0.0:
+    for _ in range(MAX_EDGES):
+        if active[1].object_index >= 0.0:
             break
-        neighbour = neighbour_on(objects, active[0].body, goal)
-        if neighbour == active[0].body:
+        neighbour = find_neighbour(objects, active[0].object_index, goal)
+        if neighbour == active[0].object_index:
             break
-        active = one_constraint(neighbour, active[0].normal, 0.0)
+        active = make_single_constraint(neighbour, active[0].normal, 0.0)
         goal, active, _, _ = project_until_rest(objects, radius, probe, goal, active, 1, BUDGET)
     return goal, active
 
 
 @jit
-def trailing_force(objects: Any, active: ActiveSet, to_proxy: Vec3) -> Vec3:
+def compute_trailing_force(objects: Any, active: ActiveSet, to_proxy: Vec3) -> Vec3:
     """Return the additional force (3,) N on a probe with a late proxy at `to_proxy` (3,) m from it.
 
     The sum of this and the loads of the constraints is the force of a spring between probe and proxy. The constraints
@@ -215,7 +218,7 @@ def trailing_force(objects: Any, active: ActiveSet, to_proxy: Vec3) -> Vec3:
     """
     distance, pull = vec3.norm(to_proxy), 0.0
     if distance > 0.0:
-        pull = spring(object_at(objects, active[0].body).material.normal, distance) / distance
-    loads = map_each(spring_load, (active,), objects)
+        pull = compute_spring_force(find_object(objects, active[0].object_index).material.normal, distance) / distance
+    loads = map_each(compute_spring_load, (active,), objects)
     supported = vec3.weighted_sum(loads, active[0].normal, active[1].normal, active[2].normal)
     return vec3.sub(vec3.scale(pull, to_proxy), supported)

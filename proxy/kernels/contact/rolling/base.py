@@ -64,7 +64,7 @@ def land_from(shape: Any, radius: float, start: Vec3, up: Vec3, center: Vec3) ->
 
 
 @roll.of(None)
-def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
+def project_without_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3, turn: Quaternion) -> Roll:
     """Project the unmoved contact onto the surface, so that rounding does not accumulate."""
     center, new_normal = land_from(shape, radius, center, normal, center)
     return Roll(center, new_normal, (0.0, 0.0, 0.0), 0.0, rotations.twist(turn, normal), True)
@@ -74,7 +74,7 @@ def no_roll(method: None, shape: Any, radius: float, center: Vec3, normal: Vec3,
 
 
 @jit
-def shape_before(shape: Any, w: Vec3, remaining: float) -> Any:
+def rewind_shape(shape: Any, w: Vec3, remaining: float) -> Any:
     """Return the shape at the time when the fraction `remaining` of the tick's rotation vector `w` (3,) rad remains."""
     if not isinstance(shape, MinkowskiSum):
         return shape
@@ -83,7 +83,7 @@ def shape_before(shape: Any, w: Vec3, remaining: float) -> Any:
 
 
 @jit
-def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
+def compute_center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
     """Return the velocity (3,) of the fingertip's centre in rolling without slip with the angular velocity `w`.
 
     It is w x arm, with the arm from the contact point to the centre. That of an ellipsoid has a component along the
@@ -95,7 +95,7 @@ def center_velocity(shape: Any, radius: float, w: Vec3, normal: Vec3) -> Vec3:
 
 
 @jit
-def surface_part(shape: Any, displacement: Vec3, normal: Vec3) -> float:
+def measure_surface_part(shape: Any, displacement: Vec3, normal: Vec3) -> float:
     """Return the length along the surface of a displacement (3,) m of the centre."""
     if isinstance(shape, MinkowskiSum):
         return vec3.norm(vec3.reject(displacement, normal))
@@ -103,6 +103,6 @@ def surface_part(shape: Any, displacement: Vec3, normal: Vec3) -> float:
 
 
 @jit
-def roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> float:
+def compute_roll_angle(shape: Any, radius: float, motion: Vec3, tilted: float) -> float:
     """Return the roll angle, rad, of a step with that `motion` (3,) m and `tilted`, the mean of |w x n|, rad."""
     return tilted if isinstance(shape, MinkowskiSum) else vec3.norm(motion) / radius

@@ -21,7 +21,7 @@ from softfinger.proxy.kernels.shapes.kernel_table import SLOTS, UNROLL, KernelSl
 
 
 @jit
-def turning_share(radius: float, distance: float) -> float:
+def compute_turning_share(radius: float, distance: float) -> float:
     """Return k = r / (r + R) for `distance` = r + R; 0 if the fingertip fills a hollow and cannot roll."""
     return radius / distance if distance != 0.0 else 0.0
 
@@ -99,7 +99,7 @@ def unroll_on_plane(shape: Plane, radius: float, center: Vec3, normal: Vec3, w: 
 @unroll.of(Sphere)
 def unroll_on_sphere(shape: Sphere, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     distance = radius + shape.side * shape.radius
-    end, motion, spin = roll_over_sphere(radius, turning_share(radius, distance), normal, w)
+    end, motion, spin = roll_over_sphere(radius, compute_turning_share(radius, distance), normal, w)
     center, end = land(shape, radius, vec3.scale(distance, end))
     return Roll(center, end, motion, vec3.norm(motion) / radius, spin, True)
 
@@ -107,7 +107,7 @@ def unroll_on_sphere(shape: Sphere, radius: float, center: Vec3, normal: Vec3, w
 @unroll.of(Cylinder)
 def unroll_on_cylinder(shape: Cylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     distance = radius + shape.side * shape.radius
-    end, motion, spin = roll_over_cylinder(radius, turning_share(radius, distance), (0.0, 0.0, 1.0), normal, w)
+    end, motion, spin = roll_over_cylinder(radius, compute_turning_share(radius, distance), (0.0, 0.0, 1.0), normal, w)
     moved = (distance * end[0], distance * end[1], center[2] + motion[2])
     center, end = land(shape, radius, moved)
     return Roll(center, end, motion, vec3.norm(motion) / radius, spin, True)

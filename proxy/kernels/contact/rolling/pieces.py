@@ -8,7 +8,7 @@ equation, and the path is exact across faces, edges and corners.
 from math import atan, pi, sqrt
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land
-from softfinger.proxy.kernels.contact.rolling.closed import roll_over_cylinder, roll_over_sphere, turning_share
+from softfinger.proxy.kernels.contact.rolling.closed import compute_turning_share, roll_over_cylinder, roll_over_sphere
 from softfinger.proxy.kernels.contact.rolling.integrated import integrate
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Capsule, Vec3
@@ -28,7 +28,7 @@ NEVER = 2.0
 
 
 @jit
-def leaving_time(value: float, slope: float, bend: float, frequency: float) -> float:
+def compute_leaving_time(value: float, slope: float, bend: float, frequency: float) -> float:
     """Return the first time at which f falls below 0, or NEVER.
 
     value, slope, bend   f, f' and f'' at time 0, with f >= 0 up to rounding
@@ -70,15 +70,15 @@ def with_item(v: Vec3, index: int, value: float) -> Vec3:
 
 
 @jit
-def leaving_barrel(
+def compute_barrel_exit(
     half_length: float, z: float, share: float, radius: float, normal: Vec3, w: Vec3
 ) -> tuple[float, float]:
     """Return the time at which a path over a barrel about the z axis reaches an end, and the end: +1 or -1 along z."""
     slope = radius * vec3.cross(w, normal)[2]
     bend = radius * share * vec3.cross(w, vec3.cross((0.0, 0.0, w[2]), normal))[2]
     frequency = abs(share * w[2])
-    up = leaving_time(half_length - z, -slope, -bend, frequency)
-    down = leaving_time(half_length + z, slope, bend, frequency)
+    up = compute_leaving_time(half_length - z, -slope, -bend, frequency)
+    down = compute_leaving_time(half_length + z, slope, bend, frequency)
     return (up, 1.0) if up < down else (down, -1.0)
 
 
@@ -86,7 +86,7 @@ def leaving_barrel(
 def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
     """Roll over barrel (a cylinder) and caps (spheres), from outside or inside."""
     axis, distance = (0.0, 0.0, 1.0), radius + shape.side * shape.radius
-    share, outward = turning_share(radius, distance), 1.0 if distance >= 0.0 else -1.0
+    share, outward = compute_turning_share(radius, distance), 1.0 if distance >= 0.0 else -1.0
     beyond = abs(center[2]) - shape.half_length
     cap = 0.0 if beyond <= 0.0 else (1.0 if center[2] > 0.0 else -1.0)
     z, n = min(max(center[2], -shape.half_length), shape.half_length), normal
@@ -96,11 +96,11 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
     for _ in range(MAX_PIECES):
         time, to = 0.0, 0.0
         if cap == 0.0:
-            time, to = leaving_barrel(shape.half_length, z, share, radius, n, w)
+            time, to = compute_barrel_exit(shape.half_length, z, share, radius, n, w)
         else:
             sign, turning = cap * outward, vec3.cross(w, n)
             bend = share * share * vec3.cross(w, turning)[2]
-            time = leaving_time(sign * n[2], sign * share * turning[2], sign * bend, abs(share) * vec3.norm(w))
+            time = compute_leaving_time(sign * n[2], sign * share * turning[2], sign * bend, abs(share) * vec3.norm(w))
         part = vec3.scale(min(time, remaining), w)
         before = n
         if cap == 0.0:
@@ -120,7 +120,7 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
 
 
 @jit
-def box_pieces(
+def find_end_of_box_piece(
     half_extents: Vec3, radius: float, point: Vec3, sides: Vec3, normal: Vec3, w: Vec3
 ) -> tuple[float, int, float]:
     """Return the time at which a path over a box leaves its face, edge or corner, the axis, and the new side on it.
@@ -141,12 +141,12 @@ def box_pieces(
     time, axis, side = NEVER, 0, 0.0
     for i in range(3):
         if sides[i] != 0.0:
-            t = leaving_time(sides[i] * normal[i], sides[i] * turning[i], sides[i] * turning_bend[i], frequency)
+            t = compute_leaving_time(sides[i] * normal[i], sides[i] * turning[i], sides[i] * turning_bend[i], frequency)
             if t < time and clamped > 1.5:
                 time, axis, side = t, i, 0.0
         else:
             for end in (-1.0, 1.0):
-                t = leaving_time(half_extents[i] - end * point[i], -end * slope[i], -end * bend[i], frequency)
+                t = compute_leaving_time(half_extents[i] - end * point[i], -end * slope[i], -end * bend[i], frequency)
                 if t < time:
                     time, axis, side = t, i, end
     return time, axis, side
@@ -169,7 +169,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
     )
     motion, spin, remaining = (0.0, 0.0, 0.0), 0.0, 1.0
     for _ in range(MAX_PIECES):
-        time, axis, side = box_pieces(h, radius, point, sides, n, w)
+        time, axis, side = find_end_of_box_piece(h, radius, point, sides, n, w)
         part = vec3.scale(min(time, remaining), w)
         clamped = abs(sides[0]) + abs(sides[1]) + abs(sides[2])
         before = n
@@ -196,22 +196,22 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
 
 
 @jit
-def to_the_rim_by_barrel(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
+def roll_to_rim_over_barrel(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
     """Return the share of the tick, at most 1, until a path on the barrel is at the rim; centre, motion, spin there."""
     distance, (_, n) = radius + shape.radius, direction((normal[0], normal[1], 0.0), normal)
-    share = turning_share(radius, distance)
-    time = min(leaving_barrel(shape.half_length, center[2], share, radius, n, w)[0], 1.0)
+    share = compute_turning_share(radius, distance)
+    time = min(compute_barrel_exit(shape.half_length, center[2], share, radius, n, w)[0], 1.0)
     n, motion, spin = roll_over_cylinder(radius, share, (0.0, 0.0, 1.0), n, vec3.scale(time, w))
     return time, (distance * n[0], distance * n[1], center[2] + motion[2]), motion, spin
 
 
 @jit
-def to_the_rim_by_end(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
+def roll_to_rim_over_end(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
     """Return the same on a flat end: the squared distance from the axis is a parabola."""
     velocity = vec3.scale(radius, vec3.cross(w, normal))
     room = shape.radius * shape.radius - center[0] * center[0] - center[1] * center[1]
     closing = -2.0 * (center[0] * velocity[0] + center[1] * velocity[1])
-    time = min(leaving_time(room, closing, -2.0 * vec3.dot(velocity, velocity), 0.0), 1.0)
+    time = min(compute_leaving_time(room, closing, -2.0 * vec3.dot(velocity, velocity), 0.0), 1.0)
     motion = vec3.scale(time, velocity)
     return time, vec3.add(center, motion), motion, time * vec3.dot(w, normal)
 
@@ -224,9 +224,9 @@ def unroll_on_capped_cylinder(shape: CappedCylinder, radius: float, center: Vec3
     if over_barrel == over_end:  # neither: on the rim; both: inside the solid
         return integrate(shape, radius, center, normal, w, RIM_TOLERANCE)
     if over_barrel:
-        time, end, motion, spin = to_the_rim_by_barrel(shape, radius, center, normal, w)
+        time, end, motion, spin = roll_to_rim_over_barrel(shape, radius, center, normal, w)
     else:
-        time, end, motion, spin = to_the_rim_by_end(shape, radius, center, normal, w)
+        time, end, motion, spin = roll_to_rim_over_end(shape, radius, center, normal, w)
     center, n = land(shape, radius, end)
     if time >= 1.0:
         return Roll(center, n, motion, vec3.norm(motion) / radius, spin, True)

@@ -36,7 +36,7 @@ def _is_whole(kind: Any) -> bool:
     return isinstance(kind, types.BaseTuple) and not isinstance(kind, types.StarArgTuple | types.StarArgUniTuple)
 
 
-class _Whole:
+class _TupleModel:
     """Data model of a tuple as one argument."""
 
     def __init__(self, model: Any) -> None:
@@ -60,7 +60,7 @@ class _Models:
 
     def lookup(self, kind: Any) -> Any:
         model = self._models.lookup(kind)
-        return _Whole(model) if _is_whole(kind) else model
+        return _TupleModel(model) if _is_whole(kind) else model
 
 
 class InlinedConvention(CPUCallConv):  # type: ignore[misc]

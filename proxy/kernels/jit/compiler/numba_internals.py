@@ -51,8 +51,8 @@ CFunc, cpu_target, get_pointer_to_function, llvm_cfunc_wrapper_name
 types.Callable, types.Dispatcher, resolve_value_type, lower_constant
                          A kernel chosen by type is cached, too. Without: `overload` compiles it for every scene.
 
-SEEN names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. Read the three
-files completely before an upgrade of numba.
+TESTED_VERSIONS names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. Read
+the three files completely before an upgrade of numba.
 """
 
 from __future__ import annotations
@@ -80,19 +80,19 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.extending import models, register_model, typeof_impl
 
-from softfinger.proxy.kernels.jit.cache import WRITTEN, Folder, kinds_in, sources_of
+from softfinger.proxy.kernels.jit.cache import KERNEL_SOURCES, Folder, kinds_in, sources_of
 from softfinger.proxy.kernels.jit.compiler.convention import insert_inlined
 from softfinger.proxy.kernels.jit.compiler.passes import add_static_conditions, make_passes
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 
-SEEN: Final = ("0.67", "0.68")
+TESTED_VERSIONS: Final = ("0.67", "0.68")
 """Versions of numba with which all of this was tested."""
 
 WITHOUT_ALLOCATOR: Final = {"_nrt": False}
 WITHOUT_WRAPPERS: Final = {"no_cfunc_wrapper": True}
 FOR_KERNELS: Final = {"no_cpython_wrapper": True, "forceinline": True}
 
-UNIT: Final = "softfinger_unit_"
+UNIT_PREFIX: Final = "softfinger_unit_"
 """Prefix of the symbols of outlined kernels."""
 
 log: Final = logging.getLogger(__name__)
@@ -139,7 +139,7 @@ class KernelCache(NullCache):  # type: ignore[misc]
 
     def key(self, signature: Any, codegen: Any) -> tuple[Any, ...] | None:
         """Return everything that determines the kernel's code; None if part of it is unknown."""
-        files = [sorted(WRITTEN.get(kind, {}).items()) for kind in kinds_in(signature)]
+        files = [sorted(KERNEL_SOURCES.get(kind, {}).items()) for kind in kinds_in(signature)]
         sources = [self._own, *(content for each in files for _, content in each)]
         if None in sources:
             return None
@@ -173,7 +173,7 @@ def load(folder: Folder, name: str, target_context: Any, key: tuple[Any, ...] | 
             cached_key, calls, reduced = pickle.loads(body)
             if key is not None and cached_key != key:
                 return None
-            units = [each for each in calls if each.startswith(UNIT)]
+            units = [each for each in calls if each.startswith(UNIT_PREFIX)]
             if not all(_linked(folder, each, target_context) for each in units):
                 return None
             if not all(llvm.address_of_symbol(each) is not None for each in calls):  # symbols of numba's runtime
@@ -192,8 +192,8 @@ def _calls(library: Any) -> list[str]:
     return [name for name in names if not name.startswith("llvm.")]
 
 
-LARGE_CALLEES: Final = 20_000
-LARGE_SHARE: Final = 10
+LARGE_CALLEE_BYTES: Final = 20_000
+LARGE_CALLEE_RATIO: Final = 10
 """A kernel is not optimised if the code of its callees has more bytes than this, and more times as many as its own."""
 
 
@@ -228,7 +228,7 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
     def finalize(self) -> None:
         own = len(self._final_module.as_bitcode())
         callees = sum(len(each.bitcode) for each in set(self._linking_libraries) if isinstance(each, InlinedCode))
-        self._is_optimised = callees < max(LARGE_CALLEES, LARGE_SHARE * own)
+        self._is_optimised = callees < max(LARGE_CALLEE_BYTES, LARGE_CALLEE_RATIO * own)
         super().finalize()
 
     def add_llvm_module(self, ll_module: Any) -> None:
@@ -330,7 +330,7 @@ class InlinedDispatcher(CPUDispatcher):  # type: ignore[misc]
             return compiled.entry_point
 
 
-class Inlined:
+class InlinedKernel:
     """Kernel for other kernels, without a Python wrapper.
 
     Its dispatcher is made when a kernel that calls it is compiled: a program imports hundreds of kernels, and a scene
@@ -382,12 +382,12 @@ class _KernelType(types.Dispatcher):  # type: ignore[misc]
 register_model(_KernelType)(models.OpaqueModel)
 
 
-@typeof_impl.register(Inlined)
-def _type_of_dispatcher(value: Inlined, context: Any) -> types.Dispatcher:
+@typeof_impl.register(InlinedKernel)
+def _type_of_dispatcher(value: InlinedKernel, context: Any) -> types.Dispatcher:
     return _KernelType(value.dispatcher)
 
 
-class Choice:
+class KernelChoice:
     """Kernel with several implementations under one name.
 
     declaration  its signature and docstring
@@ -404,16 +404,16 @@ class Choice:
         return self._plain(*args)
 
     @functools.cached_property
-    def numba_type(self) -> _ChoiceType:
-        return _ChoiceType(self)
+    def numba_type(self) -> _KernelChoiceType:
+        return _KernelChoiceType(self)
 
 
-class _ChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
-    """numba type of a Choice: calls resolve to the chosen implementation."""
+class _KernelChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
+    """numba type of a KernelChoice: calls resolve to the chosen implementation."""
 
-    def __init__(self, choice: Choice) -> None:
+    def __init__(self, choice: KernelChoice) -> None:
         self._choice, self._chosen = choice, dict[Any, Any]()
-        super().__init__(name=f"Choice({choice.name} {id(choice)})")
+        super().__init__(name=f"KernelChoice({choice.name} {id(choice)})")
 
     def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
         known, named = tuple(map(types.unliteral, args)), {name: types.unliteral(kind) for name, kind in kws.items()}
@@ -433,16 +433,16 @@ class _ChoiceType(types.Callable, types.Opaque):  # type: ignore[misc]
         return self._chosen[signature.args].get_impl_key(signature)
 
 
-register_model(_ChoiceType)(models.OpaqueModel)
+register_model(_KernelChoiceType)(models.OpaqueModel)
 
 
-@typeof_impl.register(Choice)
-def _typeof(value: Choice, context: Any) -> _ChoiceType:
+@typeof_impl.register(KernelChoice)
+def _typeof(value: KernelChoice, context: Any) -> _KernelChoiceType:
     return value.numba_type
 
 
 @lower_constant(_KernelType)
-@lower_constant(_ChoiceType)
+@lower_constant(_KernelChoiceType)
 def _nothing(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return context.get_dummy_value()
 
@@ -503,7 +503,7 @@ def link_unit(function: Callable[..., Any], folder: Folder, given: Any, make: Ca
     key = cache.key((given,), context.codegen())
     classes = [f"{kind.__module__}.{kind.__qualname__}" for kind in kinds_in((given,))]
     unique = secrets.token_hex(16) if key is None else hashlib.sha256(repr((key, classes)).encode()).hexdigest()[:32]
-    symbol = f"{UNIT}{cache.stem()}_{unique}"
+    symbol = f"{UNIT_PREFIX}{cache.stem()}_{unique}"
     if key is None or not _linked(folder, symbol, context):
         compiled = CFunction(make(), _IN_AND_OUT, **WITHOUT_ALLOCATOR)._compile_uncached()
         _link(symbol, compiled)

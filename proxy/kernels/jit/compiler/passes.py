@@ -42,7 +42,7 @@ from numba.core.untyped_passes import (
 
 from softfinger.proxy.kernels.jit.compiler.convention import InlinedLowering
 
-IDLE: Final = (
+UNUSED_PASSES: Final = (
     WithLifting,
     FindLiterallyCalls,
     LiteralUnroll,
@@ -57,7 +57,7 @@ IDLE: Final = (
 expressions, an annotated listing, which would be cached, too, and the deletion of variables, which have no reference
 counts."""
 
-IDLE_WITHOUT_BRANCHES: Final = (IRProcessing, DeadBranchPrune, ReconstructSSA, PreLowerStripPhis)
+UNUSED_STRAIGHT_PASSES: Final = (IRProcessing, DeadBranchPrune, ReconstructSSA, PreLowerStripPhis)
 """Passes without effect in a kernel that `is_straight`."""
 
 SCALARS: Final = (types.Number, types.Boolean)
@@ -76,7 +76,7 @@ class UncheckedPasses(PassManager):  # type: ignore[misc]
     """Pass manager that neither times nor checks the passes, and skips those without effect."""
 
     def _runPass(self, index: int, each: Any, state: Any) -> None:
-        if isinstance(each, IDLE_WITHOUT_BRANCHES) and is_straight(state.func_ir):
+        if isinstance(each, UNUSED_STRAIGHT_PASSES) and is_straight(state.func_ir):
             return
         each.analysis = self._analysis
         each.run_initialization(state)
@@ -259,7 +259,7 @@ class KernelTypeInference(NopythonTypeInference):  # type: ignore[misc]
         return True
 
 
-REPLACED: Final = {NativeLowering: InlinedLowering, NopythonTypeInference: KernelTypeInference}
+REPLACED_PASSES: Final = {NativeLowering: InlinedLowering, NopythonTypeInference: KernelTypeInference}
 
 
 def add_static_conditions(passes: PassManager) -> None:
@@ -270,14 +270,14 @@ def add_static_conditions(passes: PassManager) -> None:
 def make_passes(state: Any) -> UncheckedPasses:
     """Return the passes for a kernel, from numba's state of its compilation."""
     state.typingctx = ScalarSignatures(state.typingctx)
-    code, idle = state.func_id.code, set(IDLE)
+    code, idle = state.func_id.code, set(UNUSED_PASSES)
     if not any(isinstance(each, CodeType) for each in code.co_consts):  # functions in it
         idle.add(InlineClosureLikes)
     if "len" not in code.co_names:  # numba evaluates that of a tuple
         idle |= {RewriteSemanticConstants, DeadBranchPrune}
     passes = UncheckedPasses("softfinger_inlined")
     passes.passes = [
-        (REPLACED.get(each, each), text)
+        (REPLACED_PASSES.get(each, each), text)
         for each, text in DefaultPassBuilder.define_nopython_pipeline(state).passes
         if each not in idle
     ]

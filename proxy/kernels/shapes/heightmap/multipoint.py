@@ -21,19 +21,19 @@ from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.numerics.half_spaces import solve_half_spaces
-from softfinger.proxy.kernels.shapes.budget import INSIDE, SETTLED, STRIDE
+from softfinger.proxy.kernels.shapes.budget import INSIDE_TOLERANCE, MAX_STRIDE, SETTLED_STEP
 from softfinger.proxy.kernels.shapes.composite import raised_clear
 from softfinger.proxy.kernels.shapes.heightmap.nearest import (
-    foot_from,
-    gap_within,
-    nearest_from,
-    point_above,
-    remaining_budget,
+    compute_gap_within,
+    compute_remaining_budget,
+    find_foot_from,
+    find_nearest_from,
+    find_point_above,
 )
 from softfinger.proxy.kernels.shapes.protocol import (
-    ADVANCES,
+    MAX_ADVANCES,
     NO_HIT,
-    TOUCHING,
+    TOUCHING_CLEARANCE,
     curvature,
     direction,
     follows,
@@ -41,13 +41,13 @@ from softfinger.proxy.kernels.shapes.protocol import (
     rest_on,
 )
 
-CREASE_ROUNDS: Final = 8
+MAX_CREASE_ROUNDS: Final = 8
 """Limit of the iterations of cutting planes in a tick: two or three with one support point, about five in a crease."""
-SLIDING_ROUND: Final = 1
+FIRST_SLIDING_ROUND: Final = 1
 """First iteration after which a sliding proxy may stop: the next tick corrects the remaining error."""
-SAME_POINT: Final = 1e-6
+SAME_POINT_DISTANCE: Final = 1e-6
 """Distance, as a share of the radius, within which two support points count as one."""
-ON: Final = 1e-9
+SUPPORT_TOLERANCE: Final = 1e-9
 """Tolerance at the start of a roll for the support point: distance as a share of the radius, and 1 - cosine of the
 normal's deviation."""
 REST_BUDGET: Final = 1000
@@ -56,7 +56,7 @@ ROLL_BUDGET: Final = 300
 """Budget of the check for room at the end of a roll."""
 END_BUDGET: Final = 200
 """Budget of the check for room at the end of the path to a first contact."""
-SHORTEST: Final = 0.25
+MIN_STEP_FACTOR: Final = 0.25
 """Lower bound of 1 - depth x curvature: Newton's step is at most four times the step in the tangent plane."""
 
 
@@ -95,8 +95,8 @@ def step_on_one_point(shape: Any, radius: float, goal: Vec3, foot: Vec3, normal:
     depth = max(-vec3.dot(offset, normal), 0.0)
     k1, k2, d1 = curvature(shape, radius, foot, normal)
     d2 = vec3.cross(normal, d1)
-    first = vec3.dot(offset, d1) / max(1.0 - depth * k1, SHORTEST)
-    second = vec3.dot(offset, d2) / max(1.0 - depth * k2, SHORTEST)
+    first = vec3.dot(offset, d1) / max(1.0 - depth * k1, MIN_STEP_FACTOR)
+    second = vec3.dot(offset, d2) / max(1.0 - depth * k2, MIN_STEP_FACTOR)
     return vec3.add_scaled(vec3.add_scaled(center, first, d1), second, d2)
 
 
@@ -130,31 +130,31 @@ def rest_on_support_points(
     rest, up, slides = center, normal, lag != (0.0, 0.0, 0.0)
     budget, bounded = REST_BUDGET, 0.0
     feet = SupportPoints(1, vec3.add_scaled(center, -radius, normal), center, center)
-    for turn in range(CREASE_ROUNDS):
-        _, p1, n1, _, spent = foot_from(shape, center, feet.one)
+    for turn in range(MAX_CREASE_ROUNDS):
+        _, p1, n1, _, spent = find_foot_from(shape, center, feet.one)
         budget -= spent
         p2, n2, p3, n3 = p1, n1, p1, n1
         if feet.many > 1:
-            _, p2, n2, _, spent = foot_from(shape, center, feet.two)
+            _, p2, n2, _, spent = find_foot_from(shape, center, feet.two)
             budget -= spent
             p3, n3 = p2, n2
         if feet.many > 2:
-            _, p3, n3, _, spent = foot_from(shape, center, feet.three)
+            _, p3, n3, _, spent = find_foot_from(shape, center, feet.three)
             budget -= spent
         feet = SupportPoints(feet.many, p1, p2, p3)
         clear = True
         if turn > 0:
-            gap, nearest_point, nearest_normal, _, spent = nearest_from(shape, center, p1, budget)
+            gap, nearest_point, nearest_normal, _, spent = find_nearest_from(shape, center, p1, budget)
             budget -= spent
-            clear = gap >= radius * (1.0 - INSIDE)
+            clear = gap >= radius * (1.0 - INSIDE_TOLERANCE)
             if budget <= 0 and not clear:
                 bounded = 1.0
                 if vec3.norm(vec3.sub(rest, nearest_point)) < radius * (
-                    1.0 - SAME_POINT
+                    1.0 - SAME_POINT_DISTANCE
                 ):  # the start was inside: move up and out
-                    rest = point_above(shape, rest, radius)
+                    rest = find_point_above(shape, rest, radius)
                 break
-            if not clear and not is_support_point(feet, nearest_point, SAME_POINT * radius):
+            if not clear and not is_support_point(feet, nearest_point, SAME_POINT_DISTANCE * radius):
                 feet = with_support_point(feet, nearest_point)
                 n3 = nearest_normal
                 if feet.many == 2:
@@ -167,15 +167,15 @@ def rest_on_support_points(
         if turn > 0 and clear:
             rest = center
             _, up = direction(push, n1)
-        target = vec3.add(rest, clamp_length(vec3.sub(target, rest), STRIDE * radius))
+        target = vec3.add(rest, clamp_length(vec3.sub(target, rest), MAX_STRIDE * radius))
         if feet.many == 1:
-            _, p1, n1, _, spent = foot_from(shape, target, p1)
+            _, p1, n1, _, spent = find_foot_from(shape, target, p1)
             budget -= spent
             landed = vec3.add_scaled(p1, radius, n1)
             if vec3.norm(vec3.sub(landed, rest)) <= radius:
                 target = landed
         step = vec3.norm(vec3.sub(target, center))
-        if turn > 0 and clear and (step <= SETTLED * radius or (slides and turn >= SLIDING_ROUND)):
+        if turn > 0 and clear and (step <= SETTLED_STEP * radius or (slides and turn >= FIRST_SLIDING_ROUND)):
             break
         center = target
     return rest, up, bounded
@@ -185,19 +185,19 @@ def rest_on_support_points(
 def follows_over_heightmap(shape: Heightmap, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
     """Allow a roll from a single support point, at most a stride long, to a position with room for the fingertip."""
     foot = vec3.add_scaled(start, -radius, normal)
-    _, point, up, _, _ = foot_from(shape, start, foot)
-    if vec3.norm(vec3.sub(point, foot)) > ON * radius or vec3.dot(up, normal) < 1.0 - ON:
+    _, point, up, _, _ = find_foot_from(shape, start, foot)
+    if vec3.norm(vec3.sub(point, foot)) > SUPPORT_TOLERANCE * radius or vec3.dot(up, normal) < 1.0 - SUPPORT_TOLERANCE:
         return False
     distance = vec3.norm(vec3.sub(end, start))
-    if distance > STRIDE * radius:
+    if distance > MAX_STRIDE * radius:
         return False
-    gap, _, _, _, _ = nearest_from(shape, end, point, ROLL_BUDGET)
-    return gap >= radius * (1.0 - INSIDE)
+    gap, _, _, _, _ = find_nearest_from(shape, end, point, ROLL_BUDGET)
+    return gap >= radius * (1.0 - INSIDE_TOLERANCE)
 
 
 @raised_clear.of(Heightmap)
 def raised_clear_of_heightmap(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
-    return point_above(shape, x, radius)
+    return find_point_above(shape, x, radius)
 
 
 @meets.of(Heightmap)
@@ -211,31 +211,39 @@ def meets_heightmap(
     surface, is allowed if there is room at its end.
     """
     path = vec3.sub(end, start)
-    length, short = vec3.norm(path), STRIDE * radius
+    length, short = vec3.norm(path), MAX_STRIDE * radius
     if leaves and length <= short:
         return NO_HIT, 0.0, budget
-    near = gap_within(shape, start, radius + length, budget // 2)
-    remaining, rest = remaining_budget(budget // 2, near.whole, near.spent), remaining_budget(budget, True, near.spent)
-    clearance, touching, share = near.gap - radius, TOUCHING * radius, 0.0
+    near = compute_gap_within(shape, start, radius + length, budget // 2)
+    remaining, rest = (
+        compute_remaining_budget(budget // 2, near.whole, near.spent),
+        compute_remaining_budget(budget, True, near.spent),
+    )
+    clearance, touching, share = near.gap - radius, TOUCHING_CLEARANCE * radius, 0.0
     if clearance >= length:
         return NO_HIT, 0.0, rest
     begun = min(clearance, 0.0) if leaves else 0.0
-    for _ in range(ADVANCES if clearance > touching else 0):
+    for _ in range(MAX_ADVANCES if clearance > touching else 0):
         if remaining < 0:
             break
         share += clearance / length
         if share >= 1.0:
             return NO_HIT, 0.0, rest
-        near = gap_within(shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, remaining)
-        remaining, rest = remaining_budget(remaining, near.whole, near.spent), remaining_budget(rest, True, near.spent)
+        near = compute_gap_within(
+            shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, remaining
+        )
+        remaining, rest = (
+            compute_remaining_budget(remaining, near.whole, near.spent),
+            compute_remaining_budget(rest, True, near.spent),
+        )
         clearance = near.gap - radius
         if remaining >= 0 and clearance <= touching:
             return share, 0.0, rest
     if remaining < 0 and length > short:
         return share, 0.0, rest
     # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
-    near = gap_within(shape, end, radius, min(rest, END_BUDGET))
-    return (share if near.gap - radius < begun else NO_HIT), 0.0, remaining_budget(rest, True, near.spent)
+    near = compute_gap_within(shape, end, radius, min(rest, END_BUDGET))
+    return (share if near.gap - radius < begun else NO_HIT), 0.0, compute_remaining_budget(rest, True, near.spent)
 
 
 @rest_on.of(Heightmap)

@@ -4,10 +4,10 @@ The search visits tiles (`tiles`) depth first, the closer ones of four first. It
 from the indices of the current one. It skips tiles that cannot contain the nearest point, and runs Newton's method in
 the remaining cells.
 
-A visited tile costs 1 of the budget, an evaluated height LOOK; a unit takes about as long as a node of a mesh. If the
-budget is exhausted, the result is the best foot point so far and a lower bound: the smallest possible distance of a
-skipped tile. The surface then counts as that close, in the direction of the best foot point. So contact may start a
-little early, never late, and the proxy is outside.
+A visited tile costs 1 of the budget, an evaluated height HEIGHT_COST; a unit takes about as long as a node of a mesh.
+If the budget is exhausted, the result is the best foot point so far and a lower bound: the smallest possible distance
+of a skipped tile. The surface then counts as that close, in the direction of the best foot point. So contact may start
+a little early, never late, and the proxy is outside.
 """
 
 from math import sqrt
@@ -17,29 +17,29 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.budget import SPENT
-from softfinger.proxy.kernels.shapes.composite import Deepest, nearest_of_shape
+from softfinger.proxy.kernels.shapes.budget import NO_BUDGET
+from softfinger.proxy.kernels.shapes.composite import NearestObject, nearest_of_shape
 from softfinger.proxy.kernels.shapes.heightmap.surface import (
     MapFoot,
     MapPoint,
     descend,
-    foot_at,
+    find_foot,
     is_below,
+    is_touching,
     to_pitches,
-    touching,
 )
 from softfinger.proxy.kernels.shapes.heightmap.tiles import (
-    AS_NEAR,
-    FAR,
-    LEVELS,
+    EQUAL_SQUARE_SHARE,
+    MAX_LEVELS,
+    NO_DISTANCE,
+    choose_nearer_half,
+    compute_squared_distance,
     contains_foot,
-    convex_around,
+    count_tiles,
+    find_tile,
+    find_tiles_around,
+    is_convex_around,
     is_farther,
-    nearer_half,
-    square_to_box,
-    tile_at,
-    tiles_across,
-    tiles_around,
     to_facet,
 )
 from softfinger.proxy.kernels.shapes.protocol import (
@@ -50,17 +50,17 @@ from softfinger.proxy.kernels.shapes.protocol import (
     direction,
 )
 
-LOOK: Final = 2
+HEIGHT_COST: Final = 2
 """Cost of a height evaluation, in tiles; a tile takes about 10 ns."""
-AROUND: Final = 4
+NEIGHBOUR_COST: Final = 4
 """Cost of the check of the tiles round a foot point."""
-BUDGET: Final = 700
+QUERY_BUDGET: Final = 700
 """Budget of a query for the nearest point without contact."""
-UNDER: Final = 8
+LIFT_TILES: Final = 8
 """Tiles per side, less one, that are checked to lift a fingertip above the surface under it."""
-ASTRAY: Final = 2.0
+MAX_DESCENT: Final = 2.0
 """Largest distance, in cells, of a descent from a cell; a foot point farther away is found from another cell."""
-ABOVE: Final = 1.0 + 1e-9
+LIMIT_MARGIN: Final = 1.0 + 1e-9
 """Factor on a search limit, so that rounding does not exclude a point at the limit."""
 
 
@@ -106,16 +106,16 @@ class Gap(NamedTuple):
 
 
 @jit
-def remaining_budget(budget: int, whole: bool, spent: int) -> int:
+def compute_remaining_budget(budget: int, whole: bool, spent: int) -> int:
     """Return the remaining budget after a query, below 0 if this query or an earlier one exhausted it."""
-    return SPENT if budget < 0 or not whole else max(budget - spent, 0)
+    return NO_BUDGET if budget < 0 or not whole else max(budget - spent, 0)
 
 
 @jit
-def best_of_quarters(shape: Heightmap, p: Vec3, start: MapFoot, i: int, j: int) -> MapFoot:
+def find_best_quarter(shape: Heightmap, p: Vec3, start: MapFoot, i: int, j: int) -> MapFoot:
     """Return the closest of `start` and the middles of the cell's quarters, from which to descend to its foot point."""
     for number in range(4):
-        candidate = foot_at(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
+        candidate = find_foot(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
         if candidate.square < start.square:
             start = candidate
     return start
@@ -126,39 +126,39 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
     """Return the nearest foot point, or `best` if none is closer, and a lower bound of the distance."""
     top = int(shape.levels) - 1
     level, i, j = top, 0, 0
-    spent, unsearched, reach = 0, FAR, sqrt(best.square)
-    for _ in range(max(budget, 0) + 4 * LEVELS):
+    spent, unsearched, reach = 0, NO_DISTANCE, sqrt(best.square)
+    for _ in range(max(budget, 0) + 4 * MAX_LEVELS):
         spent += 1
-        if i < tiles_across(shape.columns, level) and j < tiles_across(shape.rows, level):
-            tile = tile_at(shape, p, level, i, j)
-            square, offset = square_to_box(tile), MapPoint(0.0, 0.0)
-            asks = square < AS_NEAR * best.square and not (tile.convex and contains_foot(tile, best))
+        if i < count_tiles(shape.columns, level) and j < count_tiles(shape.rows, level):
+            tile = find_tile(shape, p, level, i, j)
+            square, offset = compute_squared_distance(tile), MapPoint(0.0, 0.0)
+            asks = square < EQUAL_SQUARE_SHARE * best.square and not (tile.convex and contains_foot(tile, best))
             if asks:
                 square, offset = to_facet(tile)
-            if asks and square < (reach + tile.thick) * (reach + tile.thick) * AS_NEAR:
+            if asks and square < (reach + tile.thick) * (reach + tile.thick) * EQUAL_SQUARE_SHARE:
                 if spent >= budget:
                     unsearched = min(unsearched, max(sqrt(square) - tile.thick, 0.0))
                 elif level > 0:
                     level -= 1
-                    i = 2 * i + nearer_half(p[0], i, level + 1)
-                    j = 2 * j + nearer_half(p[1], j, level + 1)
+                    i = 2 * i + choose_nearer_half(p[0], i, level + 1)
+                    j = 2 * j + choose_nearer_half(p[1], j, level + 1)
                     continue
                 else:
-                    start = foot_at(shape, p, p[0] + offset.s, p[1] + offset.t)
-                    spent += LOOK
+                    start = find_foot(shape, p, p[0] + offset.s, p[1] + offset.t)
+                    spent += HEIGHT_COST
                     if not is_farther(p, tile, start, best.square):
                         if not tile.convex:
-                            start = best_of_quarters(shape, p, start, i, j)
-                            spent += 4 * LOOK
-                        foot, looks = descend(shape, p, MapPoint(start.s, start.t), ASTRAY)
-                        spent += LOOK * looks
+                            start = find_best_quarter(shape, p, start, i, j)
+                            spent += 4 * HEIGHT_COST
+                        foot, looks = descend(shape, p, MapPoint(start.s, start.t), MAX_DESCENT)
+                        spent += HEIGHT_COST * looks
                         if foot.square < best.square:
-                            best, looks = descend(shape, p, MapPoint(foot.s, foot.t), FAR)
-                            spent += LOOK * looks
+                            best, looks = descend(shape, p, MapPoint(foot.s, foot.t), NO_DISTANCE)
+                            spent += HEIGHT_COST * looks
                             reach = sqrt(best.square)
         # Next of the four tiles, ordered from the closest one; after the fourth, up one level.
         while level < top:
-            near_i, near_j = nearer_half(p[0], i >> 1, level + 1), nearer_half(p[1], j >> 1, level + 1)
+            near_i, near_j = choose_nearer_half(p[0], i >> 1, level + 1), choose_nearer_half(p[1], j >> 1, level + 1)
             number = ((i & 1) ^ near_i) + 2 * ((j & 1) ^ near_j)
             if number < 3:
                 number += 1
@@ -173,71 +173,71 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
 
 @jit
 def touch_at(shape: Heightmap, x: Vec3, result: MapSearch) -> TouchedPoint:
-    gap, point, normal = touching(shape, x, result.foot)
+    gap, point, normal = is_touching(shape, x, result.foot)
     if not result.whole and gap > 0.0 and is_below(shape, x):
         gap, normal = -gap, vec3.scale(-1.0, normal)
     return TouchedPoint(min(gap, result.bound * shape.pitch), point, normal, result.whole, result.spent)
 
 
 @outlined
-def foot_from(shape: Heightmap, x: Vec3, start: Vec3) -> TouchedPoint:
+def find_foot_from(shape: Heightmap, x: Vec3, start: Vec3) -> TouchedPoint:
     """Return the foot point of `x` (3,) m reached by descent from `start` (3,) m, nearest or not."""
     at = to_pitches(shape, start)
-    foot, looks = descend(shape, to_pitches(shape, x), MapPoint(at[0], at[1]), FAR)
-    return touch_at(shape, x, MapSearch(foot, FAR, True, LOOK * looks))
+    foot, looks = descend(shape, to_pitches(shape, x), MapPoint(at[0], at[1]), NO_DISTANCE)
+    return touch_at(shape, x, MapSearch(foot, NO_DISTANCE, True, HEIGHT_COST * looks))
 
 
 @outlined
-def nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> TouchedPoint:
+def find_nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> TouchedPoint:
     """Return the nearest point; no search is needed if the foot point found from `start` is known to be the nearest."""
     p, at = to_pitches(shape, x), to_pitches(shape, start)
-    foot, looks = descend(shape, p, MapPoint(at[0], at[1]), FAR)
-    spent = LOOK * looks + AROUND
-    result = MapSearch(foot, FAR, True, spent)
-    if not convex_around(shape, p, foot):
+    foot, looks = descend(shape, p, MapPoint(at[0], at[1]), NO_DISTANCE)
+    spent = HEIGHT_COST * looks + NEIGHBOUR_COST
+    result = MapSearch(foot, NO_DISTANCE, True, spent)
+    if not is_convex_around(shape, p, foot):
         result = search(shape, p, foot, budget - spent)
         result = MapSearch(result.foot, result.bound, result.whole, result.spent + spent)
     return touch_at(shape, x, result)
 
 
 @outlined
-def gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
+def compute_gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
     """Return the gap of `x` (3,) m, or FAR if it exceeds `reach` (m).
 
     Without budget, it is the lower bound from the bounding box of the map, -FAR inside of the box.
     """
-    p, most = to_pitches(shape, x), reach / shape.pitch * ABOVE
-    whole = tile_at(shape, p, int(shape.levels) - 1, 0, 0)
-    if whole.w > 0.0 and square_to_box(whole) > most * most:
-        return Gap(FAR, True, 1)
+    p, most = to_pitches(shape, x), reach / shape.pitch * LIMIT_MARGIN
+    whole = find_tile(shape, p, int(shape.levels) - 1, 0, 0)
+    if whole.w > 0.0 and compute_squared_distance(whole) > most * most:
+        return Gap(NO_DISTANCE, True, 1)
     if budget <= 0:
-        return Gap(sqrt(square_to_box(whole)) * shape.pitch if whole.w > 0.0 else -FAR, False, 1)
-    foot, looks = descend(shape, p, MapPoint(p[0], p[1]), FAR)
-    spent = LOOK * looks + AROUND
-    result = MapSearch(foot, FAR, True, spent)
-    if not convex_around(shape, p, foot):
+        return Gap(sqrt(compute_squared_distance(whole)) * shape.pitch if whole.w > 0.0 else -NO_DISTANCE, False, 1)
+    foot, looks = descend(shape, p, MapPoint(p[0], p[1]), NO_DISTANCE)
+    spent = HEIGHT_COST * looks + NEIGHBOUR_COST
+    result = MapSearch(foot, NO_DISTANCE, True, spent)
+    if not is_convex_around(shape, p, foot):
         if foot.square > most * most and not is_below(shape, x):
-            foot = MapFoot(-FAR, -FAR, foot.height, most * most)
+            foot = MapFoot(-NO_DISTANCE, -NO_DISTANCE, foot.height, most * most)
         result = search(shape, p, foot, budget - spent)
-        result = MapSearch(result.foot, result.bound, result.whole, result.spent + spent + LOOK)
-        if result.foot.s == -FAR:  # no foot point within the limit
-            return Gap(FAR if result.whole else result.bound * shape.pitch, result.whole, result.spent)
+        result = MapSearch(result.foot, result.bound, result.whole, result.spent + spent + HEIGHT_COST)
+        if result.foot.s == -NO_DISTANCE:  # no foot point within the limit
+            return Gap(NO_DISTANCE if result.whole else result.bound * shape.pitch, result.whole, result.spent)
     near = touch_at(shape, x, result)
     return Gap(near.gap, near.whole, near.spent)
 
 
 @outlined
-def point_above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
+def find_point_above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
     """Return the point (3,) m above `x` (3,) m at which a fingertip of `radius` (m) is clear of the surface.
 
     It is above the upper bounds of all tiles within `radius` along the grid.
     """
     p, reach = to_pitches(shape, x), radius / shape.pitch
-    top = -FAR
-    around = tiles_around(shape, p, reach, UNDER)
+    top = -NO_DISTANCE
+    around = find_tiles_around(shape, p, reach, LIFT_TILES)
     for j in range(around.top, around.bottom + 1):
         for i in range(around.left, around.right + 1):
-            tile = tile_at(shape, p, around.level, i, j)
+            tile = find_tile(shape, p, around.level, i, j)
             top = max(top, p[2] - tile.w + tile.rise + tile.thick)
     return x[0], x[1], top * shape.pitch + radius
 
@@ -253,32 +253,32 @@ def make_consistent(x: Vec3, near: TouchedPoint) -> tuple[float, Vec3, Vec3]:
 
 @closest_or_bound.of(Heightmap)
 def closest_or_bound_of_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
-    gap, point, normal, remaining = closest_within(shape, x, BUDGET)
+    gap, point, normal, remaining = closest_within(shape, x, QUERY_BUDGET)
     return gap, point, normal, 1.0 if remaining < 0 else 0.0
 
 
 @closest_within.of(Heightmap)
 def closest_within_on_heightmap(shape: Heightmap, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
-    near = nearest_from(shape, x, x, max(budget, 0))
+    near = find_nearest_from(shape, x, x, max(budget, 0))
     gap, point, normal = make_consistent(x, near)
-    return gap, point, normal, remaining_budget(budget, near.whole, near.spent)
+    return gap, point, normal, compute_remaining_budget(budget, near.whole, near.spent)
 
 
 @outlined
-def closer_foot_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
+def find_closer_foot_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest_from`; without budget, for the surface point below `x`."""
     p, at = to_pitches(shape, x), to_pitches(shape, start)
     if budget < 0:
-        gap, point, normal = touching(shape, x, foot_at(shape, p, p[0], p[1]))
+        gap, point, normal = is_touching(shape, x, find_foot(shape, p, p[0], p[1]))
         return gap, point, normal, budget
-    foot, looks = descend(shape, p, MapPoint(p[0], p[1]), FAR)
-    budget -= LOOK * looks + AROUND
-    if not convex_around(shape, p, foot):
-        candidate, looks = descend(shape, p, MapPoint(at[0], at[1]), FAR)
-        budget -= LOOK * looks
-        if candidate.square < AS_NEAR * foot.square:
+    foot, looks = descend(shape, p, MapPoint(p[0], p[1]), NO_DISTANCE)
+    budget -= HEIGHT_COST * looks + NEIGHBOUR_COST
+    if not is_convex_around(shape, p, foot):
+        candidate, looks = descend(shape, p, MapPoint(at[0], at[1]), NO_DISTANCE)
+        budget -= HEIGHT_COST * looks
+        if candidate.square < EQUAL_SQUARE_SHARE * foot.square:
             foot = candidate
-    gap, point, normal = touching(shape, x, foot)
+    gap, point, normal = is_touching(shape, x, foot)
     return gap, point, normal, budget
 
 
@@ -288,7 +288,7 @@ def closest_from_on_heightmap(shape: Heightmap, x: Vec3, start: Vec3, budget: in
 
     `follows` checks at the end of the roll whether there is room for the fingertip.
     """
-    return closer_foot_from(shape, x, start, budget)
+    return find_closer_foot_from(shape, x, start, budget)
 
 
 @constraint_at.of(Heightmap)
@@ -299,11 +299,11 @@ def constraint_at_support_point(
     start = vec3.add_scaled(center, -radius, normal)
     if budget < 0:
         return start, normal, budget
-    near = foot_from(shape, center, start)
+    near = find_foot_from(shape, center, start)
     return near.point, near.normal, budget - near.spent
 
 
 @nearest_of_shape.of(Heightmap)
-def gap_over_heightmap(shape: Heightmap, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
-    near = gap_within(shape, x, within, budget)
-    return Deepest(near.gap, 0.0, remaining_budget(budget, near.whole, near.spent))
+def gap_over_heightmap(shape: Heightmap, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
+    near = compute_gap_within(shape, x, within, budget)
+    return NearestObject(near.gap, 0.0, compute_remaining_budget(budget, near.whole, near.spent))

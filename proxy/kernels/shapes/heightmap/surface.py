@@ -23,20 +23,20 @@ from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, bend, curvature, direction, offset
 
-STEPS = 24
+MAX_NEWTON_STEPS = 24
 """Limit of Newton's steps; usually three to five, more only for a start far from any foot point."""
-HALVINGS = 8
+MAX_REDUCTIONS = 8
 """Limit of the reductions of a step to a quarter until the distance decreases; a smaller step is rounding."""
-LOOKS = 48
+MAX_EVALUATIONS = 48
 """Limit of the height evaluations in the search of a foot point; usually about ten."""
-CONVERGED = 1e-7
+CONVERGED_STEP = 1e-7
 """Step, in pitches, below which the next would be below rounding: the convergence is quadratic."""
-SURE = 1e-3
+UNCHECKED_STEP = 1e-3
 """Steps up to this length, in pitches, are accepted without a check of the distance: its rounding would hide the
 decrease."""
-LEAST = 1e-3
+MIN_SECOND_DERIVATIVE = 1e-3
 """Lower bound of the second derivative of D in a Newton step, 1 on a flat map."""
-SQUARE = 1e-6
+FOOT_SINE = 1e-6
 """Sine of the angle between normal and direction to p, above which a point is not a foot point (too few steps)."""
 
 
@@ -69,7 +69,7 @@ class MapFoot(NamedTuple):
 
 
 @jit
-def basis(f: float) -> tuple[Four, Four, Four]:
+def compute_basis(f: float) -> tuple[Four, Four, Four]:
     """Return the weights of a uniform cubic B-spline for four neighbours, and their first and second derivatives.
 
     f  position between the middle two, 0 to 1
@@ -90,7 +90,7 @@ def clamp_to_cells(place: float, count: float) -> float:
 
 
 @jit
-def row_at(shape: Heightmap, at: int, a: Four, da: Four, dda: Four) -> Vec3:
+def read_row(shape: Heightmap, at: int, a: Four, da: Four, dda: Four) -> Vec3:
     """Return the weighted sum of four neighbours in one row, from index `at`, and its first and second derivatives."""
     c0, c1, c2, c3 = (
         shape.coefficients[at],
@@ -111,22 +111,22 @@ def weigh(weight: Four, z0: float, z1: float, z2: float, z3: float) -> float:
 
 
 @jit
-def height_at(shape: Heightmap, s: float, t: float) -> Height:
+def compute_height(shape: Heightmap, s: float, t: float) -> Height:
     """Return height and derivatives at any position, outside of the map at the closest point of its border.
 
     The outermost cells are level at the border, so that the derivatives are continuous there.
     """
     s, t = clamp_to_cells(s, shape.columns), clamp_to_cells(t, shape.rows)
     i, j = min(int(s), int(shape.columns) - 1), min(int(t), int(shape.rows) - 1)
-    a, da, dda = basis(s - i)
-    b, db, ddb = basis(t - j)
+    a, da, dda = compute_basis(s - i)
+    b, db, ddb = compute_basis(t - j)
     width = int(shape.columns) + 3
     at = j * width + i
     # Four calls, not a loop: in a loop, the compiler would read the weights from memory by index.
-    z0, s0, ss0 = row_at(shape, at, a, da, dda)
-    z1, s1, ss1 = row_at(shape, at + width, a, da, dda)
-    z2, s2, ss2 = row_at(shape, at + 2 * width, a, da, dda)
-    z3, s3, ss3 = row_at(shape, at + 3 * width, a, da, dda)
+    z0, s0, ss0 = read_row(shape, at, a, da, dda)
+    z1, s1, ss1 = read_row(shape, at + width, a, da, dda)
+    z2, s2, ss2 = read_row(shape, at + 2 * width, a, da, dda)
+    z3, s3, ss3 = read_row(shape, at + 3 * width, a, da, dda)
     return Height(
         z=weigh(b, z0, z1, z2, z3),
         s=weigh(b, s0, s1, s2, s3),
@@ -138,33 +138,33 @@ def height_at(shape: Heightmap, s: float, t: float) -> Height:
 
 
 @jit
-def foot_at(shape: Heightmap, p: Vec3, s: float, t: float) -> MapFoot:
-    here = height_at(shape, s, t)
+def find_foot(shape: Heightmap, p: Vec3, s: float, t: float) -> MapFoot:
+    here = compute_height(shape, s, t)
     ds, dt, w = s - p[0], t - p[1], here.z - p[2]
     return MapFoot(s, t, here, ds * ds + dt * dt + w * w)
 
 
 @jit
-def gradient(p: Vec3, foot: MapFoot) -> tuple[float, float]:
+def compute_gradient(p: Vec3, foot: MapFoot) -> tuple[float, float]:
     """Return g, half of the gradient of the squared distance."""
     w = foot.height.z - p[2]
     return foot.s - p[0] + w * foot.height.s, foot.t - p[1] + w * foot.height.t
 
 
 @jit
-def newton(p: Vec3, foot: MapFoot) -> tuple[float, float]:
+def solve_by_newton(p: Vec3, foot: MapFoot) -> tuple[float, float]:
     """Return the Newton step; where D is not convex, with the absolute values of the eigenvalues of H."""
     h = foot.height
     w = h.z - p[2]
-    gs, gt = gradient(p, foot)
+    gs, gt = compute_gradient(p, foot)
     ss, tt, st = 1.0 + h.s * h.s + w * h.ss, 1.0 + h.t * h.t + w * h.tt, h.s * h.t + w * h.st
     volume = ss * tt - st * st
-    if ss > 0.0 and volume > LEAST * ss * tt:
+    if ss > 0.0 and volume > MIN_SECOND_DERIVATIVE * ss * tt:
         return (st * gt - tt * gs) / volume, (st * gs - ss * gt) / volume
     mean, half = 0.5 * (ss + tt), 0.5 * (ss - tt)
     spread = sqrt(half * half + st * st)
     _, axis = direction((half + spread, st, 0.0) if half >= 0.0 else (st, spread - half, 0.0), (1.0, 0.0, 0.0))
-    first, second = max(abs(mean + spread), LEAST), max(abs(mean - spread), LEAST)
+    first, second = max(abs(mean + spread), MIN_SECOND_DERIVATIVE), max(abs(mean - spread), MIN_SECOND_DERIVATIVE)
     along, across = (axis[0] * gs + axis[1] * gt) / first, (axis[0] * gt - axis[1] * gs) / second
     return axis[1] * across - axis[0] * along, -axis[1] * along - axis[0] * across
 
@@ -175,25 +175,25 @@ def descend(shape: Heightmap, p: Vec3, start: MapPoint, reach: float) -> tuple[M
 
     reach  distance along s or t from `start` at which the descent stops without a foot point
     """
-    foot, looks = foot_at(shape, p, start.s, start.t), 1
-    for _ in range(STEPS):
-        if looks >= LOOKS:
+    foot, looks = find_foot(shape, p, start.s, start.t), 1
+    for _ in range(MAX_NEWTON_STEPS):
+        if looks >= MAX_EVALUATIONS:
             break
-        ds, dt = newton(p, foot)
+        ds, dt = solve_by_newton(p, foot)
         size = abs(ds) + abs(dt)
-        next_foot = foot_at(shape, p, foot.s + ds, foot.t + dt)
+        next_foot = find_foot(shape, p, foot.s + ds, foot.t + dt)
         looks += 1
-        if size > SURE:
-            for _ in range(HALVINGS):
+        if size > UNCHECKED_STEP:
+            for _ in range(MAX_REDUCTIONS):
                 if next_foot.square < foot.square:
                     break
                 ds, dt = 0.25 * ds, 0.25 * dt
-                next_foot = foot_at(shape, p, foot.s + ds, foot.t + dt)
+                next_foot = find_foot(shape, p, foot.s + ds, foot.t + dt)
                 looks += 1
             if not next_foot.square < foot.square:
                 break
         foot = next_foot
-        if size <= CONVERGED:
+        if size <= CONVERGED_STEP:
             break
         if abs(foot.s - start.s) > reach or abs(foot.t - start.t) > reach:
             break
@@ -210,11 +210,11 @@ def to_pitches(shape: Heightmap, x: Vec3) -> Vec3:
 def is_below(shape: Heightmap, x: Vec3) -> bool:
     """Return True if `x` (3,) m is in the solid."""
     p = to_pitches(shape, x)
-    return height_at(shape, p[0], p[1]).z > p[2]
+    return compute_height(shape, p[0], p[1]).z > p[2]
 
 
 @jit
-def touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec3]:
+def is_touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec3]:
     """Return gap (m), point (3,) m and normal (3,) at a foot point of `x` (3,) m."""
     h = foot.height
     point = (
@@ -225,7 +225,10 @@ def touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec
     normal = vec3.scale(1.0 / sqrt(1.0 + h.s * h.s + h.t * h.t), (-h.s, -h.t, 1.0))
     away = vec3.sub(x, point)
     gap = vec3.dot(away, normal)
-    if vec3.norm(vec3.add_scaled(away, -gap, normal)) > SQUARE * abs(gap) and abs(gap) > CONVERGED * shape.pitch:
+    if (
+        vec3.norm(vec3.add_scaled(away, -gap, normal)) > FOOT_SINE * abs(gap)
+        and abs(gap) > CONVERGED_STEP * shape.pitch
+    ):
         size, along = direction(away, normal)
         sign = -1.0 if is_below(shape, x) else 1.0
         gap, normal = sign * size, vec3.scale(sign, along)
@@ -236,7 +239,7 @@ def touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec
 def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Return the curvature of the graph: -a . h'' a / |(-h', 1)| along a unit tangent with the part a in the grid."""
     at = to_pitches(shape, point)
-    h = height_at(shape, at[0], at[1])
+    h = compute_height(shape, at[0], at[1])
     steep = 1.0 + h.s * h.s + h.t * h.t
     up = vec3.scale(1.0 / sqrt(steep), (-h.s, -h.t, 1.0))
     _, u = direction((1.0, 0.0, h.s), Z_AXIS)

@@ -14,25 +14,25 @@ from typing import Final, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Heightmap, Vec3
-from softfinger.proxy.kernels.shapes.heightmap.surface import MapFoot, MapPoint, clamp_to_cells, gradient
+from softfinger.proxy.kernels.shapes.heightmap.surface import MapFoot, MapPoint, clamp_to_cells, compute_gradient
 
-LEVELS: Final = 24
+MAX_LEVELS: Final = 24
 """Upper bound of the number of levels of any map."""
-NUMBERS: Final = 6
+TILE_SIZE: Final = 6
 """Entries of `facets` per tile: a, b1, b2, thick, valley, ridge."""
-AS_NEAR: Final = 1.0 - 4e-13
+EQUAL_SQUARE_SHARE: Final = 1.0 - 4e-13
 """Share of the best squared distance above which another one counts as equal, because of rounding."""
-FAR: Final = 1e300
+NO_DISTANCE: Final = 1e300
 
 
 @jit
-def tiles_across(count: float, level: int) -> int:
+def count_tiles(count: float, level: int) -> int:
     """Return the number of tiles of a level in a row of `count` cells."""
     return (int(count) + (1 << level) - 1) >> level
 
 
 @jit
-def coordinate_at_tile(place: float, index: int, last: int, count: float) -> float:
+def compute_tile_coordinate(place: float, index: int, last: int, count: float) -> float:
     """Return a coordinate as used for the tile at `index`: a tile at the border extends outward at constant height.
 
     So a coordinate beyond the map becomes that of the border.
@@ -82,14 +82,14 @@ class Tile(NamedTuple):
 
 
 @jit
-def tile_at(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
-    across, down = tiles_across(shape.columns, level), tiles_across(shape.rows, level)
-    at = (int(shape.starts[level]) + j * across + i) * NUMBERS
+def find_tile(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
+    across, down = count_tiles(shape.columns, level), count_tiles(shape.rows, level)
+    at = (int(shape.starts[level]) + j * across + i) * TILE_SIZE
     b1, b2, thick = shape.facets[at + 1], shape.facets[at + 2], shape.facets[at + 3]
     half = 0.5 * (1 << level)
     middle_s, middle_t = (2.0 * i + 1.0) * half, (2.0 * j + 1.0) * half
-    u = coordinate_at_tile(p[0], i, across - 1, shape.columns) - middle_s
-    v = coordinate_at_tile(p[1], j, down - 1, shape.rows) - middle_t
+    u = compute_tile_coordinate(p[0], i, across - 1, shape.columns) - middle_s
+    v = compute_tile_coordinate(p[1], j, down - 1, shape.rows) - middle_t
     w = p[2] - shape.facets[at]
     rise = (abs(b1) + abs(b2)) * half
     convex = (w + rise + thick) * shape.facets[at + 4] < 1.0 and (rise + thick - w) * shape.facets[at + 5] < 1.0
@@ -100,7 +100,7 @@ def tile_at(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
 
 
 @jit
-def square_to_box(tile: Tile) -> float:
+def compute_squared_distance(tile: Tile) -> float:
     """Return the squared distance from the point to the box round the surface over the tile."""
     u, v = max(abs(tile.u) - tile.half, 0.0), max(abs(tile.v) - tile.half, 0.0)
     w = max(abs(tile.w) - tile.rise - tile.thick, 0.0)
@@ -119,7 +119,7 @@ def to_facet(tile: Tile) -> tuple[float, MapPoint]:
     if out_s or out_t:
         # The projection to the facet's plane is beyond one or two edges; the nearest point is on one of them.
         edge_s, edge_t = half if s > 0.0 else -half, half if t > 0.0 else -half
-        square = FAR
+        square = NO_DISTANCE
         if out_s:
             at, square = on_edge(tile.v, b2, tile.w - b1 * edge_s, half)
             square += (edge_s - tile.u) * (edge_s - tile.u)
@@ -133,12 +133,12 @@ def to_facet(tile: Tile) -> tuple[float, MapPoint]:
 
 
 @jit
-def place_of(place: float, level: int, count: float) -> int:
+def find_place(place: float, level: int, count: float) -> int:
     """Return the index, in its row of tiles, of the tile that contains the coordinate or is closest to it."""
-    return min(int(clamp_to_cells(place, count)) >> level, tiles_across(count, level) - 1)
+    return min(int(clamp_to_cells(place, count)) >> level, count_tiles(count, level) - 1)
 
 
-class Around(NamedTuple):
+class NeighbourTiles(NamedTuple):
     """Tiles of a level from `left` to `right` and from `top` to `bottom`, inclusive."""
 
     level: int
@@ -149,30 +149,30 @@ class Around(NamedTuple):
 
 
 @jit
-def tiles_around(shape: Heightmap, p: Vec3, reach: float, side: int) -> Around:
+def find_tiles_around(shape: Heightmap, p: Vec3, reach: float, side: int) -> NeighbourTiles:
     """Return the tiles that cover everything within `reach` (pitches) along the grid: at most `side` + 1 per side."""
     level, top = 0, int(shape.levels) - 1
     while level < top and side * (1 << level) < 2.0 * reach:
         level += 1
-    return Around(
+    return NeighbourTiles(
         level=level,
-        left=place_of(p[0] - reach, level, shape.columns),
-        right=place_of(p[0] + reach, level, shape.columns),
-        top=place_of(p[1] - reach, level, shape.rows),
-        bottom=place_of(p[1] + reach, level, shape.rows),
+        left=find_place(p[0] - reach, level, shape.columns),
+        right=find_place(p[0] + reach, level, shape.columns),
+        top=find_place(p[1] - reach, level, shape.rows),
+        bottom=find_place(p[1] + reach, level, shape.rows),
     )
 
 
 @jit
-def convex_around(shape: Heightmap, p: Vec3, foot: MapFoot) -> bool:
+def is_convex_around(shape: Heightmap, p: Vec3, foot: MapFoot) -> bool:
     """Return True if the distance is convex over all tiles that may be closer than the foot point.
 
     The foot point is then the nearest point.
     """
-    around = tiles_around(shape, p, sqrt(foot.square), 1)
+    around = find_tiles_around(shape, p, sqrt(foot.square), 1)
     for j in range(around.top, around.bottom + 1):
         for i in range(around.left, around.right + 1):
-            if not tile_at(shape, p, around.level, i, j).convex:
+            if not find_tile(shape, p, around.level, i, j).convex:
                 return False
     return True
 
@@ -183,13 +183,13 @@ def contains_foot(tile: Tile, foot: MapFoot) -> bool:
 
 
 @jit
-def nearer_half(place: float, index: int, level: int) -> int:
+def choose_nearer_half(place: float, index: int, level: int) -> int:
     """Return the half of a tile, 0 or 1, that is closer to a coordinate."""
     return 1 if place > (2.0 * index + 1.0) * 0.5 * (1 << level) else 0
 
 
 @jit
-def least_along(slope: float, place: float, half: float) -> float:
+def find_least_along(slope: float, place: float, half: float) -> float:
     """Return the smallest change of a linear function from `place` to any position within +-half."""
     return slope * ((-half if slope > 0.0 else half) - place)
 
@@ -202,6 +202,8 @@ def is_farther(p: Vec3, tile: Tile, place: MapFoot, square: float) -> bool:
     """
     if not (tile.convex and contains_foot(tile, place)):
         return False
-    gs, gt = gradient(p, place)
-    falls = least_along(gs, place.s - tile.middle_s, tile.half) + least_along(gt, place.t - tile.middle_t, tile.half)
-    return place.square + 2.0 * falls >= AS_NEAR * square
+    gs, gt = compute_gradient(p, place)
+    falls = find_least_along(gs, place.s - tile.middle_s, tile.half) + find_least_along(
+        gt, place.t - tile.middle_t, tile.half
+    )
+    return place.square + 2.0 * falls >= EQUAL_SQUARE_SHARE * square

@@ -11,12 +11,12 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.mesh.lanes import FIELDS, LANES, NODE
 from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
 
-ROUNDED_PLACE, ROUNDED_AXES = 2.5e-7, 2e-6
+PLACE_MARGIN, AXES_MARGIN = 2.5e-7, 2e-6
 """Margins of a box, as a share of the mesh's size and of the box's own: float32 rounds coordinates by 6e-8, and the
 axes in float32 deviate from orthogonal by as much."""
-SAMPLES = 32
+MAX_SAMPLES = 32
 """Number of a box's triangles, about, that are sampled to choose the direction of its sides."""
-NOTHING = -1e18
+EMPTY_HALF_SIDE = -1e18
 """Half side of an empty box: its computed distance exceeds any other."""
 
 
@@ -43,7 +43,7 @@ def swap(middles: Any, order: Any, i: int, j: int) -> None:
 
 
 @jit
-def longest(middles: Any, low: int, high: int) -> int:
+def find_longest(middles: Any, low: int, high: int) -> int:
     """Return the axis along which the middles of the triangles from `low` to `high` are farthest apart."""
     axis, widest = 0, -1.0
     for k in range(3):
@@ -62,7 +62,7 @@ def cut(middles: Any, order: Any, low: int, high: int, at: int) -> None:
 
     Equal ones are distributed to both sides, so that a mesh collapsed to one point takes no longer.
     """
-    axis = longest(middles, low, high)
+    axis = find_longest(middles, low, high)
     left, right = low, high - 1
     while left < right:
         a, b, c = float(middles[left, axis]), float(middles[(left + right) // 2, axis]), float(middles[right, axis])
@@ -112,17 +112,18 @@ def arrange(middles: Any, order: Any, tree: Branches, first_node: int) -> int:
 
 
 @jit
-def corner(vertices: Any, corners: Any, triangle: int, i: int) -> Vec3:
+def read_corner(vertices: Any, corners: Any, triangle: int, i: int) -> Vec3:
     at = corners[triangle, i]
     return (vertices[at, 0], vertices[at, 1], vertices[at, 2])
 
 
 @jit
-def area_normal(vertices: Any, corners: Any, triangle: int) -> Vec3:
+def compute_area_normal(vertices: Any, corners: Any, triangle: int) -> Vec3:
     """Return the normal (3,) of a triangle; its length is twice the area."""
-    a = corner(vertices, corners, triangle, 0)
+    a = read_corner(vertices, corners, triangle, 0)
     return vec3.cross(
-        vec3.sub(corner(vertices, corners, triangle, 1), a), vec3.sub(corner(vertices, corners, triangle, 2), a)
+        vec3.sub(read_corner(vertices, corners, triangle, 1), a),
+        vec3.sub(read_corner(vertices, corners, triangle, 2), a),
     )
 
 
@@ -137,7 +138,7 @@ class OrientedBox(NamedTuple):
 
 
 @jit
-def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3, side: Vec3) -> OrientedBox:
+def compute_box(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3, side: Vec3) -> OrientedBox:
     """Return the box round some triangles with sides along `up` and along the projection of `side` normal to it.
 
     some   triangles: first, one after the last, step
@@ -149,7 +150,7 @@ def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3,
     least, most = (1e300, 1e300, 1e300), (-1e300, -1e300, -1e300)
     for k in range(some[0], some[1], some[2]):
         for i in range(3):
-            x = corner(vertices, corners, k, i)
+            x = read_corner(vertices, corners, k, i)
             y = (vec3.dot(x, u), vec3.dot(x, v), vec3.dot(x, up))
             least = (min(least[0], y[0]), min(least[1], y[1]), min(least[2], y[2]))
             most = (max(most[0], y[0]), max(most[1], y[1]), max(most[2], y[2]))
@@ -159,12 +160,12 @@ def box_along(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec3,
 
 
 @jit
-def longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec3:
+def find_longest_side(vertices: Any, corners: Any, some: tuple[int, int, int]) -> Vec3:
     """Return the longest edge (3,) m of some triangles."""
     side, square = (0.0, 0.0, 0.0), 0.0
     for k in range(some[0], some[1], some[2]):
         for i in range(3):
-            edge = vec3.sub(corner(vertices, corners, k, (i + 1) % 3), corner(vertices, corners, k, i))
+            edge = vec3.sub(read_corner(vertices, corners, k, (i + 1) % 3), read_corner(vertices, corners, k, i))
             if vec3.dot(edge, edge) > square:
                 side, square = edge, vec3.dot(edge, edge)
     return side
@@ -179,23 +180,23 @@ def write_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: 
     """
     total = (0.0, 0.0, 0.0)
     for k in range(low, high):
-        total = vec3.add(total, area_normal(vertices, corners, k))
+        total = vec3.add(total, compute_area_normal(vertices, corners, k))
     _, up = direction(total, Z_AXIS)
-    some = (low, high, 1 + (high - low) // SAMPLES)
-    side = longest_side(vertices, corners, some)
+    some = (low, high, 1 + (high - low) // MAX_SAMPLES)
+    side = find_longest_side(vertices, corners, some)
     if high - low > 1:
-        box = box_along(vertices, corners, some, up, side)
+        box = compute_box(vertices, corners, some, up, side)
         for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
-            candidate = box_along(vertices, corners, some, up, axis)
+            candidate = compute_box(vertices, corners, some, up, axis)
             if candidate.half[0] * candidate.half[1] < box.half[0] * box.half[1]:
                 side, box = axis, candidate
-    box = box_along(vertices, corners, (low, high, 1), up, side)
+    box = compute_box(vertices, corners, (low, high, 1), up, side)
     widest = max(box.half[0], box.half[1], box.half[2])
     for i in range(3):
         lanes[at + LANES * i] = box.middle[i] - center[i]
         lanes[at + LANES * (3 + i)] = box.up[i]
         lanes[at + LANES * (6 + i)] = box.u[i]
-        lanes[at + LANES * (9 + i)] = box.half[i] + ROUNDED_PLACE * size + ROUNDED_AXES * widest
+        lanes[at + LANES * (9 + i)] = box.half[i] + PLACE_MARGIN * size + AXES_MARGIN * widest
 
 
 @entry
@@ -211,7 +212,7 @@ def enclose(vertices: Any, corners: Any, tree: Branches, first_node: int, center
             if i >= boxes:
                 for field in range(FIELDS):
                     lanes[at + LANES * field] = 0.0
-                lanes[at + LANES * 9] = NOTHING
+                lanes[at + LANES * 9] = EMPTY_HALF_SIDE
             elif is_leaf:
                 write_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
             else:

@@ -11,21 +11,21 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Facet, Mesh, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
-from softfinger.proxy.kernels.shapes.budget import ROOM, SPENT, STRIDE
+from softfinger.proxy.kernels.shapes.budget import MAX_STRIDE, NO_BUDGET, QUEUE_SIZE
 from softfinger.proxy.kernels.shapes.composite import (
-    ENOUGH,
-    EVERYWHERE,
-    Deepest,
+    ENOUGH_SHARE,
+    NO_LIMIT_M,
+    NearestObject,
     nearest_of_shape,
     neighbour_of,
     shade_normal,
 )
-from softfinger.proxy.kernels.shapes.mesh.nearest import nearest
+from softfinger.proxy.kernels.shapes.mesh.nearest import find_nearest
 from softfinger.proxy.kernels.shapes.mesh.triangle import (
     closest_on_triangle,
+    compute_shaded_normal,
     nearer_neighbour,
     offset_curvature_on_triangle,
-    shaded_normal,
 )
 from softfinger.proxy.kernels.shapes.protocol import (
     NO_HIT,
@@ -37,15 +37,15 @@ from softfinger.proxy.kernels.shapes.protocol import (
 )
 
 NO_TRIANGLE: Vec3 = (-1.0, -1.0, -1.0)
-STRIDES = 16
+MAX_PATH_QUERIES = 16
 """Limit of the queries on a path: a fingertip that moves along the surface stops after them."""
-LOOKS = 6
+MAX_TOUCH_QUERIES = 6
 """Limit of the queries on the last part of a path to a first contact."""
-ANYWHERE = 1e300
+NO_SEARCH_LIMIT = 1e300
 
 
 @jit
-def nearest_facet(
+def find_nearest_facet(
     mesh: Mesh, x: Vec3, within: float, known: Vec3, budget: int, enough: float
 ) -> tuple[float, float, int]:
     """Return distance, number of the nearest triangle, and remaining budget.
@@ -56,20 +56,20 @@ def nearest_facet(
     The distance is signed only if `within` is unlimited: at the first pose, which may be inside. Later, no centre
     crosses the surface.
     """
-    result = nearest(mesh, x, within, known, max(budget, 0), enough)
+    result = find_nearest(mesh, x, within, known, max(budget, 0), enough)
     if result.bound < result.square:
-        return sqrt(result.bound), float(result.number), SPENT
-    remaining = SPENT if budget < 0 else max(budget - result.spent, 0)
+        return sqrt(result.bound), float(result.number), NO_BUDGET
+    remaining = NO_BUDGET if budget < 0 else max(budget - result.spent, 0)
     if result.number < 0:
         return 1e300, -1.0, remaining
     gap = sqrt(result.square)
-    if within >= ANYWHERE:
+    if within >= NO_SEARCH_LIMIT:
         gap, _, _ = closest_on_triangle(mesh, float(result.number), x)
     return gap, float(result.number), remaining
 
 
 @jit
-def last_outside(mesh: Mesh, start: Vec3, path: Vec3, radius: float, budget: int) -> tuple[float, int]:
+def find_last_outside(mesh: Mesh, start: Vec3, path: Vec3, radius: float, budget: int) -> tuple[float, int]:
     """Return the share of a path that ends inside on which a fingertip remains outside, and the remaining budget.
 
     Moves by the clearance in each step. The next tick continues from there.
@@ -77,9 +77,9 @@ def last_outside(mesh: Mesh, start: Vec3, path: Vec3, radius: float, budget: int
     length, moved = vec3.norm(path), 0.0
     if length == 0.0:  # no motion: the gap is below the radius by rounding only
         return 0.0, budget
-    for _ in range(LOOKS):
+    for _ in range(MAX_TOUCH_QUERIES):
         x = vec3.add_scaled(start, moved / length, path)
-        gap, number, budget = nearest_facet(mesh, x, radius + length, NO_TRIANGLE, budget, 0.0)
+        gap, number, budget = find_nearest_facet(mesh, x, radius + length, NO_TRIANGLE, budget, 0.0)
         if number < 0.0 or gap - radius <= 1e-9 * radius:
             break
         moved = min(moved + gap - radius, length)
@@ -97,18 +97,18 @@ def travel_to_facet(
     """
     path = vec3.sub(end, start)
     length = vec3.norm(path)
-    if length <= STRIDE * radius:
+    if length <= MAX_STRIDE * radius:
         if leaves:
             return NO_HIT, 0.0, budget
-        gap, number, budget = nearest_facet(shape, end, radius, NO_TRIANGLE, budget, 0.0)
+        gap, number, budget = find_nearest_facet(shape, end, radius, NO_TRIANGLE, budget, 0.0)
         if number < 0.0 or gap >= radius:
             return NO_HIT, 0.0, budget
-        share, remaining = last_outside(shape, start, path, radius, budget)
+        share, remaining = find_last_outside(shape, start, path, radius, budget)
         return share, number, remaining
     moved, outside, number = 0.0, 0.0, -1.0
-    for _ in range(STRIDES):
+    for _ in range(MAX_PATH_QUERIES):
         moved = min(moved, length)
-        gap, number, budget = nearest_facet(
+        gap, number, budget = find_nearest_facet(
             shape, vec3.add_scaled(start, moved / length, path), radius + length - moved, NO_TRIANGLE, budget, 0.0
         )
         if number < 0.0 or (moved == length and gap >= radius):
@@ -117,10 +117,12 @@ def travel_to_facet(
             break
         if moved > 0.0 and gap < radius:
             before = vec3.add_scaled(start, outside / length, path)
-            share, budget = last_outside(shape, before, vec3.scale((moved - outside) / length, path), radius, budget)
+            share, budget = find_last_outside(
+                shape, before, vec3.scale((moved - outside) / length, path), radius, budget
+            )
             return (outside + share * (moved - outside)) / length, number, budget
         outside = moved
-        moved += max(gap - (1.0 - STRIDE) * radius, (1.0 - STRIDE) * radius)
+        moved += max(gap - (1.0 - MAX_STRIDE) * radius, (1.0 - MAX_STRIDE) * radius)
     return outside / length, number, budget
 
 
@@ -139,7 +141,7 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
 @closest_or_bound.of(Mesh)
 def closest_or_bound_of_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     """Search the entire mesh, for an effect that attracts to the surface."""
-    result = nearest(shape, x, ANYWHERE, NO_TRIANGLE, ROOM, 0.0)
+    result = find_nearest(shape, x, NO_SEARCH_LIMIT, NO_TRIANGLE, QUEUE_SIZE, 0.0)
     gap, point, normal = closest_on_triangle(shape, float(max(result.number, 0)), x)
     return gap, point, normal, 1.0 if result.bound < result.square else 0.0
 
@@ -150,10 +152,10 @@ def curvature_of_mesh(shape: Mesh, radius: float, point: Vec3, normal: Vec3) -> 
 
 
 @nearest_of_shape.of(Mesh)
-def gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, known: Vec3, budget: int) -> Deepest:
-    enough = ENOUGH * within if within < EVERYWHERE else 0.0
-    gap, number, remaining = nearest_facet(shape, x, within, known, budget, enough)
-    return Deepest(gap, number, remaining)
+def compute_gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
+    enough = ENOUGH_SHARE * within if within < NO_LIMIT_M else 0.0
+    gap, number, remaining = find_nearest_facet(shape, x, within, known, budget, enough)
+    return NearestObject(gap, number, remaining)
 
 
 @neighbour_of.of(Facet)
@@ -170,4 +172,6 @@ def shade_facet(shape: Facet, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
     triangles = shape.mesh.row[0]
     if triangles.shade == 0.0:
         return normal
-    return turn_out_of(pose, shaded_normal(shape.mesh, shape.number, into(pose, position), turn_into(pose, normal)))
+    return turn_out_of(
+        pose, compute_shaded_normal(shape.mesh, shape.number, into(pose, position), turn_into(pose, normal))
+    )

@@ -9,13 +9,13 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from softfinger.proxy.kernels.jit.decorators import PLAIN
-from softfinger.proxy.kernels.shapes.budget import ROOM
+from softfinger.proxy.kernels.shapes.budget import QUEUE_SIZE
 
 LANES = 8
 FIELDS = 12
 """Numbers per lane: see `model.Triangles.nodes`."""
 NODE = LANES * FIELDS
-ROUNDED = 4e-6
+SQUARE_MARGIN = 4e-6
 """Share by which a squared distance in float32 may be too large: about ten roundings of 6e-8, times two, and margin."""
 
 
@@ -31,18 +31,18 @@ def _numbers(kind: Any, count: int) -> Any:
 
 @intrinsic
 def room_for_bounds(typing_context):  # type: ignore[no-untyped-def]
-    return _numbers(types.float32, LANES * (ROOM + 1))
+    return _numbers(types.float32, LANES * (QUEUE_SIZE + 1))
 
 
 @intrinsic
 def room_for_lanes(typing_context):  # type: ignore[no-untyped-def]
     """Allocate eight more than ROOM: `sift` always writes eight."""
-    return _numbers(types.int32, ROOM + LANES)
+    return _numbers(types.int32, QUEUE_SIZE + LANES)
 
 
 @intrinsic
 def room_for_nodes(typing_context):  # type: ignore[no-untyped-def]
-    return _numbers(types.int32, ROOM + 1)
+    return _numbers(types.int32, QUEUE_SIZE + 1)
 
 
 def _packings() -> ir.Constant:
@@ -98,7 +98,7 @@ def sift(typing_context, nodes, node, point, top, bounds, waiting, begin):  # ty
             for i in range(3)
         ]
         squares = builder.fadd(builder.fadd(beyond(u, lane(9)), beyond(v, lane(10))), beyond(up, lane(11)))
-        squares = product(squares, ir.Constant(vector, [1.0 - ROUNDED] * LANES))
+        squares = product(squares, ir.Constant(vector, [1.0 - SQUARE_MARGIN] * LANES))
         into = builder.bitcast(builder.gep(bounds, [begin]), ir.PointerType(vector))
         builder.store(squares, into, align=4)
         nearer = builder.bitcast(builder.fcmp_ordered("<", squares, splat(top)), ir.IntType(LANES))
@@ -124,17 +124,17 @@ def slice_from(typing_context, lanes, at):  # type: ignore[no-untyped-def]
 
 
 if PLAIN:
-    _SHRUNK = np.float32(1.0 - ROUNDED)
+    _SHRUNK = np.float32(1.0 - SQUARE_MARGIN)
     _PLACES = np.arange(LANES, dtype=np.int32)
 
     def room_for_bounds() -> Any:
-        return np.empty(LANES * (ROOM + 1), np.float32)
+        return np.empty(LANES * (QUEUE_SIZE + 1), np.float32)
 
     def room_for_lanes() -> Any:
-        return np.empty(ROOM + LANES, np.int32)
+        return np.empty(QUEUE_SIZE + LANES, np.int32)
 
     def room_for_nodes() -> Any:
-        return np.empty(ROOM + 1, np.int32)
+        return np.empty(QUEUE_SIZE + 1, np.int32)
 
     def _beyond(axis: Any, half: Any, d: Any) -> Any:
         out = np.fmax(np.abs(axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2]) - half, np.float32(0.0))

@@ -20,7 +20,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.budget import ROOM
+from softfinger.proxy.kernels.shapes.budget import QUEUE_SIZE
 from softfinger.proxy.kernels.shapes.mesh.lanes import (
     LANES,
     NODE,
@@ -30,18 +30,18 @@ from softfinger.proxy.kernels.shapes.mesh.lanes import (
     sift,
     slice_from,
 )
-from softfinger.proxy.kernels.shapes.mesh.triangle import corners_of, foot_on, nearer_neighbour
+from softfinger.proxy.kernels.shapes.mesh.triangle import find_foot_on, nearer_neighbour, read_corners
 
-FAR = 1e4
+MAX_DISTANCE_SIZES = 1e4
 """Largest distance of a searched point from the middle of the mesh, in sizes of the mesh. Farther points are moved
 there before the search, because float32 has no more digits."""
-MANY = 64
+POOR_CANDIDATE_VISITS = 64
 """Nodes and triangles after which the known candidate counts as poor: a greedy descent then follows each level."""
-CLIMB = 24
+MAX_CLIMB_EDGES = 24
 """Limit of the edges crossed towards closer triangles after a greedy descent."""
-SLOPE = 128
+MAX_HOLLOW_EDGES = 128
 """Limit of the edges crossed in the search of a local minimum in a hollow."""
-SAME = 1e-11
+REPLACE_SHARE = 1e-11
 """Share by which the squared distance of another triangle must be smaller to replace a known one: on an edge, two are
 equally near."""
 
@@ -63,10 +63,10 @@ class NearestTriangle(NamedTuple):
 
 @jit
 def to_search_frame(mesh: Triangles, x: Vec3) -> Vec3:
-    """Return `x` relative to the middle of the mesh, moved towards it to at most FAR sizes along each axis."""
+    """Return `x` relative to the middle of the mesh, moved towards it to at most MAX_DISTANCE_SIZES along each axis."""
     d = vec3.sub(x, mesh.center)
     largest = max(abs(d[0]), abs(d[1]), abs(d[2]))
-    reach = FAR * mesh.size
+    reach = MAX_DISTANCE_SIZES * mesh.size
     if largest > reach:
         d = (reach * (d[0] / largest), reach * (d[1] / largest), reach * (d[2] / largest))
     return d
@@ -79,7 +79,7 @@ def round_up(square: float) -> np.float32:
 
 
 @jit
-def middle_of(mesh: Triangles, node: int, lane: int) -> Vec3:
+def find_middle(mesh: Triangles, node: int, lane: int) -> Vec3:
     """Return the middle of the box in a lane, (3,) m, relative to the middle of the mesh."""
     at = node * NODE + lane
     return (float(mesh.nodes[at]), float(mesh.nodes[at + LANES]), float(mesh.nodes[at + 2 * LANES]))
@@ -117,7 +117,7 @@ def descend_tree(
             return Candidate(-1, limit, spent)
         lane, closest = 0, 1e300
         for i in range(many):
-            apart = vec3.sub(near, middle_of(mesh, node, int(waiting[i]) - begin))
+            apart = vec3.sub(near, find_middle(mesh, node, int(waiting[i]) - begin))
             if vec3.dot(apart, apart) < closest:
                 lane, closest = int(waiting[i]) - begin, vec3.dot(apart, apart)
         first = int(mesh.first[node])
@@ -125,19 +125,19 @@ def descend_tree(
             break
         node = first + lane
     number = ~first + lane
-    square = foot_on(corners_of(mesh, number), x).square
-    for _ in range(CLIMB):
+    square = find_foot_on(read_corners(mesh, number), x).square
+    for _ in range(MAX_CLIMB_EDGES):
         spent += 1
         beyond = int(nearer_neighbour(whole, float(number), x))
         if beyond == number:
             break
         number = beyond
-        square = foot_on(corners_of(mesh, number), x).square
+        square = find_foot_on(read_corners(mesh, number), x).square
     return Candidate(number, square, spent)
 
 
 @jit
-def lowest_of(bounds: Any, waiting: Any, at: int, end: int) -> int:
+def find_lowest(bounds: Any, waiting: Any, at: int, end: int) -> int:
     """Return the index of the smallest bound in the queue."""
     lowest = int(waiting[at])
     for i in range(at + 1, end):
@@ -153,12 +153,12 @@ def walk_downhill(mesh: Triangles, begun: Candidate, x: Vec3) -> Candidate:
     In a hollow the nearest point of a triangle is in its interior, and does not show which edge to cross.
     """
     number, square, spent = begun
-    for _ in range(SLOPE if number >= 0 else 0):
+    for _ in range(MAX_HOLLOW_EDGES if number >= 0 else 0):
         nearer = -1
         for k in range(3):
             neighbour = int(mesh.across[3 * number + k])
             if neighbour >= 0:
-                apart = foot_on(corners_of(mesh, neighbour), x).square
+                apart = find_foot_on(read_corners(mesh, neighbour), x).square
                 spent += 1
                 if apart < square:
                     nearer, square = neighbour, apart
@@ -169,7 +169,7 @@ def walk_downhill(mesh: Triangles, begun: Candidate, x: Vec3) -> Candidate:
 
 
 @jit
-def first_candidate(
+def find_first_candidate(
     whole: Mesh, near: Vec3, x: Vec3, limit: float, known: Vec3, bounds: Any, waiting: Any
 ) -> tuple[Candidate, int]:
     """Return the closest of the `known` triangles within `limit` (m), and the last triangle tested, -1 for none.
@@ -180,7 +180,7 @@ def first_candidate(
     for k in known:
         if 0.0 <= k < mesh.number:  # `known` may contain triangles of other meshes
             last = int(k)
-            foot = foot_on(corners_of(mesh, last), x)
+            foot = find_foot_on(read_corners(mesh, last), x)
             spent += 1
             if foot.square < square:
                 number, square = last, foot.square
@@ -192,7 +192,7 @@ def first_candidate(
 
 
 @outlined
-def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough: float) -> NearestTriangle:
+def find_nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough: float) -> NearestTriangle:
     """Return the triangle nearest to `x` (3,) m within `limit` (m).
 
     known   (3,)  numbers of up to three triangles near x, -1 for none: tested first, and preferred to equally near ones
@@ -205,11 +205,11 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
         return NearestTriangle(-1, limit * limit, limit * limit, 0)
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
-    most = min(budget, ROOM)
-    (number, square, spent), guess = first_candidate(whole, near, x, limit, known, bounds, waiting)
+    most = min(budget, QUEUE_SIZE)
+    (number, square, spent), guess = find_first_candidate(whole, near, x, limit, known, bounds, waiting)
     if guess < 0 and spent == 1:
         return NearestTriangle(-1, square, square, spent)
-    best = square if number < 0 else square * (1.0 - SAME)
+    best = square if number < 0 else square * (1.0 - REPLACE_SHARE)
     top = round_up(best)
     firsts[0] = mesh.first[0]
     end = sift(mesh.nodes, 0, point, top, bounds, waiting, 0)
@@ -217,8 +217,8 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
     while at < end:
         if at == level:
             level = end
-            if spent + end >= MANY and spent + end < most:
-                place = lowest_of(bounds, waiting, at, end)
+            if spent + end >= POOR_CANDIDATE_VISITS and spent + end < most:
+                place = find_lowest(bounds, waiting, at, end)
                 first, lane = int(firsts[place // LANES]), place % LANES
                 down = Candidate(~first + lane, square, 0)
                 if first >= 0:
@@ -237,12 +237,12 @@ def nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough
         if bounds[place] < top:
             first, lane = int(firsts[place // LANES]), place % LANES
             if first < 0:
-                foot = foot_on(corners_of(mesh, ~first + lane), x)
+                foot = find_foot_on(read_corners(mesh, ~first + lane), x)
                 if foot.square < best:
                     number, square, best = ~first + lane, foot.square, foot.square
                     top = round_up(best)
             elif spent + end >= most:
-                lowest = min(square, float(bounds[lowest_of(bounds, waiting, at, end)]))
+                lowest = min(square, float(bounds[find_lowest(bounds, waiting, at, end)]))
                 if guess < 0:
                     guess, _, _ = descend_tree(whole, 0, near, x, 1e300, bounds, waiting, 0)
                 return NearestTriangle(guess if number < 0 else number, square, lowest, spent + end)

@@ -8,16 +8,16 @@ from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
 
-FACE = 6
+FACE_FEATURE = 6
 """Number of the face as a feature of the triangle; 0 to 2 are its edges, 3 to 5 its corners."""
 CORNER_TRIANGLES_MAX = 12
 """Limit of the triangles visited round a corner, in each direction."""
-SAME_DISTANCE = 1e-11
+SAME_DISTANCE_SHARE = 1e-11
 """Share by which squared distances from an edge or a corner must differ, so that the difference is not rounding."""
-CORNER_SHARE = 100.0 * SAME_DISTANCE
+CORNER_SHARE = 100.0 * SAME_DISTANCE_SHARE
 """Limit for a foot point on an edge: its squared distance from a corner as a share of that from x. Below it, another
 triangle round the corner may be closer, while the one across the edge is closer only by rounding."""
-ON_IT = 1e-14
+ON_TRIANGLE_SHARE = 1e-14
 """Distance, as a share of the mesh's size, below which the direction from the triangle to a point is rounding."""
 
 
@@ -34,7 +34,7 @@ class Foot(NamedTuple):
 
     point    (3,) m
     square   m^2     squared distance
-    feature          number of the edge or corner that it is on, otherwise FACE
+    feature          number of the edge or corner that it is on, otherwise FACE_FEATURE
     weights  (3,)    barycentric coordinates
     """
 
@@ -45,26 +45,26 @@ class Foot(NamedTuple):
 
 
 @jit
-def vertex_of(mesh: Triangles, number: int) -> Vec3:
+def read_vertex(mesh: Triangles, number: int) -> Vec3:
     at = 3 * number
     return (mesh.vertices[at], mesh.vertices[at + 1], mesh.vertices[at + 2])
 
 
 @jit
-def corners_of(mesh: Triangles, number: int) -> Corners:
+def read_corners(mesh: Triangles, number: int) -> Corners:
     at = 3 * number
     return Corners(
-        vertex_of(mesh, int(mesh.corners[at])),
-        vertex_of(mesh, int(mesh.corners[at + 1])),
-        vertex_of(mesh, int(mesh.corners[at + 2])),
+        read_vertex(mesh, int(mesh.corners[at])),
+        read_vertex(mesh, int(mesh.corners[at + 1])),
+        read_vertex(mesh, int(mesh.corners[at + 2])),
     )
 
 
 @jit
-def foot_at(corners: Corners, x: Vec3, feature: int, weights: Vec3) -> Foot:
+def find_foot(corners: Corners, x: Vec3, feature: int, weights: Vec3) -> Foot:
     """Compute the point relative to a corner: a weighted sum of all corners would have the rounding of coordinates."""
     a, b, c = corners
-    if feature == FACE:
+    if feature == FACE_FEATURE:
         point = vec3.add_scaled(vec3.add_scaled(a, weights[1], vec3.sub(b, a)), weights[2], vec3.sub(c, a))
     elif feature == 0:
         point = vec3.add_scaled(a, weights[1], vec3.sub(b, a))
@@ -79,41 +79,41 @@ def foot_at(corners: Corners, x: Vec3, feature: int, weights: Vec3) -> Foot:
 
 
 @jit
-def foot_on(corners: Corners, x: Vec3) -> Foot:
+def find_foot_on(corners: Corners, x: Vec3) -> Foot:
     """Find the nearest point by Voronoi regions of corners and edges: Ericson, Real-Time Collision Detection, 5.1.5."""
     a, b, c = corners
     ab, ac, ax = vec3.sub(b, a), vec3.sub(c, a), vec3.sub(x, a)
     d1, d2 = vec3.dot(ab, ax), vec3.dot(ac, ax)
     if d1 <= 0.0 and d2 <= 0.0:
-        return foot_at(corners, x, 3, (1.0, 0.0, 0.0))
+        return find_foot(corners, x, 3, (1.0, 0.0, 0.0))
     bx = vec3.sub(x, b)
     d3, d4 = vec3.dot(ab, bx), vec3.dot(ac, bx)
     if d3 >= 0.0 and d4 <= d3:
-        return foot_at(corners, x, 4, (0.0, 1.0, 0.0))
+        return find_foot(corners, x, 4, (0.0, 1.0, 0.0))
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         share = d1 / (d1 - d3) if d1 > d3 else 0.0
-        return foot_at(corners, x, 0, (1.0 - share, share, 0.0))
+        return find_foot(corners, x, 0, (1.0 - share, share, 0.0))
     cx = vec3.sub(x, c)
     d5, d6 = vec3.dot(ab, cx), vec3.dot(ac, cx)
     if d6 >= 0.0 and d5 <= d6:
-        return foot_at(corners, x, 5, (0.0, 0.0, 1.0))
+        return find_foot(corners, x, 5, (0.0, 0.0, 1.0))
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         share = d2 / (d2 - d6) if d2 > d6 else 0.0  # weight of c
-        return foot_at(corners, x, 2, (1.0 - share, 0.0, share))
+        return find_foot(corners, x, 2, (1.0 - share, 0.0, share))
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 >= d3 and d5 >= d6:
         whole = (d4 - d3) + (d5 - d6)
         share = (d4 - d3) / whole if whole > 0.0 else 0.0
-        return foot_at(corners, x, 1, (0.0, 1.0 - share, share))
+        return find_foot(corners, x, 1, (0.0, 1.0 - share, share))
     whole = 1.0 / (va + vb + vc)
     v, w = vb * whole, vc * whole
-    return foot_at(corners, x, FACE, (1.0 - v - w, v, w))
+    return find_foot(corners, x, FACE_FEATURE, (1.0 - v - w, v, w))
 
 
 @jit
-def face_normal(corners: Corners) -> Vec3:
+def compute_face_normal(corners: Corners) -> Vec3:
     """Return the unit normal (3,), towards the side from which the corners are counter-clockwise."""
     across = vec3.cross(vec3.sub(corners.b, corners.a), vec3.sub(corners.c, corners.a))
     _, normal = direction(across, Z_AXIS)
@@ -121,19 +121,19 @@ def face_normal(corners: Corners) -> Vec3:
 
 
 @jit
-def pseudonormal_at(mesh: Triangles, number: int, corners: Corners, feature: int) -> Vec3:
+def compute_pseudonormal(mesh: Triangles, number: int, corners: Corners, feature: int) -> Vec3:
     """Return the pseudonormal (3,), not of unit length, of the feature that the nearest point is on.
 
     It distinguishes outside from inside: at an edge the sum of the normals of both faces, at a corner that of all,
     weighted by their angles. Source: Baerentzen and Aanaes, Signed distance computation using the angle weighted
     pseudonormal, 2005.
     """
-    normal = face_normal(corners)
+    normal = compute_face_normal(corners)
     if feature < 3:
         neighbour = int(mesh.across[3 * number + feature])
         if neighbour >= 0:
-            normal = vec3.add(normal, face_normal(corners_of(mesh, neighbour)))
-    elif feature < FACE:
+            normal = vec3.add(normal, compute_face_normal(read_corners(mesh, neighbour)))
+    elif feature < FACE_FEATURE:
         at = 3 * int(mesh.corners[3 * number + feature - 3])
         normal = (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2])
     return normal
@@ -145,7 +145,7 @@ def is_nearer(foot: Foot, square: float) -> bool:
 
     On an edge or a corner, it has to be closer by more than rounding: otherwise two triangles could alternate.
     """
-    return foot.square <= square if foot.feature == FACE else foot.square < square * (1.0 - SAME_DISTANCE)
+    return foot.square <= square if foot.feature == FACE_FEATURE else foot.square < square * (1.0 - SAME_DISTANCE_SHARE)
 
 
 @jit
@@ -168,7 +168,7 @@ def nearer_round_corner(mesh: Triangles, number: int, at: int, x: Vec3, square: 
             corner = 0
             while corner < 2 and mesh.corners[3 * triangle + corner] != vertex:
                 corner += 1
-            foot = foot_on(corners_of(mesh, triangle), x)
+            foot = find_foot_on(read_corners(mesh, triangle), x)
             if is_nearer(foot, square):
                 nearest, square = triangle, foot.square
         if triangle == number:
@@ -177,7 +177,7 @@ def nearer_round_corner(mesh: Triangles, number: int, at: int, x: Vec3, square: 
 
 
 @jit
-def corner_near(corners: Corners, foot: Foot) -> int:
+def find_near_corner(corners: Corners, foot: Foot) -> int:
     """Return the index of the corner at a foot point, or close to a foot point on an edge; -1 if there is none."""
     if foot.feature >= 3:
         return foot.feature - 3
@@ -192,15 +192,15 @@ def corner_near(corners: Corners, foot: Foot) -> int:
 def nearer_neighbour(whole: Mesh, number: float, x: Vec3) -> float:
     """Return the triangle across the edge or round the corner nearest to `x`, if it is closer; otherwise this one."""
     mesh, k = whole.row[0], int(number)
-    corners = corners_of(mesh, k)
-    foot = foot_on(corners, x)
-    if foot.feature == FACE:
+    corners = read_corners(mesh, k)
+    foot = find_foot_on(corners, x)
+    if foot.feature == FACE_FEATURE:
         return number
     if foot.feature < 3:
         across = int(mesh.across[3 * k + foot.feature])
-        if across >= 0 and is_nearer(foot_on(corners_of(mesh, across), x), foot.square):
+        if across >= 0 and is_nearer(find_foot_on(read_corners(mesh, across), x), foot.square):
             return float(across)
-    corner = corner_near(corners, foot)
+    corner = find_near_corner(corners, foot)
     nearer = nearer_round_corner(mesh, k, corner, x, foot.square) if corner >= 0 else -1
     return number if nearer < 0 else float(nearer)
 
@@ -214,9 +214,9 @@ def offset_curvature_on_triangle(
     It is a plane over the face, a cylinder round an edge, and a sphere round a corner, with the fingertip's radius.
     """
     mesh, k = whole.row[0], int(number)
-    corners = corners_of(mesh, k)
-    feature = foot_on(corners, x).feature
-    if feature == FACE:
+    corners = read_corners(mesh, k)
+    feature = find_foot_on(corners, x).feature
+    if feature == FACE_FEATURE:
         return 0.0, 0.0, any_tangent(normal)
     if feature >= 3:
         return 1.0 / radius, 1.0 / radius, any_tangent(normal)
@@ -226,13 +226,13 @@ def offset_curvature_on_triangle(
 
 
 @outlined
-def shaded_normal(whole: Mesh, number: float, x: Vec3, normal: Vec3) -> Vec3:
+def compute_shaded_normal(whole: Mesh, number: float, x: Vec3, normal: Vec3) -> Vec3:
     """Return the unit normal (3,) interpolated from the vertices at the point of a triangle nearest to `x` (3,) m.
 
     It is on the side of `normal`, and equal to it if the vertices' normals cancel.
     """
     mesh, k = whole.row[0], int(number)
-    foot = foot_on(corners_of(mesh, k), x)
+    foot = find_foot_on(read_corners(mesh, k), x)
     total = (0.0, 0.0, 0.0)
     for i in range(3):
         at = 3 * int(mesh.corners[3 * k + i])
@@ -248,11 +248,11 @@ def closest_on_triangle(whole: Mesh, number: float, x: Vec3) -> tuple[float, Vec
     The normal points to the side of the fingertip; on an open mesh, to the side of x.
     """
     mesh, k = whole.row[0], int(number)
-    corners = corners_of(mesh, k)
-    foot = foot_on(corners, x)
-    normal = face_normal(corners)
+    corners = read_corners(mesh, k)
+    foot = find_foot_on(corners, x)
+    normal = compute_face_normal(corners)
     apart = vec3.sub(x, foot.point)
-    if foot.feature == FACE:
+    if foot.feature == FACE_FEATURE:
         gap = vec3.dot(apart, normal)
         if mesh.side < 0.0 or (mesh.side == 0.0 and gap < 0.0):
             return -gap, foot.point, vec3.scale(-1.0, normal)
@@ -260,8 +260,8 @@ def closest_on_triangle(whole: Mesh, number: float, x: Vec3) -> tuple[float, Vec
     distance, outward = direction(apart, normal)
     if mesh.side == 0.0:
         return distance, foot.point, outward
-    pseudo = pseudonormal_at(mesh, k, corners, foot.feature)
-    if distance <= ON_IT * mesh.size:
+    pseudo = compute_pseudonormal(mesh, k, corners, foot.feature)
+    if distance <= ON_TRIANGLE_SHARE * mesh.size:
         _, outward = direction(pseudo, normal)
     elif vec3.dot(outward, pseudo) < 0.0:
         distance, outward = -distance, vec3.scale(-1.0, outward)
