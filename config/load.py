@@ -14,9 +14,10 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
+from softfinger.config.arguments import check_mapping
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.fields import is_usable
-from softfinger.config.overrides import change_values
+from softfinger.config.overrides import CHANGES_EXAMPLE, change_values
 from softfinger.config.scalars import Fault
 from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
 from softfinger.config.sources import FOLDERS, find, format_path, read_toml
@@ -95,13 +96,15 @@ def load_scene(
       ...
     softfinger.config.load.FaultyConfig: override: object[0].radius_m = -1.0: must be a number from 1e-05 to 1000 m ...
     """
+    overrides = {} if overrides is None else check_mapping(overrides, "overrides", CHANGES_EXAMPLE)
+    sources = {} if sources is None else sources
     if isinstance(scene, Scene):
         return apply_overrides(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
-        return add_objects_of_world(build_changed(Scene, scene, "scene", overrides or {}, sources or {}))
+        return add_objects_of_world(build_changed(Scene, scene, "scene", overrides, sources))
     folder = find(scene, Scene).parent
     try:
-        loaded = _load(Scene, scene, overrides or {}, sources or {})
+        loaded = _load(Scene, scene, overrides, sources)
     except FaultyConfig as error:
         raise FaultyConfig(error.faults, _resolve_files(folder, error.config)) from error
     return add_objects_of_world(_resolve_files(folder, loaded))
@@ -116,7 +119,7 @@ def load_rig(
     An override of `device` applies to each [devices.NAME] of the file. Paths in [security] are relative to the folder
     of the file.
     """
-    rig = _load(Rig, path_or_name, overrides or {}, sources or {})
+    rig = _load(Rig, path_or_name, {} if overrides is None else overrides, {} if sources is None else sources)
     if rig.security is None:
         return rig
     folder = find(path_or_name, Rig).parent
@@ -150,7 +153,8 @@ def apply_overrides(config: T, changes: Mapping[str, Any], where: str) -> T:
 
     Raises ConfigError with every fault, each naming `where`.
     """
-    return build_changed(type(config), describe(config), where, changes, dict.fromkeys(changes, where))
+    sources = dict.fromkeys(check_mapping(changes, where, CHANGES_EXAMPLE), where)
+    return build_changed(type(config), describe(config), where, changes, sources)
 
 
 def describe(config: msgspec.Struct) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
+from softfinger.config.arguments import check_mapping
 from softfinger.config.errors import ConfigError
 from softfinger.config.materials import FINGERTIPS, MATERIALS
 from softfinger.config.scalars import Fault
@@ -14,6 +15,7 @@ from softfinger.config.words import format_value
 
 _BY_NAME: Final = {"material": MATERIALS.key, "fingertip": FINGERTIPS.key}
 """Tables that a text may replace, with the key that the text becomes the value of."""
+CHANGES_EXAMPLE: Final = '{"object.table.material.stiffness_n_per_m": 800.0}'
 _ENTRY: Final = re.compile(r"\[(\d+)\]")
 _NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
 
@@ -36,8 +38,10 @@ def change_values(
 ) -> OverriddenMapping:
     """Return a mapping with other values by dotted key; `sources` has the origin of each override for messages.
 
-    Raises ConfigError for a value that is set twice.
+    Raises ConfigError for a value that is set twice, or if `overrides` is no mapping from keys.
     """
+    check_mapping(overrides, "overrides", CHANGES_EXAMPLE)
+    check_mapping(sources, "sources", CHANGES_EXAMPLE)
     mapping, origins, override_faults = copy.deepcopy(dict(original)), dict[str, str](), list[Fault]()
     indexed_keys = {dotted: to_indexed_key(mapping, dotted) for dotted in overrides}
     if len(set(indexed_keys.values())) < len(indexed_keys):

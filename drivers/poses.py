@@ -121,7 +121,7 @@ def find_recording(recording: str | Path) -> Path:
         path = Path(recording)
         if path.exists():
             return path
-    except (ValueError, OSError) as error:  # too long, or contains a NUL
+    except (ValueError, OSError, TypeError) as error:  # too long, contains a NUL, or is no name
         raise RecordingError(f"recording {str(recording)[:80]!r} is not a usable file name: {error}") from error
     names = list_shipped_recordings()
     name = str(recording).removesuffix(".csv")

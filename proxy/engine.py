@@ -16,6 +16,7 @@ from numba import types
 from numpy import ndarray
 from numpy.typing import ArrayLike, NDArray
 
+from softfinger.config.arguments import check_text, refusal, to_number
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
@@ -126,9 +127,11 @@ class Engine:
         self.scene: Scene = build_scene(self.config)
         self.fingers: Final = tuple(finger.name for finger in self.config.fingers)
         """Names of the fingers; the finger of [fingertip] has the name ""."""
-        if not 1.0 / DT_MAX_S <= rate_hz <= 1.0 / DT_MIN_S:
-            raise ConfigError(f"rate_hz = {rate_hz}: must be a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz")
-        self.dt = 1.0 / rate_hz
+        rate = to_number(rate_hz)
+        if not 1.0 / DT_MAX_S <= rate <= 1.0 / DT_MIN_S:
+            allowed = f"a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz"
+            raise ConfigError(refusal("rate_hz", rate_hz, allowed))
+        self.dt = 1.0 / rate
         self._begin = start_state(self.scene)
         self._start: Array = flatten(self._begin)
         self._state: Array
@@ -242,6 +245,7 @@ class Engine:
         from softfinger.config.overrides import find_value, to_indexed_key
 
         mapping = describe(self.config)
+        check_text(path, "path", "object.table.material")
         key = to_indexed_key(mapping, path)
         try:
             table = find_value(mapping, key.rpartition(".")[0]) if "." in key else mapping
@@ -257,11 +261,15 @@ class Engine:
 
         Raises
         ------
-        ValueError
-            If the scene has other parts than the compiled one.
+        ConfigError
+            If this is no scene, or one with other parts than the compiled one.
         """
+        from softfinger.config import schema
+
+        if not isinstance(scene, schema.Scene):
+            raise ConfigError(refusal("scene", scene, "a Scene, as `load_scene` returns it"))
         if not self._take(scene):
-            raise ValueError("the new scene has other parts than the compiled one: create another Engine")
+            raise ConfigError("the new scene has other parts than the compiled one: create another Engine")
 
     def _take(self, config: schema.Scene) -> bool:
         """Take the parameters of a scene; return False if it has other parts than the compiled one."""
@@ -378,8 +386,9 @@ class Engine:
         )
 
     def _check_dt(self, dt: float) -> float:
-        if not (dt == 0.0 or DT_MIN_S <= dt <= DT_MAX_S):
-            raise PoseError(f"dt = {dt}: must be 0 or from {DT_MIN_S:g} to {DT_MAX_S:g} s")
-        if self.scene.bodies is not None and dt != self.dt:
-            raise PoseError(f"dt = {dt}: the bodies of [world] advance by {self.dt:g} s in each tick")
-        return float(dt)
+        step_s = to_number(dt)
+        if not (step_s == 0.0 or DT_MIN_S <= step_s <= DT_MAX_S):
+            raise PoseError(refusal("dt", dt, f"0 or a number from {DT_MIN_S:g} to {DT_MAX_S:g} s"))
+        if self.scene.bodies is not None and step_s != self.dt:
+            raise PoseError(f"dt = {step_s}: the bodies of [world] advance by {self.dt:g} s in each tick")
+        return step_s

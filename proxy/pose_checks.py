@@ -26,11 +26,18 @@ def stack_poses(poses: Mapping[str, Any], fingers: Sequence[str]) -> Array:
     if set(poses) != set(fingers):
         names = ", ".join(fingers) or "one, with poses without a name"
         raise PoseError(f"poses of {', '.join(map(str, poses))} do not match the fingers of the scene: {names}")
-    checked = [check_poses(np.asarray(poses[name], np.float64)) for name in fingers]
+    checked = [check_poses(_to_array(poses[name])) for name in fingers]
     if len({len(rows) for rows in checked}) > 1:
         counts = ", ".join(f"{len(rows)} of {name}" for name, rows in zip(fingers, checked, strict=True))
         raise PoseError(f"all fingers need the same number of poses, not {counts}")
     return np.ascontiguousarray(np.stack(checked, axis=1))
+
+
+def _to_array(poses: Any) -> Array:
+    try:
+        return np.asarray(poses, np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PoseError(f"poses are no array of numbers (n, 7), rows x, y, z, qw, qx, qy, qz: {error}") from None
 
 
 def check_poses(poses: Array) -> Array:

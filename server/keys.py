@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import zmq
 
+from softfinger.config.arguments import refusal
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import check_owner, open_input
 from softfinger.config.words import format_value
@@ -44,6 +45,13 @@ class ClientKeys(NamedTuple):
     def apply_to(self, socket: zmq.Socket[Any]) -> None:
         """Set the keys of a socket; call before it is connected."""
         socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = *self.client, self.server
+
+
+def check_keys(keys: object) -> ClientKeys | None:
+    """Return the keys of a client, or None; raises ConfigError for anything else."""
+    if keys is None or isinstance(keys, ClientKeys):
+        return keys
+    raise ConfigError(refusal("keys", keys, "the result of `client_keys`, or None"))
 
 
 def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
@@ -128,7 +136,7 @@ def _read(path: str | Path) -> tuple[dict[str, bytes], int]:
         folder = Path(path).resolve().parent
         for checked, status_of_checked in ((path, status), (folder, folder.stat())):
             check_owner(checked, status_of_checked, "could replace this key")
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError(f"{path}: no key can be read: {reason}; create one with softfinger keys") from error
     keys = {kind.decode(): key for kind, key in _LINE.findall(text)}

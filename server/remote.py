@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
+from softfinger.config.arguments import check_text
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import make_commands_address, make_telemetry_address
 from softfinger.server.gateway.addresses import Addresses, find_addresses
@@ -56,7 +57,7 @@ class Client(Control):
     def __init__(
         self, telemetry: str = DEFAULT_ENDPOINT, commands: str | None = None, *, timeout_s: float | None = None
     ) -> None:
-        self.telemetry = make_telemetry_address(telemetry)
+        self.telemetry = make_telemetry_address(check_text(telemetry, "telemetry", DEFAULT_ENDPOINT))
         super().__init__(make_commands_address(self.telemetry) if commands is None else commands, timeout_s)
         self._verified = commands is not None
         self._opened: Final = list[Subscription | Window]()

@@ -45,8 +45,8 @@ CAUSES: Final = {
     Trigger.TICK: "the first tick",
     Trigger.ARM: "the force may be switched on: automatically, by `arm`, or by a button, as in the rig",
     Trigger.DISARM: "`disarm`",
-    Trigger.FAULT: "a handle too fast, a missed heartbeat, or an error that ends the run",
-    Trigger.CLEAR: "the handle is slow again, the next heartbeat, `arm`, or a button",
+    Trigger.FAULT: "a handle too fast, a missed heartbeat, no command can be received, or an error that ends the run",
+    Trigger.CLEAR: "the handle is slow again, the next heartbeat, commands are received again, `arm`, or a button",
     Trigger.END: "a signal, `stop`, the last tick, or the error of a run",
 }
 
@@ -69,8 +69,9 @@ NOT_ARMED_REASON: Final = "not armed yet"
 COMMANDED_REASON: Final = "disarmed by command"
 NO_HEARTBEAT_REASON: Final = "no heartbeat"
 TOO_FAST_REASON: Final = "the handle was too fast"
+UNREACHABLE: Final = "no command can be received"
 """Reasons for zero force."""
-FAULT_REASONS: Final = frozenset({NO_HEARTBEAT_REASON, TOO_FAST_REASON})
+FAULT_REASONS: Final = frozenset({NO_HEARTBEAT_REASON, TOO_FAST_REASON, UNREACHABLE})
 """Reasons for zero force that are faults."""
 
 

@@ -7,6 +7,7 @@ a log. The timelines are `time` and `tick`.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -19,9 +20,11 @@ from softfinger.config.schema import Body, Object, Scene
 from softfinger.proxy.records import Records
 from softfinger.server.recording import picture
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
+from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock
 from softfinger.server.recording.writer import apply_drive, compute_event_time_ns, compute_times_ns, parse_scene
 from softfinger.server.wire.protocol import WORLD
+
+log: Final = logging.getLogger(__name__)
 
 PLOTTED: Final = (
     "force", "torque", "contact.mode", "contact.penetration", "contact.spin", "contact.torsion", "servo.late",
@@ -174,4 +177,6 @@ def show_recording(recording: str | Path, stream: Any) -> int:
             sink.event(part.event)
         elif isinstance(part, RecordedWorld):
             sink.message(WORLD, part.world)
+        elif isinstance(part, End) and part.cut:
+            log.warning("%s is incomplete: %s", recording, part.cut)
     return count

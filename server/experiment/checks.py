@@ -10,6 +10,7 @@ from typing import Any, Final, TypeVar
 
 from msgspec.structs import replace
 
+from softfinger.config.arguments import check_mapping
 from softfinger.config.errors import ConfigError
 from softfinger.config.fields import is_complete, is_usable
 from softfinger.config.load import FaultyConfig, apply_overrides, attempt, build_changed, load_rig, load_scene
@@ -44,7 +45,8 @@ def load(
     tables, name, folder = read(source)
     faults, faulty = list[str](), set[str]()
     try:
-        experiment = build_changed(ExperimentFile, tables, name, changes, dict.fromkeys(changes, "experiment"))
+        sources = dict.fromkeys(check_mapping(changes, "changes", '{"procedure.trials": 60}'), "experiment")
+        experiment = build_changed(ExperimentFile, tables, name, changes, sources)
     except FaultyConfig as error:
         experiment = error.config
         faults += map(str, error.faults)

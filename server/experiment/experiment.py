@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
+from softfinger.config.arguments import refusal
 from softfinger.config.errors import ConfigError
 from softfinger.config.words import format_value
 from softfinger.server.experiment import checks, files
@@ -51,7 +52,7 @@ class Experiment:
     """
 
     def __init__(self, source: str | Path | Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> None:
-        self.file, self._folder = checks.load(source, changes or {})
+        self.file, self._folder = checks.load(source, {} if changes is None else changes)
 
     @property
     def conditions(self) -> list[Condition]:
@@ -97,7 +98,7 @@ class Experiment:
             Errors that end a daemon.
         """
         participant_folder = ParticipantFolder(
-            Path(folder), self.file, _check_participant(participant), files.hash_files(self.file, self._folder)
+            _as_path(folder), self.file, _check_participant(participant), files.hash_files(self.file, self._folder)
         )
         session = Session(self.file, participant, log.debug if running.no_daemon else log.info)
         participant_folder.check_answer_kind(running.dry_run)
@@ -167,6 +168,13 @@ def _begin_run(
 def load_results(folder: str | Path) -> list[Entry]:
     """Return all answered trials of an experiment's folder, one row each, from its journals."""
     return load(Path(folder))[1]
+
+
+def _as_path(folder: str | Path) -> Path:
+    try:
+        return Path(folder)
+    except TypeError:
+        raise ConfigError(refusal("folder", folder, "a path")) from None
 
 
 def _check_participant(participant: int) -> int:

@@ -18,6 +18,7 @@ from softfinger.server.experiment.hands import Hands, compute_angle
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.parameters import load_changed_scene, split_masses, split_rig
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.loop.guard import DISARMED
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample, Subscription
 from softfinger.server.wire.protocol import CONTACT, FINGERS, find_finger
@@ -38,6 +39,10 @@ REPEAT_REMEDY: Final = (
     "presents this trial again"
 )
 """Remedy if the recording lacks the ticks of a trial."""
+REMOVED_REMEDY: Final = (
+    ": all earlier answers are stored: find the cause in the events of the recording, then repeat the command, which "
+    "presents this trial again"
+)
 
 
 class Haptics:
@@ -175,12 +180,19 @@ class Haptics:
             self.wait(POLL_S)
 
     def _run_touch(self, start_s: float) -> float | None:
-        """Run a touch and lead hands along their paths; return when a target was reached, s from `start_s`, or None."""
-        experiment, task = self._experiment, self._experiment.task
+        """Run a touch and lead hands along their paths; return when a target was reached, s from `start_s`, or None.
+
+        Raises SafetyStop if the force is removed, for example because the process of commands has ended.
+        """
+        experiment, task, was_on = self._experiment, self._experiment.task, False
         while (elapsed_s := time.monotonic() - start_s) < experiment.trial.touch_s:
             self._hands.lead(elapsed_s)
             self._read_recorded_tick()  # end a long touch early if its recording failed
             self.wait(POLL_S)
+            is_on = not any(sample.data.servo.guard & DISARMED for sample in self.latest.values())
+            if was_on and not is_on:
+                raise SafetyStop(f"the force was removed during the touch{REMOVED_REMEDY}")
+            was_on = is_on
             positions = [sample.data.probe.position for sample in self.latest.values()]
             target = task.target_m
             if target is not None and any(math.dist(place, target) <= task.target_radius_m for place in positions):

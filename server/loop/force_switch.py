@@ -1,7 +1,8 @@
 """Switch of the force: shared memory by which Python turns the force on and off, read in every tick.
 
 A write needs neither a lock nor a new tuning, and the loop needs no interpreter. A missing heartbeat therefore turns
-the force off while Python is busy, and so does a request that the publisher received (`socket_process/brake.py`).
+the force off while Python is busy. So do a request that the publisher received (`socket_process/brake.py`), and the
+loss of the process that receives such requests.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.server.loop.guard import Guard, GuardState
-from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
+from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
 
 IS_REQUESTED: Final = 0
 """1: force is requested."""
@@ -27,12 +28,15 @@ NO_DEADLINE_NS: Final = np.iinfo(np.int64).max
 MAX_OFF_S: Final = 0.006
 """Longest time, s, from the largest force to zero once the switch is off: that of 12 N at the default slew limit. A rig
 with a slower limit, for a softer feel, must not delay `disarm` by it."""
+UNREACHABLE_MAX_S: Final = 0.1
+"""Longest time, s, for which the force continues while no request to turn it off could be received."""
+UNREACHABLE_MAX_NS: Final = round(1e9 * UNREACHABLE_MAX_S)
 
 
 def make_switch(words: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
     """Return the memory of a switch that is on without a time limit."""
     switch = np.zeros(8, np.int64) if words is None else words
-    switch[IS_REQUESTED], switch[DEADLINE_NS] = 1, NO_DEADLINE_NS
+    switch[IS_REQUESTED], switch[DEADLINE_NS], switch[UNREACHABLE_NS] = 1, NO_DEADLINE_NS, -1
     return switch
 
 
@@ -41,7 +45,20 @@ def is_on(switch: NDArray[np.int64], now: int) -> bool:
     """Return whether the force is on at a time (ns)."""
     # The counts first: the daemon writes IS_REQUESTED before STOPS_HANDLED.
     handled = load_acquire(switch, STOPS_HANDLED) == load_acquire(switch, STOPS_RECEIVED)
-    return handled and load_acquire(switch, IS_REQUESTED) != 0 and now <= load_acquire(switch, DEADLINE_NS)
+    allowed = handled and load_acquire(switch, UNREACHABLE_NS) <= UNREACHABLE_MAX_NS
+    return allowed and load_acquire(switch, IS_REQUESTED) != 0 and now <= load_acquire(switch, DEADLINE_NS)
+
+
+@jit
+def count_unreachable(switch: NDArray[np.int64], period: int) -> None:
+    """Add a tick of `period` ns to the time for which no request could be received.
+
+    Missed ticks do not count: in a stall of the machine the process does not run either. A simultaneous reset may be
+    overwritten, but the process repeats it.
+    """
+    time = load_acquire(switch, UNREACHABLE_NS)
+    if time >= 0:
+        store_release(switch, UNREACHABLE_NS, time + period)
 
 
 @jit

@@ -39,7 +39,7 @@ from softfinger.server.loop.clock import (
     sleep_until,
     with_suspension,
 )
-from softfinger.server.loop.force_switch import apply_switch, is_on, store_active
+from softfinger.server.loop.force_switch import apply_switch, count_unreachable, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import ParameterRamp, advance, set_now, set_target
 from softfinger.server.loop.shared.ring import Ring, push
@@ -212,6 +212,7 @@ def run_servo_loop(
             break
         memory = Memory(memory.world, hands)
         store_active(shared.switch, hands, on)
+        count_unreachable(shared.switch, schedule.period_ns)
 
         stamp = make_stamp(schedule, pace, woke, wrote, busy)
         map_each(stamp_one, (buffers, statuses, statuses_out), stamp)

@@ -8,3 +8,5 @@ STOPS_RECEIVED: Final = 3
 """Number of requests to turn the force off; written by the publisher."""
 STOPS_HANDLED: Final = 4
 """Number of such requests that the daemon has handled."""
+UNREACHABLE_NS: Final = 5
+"""Time, ns, since the process of commands last read requests: it resets the time, the loop counts. -1: no process."""

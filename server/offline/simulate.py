@@ -224,7 +224,7 @@ def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Pat
     has_one_file = set(recordings) == {""} and (not has_fingers or Path(recordings[""]).suffix.lower() == ".mcap")
     if not has_one_file and set(recordings) != set(fingers):
         expected_fingers = ", ".join(filter(None, fingers)) or "one, without its name"
-        given_fingers = ", ".join(filter(None, recordings)) or "a single finger"
+        given_fingers = ", ".join(map(str, filter(None, recordings))) or "a single finger"
         raise ConfigError(
             f"poses of {given_fingers} do not match the fingers of the scene: use poses of {expected_fingers}"
         )

@@ -23,7 +23,7 @@ from softfinger.server.services.command_handlers import CommandHandlers, DaemonI
 from softfinger.server.services.compilation import CompilerFailure, SupersededRequest
 from softfinger.server.services.rendering import Rendering, SceneReplacement
 from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES
-from softfinger.server.states import NO_HEARTBEAT_REASON
+from softfinger.server.states import NO_HEARTBEAT_REASON, UNREACHABLE
 from softfinger.server.wire.envelope import DeclinedRequest, Request, encode_answer, encode_refusal, parse
 from softfinger.server.wire.link import RequestHandlers
 
@@ -40,6 +40,9 @@ REST_MAX_S: Final = 0.1
 """Longest pause after a queued request: queued requests use at most half of a processor."""
 DEFERRED: Final = frozenset({"set_scene", "reset_world"})
 """Methods that compile, and are answered by another thread."""
+START_S: Final = 60.0
+"""Time for which the start waits for the process that receives requests; it takes half a second, or several."""
+POLL_S: Final = 0.005
 
 
 class CommandService:
@@ -70,6 +73,21 @@ class CommandService:
         self._thread.start()
         self._note_alive(time.monotonic())
         self._daemon.publisher.serve(RequestHandlers(self._receive, self._check_periodically))
+        self._await_process()
+
+    def _await_process(self) -> None:
+        """Wait until requests are received, as there is no force before; raises SafetyStop if this takes too long.
+
+        A stop, and a process that cannot be started, end the run after the start.
+        """
+        until, rendering = time.monotonic() + START_S, self._rendering
+        while not (rendering.force.is_reachable or rendering.servo.shared.stop[0] or self._daemon.publisher.has_failed):
+            if time.monotonic() > until:
+                raise SafetyStop(
+                    f"the process that receives commands is not ready after {START_S:g} s: no command could stop the "
+                    "force; end other work, then start again"
+                )
+            time.sleep(POLL_S)
 
     def stop(self) -> None:
         restore = [switch_interval.restore] if self._started else []
@@ -175,6 +193,7 @@ class CommandService:
     def _check_periodically(self) -> None:
         try:
             self._check_heartbeat()
+            self._rendering.force.note_guard(UNREACHABLE, not self._rendering.force.is_reachable)
         except Exception as error:
             log.exception("commands failed")
             self._daemon.publisher.serve(None)

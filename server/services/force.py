@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.loop.force_switch import DEADLINE_NS, IS_ACTIVE, IS_REQUESTED, NO_DEADLINE_NS
+from softfinger.server.loop.force_switch import DEADLINE_NS, IS_ACTIVE, IS_REQUESTED, NO_DEADLINE_NS, UNREACHABLE_MAX_NS
+from softfinger.server.loop.switch_fields import UNREACHABLE_NS
 from softfinger.server.states import NOT_ARMED_REASON, States
 
 SWITCH_TICKS: Final = 2
@@ -55,6 +56,11 @@ class Force:
         """Whether the force is switched off and all hands have zero force."""
         switch = self._switch
         return not switch[IS_REQUESTED] and not switch[IS_ACTIVE] and self._ticks() >= self._off_tick + SWITCH_TICKS
+
+    @property
+    def is_reachable(self) -> bool:
+        """Whether a request to turn the force off is received, or commands are off; if not, the loop turns it off."""
+        return bool(self._switch[UNREACHABLE_NS] <= UNREACHABLE_MAX_NS)
 
     def is_inhibited_by(self, why: str) -> bool:
         return why in self._reasons

@@ -44,7 +44,8 @@ class Recordings:
         self._recorder: Recorder | None = None
         self._ending: list[Recorder] = []  # recordings with a last part that may not be on disk yet
         self._ended = RecorderState()
-        self._path = Path()
+        self._path = self._opening = Path()
+        """File of the latest recording, and file that is opened, with `_changing` locked."""
         self._failure: RecordingError | None = None
         self._settings: Any = None
         self.sink: Final = Sink("recordings", self._add_records)
@@ -53,11 +54,18 @@ class Recordings:
         """Do nothing: a recording starts on request."""
 
     def stop(self) -> None:
-        """End the recording; raises RecordingError, once, if a recording of this run failed."""
-        with self._changing:
+        """End the recording; raises RecordingError, once, if a recording of this run failed or cannot be opened."""
+        if not self._changing.acquire(timeout=CLOSE_S):
+            raise RecordingError(
+                f"{self._opening}: cannot be opened, because its disk does not answer: nothing was recorded there; "
+                "choose another disk"
+            )
+        try:
             if self._recorder is not None:
                 self._recorder.stop(CLOSE_S)
             failure, self._failure = self._failure, None
+        finally:
+            self._changing.release()
         if failure is not None:
             raise failure
 
@@ -132,13 +140,14 @@ class Recordings:
         with self._changing:
             if self._recorder is not None and not self._recorder.recorded.error:
                 raise RecordingError(f"{self._path} is being recorded: stop that first")
+            self._opening = folder / path if folder is not None else path
             file = _open_new_file(path, folder)
             if self._recorder is not None:
                 self._ending.append(self._recorder)
             about = describe_daemon(self._rendering, scene_name)
             if self._settings is not None:
                 about["settings"] = self._settings
-            self._path = (folder / path if folder is not None else path).absolute()
+            self._path = self._opening.absolute()
             trouble = partial(self._report_trouble, self._path)
             self._recorder = Recorder(file, self._fingers, about, trouble, GUARD_NAMES)
             return self._path

@@ -11,7 +11,7 @@ from typing import Final
 
 import msgspec
 
-from softfinger.server.loop.switch_fields import STOPS_RECEIVED
+from softfinger.server.loop.switch_fields import STOPS_RECEIVED, UNREACHABLE_NS
 
 FORCE_OFF_METHODS: Final = ("disarm", "stop")
 SHORT_REQUEST_BYTES: Final = 4096
@@ -45,3 +45,7 @@ class Brake:
 
     def count(self, requests: int) -> None:
         self._words[STOPS_RECEIVED] += requests
+
+    def reset_time(self) -> None:
+        """Report that this process reads requests; without it the loop turns the force off (`UNREACHABLE_MAX_S`)."""
+        self._words[UNREACHABLE_NS] = 0

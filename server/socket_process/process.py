@@ -31,6 +31,7 @@ from softfinger.server.socket_process.readers import Readers
 from softfinger.server.socket_process.request_queue import RequestQueue
 from softfinger.server.socket_process.setup import (
     PERIOD_S,
+    REQUESTS_PERIOD_S,
     REST_MAX_S,
     Figures,
     Kind,
@@ -123,11 +124,11 @@ class Publishing:
         """Publish until the daemon requests the end or exits."""
         poll, bell = self._poll(), self._rows.bell
         renewals, report_s, keys_s = self._count_renewals(), 0.0, time.monotonic() + KEY_CHECK_S
-        has_events, requests = False, 0
+        has_events, requests, period_s = False, 0, REQUESTS_PERIOD_S if self._clients else PERIOD_S
         while not self._ended:
             limit_step()
             is_due = has_events or requests >= REQUESTS_PER_TURN
-            timeout_s = 0.0 if is_due else RETRY_S if self._channel.has_queued else PERIOD_S
+            timeout_s = 0.0 if is_due else RETRY_S if self._channel.has_queued else period_s
             ready = {number for number, _ in poll.poll(timeout_s * 1000.0)}
             start_s = time.monotonic()
             if bell in ready:
@@ -137,6 +138,8 @@ class Publishing:
                 self._receive()
             self._channel.flush()
             requests = self._handle_peers()
+            if self._clients:
+                self._brake.reset_time()
             if has_events or ready - {bell, self._channel.fileno()}:
                 # Soon: libzmq's thread blocks once a thousand events are unread. Few: they must not delay requests.
                 has_events = sum(peers.process_events(EVENTS_IN_TURN) for peers in self._peer_sockets) > 0

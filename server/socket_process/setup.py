@@ -9,6 +9,8 @@ from msgspec import Struct
 
 PERIOD_S: Final = 0.1
 """Interval at which the publisher checks everything that does not wake it, and reports its figures."""
+REQUESTS_PERIOD_S: Final = 0.02
+"""Interval at which a process of commands reports that it reads requests: a fifth of UNREACHABLE_MAX_S."""
 REST_MAX_S: Final = 0.002
 """Longest pause after requests, so that they use at most half of a processor; a `disarm` waits no longer than that."""
 REQUEST_MAX: Final = 262144

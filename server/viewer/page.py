@@ -7,6 +7,7 @@ import gc
 import html
 import io
 import logging
+import threading
 import time
 from collections.abc import Callable, Mapping
 from math import exp
@@ -41,6 +42,8 @@ COLLECT_S: Final = 60.0
 """Period of garbage collection. CPython caches up to 2000 freed tuples of each length, 4 MB in all, until a full
 collection. Automatic ones are so rare that the memory of a page grew for most of an hour.
 """
+CLOSE_S: Final = 0.5
+"""Longest time for which closing waits for browsers to disconnect; they need some milliseconds."""
 TITLE: Final = "softfinger"
 TEXT_HTML: Final = '<div style="padding: 0.3em 0.75em; font-size: 0.85em; line-height: 1.5">{}</div>'
 GRID: Final = "display: grid; grid-template-columns: 5.5em 6em 6.5em auto; font-variant-numeric: tabular-nums"
@@ -298,9 +301,12 @@ class Page:
             self._plots.show()
 
     def close(self) -> None:
+        """Stop the server, waiting at most CLOSE_S: viser waits 6 s for a browser that does not read."""
         self._closed = True
+        stopping = threading.Thread(target=self.server.stop, name="stop", daemon=True)
         with contextlib.redirect_stdout(io.StringIO()):
-            self.server.stop()
+            stopping.start()
+            stopping.join(CLOSE_S)
 
 
 def _bind(control: Any, looks: Looks, name: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
+from functools import reduce
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -16,7 +18,7 @@ from softfinger.proxy.pictures import Filed, make_picture
 from softfinger.proxy.record import AT
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.contents import read_recording
-from softfinger.server.recording.reader import Event, Note, RecordedWorld, TickBlock
+from softfinger.server.recording.reader import End, Event, Note, RecordedWorld, TickBlock, explain_no_tick
 from softfinger.server.surface_meshes import SurfaceMesh
 from softfinger.server.viewer.displayed import find_low_dof_devices
 from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
@@ -24,6 +26,8 @@ from softfinger.server.viewer.inputs import is_in_list, is_on_slider
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page, parse_scene_start
 from softfinger.server.viewer.timeline import Events, format_band, format_pointer
+
+log: Final = logging.getLogger(__name__)
 
 TRACE_TICKS: Final = 2000
 """Ticks before the new position that are drawn as a trace after a seek."""
@@ -35,7 +39,7 @@ DEFAULT_SCENE: Final = "paper-plane"
 class LoadedRecording(NamedTuple):
     """Contents of a recording.
 
-    fingers  records (n, RECORD_SIZE) by finger, the same number of each
+    fingers  records (n, RECORD_SIZE) by finger, of the same ticks
     scene    rendered scene
     name     of the scene
     rate_hz  of the ticks
@@ -74,6 +78,7 @@ def load(recording: str, scene: str | None) -> LoadedRecording:
     notes: dict[str, Any] = {}
     events: list[dict[str, Any]] = []
     worlds: list[dict[str, Any]] = []
+    end = End([], "")
     for part in read_recording(recording):
         match part:
             case TickBlock():
@@ -84,13 +89,21 @@ def load(recording: str, scene: str | None) -> LoadedRecording:
                 events.append(part.event)
             case RecordedWorld():
                 worlds.append(part.world)
+            case End():
+                end = part
     if not blocks:
-        raise RecordingError(f"{recording}: has no tick")
+        raise RecordingError(f"{recording}: {explain_no_tick(end)}")
+    if end.cut:
+        log.warning("%s is incomplete: %s", recording, end.cut)
     if next(iter(blocks.values()))[0].column("force") is None:  # poses
         fingers = {"": np.asarray(run_recording(recording, scene or DEFAULT_SCENE))}
     else:
         fingers = {name: np.concatenate([part.records() for part in parts]) for name, parts in blocks.items()}
+        common = reduce(np.intersect1d, [rows[:, AT.tick] for rows in fingers.values()])
+        fingers = {name: rows[np.isin(rows[:, AT.tick], common)] for name, rows in fingers.items()}
         count = min(map(len, fingers.values()))
+        if not count:
+            raise RecordingError(f"{recording}: its fingers {sorted(fingers)} have no tick in common")
         fingers = {name: rows[:count] for name, rows in fingers.items()}
     if scene is None and "scene" in notes:
         rendered_scene = build(schema.Scene, notes["scene"], f"{recording}: scene")

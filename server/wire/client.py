@@ -10,9 +10,10 @@ the ticks that did not arrive.
 
 from __future__ import annotations
 
+import math
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 from operator import attrgetter
@@ -23,11 +24,13 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
+from softfinger.config.arguments import check_text, refusal
 from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.words import format_value
 from softfinger.drivers.closing import Closeable
 from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
-from softfinger.server.keys import ClientKeys
+from softfinger.server.keys import ClientKeys, check_keys
 from softfinger.server.wire import DEFAULT_ENDPOINT
 from softfinger.server.wire.protocol import (
     CONTACT,
@@ -43,6 +46,9 @@ from softfinger.server.wire.waits import to_milliseconds
 
 _RECEIVE_BACKLOG: Final = 40960  # same as the publisher's: a short pause of the client loses nothing
 _LARGEST_FRAME: Final = 1 << 20  # ZeroMQ disconnects a peer that sends more, before it allocates
+
+SAMPLES_MAX: Final = 1_000_000
+"""Largest window: 17 minutes at 1 kHz, 2 GB."""
 
 _IN_LISTS: Final = [i for i, field in enumerate(FIELDS) if field.name.startswith("contacts")]
 _VALUES_BEFORE: Final = attrgetter(*(field.name for field in FIELDS[: _IN_LISTS[0]]))
@@ -110,17 +116,17 @@ class Subscription(Closeable):
     def __init__(
         self, endpoint: str, topics: Sequence[str], timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        topics = [topics] if isinstance(topics, str) else topics
-        unknown = [topic for topic in topics if topic not in (*TOPICS, *SCENE_TOPICS) and not topic.startswith(FINGERS)]
+        topics = [topics] if isinstance(topics, str) or not isinstance(topics, Iterable) else [*topics]
+        unknown = [topic for topic in topics if not _is_topic(topic)]
         if unknown or not topics:
             raise ConfigError(
-                f"topics = {list(topics)}: choose from {', '.join((*TOPICS, *SCENE_TOPICS))}, {FINGERS}NAME for one of "
-                f"several fingers, or {FINGERS} for all of them"
+                f"topics = {format_value(topics)}: choose from {', '.join((*TOPICS, *SCENE_TOPICS))}, {FINGERS}NAME "
+                f"for one of several fingers, or {FINGERS} for all of them"
             )
-        self.endpoint = endpoint
+        self.endpoint = check_text(endpoint, "endpoint", DEFAULT_ENDPOINT)
         self.topics: Final = tuple(topics)
         self.timeout_s = timeout_s
-        self._keys = keys
+        self._keys = check_keys(keys)
         self._connect()
 
     def _connect(self) -> None:
@@ -276,6 +282,10 @@ def _flatten(values: tuple[Any, ...]) -> list[float]:
     return row
 
 
+def _is_topic(topic: object) -> bool:
+    return isinstance(topic, str) and (topic in (*TOPICS, *SCENE_TOPICS) or topic.startswith(FINGERS))
+
+
 class Window(Closeable):
     """Latest ticks of a finger as NumPy arrays, in tick order.
 
@@ -296,14 +306,14 @@ class Window(Closeable):
     Raises
     ------
     ConfigError
-        If `samples` is below 1 or the endpoint is invalid.
+        If `samples` is out of range, or the endpoint is invalid.
     """
 
     def __init__(
         self, endpoint: str = DEFAULT_ENDPOINT, samples: int = 1000, finger: str = "", keys: ClientKeys | None = None
     ) -> None:
-        if samples < 1:
-            raise ConfigError(f"a window of {samples} samples is too short: must be 1 or more")
+        if not isinstance(samples, int | np.integer) or not 1 <= samples <= SAMPLES_MAX:
+            raise ConfigError(refusal("samples", samples, f"an integer from 1 to {SAMPLES_MAX}"))
         self._size = samples
         # Twice the required length: rows are appended, and moved back when the end is reached, so the latest ones are
         # always one contiguous view.
@@ -312,15 +322,17 @@ class Window(Closeable):
         self._tick = -1
         self.lost = 0
         """Published ticks that did not arrive since the window was opened."""
-        self._subscription = Subscription(endpoint, (name_contact_topic(finger),), keys=keys)
+        self._subscription = Subscription(
+            endpoint, (name_contact_topic(check_text(finger, "finger", "thumb")),), keys=keys
+        )
 
-    def update(self, timeout_s: float = 0.0) -> int:
+    def update(self, timeout_s: float | None = 0.0) -> int:
         """Read the ticks that have arrived.
 
         Parameters
         ----------
         timeout_s
-            Longest wait for the first tick, s.
+            Longest wait for the first tick, s; None waits without limit.
 
         Returns
         -------
@@ -328,7 +340,8 @@ class Window(Closeable):
             Number of ticks read.
         """
         count = 0
-        until_s = time.monotonic() + timeout_s
+        wait_ms = to_milliseconds(timeout_s)
+        until_s = time.monotonic() + (math.inf if wait_ms < 0 else wait_ms / 1000.0)
         while count < _RECEIVE_BACKLOG:  # a publisher faster than this loop must not block it forever
             sample = self._subscription.receive(0.0 if count else max(0.0, until_s - time.monotonic()))
             if sample is None:

@@ -17,14 +17,16 @@ import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from functools import wraps
 from types import TracebackType
-from typing import Any, Concatenate, ParamSpec, Self, Unpack
+from typing import Any, Concatenate, Final, ParamSpec, Self, Unpack
 
 import zmq
 import zmq.asyncio
 
+from softfinger.config.arguments import check_mapping, check_text
 from softfinger.config.errors import CommandRefused
+from softfinger.config.overrides import CHANGES_EXAMPLE
 from softfinger.drivers.closing import Closeable
-from softfinger.server.keys import ClientKeys
+from softfinger.server.keys import ClientKeys, check_keys
 from softfinger.server.wire import commands
 from softfinger.server.wire.client_requests import (
     RESEND_S,
@@ -44,6 +46,8 @@ from softfinger.server.wire.client_requests import (
 from softfinger.server.wire.waits import to_milliseconds
 
 P = ParamSpec("P")
+SCENE_EXAMPLE: Final = '{"fingertip": {"radius_m": 0.01}, "object": [...]}, or the name of a shipped scene'
+DATA_EXAMPLE: Final = '{"trial": 7}'
 
 
 class Control(Closeable):
@@ -63,7 +67,9 @@ class Control(Closeable):
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s, self._keys = endpoint or find_default_commands(), timeout_s, keys
+        to_milliseconds(timeout_s)  # raises ConfigError if it is no time
+        self.endpoint = find_default_commands() if endpoint is None else check_text(endpoint, "endpoint", "ipc:///path")
+        self.timeout_s, self._keys = timeout_s, check_keys(keys)
         self._connect()
 
     def _connect(self) -> None:
@@ -82,6 +88,7 @@ class Control(Closeable):
 
     def ask(self, method: str, params: Any = commands.Empty()) -> Any:  # noqa: B008 - frozen
         """Call a method by name; return the decoded result."""
+        check_text(method, "method", "get_state")
         return self._ask(method, params, commands.METHODS[method].result if method in commands.METHODS else dict)
 
     def _ask(self, method: str, params: Any, kind: type[R]) -> R:
@@ -140,8 +147,9 @@ class Control(Closeable):
 
         The new scene is compiled first.
         """
-        source = scene if isinstance(scene, str) else dict(scene)
-        return self._ask("set_scene", commands.SetScene(source, dict(overrides or {}), name), commands.SetSceneResult)
+        source = scene if isinstance(scene, str) else dict(check_mapping(scene, "scene", SCENE_EXAMPLE))
+        changes = dict(check_mapping({} if overrides is None else overrides, "overrides", CHANGES_EXAMPLE))
+        return self._ask("set_scene", commands.SetScene(source, changes, name), commands.SetSceneResult)
 
     def reset_world(self) -> commands.AppliedResult:
         """Reset the bodies of the scene's [world] to their initial poses, at zero force."""
@@ -204,7 +212,11 @@ class Control(Closeable):
 
     def mark(self, label: str, data: Mapping[str, Any] | None = None) -> commands.AppliedResult:
         """Publish an event with a label, which is also part of every recording."""
-        return self._ask("mark", commands.Mark(label, dict(data or {})), commands.AppliedResult)
+        return self._ask(
+            "mark",
+            commands.Mark(label, dict(check_mapping({} if data is None else data, "data", DATA_EXAMPLE))),
+            commands.AppliedResult,
+        )
 
     def get_prompt(self) -> commands.PromptResult:
         """Return the prompt that pages show the participant, and its answer."""
@@ -276,7 +288,9 @@ class AsyncControl:
     def __init__(
         self, endpoint: str | None = None, timeout_s: float | None = None, keys: ClientKeys | None = None
     ) -> None:
-        self.endpoint, self.timeout_s, self._keys = endpoint or find_default_commands(), timeout_s, keys
+        to_milliseconds(timeout_s)  # raises ConfigError if it is no time
+        self.endpoint = find_default_commands() if endpoint is None else check_text(endpoint, "endpoint", "ipc:///path")
+        self.timeout_s, self._keys = timeout_s, check_keys(keys)
         self._connect()
 
     def _connect(self) -> None:
@@ -288,6 +302,7 @@ class AsyncControl:
 
     async def ask(self, method: str, params: Any = commands.Empty()) -> Any:  # noqa: B008 - frozen
         """Call a method by name; return the decoded result."""
+        check_text(method, "method", "get_state")
         return await self._ask(method, params, commands.METHODS[method].result if method in commands.METHODS else dict)
 
     async def _ask(self, method: str, params: Any, kind: type[R]) -> R:

@@ -72,7 +72,7 @@ class SocketProcess:
     files         file descriptors that the process inherits
     event         is called with a description of each failure of the process
     on_handled    is called with each request that was answered or queued
-    lost          returns requests to handle after an exit of the process, because it did not pass them on
+    on_exit       is called when the process exits; returns requests to handle in place of those that it did not pass on
     silent_max_s  time without a message, s, after which a process that was ready is killed
     """
 
@@ -83,12 +83,12 @@ class SocketProcess:
         files: list[int],
         event: Callable[[str], None],
         on_handled: Callable[[bytes], None] = lambda body: None,
-        lost: Callable[[], list[bytes]] = list,
+        on_exit: Callable[[], list[bytes]] = list,
         silent_max_s: float = math.inf,
     ) -> None:
         self.name: Final = name
         self._setup, self._files, self._event = setup, list(files), event
-        self._on_handled, self._lost, self._silent_max_s = on_handled, lost, silent_max_s
+        self._on_handled, self._on_exit, self._silent_max_s = on_handled, on_exit, silent_max_s
         self._handlers: RequestHandlers | None = None
         self._requests: list[Message] = []
         """Requests to be answered, in their order. Without handlers they wait; the process limits their number."""
@@ -241,6 +241,7 @@ class SocketProcess:
 
     def _restart(self) -> bool:
         """Start another process after one has exited; return False if none is needed."""
+        self._on_exit()  # immediately, and again when the process can receive no more requests
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(EXIT_TIMEOUT_S)
         self._process.kill()
@@ -253,7 +254,8 @@ class SocketProcess:
             self.failed = True
             return False
         self._channel.close()
-        self._requests = [Message(Kind.REQUEST, NO_CLIENT, body) for body in self._lost()]
+        self._requests = [Message(Kind.REQUEST, NO_CLIENT, body) for body in self._on_exit()]
+        effect = "; zero force until `arm`" if self._requests else ""
         self._earlier_figures, self._present_figures = msgspec.structs.replace(self.figures, subscribers=0), Figures()
         if time.monotonic() - self._started_s > STABLE_S:
             self._pause_s = 0.0
@@ -264,7 +266,7 @@ class SocketProcess:
         if self._is_ending():
             return False
         self.restarts += 1
-        text = f"the {self.name} process has ended with code {code} and was restarted: its peers reconnect"
+        text = f"the {self.name} process has ended with code {code} and was restarted: its peers reconnect{effect}"
         log.error("%s", text)
         self._restart_reports.append(text)
         return True

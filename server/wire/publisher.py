@@ -126,13 +126,14 @@ class Publisher(Closeable):
         """Start the process of commands; None if they are off."""
         if not any(entrance.name == COMMANDS for entrance in self._endpoints.entrances):
             return None
+        self._switch.require_process()
         return SocketProcess(
             COMMANDS,
             lambda send: self._send_setup(send, COMMANDS, 0),
             files,
             self._report_restart,
             self._switch.count_handled,
-            self._switch.lost_requests,
+            self._switch.replace_process,
             SILENT_MAX_S,
         )
 
@@ -188,6 +189,11 @@ class Publisher(Closeable):
         if self._commands is None:
             return figures
         return msgspec.structs.replace(figures, refused=figures.refused + self._commands.figures.refused)
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a process of the endpoints cannot be started, or a thread of this object has ended."""
+        return any(link.failed for link in self._links) or self.tap.failed
 
     @property
     def restarts(self) -> int:
@@ -255,7 +261,7 @@ class Publisher(Closeable):
                 health["state"] = self._state
                 health["preparing"] = self._preparing or str(COMPILE_PROGRESS)
                 self._send(HEALTH, health)
-            if any(link.failed for link in self._links) or self.tap.failed:
+            if self.has_failed:
                 raise RuntimeError("a process of the endpoints, or the forwarding thread, has ended")
 
     def event(self, kind: str, name: str, **fields: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from softfinger.config.arguments import refusal, to_number
 from softfinger.config.errors import ConfigError
 
 LONGEST_MS: Final = (1 << 31) - 1
@@ -12,9 +13,10 @@ LONGEST_MS: Final = (1 << 31) - 1
 
 
 def to_milliseconds(seconds: float | None) -> int:
-    """Return a timeout in ms, at most LONGEST_MS; -1, without limit, for None. Raises ConfigError for nan."""
+    """Return a timeout in ms, at most LONGEST_MS; -1, without limit, for None. Raises ConfigError for anything else."""
     if seconds is None:
         return -1
-    if math.isnan(seconds):
-        raise ConfigError("a time-out of nan s: must be a number of seconds, inf, or None")
-    return round(min(max(0.0, 1000.0 * seconds), LONGEST_MS))
+    wait_s = to_number(seconds)
+    if math.isnan(wait_s):
+        raise ConfigError(refusal("timeout_s", seconds, "a number of seconds, inf, or None"))
+    return round(min(max(0.0, 1000.0 * wait_s), LONGEST_MS))

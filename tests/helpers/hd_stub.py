@@ -13,6 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from helpers.c_stub import CStub, compiled
+from helpers.waits import until
+from softfinger.drivers import open_devices
 from softfinger.drivers.openhaptics import device as openhaptics
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
@@ -77,10 +79,13 @@ def hd_library() -> Path:
 def hd(hd_library: Path) -> Iterator[HdStub]:
     """A Touch with the stub's default settings and a resting hand 20 mm above the centre."""
     stub = HdStub(hd_library)
-    assert not stub["running"], "a test before left its device open"
     stub.reset()
     yield stub
+    is_left_open = stub["running"]
+    open_devices.close_all()  # the next test uses the same library
+    until(lambda: not stub["running"], message="the end of the library's thread")
     stub.reset()
+    assert not is_left_open, "the test has left its device open"
 
 
 PORT = SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0")
@@ -108,7 +113,11 @@ class TouchBench(Bench):
 
     def open(self, **options: Any) -> openhaptics.OpenHaptics:
         device = self.open_unarmed(**options)
-        device.arm()
+        try:
+            device.arm()
+        except BaseException:  # for example because the machine gave the library's thread no time
+            device.close()
+            raise
         return device
 
     def displayed(self) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ import pytest
 from helpers import touching
 from references.rotation import quaternion
 
+from softfinger.config.errors import ConfigError
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.engine import Engine
@@ -302,7 +303,7 @@ def test_object_indices_follow_the_scene_file():
 
 def test_another_number_of_objects_is_another_scene():
     more, fewer = (touching.scene_with(*tiled(0.004, material(), side)) for side in (4, 3))
-    with pytest.raises(ValueError, match="other parts"):
+    with pytest.raises(ConfigError, match="other parts"):
         Engine(more).tune(fewer)
 
 

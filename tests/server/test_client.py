@@ -321,5 +321,5 @@ def test_window_counts_losses_and_resets_with_the_server(publisher):
 def test_window_refuses_unknown_fields_and_lengths_below_one(publisher):
     with Window(publisher.endpoint, 1) as window, pytest.raises(KeyError, match=r"choose from timestamp, tick"):
         window["colour"]
-    with pytest.raises(ConfigError, match="0 samples"):
+    with pytest.raises(ConfigError, match="samples = 0: must be an integer from 1"):
         Window(publisher.endpoint, 0)

@@ -19,13 +19,20 @@ import zmq
 from helpers.faulty_device import FaultyDevice, registered
 from helpers.pressed import pressed_scene
 from helpers.waits import WAIT_S, eventually
+from hypothesis import given
+from hypothesis import strategies as st
 
+from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
-from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
+from softfinger.server.loop.force_switch import UNREACHABLE_MAX_NS, count_unreachable, is_on, make_switch
+from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
+from softfinger.server.services import commands
 from softfinger.server.services.commands import URGENT_METHODS, WAITING_MAX
 from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES, Brake, takes_force_off
 from softfinger.server.socket_process.clients import BURST
+from softfinger.server.states import DaemonState
+from softfinger.server.wire import publisher
 from softfinger.server.wire.commands import METHODS
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.envelope import parse
@@ -155,7 +162,7 @@ def test_disarm_overtakes_every_request_of_another_client(monkeypatch, tmp_path)
 def test_a_lost_disarm_is_repeated(client, monkeypatch, tmp_path):
     async def disarm_in_task() -> Any:
         async with AsyncControl(endpoint, REPLACED_S) as control:
-            await control.get_state()
+            await control.describe()
             os.kill(pid, signal.SIGSTOP)
             return await control.disarm()
 
@@ -166,7 +173,7 @@ def test_a_lost_disarm_is_repeated(client, monkeypatch, tmp_path):
             armed = asyncio.run(disarm_in_task())
         else:
             with Control(endpoint, REPLACED_S) as control:
-                control.get_state()
+                control.describe()
                 os.kill(pid, signal.SIGSTOP)
                 armed = control.disarm()
         assert armed.armed is False and daemon.publisher.pids["commands"] != pid
@@ -232,18 +239,89 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
             assert eventually(lambda: has_force(device))
 
 
+@pytest.mark.real_time
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGPROF])
+def test_the_force_ends_with_the_process_of_commands_and_returns_after_arm(number, monkeypatch, tmp_path):
+    """Also while Python does nothing; the process is replaced, and neither that nor heartbeats restore the force."""
+    with running(monkeypatch, tmp_path, **{"commands.heartbeat_s": 60.0}) as (daemon, device):
+        assert eventually(lambda: has_force(device))
+        pid = daemon.publisher.pids["commands"]
+        os.kill(pid, number)
+        assert measure_zero_share(device) > 0.5
+        with Control(str(daemon.commands_endpoint), REPLACED_S) as control:
+            control.heartbeat()
+            assert control.describe()["armed"] is False and daemon.publisher.pids["commands"] != pid
+            count = len(device.wrenches)
+            assert eventually(lambda: len(device.wrenches) > count + 300)  # the ramp takes 10
+            assert not device.wrenches[count:].any()
+            control.arm()
+            assert eventually(lambda: has_force(device))
+
+
+@pytest.mark.real_time
+def test_the_force_returns_when_a_process_of_commands_continues(monkeypatch, tmp_path):
+    """It has lost no request, so a person need not arm; a `disarm` that waited for it has its effect."""
+    monkeypatch.setattr(publisher, "SILENT_MAX_S", WAIT_S)
+    with running(monkeypatch, tmp_path) as (daemon, device):
+        second = QueueingClient(str(daemon.commands_endpoint))
+        pid = daemon.publisher.pids["commands"]
+        for method, armed in (("get_state", True), ("disarm", False)):
+            assert eventually(lambda: has_force(device) and daemon.states.now is DaemonState.ARMED)
+            os.kill(pid, signal.SIGSTOP)
+            assert eventually(lambda: not has_force(device))
+            assert eventually(lambda: daemon.states.now is DaemonState.FAULTED)
+            second.send(method, {}, method)
+            os.kill(pid, signal.SIGCONT)
+            assert next(second.answers(WAIT_S)) == method
+            assert daemon.rendering.force.is_requested is armed
+        assert eventually(lambda: daemon.states.now is DaemonState.READY)
+        assert eventually(lambda: not has_force(device))
+        assert daemon.publisher.pids["commands"] == pid
+        second.close()
+
+
+@pytest.mark.real_time
+def test_no_tick_before_commands_can_be_received(monkeypatch, tmp_path):
+    monkeypatch.setattr(commands, "START_S", 0.1)
+    registered(monkeypatch)
+    changes = {"device.driver": "faulty", "telemetry.endpoint": f"ipc://{tmp_path}/telemetry"}
+    rig = load_rig("replay", changes | {"servo.realtime": "off"})
+    with Daemon(rig, pressed_scene(), scene_name="pressed") as daemon:
+        os.kill(daemon.publisher.pids["commands"], signal.SIGSTOP)
+        daemon.publisher._switch.require_process()  # it may have started
+        with pytest.raises(SafetyStop, match=r"^the process that receives commands is not ready"):
+            daemon.start()
+        assert daemon.servo.ticks == 0
+    (device,) = daemon.devices
+    assert not device.wrenches.any()
+
+
+@given(st.integers(125_000, 1_000_000_000), st.integers(0, 1000))
+def test_the_force_is_off_while_no_request_is_read(period: int, ticks: int) -> None:
+    """The process of commands resets the time; without this process, as with `--commands off`, no time counts."""
+    switch = make_switch()
+    for _ in range(ticks):
+        count_unreachable(switch, period)
+    assert is_on(switch, 0)
+    switch[UNREACHABLE_NS] = 0
+    for _ in range(ticks):
+        count_unreachable(switch, period)
+    assert is_on(switch, 0) == (ticks * period <= UNREACHABLE_MAX_NS)
+    switch[UNREACHABLE_NS] = 0
+    assert is_on(switch, 0)
+
+
 @pytest.mark.plain
-def test_a_disarm_that_a_process_has_not_passed_on_is_handled():
-    """If a process exits before it has passed on requests, unequal counts would keep the force off until the end of the
-    run, and equal counts would restore it."""
+def test_a_process_that_exits_leaves_a_disarm():
+    """Requests to turn the force off that it did not pass on are not counted separately: the counts become equal."""
     switch = SharedSwitch()
     Brake(os.dup(switch.file)).count(2)
     assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (2, 0)
-    (request,) = switch.lost_requests()
+    (request,) = switch.replace_process()
     assert parse(request).method == "disarm"
     assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (2, 1)
     switch.count_handled(request)
-    assert switch.words[STOPS_RECEIVED] == switch.words[STOPS_HANDLED] and switch.lost_requests() == []
+    assert switch.words[STOPS_RECEIVED] == switch.words[STOPS_HANDLED]
     switch.close()
 
 

@@ -12,7 +12,7 @@ from helpers.injected_run import FROZEN_S
 from softfinger.config.errors import DeviceError, HapticError, SafetyStop
 from softfinger.drivers import base
 from softfinger.drivers.openhaptics import exchange as openhaptics
-from softfinger.server.loop import health, limits
+from softfinger.server.loop import force_switch, health, limits
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services import watches
 from softfinger.server.states import DaemonState
@@ -104,10 +104,9 @@ SET_BY = {
         (health, name) for name in ("LOST_MAX_S", "LOST_SHARE", "GAP_MIN_S", "GAP_MAX_S")
     ],
     "an exception in the servo's thread": [(HapticError, "exit_code")],
-    "a process of telemetry or commands that ends, also while no memory or file descriptor is left": [
-        (link, "PAUSE_MAX_S")
-    ],
-    "a process of commands that hangs": [(link, "SILENT_MAX_S")],
+    "a process of commands that ends": [(link, "PAUSE_MAX_S")],
+    "a process of telemetry that ends, also while no memory or file descriptor is left": [(link, "PAUSE_MAX_S")],
+    "a process of commands that hangs": [(link, "SILENT_MAX_S"), (force_switch, "UNREACHABLE_MAX_S")],
     "a page that ends, also while no memory or file descriptor is left": [(process, "RESTARTS")],
     "memory of the daemon in swap": [(watches, "SWAP_PERIOD_S")],
     "commands that cannot be received": [(SafetyStop, "exit_code")],

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from helpers.waits import ends_within
 
-from softfinger.config.errors import SafetyStop
+from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
 from softfinger.server.metrics.counts import MetricsCollector
 from softfinger.server.metrics.service import MetricsService
 from softfinger.server.recording.recorder import RecorderState
+from softfinger.server.services import recordings
 from softfinger.server.services.commands import CommandService
 from softfinger.server.services.hotplug import HotplugWatch
 from softfinger.server.services.world import WorldState
@@ -68,6 +71,8 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     served: list[Any] = []
 
     class Failing:
+        is_reachable = True
+
         def end_at(self, time_ns: int) -> None: ...
 
         def is_inhibited_by(self, why: str) -> bool:
@@ -105,3 +110,33 @@ def test_a_clock_that_is_set_back_loses_no_event_and_no_second(jump_s: float) ->
     seconds = health.add(records, 0)
     counted = sum(sum(second["modes"].values()) for second in seconds)
     assert counted == seconds[-1]["tick"] and counted >= 4000  # the last second may not be over
+
+
+def test_a_recording_that_is_still_being_opened_is_one_error_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As on a network file system without a server."""
+    opening, answered = threading.Event(), threading.Event()
+
+    def hang(*_: object) -> None:
+        opening.set()
+        answered.wait()
+        raise OSError("gone")
+
+    monkeypatch.setattr(recordings, "open_recording", hang)
+    monkeypatch.setattr(recordings, "CLOSE_S", 0.05)
+    service = recordings.Recordings(cast(Any, None), [""], print)
+    path = tmp_path / "a.mcap"
+
+    def record() -> None:
+        with pytest.raises(RecordingError, match="gone"):
+            service.record(path, "a scene")
+
+    client = threading.Thread(target=record)
+    client.start()
+    assert opening.wait(WAIT_S)
+    with ends_within(60), pytest.raises(RecordingError, match=rf"^{path}: cannot be opened, because its disk"):
+        service.stop()
+    answered.set()
+    client.join()
+    service.stop()

@@ -13,6 +13,7 @@ from softfinger.server.states import (
     NOT_ARMED_REASON,
     TOO_FAST_REASON,
     TRANSITIONS,
+    UNREACHABLE,
     DaemonState,
     States,
     Trigger,
@@ -105,7 +106,7 @@ def test_an_error_that_ends_the_run_is_cleared_by_nothing():
 
 
 def test_which_reasons_are_faults():
-    assert {NO_HEARTBEAT_REASON, TOO_FAST_REASON} == FAULT_REASONS and not FAULT_REASONS & {
+    assert {NO_HEARTBEAT_REASON, TOO_FAST_REASON, UNREACHABLE} == FAULT_REASONS and not FAULT_REASONS & {
         NOT_ARMED_REASON,
         COMMANDED_REASON,
     }

@@ -22,7 +22,7 @@ from softfinger.drivers.hid.options import Options as HidOptions
 from softfinger.drivers.openhaptics.exchange import TIMEOUT_NS
 from softfinger.drivers.serial.options import Options as SerialOptions
 from softfinger.server.loop import health, limits
-from softfinger.server.loop.force_switch import MAX_OFF_S
+from softfinger.server.loop.force_switch import MAX_OFF_S, UNREACHABLE_MAX_S
 from softfinger.server.services import watches
 from softfinger.server.viewer.door import process
 from softfinger.server.wire import link
@@ -140,6 +140,8 @@ _RETRIES: Final = f"every {link.PAUSE_MAX_S:g} s or sooner while memory or file 
 _INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_unpermitted_force"
 _EVERYWHERE: Final = "tests/server/test_injected_faults.py::test_on_every_driver"
 _PROCESS: Final = "tests/server/test_process_faults.py"
+_AT_ONCE: Final = "tests/server/test_commands_at_once.py"
+_ENDS: Final = "test_the_force_ends_with_the_process_of_commands_and_returns_after_arm"
 _NO_FILES: Final = "tests/server/test_out_of_memory.py::test_a_process_that_ends_without_free_descriptors_is_restarted"
 
 HAZARDS: Final = (
@@ -295,11 +297,12 @@ HAZARDS: Final = (
         ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
     ),
     Hazard(
-        "a process of telemetry or commands that ends, also while no memory or file descriptor is left", "the daemon",
-        "none",
-        "as before; with `heartbeat_s`, zero until heartbeats resume; after a `disarm` or `stop`, zero until `arm`",
-        f"it is started again, {_RETRIES}",
-        ("fault publisher",),
+        "a process of commands that ends", "the daemon; the loop", "at once", "zero",
+        f"it is started again, {_RETRIES}; then `arm`", ("fault publisher",), (f"{_AT_ONCE}::{_ENDS}",),
+    ),
+    Hazard(
+        "a process of telemetry that ends, also while no memory or file descriptor is left", "the daemon", "none",
+        "as before", f"it is started again, {_RETRIES}", ("fault publisher",),
         ("tests/server/test_publisher.py::test_a_killed_publisher_is_restarted",
          "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_restarted", _NO_FILES),
     ),
@@ -310,10 +313,11 @@ HAZARDS: Final = (
          "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_restarted", _NO_FILES),
     ),
     Hazard(
-        "a process of commands that hangs", "the daemon: no message of it", "none",
-        "as before; `disarm` and `stop`, which clients send again, take effect after its restart",
-        f"it is restarted after {link.SILENT_MAX_S:g} s", ("fault publisher",),
-        ("tests/server/test_commands_at_once.py::test_a_lost_disarm_is_repeated",),
+        "a process of commands that hangs", "the loop: it does not report that it reads requests",
+        f"{1e3 * UNREACHABLE_MAX_S:g} ms and {1e3 * MAX_OFF_S:g} ms", "zero",
+        f"the ramp, if it continues; after {link.SILENT_MAX_S:g} s it is restarted: `arm`", (FAILED, "fault publisher"),
+        (f"{_AT_ONCE}::{_ENDS}", f"{_AT_ONCE}::test_the_force_returns_when_a_process_of_commands_continues",
+         f"{_AT_ONCE}::test_a_lost_disarm_is_repeated"),
     ),
     Hazard(
         "a publisher that hangs, a lost network", "none needed: no other thread waits for it", "none",

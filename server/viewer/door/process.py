@@ -24,8 +24,8 @@ log: Final = logging.getLogger(__name__)
 
 START_TIMEOUT_S: Final = 60.0
 """Time limit for the page to print its address; it takes one second, or several on a busy machine."""
-EXIT_TIMEOUT_S: Final = 10.0
-"""Time limit for the page to exit; it takes a tenth of a second."""
+EXIT_TIMEOUT_S: Final = 2.0
+"""Time limit for the page to exit; it takes a tenth of a second, or half a second if a browser does not read."""
 RESTARTS: Final = 3
 """Maximum restarts of a crashed page per run."""
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -180,6 +180,7 @@ class PageProcess:
     def close(self) -> None:
         """Stop the page, by SIGKILL if it does not exit within EXIT_TIMEOUT_S."""
         self._process.terminate()
+        self._process.send_signal(signal.SIGCONT)  # a stopped page does not handle SIGTERM
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
             self._process.stdin.close()

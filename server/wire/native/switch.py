@@ -7,8 +7,8 @@ from typing import Final
 
 import msgspec
 
-from softfinger.server.loop.force_switch import make_switch
-from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED
+from softfinger.server.loop.force_switch import UNREACHABLE_MAX_NS, make_switch
+from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
 from softfinger.server.socket_process.brake import takes_force_off
 from softfinger.server.wire.native.memory import PAGE_BYTES, map_file
 
@@ -36,11 +36,17 @@ class SharedSwitch:
         if takes_force_off(body):
             self.words[STOPS_HANDLED] += 1
 
-    def lost_requests(self) -> list[bytes]:
-        """Return a `disarm` for the requests that a process has received, but did not pass on before it exited."""
-        lost = self.words[STOPS_HANDLED] != self.words[STOPS_RECEIVED]
-        self.words[STOPS_HANDLED] = self.words[STOPS_RECEIVED] - lost
-        return [DISARM] if lost else []
+    def require_process(self) -> None:
+        """Allow no force until a process of commands reads requests, and while it does not."""
+        self.words[UNREACHABLE_NS] = UNREACHABLE_MAX_NS + 1
+
+    def replace_process(self) -> list[bytes]:
+        """Turn the force off because the process of commands has exited, perhaps with requests to turn it off.
+
+        Returns a `disarm`; until it is counted as handled, the force remains off.
+        """
+        self.words[STOPS_HANDLED] = self.words[STOPS_RECEIVED] - 1
+        return [DISARM]
 
     def close(self) -> None:
         """Close the file; the memory remains valid."""

@@ -21,7 +21,7 @@ from helpers.programs import Program
 from helpers.waits import WAIT_S, repeated
 from test_trial_order import make_tables
 
-from softfinger.config.errors import CommandRefused, HapticError, RecordingError
+from softfinger.config.errors import CommandRefused, HapticError, RecordingError, SafetyStop
 from softfinger.config.materials import load_materials
 from softfinger.config.sources import EXPERIMENTS, list_names
 from softfinger.server import cli
@@ -35,6 +35,7 @@ from softfinger.server.loop.guard import DISARMED
 from softfinger.server.recording.run import Run, load_run
 from softfinger.server.remote import Client
 from softfinger.server.wire.client import Sample
+from softfinger.server.wire.control import Control
 
 pytestmark = pytest.mark.real_time
 
@@ -219,6 +220,23 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
     assert {event["data"]["trial"] for event in select_marks(run, "touch")} == {2}
     ticks = pd.read_csv(own / "trials" / "sub-01_trial-0002_attempt-2.csv")
     assert np.isin(ticks["tick"], run.first["tick"]).all() and len(ticks) > 100
+
+
+def test_a_touch_without_force_is_not_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, disarmed = Haptics._store, list[bool]()
+
+    def store_and_disarm(self: Haptics, sample: Sample) -> None:
+        store(self, sample)
+        if not disarmed and "" in self.latest and np.linalg.norm(self.latest[""].data.force) > 0.3:
+            with Control(f"ipc://{tmp_path}/c", WAIT_S) as control:
+                disarmed.append(control.disarm().armed)
+
+    monkeypatch.setattr(Haptics, "_store", store_and_disarm)
+    with pytest.raises(SafetyStop, match=r"^the force was removed during the touch: .* presents this trial again$"):
+        Experiment(experiment()).run(tmp_path / "out", 1, settings(tmp_path))
+    assert disarmed == [False]
+    journal = tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl"
+    assert [entry["kind"] for entry in read(journal)] == ["started", "begun"]
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:

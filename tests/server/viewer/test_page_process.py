@@ -22,9 +22,11 @@ import pytest
 from helpers.browser import browser, eventually, shown, why_none
 from helpers.processes import COMMAND, find_child
 from helpers.programs import Program
+from helpers.waits import ends_within
 
 from softfinger.server.viewer.door import process as of_page
 from softfinger.server.viewer.door.process import RESTARTS
+from softfinger.server.viewer.page import Page
 
 pytestmark = pytest.mark.real_time
 
@@ -113,6 +115,26 @@ def test_a_page_that_hangs_at_start_is_killed(tmp_path: Path, monkeypatch: pytes
     shown.supervise()
     shown.close()
     assert len(reports) == 1 and "the page has ended, with exit code -9" in reports[0]
+
+
+def test_a_stopped_page_ends_with_the_daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "python"
+    page.write_text("#!/bin/sh\necho http://localhost:1/secret/\nexec sleep 600\n")
+    page.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(page))
+    shown = of_page.PageProcess(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", [], lambda text: None)
+    os.kill(shown._process.pid, signal.SIGSTOP)
+    shown.close()
+    assert shown._process.returncode == -signal.SIGTERM
+
+
+def test_a_browser_that_does_not_read_does_not_delay_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    page, read = Page("127.0.0.1", 0), threading.Event()
+    stop = page.server.stop
+    monkeypatch.setattr(page.server, "stop", lambda: read.wait() and stop())  # as viser waits for a browser
+    with ends_within(60):
+        page.close()
+    read.set()
 
 
 BROWSER = """#!/bin/sh

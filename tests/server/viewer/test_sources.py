@@ -16,6 +16,7 @@ from helpers.live_pages import step_until
 from helpers.pages import running
 from helpers.pressed import pressed_scene
 from helpers.programs import run_program
+from mcap.reader import make_reader
 
 from softfinger.config.errors import RecordingError
 from softfinger.config.load import load_scene
@@ -54,6 +55,24 @@ def test_results_are_shown_unchanged(tmp_path: Path, results: np.ndarray, ending
     shown = load(str(file), None)
     assert list(shown.fingers) == [""] and shown.fingers[""].tobytes() == results.tobytes()
     assert shown.scene.object[0].shape == "plane"
+
+
+def test_a_damaged_part_is_reported_and_fingers_remain_aligned(
+    tmp_path: Path, results: np.ndarray, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "run.mcap"
+    write_blocks(file, ["index", "thumb"], [np.stack([results, results], axis=1)])
+    with file.open("rb") as recorded:
+        found = make_reader(recorded).get_summary()
+    assert found is not None and len(found.chunk_indexes) > 8
+    data = bytearray(file.read_bytes())
+    chunk = found.chunk_indexes[4]
+    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF
+    file.write_bytes(data)
+    index, thumb = load(str(file), "pinch").fingers.values()
+    assert f"{file} is incomplete: a part is damaged" in caplog.text
+    assert 0 < len(index) < len(results)
+    np.testing.assert_array_equal(index, thumb)
 
 
 def test_poses_are_rendered_first(results: np.ndarray) -> None:
