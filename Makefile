@@ -65,6 +65,7 @@ $(STAMP): pyproject.toml constraints.txt
 	for package in $(PACKAGES); do ln -sfn "../../$$package" ".dev/softfinger/$$package"; done
 	ln -sfn ../../config/package.py .dev/softfinger/__init__.py
 	ln -sfn ../../config/py.typed .dev/softfinger/py.typed
+	ln -sfn ../../server/main.py .dev/softfinger/__main__.py
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 

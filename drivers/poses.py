@@ -127,10 +127,23 @@ def find_recording(recording: str | Path) -> Path:
     name = str(recording).removesuffix(".csv")
     if name in names:
         return SHIPPED / f"{name}.csv"
+    if path.suffix or path.name != str(recording):
+        raise RecordingError(
+            f"recording {str(recording)!r}: no such file{_similar_file(path)}; "
+            "`softfinger recordings` lists the shipped ones"
+        )
     raise RecordingError(
         f"recording '{recording}' is neither a file nor a shipped recording{suggest(name, names)}; "
         f"shipped are {', '.join(names)}"
     )
+
+
+def _similar_file(path: Path) -> str:
+    """Return a hint for a missing file: a similar name in its folder."""
+    try:
+        return suggest(path.name, [file.name for file in path.parent.iterdir() if file.suffix == path.suffix])
+    except OSError:
+        return ""
 
 
 def check_poses(t: Array, position: Array, orientation: Array, locate: Callable[[int], str]) -> Poses:
@@ -203,7 +216,8 @@ def _read_rows(path: Path, first: str, file: IO[bytes]) -> Poses:
     if missing:
         raise RecordingError(
             f"{path}, line 1: column(s) {', '.join(missing)} missing or duplicate: "
-            f"the header must contain {','.join(POSE_COLUMNS)} (other columns are ignored)"
+            f"the header must contain {','.join(POSE_COLUMNS)} (other columns are ignored); "
+            "`softfinger import` converts other tables"
         )
     index = [names.index(name) for name in columns]
     numbers, values, number = array("q"), array("d"), 2

@@ -55,8 +55,11 @@ def load(name: str) -> ModuleType:
     if entry is None:
         driver_names = list_names()
         close = difflib.get_close_matches(name, driver_names, n=1)
-        hint = f"did you mean '{close[0]}'? " if close else ""
-        raise DeviceNotFound(f"no driver is called '{name}': {hint}Drivers are {', '.join(driver_names)}")
+        hint = f" (did you mean '{close[0]}'?)" if close else ""
+        raise DeviceNotFound(
+            f"no driver is called '{name}'{hint}; drivers are {', '.join(driver_names)}; "
+            "install the package of another driver"
+        )
     try:
         module = entry.load()
     except Exception as error:  # the import of another package may raise any error

@@ -117,7 +117,7 @@ def main(count: int = 2000) -> None:
         over.set()
         p50, p99 = np.percentile(1e3 * np.diff(records["timestamp"]), [50, 99])
         print(
-            f"{len(records)} ticks {'beside a busy thread' if busy else 'alone'}, {p50:.2f} ms apart at the median, ",
+            f"{len(records)} ticks {'with a busy thread' if busy else 'alone'}, {p50:.2f} ms apart at the median, ",
             end="",
         )
         print(f"{p99:.2f} ms for one in a hundred; largest force {records['force'][:, 2].max():.2f} N")

@@ -77,7 +77,8 @@ def add_option(parser: argparse._ActionsContainer, name: str, help: str, default
     """Add a positional argument or an option. With a default, which the help text shows, values are of its type."""
     if default not in (None, "", []):
         settings = {"type": type(default)} | settings
-        help = f"{help} (default: %(default)s)"
+        shown = " ".join(map(str, default)) if isinstance(default, list | tuple) else "%(default)s"
+        help = f"{help} (default: {shown})"
     parser.add_argument(name, help=help, default=default, **settings)
 
 
@@ -164,6 +165,18 @@ def parse_duration(text: str) -> float:
     if not 0.0 < seconds < 1e9:
         raise argparse.ArgumentTypeError(f"{text}: the duration must be above 0 s and below 1e9 s")
     return seconds
+
+
+def at_least(minimum: float) -> Callable[[str], float]:
+    """Return the type of an option whose numbers are at least `minimum`; integers if `minimum` is one."""
+
+    def number(text: str) -> float:
+        value = type(minimum)(text)
+        if not value >= minimum:
+            raise argparse.ArgumentTypeError(f"{text}: must be at least {minimum:g}")
+        return value
+
+    return number
 
 
 def parse_parameter(word: str) -> tuple[str, Any]:

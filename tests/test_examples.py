@@ -166,7 +166,7 @@ def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 def test_my_driver_python(tmp_path: Path) -> None:
     out = run_example("my_driver_python.py", "1300", cwd=tmp_path)
     alone, busy = out.splitlines()
-    assert alone.startswith("1300 ticks alone") and busy.startswith("1300 ticks beside a busy thread")
+    assert alone.startswith("1300 ticks alone") and busy.startswith("1300 ticks with a busy thread")
     # The ramp is over after half a second, so the second press has it all. One tick more or less is far below a digit.
     assert number(r"largest force ([\d.]+) N", alone) == pytest.approx(0.75, abs=0.01)
 

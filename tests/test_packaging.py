@@ -101,8 +101,8 @@ def sources(package: str) -> Iterator[Path]:
 def test_the_wheel_contains_every_source_file_and_nothing_else(wheel: Path) -> None:
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     shipped = {f"softfinger/{path}" for package in PACKAGES for path in sources(package)}
-    moved = {"softfinger/config/package.py", "softfinger/config/py.typed"}
-    assert names == (shipped - moved) | {OWN_FILE, "softfinger/py.typed"}
+    moved = {"softfinger/config/package.py", "softfinger/config/py.typed", "softfinger/server/main.py"}
+    assert names == (shipped - moved) | {OWN_FILE, "softfinger/py.typed", "softfinger/__main__.py"}
 
 
 @pytest.mark.exhaustive
@@ -143,6 +143,7 @@ def test_the_installed_wheel_is_imported(installed: Path, tmp_path: Path) -> Non
     assert got == [VERSION, False, False]
     for path in paths:
         assert Path(path).is_relative_to(installed.parent), path
+    assert run(installed / "python", "-m", "softfinger", "--version", cwd=tmp_path).stdout == f"softfinger {VERSION}\n"
 
 
 def test_the_package_page_has_authors_and_classifiers(wheel: Path) -> None:
@@ -274,6 +275,7 @@ def test_the_packages_are_named_the_same_everywhere() -> None:
     for package in PACKAGES:
         assert (ROOT / ".dev" / "softfinger" / package).resolve() == ROOT / package
         assert (ROOT / ".dev" / OWN_FILE).resolve() == ROOT / "config" / "package.py"
+        assert (ROOT / ".dev" / "softfinger" / "__main__.py").resolve() == ROOT / "server" / "main.py"
         assert f"COPY {package} {package}\n" in (ROOT / "Dockerfile").read_text()
         assert f"!{package}\n" in (ROOT / ".dockerignore").read_text()
 

@@ -1,9 +1,8 @@
-"""Build step of the wheel that pyproject.toml cannot express: the destination of `config/package.py`.
+"""Build step of the wheel that pyproject.toml cannot express: files of the package `softfinger` itself.
 
-The top level of the tree is fixed, so the file of the package is in a folder, together with the marker that it is typed
-(PEP 561). A wheel contains them as `softfinger/__init__.py` and `softfinger/py.typed`. An editable install must not
-contain them: in site-packages they would precede the links of `.dev` and hide them. `force-include` in pyproject.toml
-treats both alike.
+The top level of the tree is fixed, so these files are in folders: `__init__.py`, `__main__.py` and the marker that the
+package is typed (PEP 561). An editable install must not contain them: in site-packages they would precede the links of
+`.dev` and hide them. `force-include` in pyproject.toml treats both alike.
 """
 
 from __future__ import annotations
@@ -21,3 +20,4 @@ class PackageFile(BuildHookInterface):  # type: ignore[type-arg]
         if version == "standard":
             build_data["force_include"]["config/package.py"] = "softfinger/__init__.py"
             build_data["force_include"]["config/py.typed"] = "softfinger/py.typed"
+            build_data["force_include"]["server/main.py"] = "softfinger/__main__.py"

@@ -45,7 +45,7 @@ class MeshReport:
         bodies = "" if self.bodies == 1 else f", {self.bodies:,} bodies"
         table = [("triangles", f"{self.triangles:,} on {self.vertices:,} vertices{bodies}"), ("size", f"{size} m")]
         table.append(("surface", self._describe_surface()))
-        table.append(("mended", "; ".join(self.mended) or "nothing was to be"))
+        table.append(("mended", "; ".join(self.mended) or "nothing"))
         table.append(("noted", "; ".join(self.noted)))
         if inside and not self.watertight:
             table.append(("inside", self._explain_no_inside()))

@@ -15,7 +15,11 @@ def configure_install(parser: Parser) -> None:
     )
     add_flag(parser, "--system", "install for all users, with udev rules and limits; requires root")
     add_flag(parser, "--remove", "remove the installed files")
-    add_flag(parser, "--dry-run", "print the planned changes with the content of each file")
+    add_flag(
+        parser,
+        "--dry-run",
+        "print the planned changes, with the content of each file that does not repeat the help texts",
+    )
     add_option(parser, "--rig", "rig of the service", default="replay")
     add_option(parser, "--scene", "scene of the service", default="paper-plane")
     add_option(parser, "--root", "install below DIR and run no commands, for packagers", metavar="DIR", type=Path)

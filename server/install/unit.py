@@ -11,7 +11,7 @@ RTPRIO: Final = 95
 """Above the servo's 80 and its supervisor's 81, below the kernel's threads at 99."""
 
 HEAD: Final = """\
-# Written by `softfinger install`. A file that you edit is neither updated nor removed any more.
+# Written by `softfinger install`. It neither updates nor removes a file that you have edited.
 # Write your changes into a drop-in instead: systemctl {scope}edit softfinger
 [Unit]
 Description=softfinger, a haptic rendering server
@@ -24,13 +24,13 @@ ExecStart={command}
 # The kernels of a new scene are compiled first.
 TimeoutStartSec=5min
 TimeoutStopSec=15s
-# Fed by ticks of the servo. Long before, after a quarter of a second, the daemon itself takes the force off.
+# Ticks of the servo feed the watchdog. Without ticks the daemon itself removes the force after 0.25 s.
 WatchdogSec=2s
-# Nothing restarts by itself while a hand is on the device: mend the cause, and start it again.
+# No automatic restart, because a hand may be on the device: correct the cause, then start the service.
 Restart=no
 Environment=PYTHONUNBUFFERED=1
 RuntimeDirectory=softfinger
-# Of a user it is the folder of all their daemons' sockets: it stays when this one ends.
+# In a user service the folder also has the sockets of the user's other daemons.
 RuntimeDirectoryPreserve=yes
 NoNewPrivileges=yes
 LockPersonality=yes
@@ -45,13 +45,13 @@ StateDirectory=softfinger
 CacheDirectory=softfinger
 WorkingDirectory=%S/softfinger
 Environment=SOFTFINGER_CACHE_DIR=%C/softfinger
-# Sockets that the rig names are for the group; where it names none for commands, theirs is for this account alone.
+# The group can use the sockets that the rig names. Without [commands] endpoint only this account can send commands.
 Environment=XDG_RUNTIME_DIR=%t
 UMask=0007
 LimitRTPRIO={RTPRIO}
 LimitMEMLOCK=infinity
 
-# The devices, and no other: the USB bus, hidraw nodes, serial ports on USB, and what keeps processors awake.
+# Only these devices: the USB bus, hidraw nodes, serial ports on USB, and the control of processor sleep states.
 DevicePolicy=closed
 DeviceAllow=char-usb_device rw
 DeviceAllow=char-hidraw rw
@@ -73,14 +73,14 @@ RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
 CapabilityBoundingSet=
 SystemCallFilter=@system-service
 SystemCallErrorNumber=EPERM
-# Not MemoryDenyWriteExecute and RestrictRealtime: kernels are compiled in memory, and the servo asks for SCHED_FIFO.
+# Not MemoryDenyWriteExecute and RestrictRealtime: kernels are compiled in memory, and the servo requests SCHED_FIFO.
 
 [Install]
 WantedBy=multi-user.target
 """
 
 USER: Final = """\
-# Limits are those of the login: `softfinger install --system` raises them for the group softfinger.
+# The limits are those of the login: `softfinger install --system` raises them for the group softfinger.
 
 [Install]
 WantedBy=default.target

@@ -52,8 +52,11 @@ def install(args: argparse.Namespace, ledger: Ledger) -> None:
     files_to_write = list_files(args.system, args.rig, args.scene, make_parser().complete())
     commands = list_activation_commands(args.system)
     if args.dry_run:
+        paths = install_paths(args.system)
         for file in files_to_write:
-            print(f"##### {file.path}: {ledger.state(file)}\n{file.text}")
+            is_generated = file.path.parent in (paths.manuals, paths.bash, paths.zsh)
+            text = f"({len(file.text.splitlines())} lines from the help texts)\n" if is_generated else file.text
+            print(f"##### {file.path}: {ledger.state(file)}\n{text}")
         print("\n".join(f"##### then: {shlex.join(words)}" for words in commands))
         return
     show(ledger.write(files_to_write))

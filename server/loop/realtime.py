@@ -209,8 +209,8 @@ def _lock_memory(applied: AppliedSettings) -> Setting:
         return Setting("mlockall", False, f"{_format_reason(call.error)}: {required} to lock, limit {limit}", advice)
     applied._undo_process.append(lambda: _call_libc("munlockall"))
     _load_small_mappings()
-    locked = f"{_read_status('VmLck')} locked, {_read_status('VmRSS')} of them in memory"
-    note = "later ones as they come" if later else "memory mapped later is not locked because of a limit"
+    locked = f"{_read_status('VmLck')} locked, {_read_status('VmRSS')} of it in memory"
+    note = "memory mapped later is also locked" if later else "memory mapped later is not locked because of a limit"
     return Setting("mlockall", True, f"{locked}; {note}", "")
 
 

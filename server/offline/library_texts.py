@@ -30,7 +30,7 @@ def find_entry(name: str) -> tuple[str, LibraryEntry]:
     if name not in by_name:
         raise ConfigError(
             f"no material or fingertip is called {format_value(name)}{suggest(name, by_name)}; "
-            f"there are {', '.join(by_name)}"
+            f"they are {', '.join(by_name)}"
         )
     return by_name[name]
 

@@ -225,8 +225,10 @@ def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Pat
     if not has_one_file and set(recordings) != set(fingers):
         expected_fingers = ", ".join(filter(None, fingers)) or "one, without its name"
         given_fingers = ", ".join(map(str, filter(None, recordings))) or "a single finger"
+        remedy = " ".join(f"--poses {name}=FILE" for name in fingers) if has_fingers else "--poses FILE"
         raise ConfigError(
-            f"poses of {given_fingers} do not match the fingers of the scene: use poses of {expected_fingers}"
+            f"poses of {given_fingers} do not match the fingers of the scene: use poses of {expected_fingers}, "
+            f"such as {remedy}"
         )
     poses_of_fingers = [
         resample(

@@ -35,13 +35,13 @@ def summarize_scene(scene: schema.Scene) -> list[tuple[str, str]]:
 
 def _make_finger_rows(scene: schema.Scene, finger: schema.FingerParts) -> list[tuple[str, str]]:
     coupling, probe = finger.coupling, finger.probe
-    rolling = "absent: rotation moves no contact"
+    rolling = "absent: rotation does not move the contact"
     if scene.rolling is not None:
         own_stiffness = scene.rolling.torque_stiffness_n_per_m
         stiffness = coupling.stiffness_n_per_m if own_stiffness is None else own_stiffness
         rolling = f"{scene.rolling.method}, torque stiffness {stiffness:g} N/m"
     smoothing = f"low-pass {probe.velocity_time_constant_s:g} s" if probe.velocity_time_constant_s else "none"
-    drags = "absent: nothing sticks"
+    drags = "not used: no object has friction"
     if any(item.material.friction is not None for item in scene.object):
         drags = f"{coupling.stiffness_n_per_m:g} N/m, {coupling.damping_ns_per_m:g} N s/m"
         if coupling.torsional_damping_nms_per_rad:

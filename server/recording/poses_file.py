@@ -105,6 +105,6 @@ def open_poses_file(path: Path) -> PosesFile:
     """Open a file of the type given by its suffix; raises ConfigError for other suffixes."""
     kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
     if path.suffix.lower() not in kinds:
-        raise ConfigError(f"--poses {path}: poses are recorded as {' or '.join(SUFFIXES)}")
+        raise ConfigError(f"{path}: the name of a recording must end in {' or '.join(SUFFIXES)}")
     file: PosesFile = kinds[path.suffix.lower()](path)
     return file

@@ -182,7 +182,7 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
     notes = 0
     if not os.fstat(file.fileno()).st_size:
         raise RecordingError(f"{path}: is empty")
-    cut = "it has no index at its end: its writer was killed, or the disk was full"
+    cut = "it has no index at its end: it is still being written, its writer was killed, or the disk was full"
     damage: list[str] = []
 
     def skip_damage(error: Exception) -> None:

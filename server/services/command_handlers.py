@@ -177,7 +177,9 @@ class CommandHandlers:
         names = [obj.name for obj in objects]
         scene_index = key if isinstance(key, int) else names.index(key) if key in names else len(names)
         if scene_index >= len(names):
-            raise DeclinedRequest("bad_params", f"there is no object {format_value(key)}: there are {', '.join(names)}")
+            raise DeclinedRequest(
+                "bad_params", f"there is no object {format_value(key)}; objects are {', '.join(names)}"
+            )
         return scene_index, objects[scene_index]
 
     def hand(self, request: Request) -> wire.AppliedResult:
@@ -221,11 +223,11 @@ class CommandHandlers:
         )
         if finger_index >= len(names):
             choices = (
-                f"there are {', '.join(names)}"
+                f"fingers are {', '.join(names)}"
                 if len(names) > 1
-                else "there is one, without a name: remove the parameter"
+                else "the scene has a single finger: remove the parameter"
             )
-            raise DeclinedRequest("bad_params", f"there is no finger {format_value(selected)}: {choices}")
+            raise DeclinedRequest("bad_params", f"there is no finger {format_value(selected)}; {choices}")
         return finger_index
 
     def arm(self, request: Request) -> wire.ArmResult:

@@ -188,7 +188,8 @@ def _locate(file: str) -> Path:
     if file not in names and "." not in file and "/" not in file and not _check_exists(file):
         raise ConfigError(
             f"no scene, rig or experiment is named {format_value(file)}{suggest(file, names)}; "
-            f"shipped are {', '.join(names)}; give the path of another file with its suffix .toml"
+            "`softfinger scenes`, `rigs` and `experiments` list the shipped ones; name another file by its path with "
+            "suffix .toml"
         )
     if file in list_names(EXPERIMENTS):
         return find_in(EXPERIMENTS, "experiment", file)

@@ -28,7 +28,7 @@ from softfinger.server.wire.protocol import HEALTH, ProtocolError
 def run(args: argparse.Namespace) -> int:
     if args.method not in METHODS:
         hint = suggest(args.method, METHODS)
-        raise ConfigError(f"no method {format_value(args.method)}{hint}: there are {', '.join(METHODS)}")
+        raise ConfigError(f"unknown method {format_value(args.method)}{hint}; methods are {', '.join(METHODS)}")
     params = dict(map(parse_parameter, args.params))
     scene = params.get("scene")
     if args.method == "set_scene" and isinstance(scene, str) and scene.endswith(".toml"):

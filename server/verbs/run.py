@@ -71,12 +71,12 @@ def run(args: argparse.Namespace) -> int:
             watchers = start_watchers(daemon)
         if faults is not None:
             log.warning("faults are injected, from %s: %s", args.inject, format_faults(faults, rate))
-        announce(daemon, args.scene, page is not None)
+        announce(daemon, args.scene, suggest_view=page is None and args.rig is None)
         start_s = time.monotonic()
         with name_warmup(args.scene), report_compilation("kernels of the scene"):
             is_cached = daemon.servo.compile()
         if not is_cached:
-            cache_text = f"kept in {CACHE_DIR}" if KERNEL_FOLDER.problem() is None else "not kept"
+            cache_text = f"stored in {CACHE_DIR}" if KERNEL_FOLDER.problem() is None else "not stored"
             log.info("compiled in %.0f s; %s", time.monotonic() - start_s, cache_text)
         with signals.stop_on_signal(daemon.stop, daemon.pause):
             daemon.start()
@@ -93,13 +93,10 @@ def run(args: argparse.Namespace) -> int:
     return signals.stop_exit_code()
 
 
-def announce(daemon: Daemon, scene_name: str, is_page_open: bool) -> None:
+def announce(daemon: Daemon, scene_name: str, suggest_view: bool) -> None:
     rendering, telemetry = daemon.rendering, daemon.publisher.endpoint
-    if not is_page_open:
-        log.info(
-            "--view opens a browser page on which the mouse moves the hand: `%s run --view`, `make run ARGS=--view`",
-            find_program_name(),
-        )
+    if suggest_view:
+        log.info("`%s run --view` opens a browser page on which the mouse moves the hand", find_program_name())
     log.info("scene %s: %s", scene_name, explain(rendering.scene))
     log.info(
         "device %s at %g Hz; telemetry on %s", base.list_names(daemon.devices), rendering.rig.servo.rate_hz, telemetry

@@ -18,6 +18,7 @@ from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.offline.simulate import load_finger_poses, simulate_devices, simulate_poses
 from softfinger.server.progress import name_warmup
 from softfinger.server.recording.results import RunContext, write_blocks
+from softfinger.server.recording.summary import format_extent
 from softfinger.server.recording.writer import list_package_versions
 
 DURATION_S = 10.0
@@ -76,6 +77,7 @@ class Summary:
     def __init__(self, with_curves: bool) -> None:
         self.curves: list[Array] = []
         self.ticks, self._with_curves, self._peak = 0, with_curves, 0.0
+        self._lowest, self._highest = np.full(3, np.inf), np.full(3, -np.inf)
         self._modes = np.zeros(len(MODE_NAMES), int)
         self._causes = np.zeros(len(CAUSE_NAMES), int)
 
@@ -86,6 +88,9 @@ class Summary:
         self._causes += np.bincount(records[:, AT.contact_cause].astype(int), minlength=len(CAUSE_NAMES))
         strongest = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1).max(initial=0.0)
         self._peak = max(self._peak, float(strongest))
+        positions = records[:, AT.probe_position : AT.probe_position + 3]
+        self._lowest = np.minimum(self._lowest, positions.min(axis=0, initial=np.inf))
+        self._highest = np.maximum(self._highest, positions.max(axis=0, initial=-np.inf))
         if self._with_curves:
             self.curves.append(records[:, COLUMNS])
 
@@ -95,4 +100,7 @@ class Summary:
         )
         counts = list(zip(CAUSE_NAMES, self._causes, strict=True))[1:]
         changes = ", ".join(f"{count} {name}" for name, count in counts if count)
-        return f"{modes}; {changes or 'no contact'}; largest force {self._peak:.3f} N"
+        if not changes:
+            extent = format_extent(self._lowest.tolist(), self._highest.tolist())
+            changes = f"no contact, the fingertip's centre moved {extent}"
+        return f"{modes}; {changes}; largest force {self._peak:.3f} N"

@@ -32,6 +32,7 @@ from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.keys import ClientKeys, check_keys
 from softfinger.server.wire import DEFAULT_ENDPOINT
+from softfinger.server.wire.client_requests import ask_for_keys
 from softfinger.server.wire.protocol import (
     CONTACT,
     FINGERS,
@@ -258,7 +259,7 @@ def explain_no_telemetry(endpoint: str, waited_s: float) -> str:
     """Return the message for a user if nothing arrived."""
     return (
         f"no telemetry from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
-        "has it compiled its scene, and is this its [telemetry] endpoint?"
+        f"has it compiled its scene, and is this its [telemetry] endpoint?{ask_for_keys(endpoint)}"
     )
 
 

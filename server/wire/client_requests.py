@@ -104,9 +104,16 @@ def extract_result(answer: dict[str, Any], kind: type[R]) -> R:
 def make_no_answer_error(method: str, endpoint: str, waited_s: float) -> NoAnswer:
     """Return the error, with possible causes."""
     return NoAnswer(
-        f"no answer to {method} from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
-        "as this user, has it compiled its scene, and is this its [commands] endpoint, which it prints at the start?"
+        f"no answer to `{method}` from {endpoint} within {waited_s:g} s: is the server running (softfinger run), "
+        "as this user, has it compiled its scene, and is this the [commands] endpoint that it prints at the start?"
+        + ask_for_keys(endpoint)
     )
+
+
+def ask_for_keys(endpoint: str) -> str:
+    """Return a further possible cause for an endpoint on another machine."""
+    is_remote = endpoint.startswith("tcp:") and not endpoint.startswith("tcp://127.")
+    return " Does it require keys (--keys, --server-key)?" if is_remote else ""
 
 
 def choose_timeout(method: str, timeout_s: float | None) -> float:

@@ -7,6 +7,7 @@ A request is `[empty, msgpack map]` with `command_id`, `method`, `params` and op
 from __future__ import annotations
 
 import math
+import re
 import time
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
@@ -16,7 +17,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from softfinger.server.socket_process.brake import FORCE_OFF_METHODS
-from softfinger.server.wire.commands import METHODS, ErrorName
+from softfinger.server.wire.commands import METHODS, ErrorName, describe_fields
 
 DEPTH_MAX: Final = 16
 """Nesting depth of maps and lists; a scene has 6."""
@@ -70,6 +71,12 @@ def _read_boot_id() -> str:
 _BOOT: Final = _read_boot_id()
 
 
+def _explain(error: msgspec.ValidationError) -> str:
+    """Return msgspec's message with the parameter first: `release: Expected `bool`, got `str``."""
+    text = re.sub(r"^Object missing required field `(\w+)`", r"\1 is missing", str(error))
+    return re.sub(r"^(.*) - at `\$\.?(.+)`$", r"\2: \1", text)
+
+
 def parse(body: bytes | None) -> Request:
     """Decode and validate the body of a request, of bounded size; None is a message with other frames.
 
@@ -96,11 +103,12 @@ def parse(body: bytes | None) -> Request:
         raise DeclinedRequest("malformed", str(error), command_id) from error
     method = METHODS.get(envelope.method)
     if method is None:
-        raise DeclinedRequest("unknown_method", f"{envelope.method!r}: there are {', '.join(METHODS)}", command_id)
+        raise DeclinedRequest("unknown_method", f"{envelope.method!r}; methods are {', '.join(METHODS)}", command_id)
     try:
         params = msgspec.convert(envelope.params, method.params)
     except msgspec.ValidationError as error:
-        raise DeclinedRequest("bad_params", f"{envelope.method}: {error}", command_id) from error
+        text = f"{envelope.method}: {_explain(error)}; parameters are {describe_fields(method.params) or 'none'}"
+        raise DeclinedRequest("bad_params", text, command_id) from error
     # The clock of another machine is unknown. A request that turns the force off does not expire.
     until = envelope.expires if envelope.method not in FORCE_OFF_METHODS else None
     if until is not None and until[0] == _BOOT and until[1] < time.monotonic():

@@ -179,7 +179,7 @@ def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None
 def test_check_of_a_rig_reads_its_recording(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     (tmp_path / "bad.csv").write_text("t,x\n")
-    for recording, message in (("missing.csv", "neither a file"), (str(tmp_path / "bad.csv"), "line 1")):
+    for recording, message in (("missing.csv", "no such file"), (str(tmp_path / "bad.csv"), "line 1")):
         path.write_text(f'[device]\ndriver = "replay"\nrecording = "{recording}"\n')
         (error,) = examine_file(str(path)).errors
         assert "rig.toml: device.recording" in error and message in error

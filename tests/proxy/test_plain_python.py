@@ -23,8 +23,8 @@ from softfinger.proxy.record import AT
 
 CENTERS = {
     "paper-plane": (0.0, 0.0, 0.01),
-    "corner": (0.01, 0.01, 0.01),
-    "sphere": (0.0, 0.0, 0.03),
+    "corner": (0.0005, 0.0005, 0.01),
+    "sphere": (0.0, 0.0, 0.01),
     "heightmap": (0.0, 0.0, 0.01),
     "ribbed-plane": (0.0, 0.0, 0.01),
     "pinch": (0.0, 0.0, 0.05),

@@ -157,7 +157,7 @@ def test_every_method_answers(rig):
         assert eventually(lambda: recorder.batches[-1][-1, AT.contact_normal_force] == normal)
         with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
             control.mesh("lid.top")
-        with pytest.raises(CommandRefused, match="bad_params: there is no object 7: there are lid"):
+        with pytest.raises(CommandRefused, match="bad_params: there is no object 7; objects are lid"):
             control.mesh(7)
         reply = control.describe()
         assert reply["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and reply["scene_name"] == "pressed"
@@ -335,8 +335,8 @@ REFUSED = [
     ("set_scene", {"scene": {"fingertip": {"radius_m": 0.01}, "world": {"model": "none.xml"}}}, "bad_params",
      "none.xml: cannot be read"),
     ("reset_world", {}, "refused", "no [world]"),
-    ("drive", {"object": "table", "position_m": [0, 0, 0]}, "bad_params", "there are lid.top"),
-    ("drive", {"object": 1, "position_m": [0, 0, 0]}, "bad_params", "there are lid.top"),
+    ("drive", {"object": "table", "position_m": [0, 0, 0]}, "bad_params", "objects are lid.top"),
+    ("drive", {"object": 1, "position_m": [0, 0, 0]}, "bad_params", "objects are lid.top"),
     ("drive", {"object": -1, "position_m": [0, 0, 0]}, "bad_params", ">= 0"),
     ("drive", {"object": 0, "position_m": [0, 0]}, "bad_params", "length 3"),
     ("drive", {"object": 0, "position_m": [0, 0, 1e9]}, "bad_params", "object[0].position_m"),
@@ -347,7 +347,7 @@ REFUSED = [
     ("zero", {}, "refused", "disarm first"),
     ("zero", {"position_m": [0, 0, math.nan]}, "bad_params", "position_m"),
     ("zero", {"finger": "thumb"}, "bad_params", "there is no finger 'thumb'"),
-    ("tare", {}, "unknown_method", "there are get_state"),
+    ("tare", {}, "unknown_method", "methods are get_state"),
 ]  # fmt: skip
 
 
@@ -873,7 +873,7 @@ def test_stop_ends_a_daemon_process(tmp_path):
             )
             assert "no such file" in ctl("set_scene", "scene=nosuch.toml").stderr
             assert ctl("mark", "label=go").returncode == 0
-            assert "no method 'get_sate' (did you mean 'get_state'?)" in ctl("get_sate").stderr
+            assert "unknown method 'get_sate' (did you mean 'get_state'?)" in ctl("get_sate").stderr
             assert "write key=value" in ctl("mark", "label").stderr
             assert ctl("stop").stdout == "shutting_down: true\n"
             assert daemon.wait(60) == 0

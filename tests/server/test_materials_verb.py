@@ -64,8 +64,7 @@ def test_an_entry_is_printed_with_its_sources(name: str, capsys: pytest.CaptureF
 def test_an_unknown_name_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["materials", "ruber"]) == 2
     assert (
-        "no material or fingertip is called 'ruber' (did you mean 'rubber'?); there are steel"
-        in capsys.readouterr().err
+        "no material or fingertip is called 'ruber' (did you mean 'rubber'?); they are steel" in capsys.readouterr().err
     )
     assert main(["materials", "--plot", str(tmp_path / "all.png")]) == 2
     assert "softfinger materials NAME --plot FILE" in capsys.readouterr().err

@@ -110,9 +110,9 @@ def test_a_large_height_map_is_reduced(control: Control) -> None:
 @pytest.mark.parametrize(
     ("object_name", "message"),
     [
-        (4, "bad_params: there is no object 4: there are ball, hills, large, table"),
-        ("cube", "bad_params: there is no object 'cube': there are ball, hills, large, table"),
-        (-1, "bad_params: mesh: Expected `int` >= 0 - at `$.object`"),
+        (4, "bad_params: there is no object 4; objects are ball, hills, large, table"),
+        ("cube", "bad_params: there is no object 'cube'; objects are ball, hills, large, table"),
+        (-1, "bad_params: mesh: object: Expected `int` >= 0; parameters are object: text or integer"),
         ("table", "refused: object table is a plane and no mesh: its table describes it completely"),
     ],
 )

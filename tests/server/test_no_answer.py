@@ -50,7 +50,7 @@ def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
 
 def test_a_command_without_an_answer_ends(endpoint: str) -> None:
     """Also if libzmq has disconnected from the peer, as it does at the telemetry's address."""
-    no_answer = pytest.raises(NoAnswer, match=r"no answer to get_state from .* within 0\.05 s")
+    no_answer = pytest.raises(NoAnswer, match=r"no answer to `get_state` from .* within 0\.05 s")
 
     async def ask() -> None:
         async with AsyncControl(endpoint, WAIT_S) as control:
@@ -70,12 +70,12 @@ def test_a_command_without_an_answer_ends(endpoint: str) -> None:
 def test_a_command_that_may_compile_first_checks_for_a_daemon(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
     async def ask() -> None:
         async with AsyncControl(endpoint) as control:
-            with pytest.raises(NoAnswer, match=rf"no answer to reset_world from .* within {WAIT_S:g} s"):
+            with pytest.raises(NoAnswer, match=rf"no answer to `reset_world` from .* within {WAIT_S:g} s"):
                 await control.reset_world()
 
     monkeypatch.setattr(client_requests, "TIMEOUT_S", WAIT_S)
     monkeypatch.setattr(control_module, "TIMEOUT_S", WAIT_S)
-    with Control(endpoint) as control, pytest.raises(NoAnswer, match=rf"no answer to set_scene .* {WAIT_S:g} s"):
+    with Control(endpoint) as control, pytest.raises(NoAnswer, match=rf"no answer to `set_scene` .* {WAIT_S:g} s"):
         control.set_scene("sphere")
     asyncio.run(ask())
 

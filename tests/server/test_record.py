@@ -168,7 +168,7 @@ def test_an_invalid_pose_is_skipped(tmp_path: Path) -> None:
 
 
 def test_bad_files_and_a_missing_server_raise_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigError, match=r"poses\.txt: poses are recorded as \.csv or \.mcap"):
+    with pytest.raises(ConfigError, match=r"poses\.txt: the name of a recording must end in \.csv or \.mcap"):
         record_by_cli(tmp_path / "poses.txt")
     with pytest.raises(RecordingError, match=r"no/poses\.csv: cannot be written: No such file"):
         record_by_cli(tmp_path / "no" / "poses.csv")

@@ -56,3 +56,24 @@ def test_invalid_arguments_give_one_clear_error(
     assert output == ""
     assert errors.startswith("softfinger: ") and all(piece in errors for piece in pieces), errors
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "loop --seconds 0",
+        "telemetry --subscribers 0",
+        "telemetry --seconds nan",
+        "commands --swaps 0",
+        "step --blocks 0",
+    ],
+)
+def test_numbers_below_the_minimum_are_refused(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["bench", *words.split()])
+    option, number = words.split()[1:]
+    assert caught.value.code == 2
+    assert (
+        f"argument {option}: {number}: must be at least {0.1 if option == '--seconds' else 1}"
+        in capsys.readouterr().err
+    )

@@ -143,14 +143,15 @@ def run(args: argparse.Namespace) -> int:
 
 def format_table(result: dict[str, Any]) -> list[str]:
     memory = result["resident_mb"]
-    spots = ", ".join(f"{memory[at]:.1f}" for at in sorted({0, len(memory) // 10, len(memory) // 2, len(memory) - 1}))
+    indices = sorted({0, len(memory) // 10, len(memory) // 2, len(memory) - 1})
+    spots = ", ".join(f"{memory[i]:.1f} (scene {i + 1})" for i in indices)
     return [
         f"without commands: {result['missed_without']} of {result['ticks_without']} ticks missed",
-        f"{result['set_params']} x set_params in contact: {result['torn']} torn, {result['changes_felt']} felt, "
-        f"{result['missed']} of {result['ticks']} ticks missed; answer p50 {1e3 * result['answer_p50_s']:.2f} ms, "
-        f"p99 {1e3 * result['answer_p99_s']:.2f} ms",
+        f"{result['set_params']} x set_params in contact: {result['torn']} torn, {result['changes_felt']} "
+        f"changed the force, {result['missed']} of {result['ticks']} ticks missed; "
+        f"answer p50 {1e3 * result['answer_p50_s']:.2f} ms, p99 {1e3 * result['answer_p99_s']:.2f} ms",
         f"{result['swaps']} x set_scene in contact: largest rise {result['largest_step_n']:.4f} N in a tick, "
-        f"slew limit {result['slew_n']:.4f} N; resident at first, a tenth, half, end: {spots} MB",
+        f"slew limit {result['slew_n']:.4f} N; resident memory, MB: {spots}",
         f"lost by the subscriber: {result['lost']}",
     ]
 

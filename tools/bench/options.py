@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from softfinger.server.arguments import add_flag, add_option
+from softfinger.server.arguments import add_flag, add_option, at_least
 from softfinger.tools.bench.geoms import GEOMS_MAX
 from softfinger.tools.options import add_output_options
 
@@ -24,24 +24,24 @@ def configure_step(parser: argparse.ArgumentParser) -> None:
         help="also measure the added cost of each feature of the scene format, or of those that match PATTERN, such as "
         "'torsion*'. Each compiles one or two scenes (2 to 5 s); all take about three minutes the first time",
     )
-    add_option(parser, "--blocks", "timed blocks of steps", default=2000)
+    add_option(parser, "--blocks", "timed blocks of steps", default=2000, type=at_least(1))
 
 
 def configure_closed_loop(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--scene", "scene whose first surface is at z = 0", default="frictionless-plane")
-    add_option(parser, "--blocks", "timed blocks of ticks", default=1000)
+    add_option(parser, "--blocks", "timed blocks of ticks", default=1000, type=at_least(1))
 
 
 def configure_simulate(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--scene", "scene of one finger", default="paper-plane")
     add_option(parser, "--poses", "recording to repeat", default="press-roll-spin-drag", metavar="P")
     add_option(parser, "--ticks", "number of ticks; a file of 600000 has up to 0.9 GB", default=600_000)
-    add_option(parser, "--rounds", "repetitions for each format", default=5)
+    add_option(parser, "--rounds", "repetitions for each format", default=5, type=at_least(1))
     parser.add_argument("--folder", type=Path, help="folder for temporary files (default: that of the system)")
 
 
 def configure_loop(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--seconds", "duration of each loop", default=15.0)
+    add_option(parser, "--seconds", "duration of each loop", default=15.0, type=at_least(0.1))
     add_option(parser, "--rate", "ticks per second", default=1000.0, metavar="HZ")
     scene = parser.add_mutually_exclusive_group()
     add_option(scene, "--scene", "scene file or name", default="paper-plane")
@@ -61,12 +61,12 @@ def configure_device(parser: argparse.ArgumentParser) -> None:
 
 def configure_commands(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--rate", "set_params per second", default=200.0, metavar="HZ")
-    add_option(parser, "--seconds", "duration with commands, and again without", default=60.0)
-    add_option(parser, "--swaps", "number of set_scene commands", default=100)
+    add_option(parser, "--seconds", "duration with commands, and again without", default=60.0, type=at_least(0.1))
+    add_option(parser, "--swaps", "number of set_scene commands", default=100, type=at_least(1))
 
 
 def configure_mesh(parser: argparse.ArgumentParser) -> None:
-    levels = "balls of 20 x 4^N triangles, N from 1 to 9 (4: 5 120, 7: 327 680, 9: 5.2 million; default: %(default)s)"
+    levels = "balls of 20 x 4^N triangles, N from 1 to 9 (4: 5 120, 7: 327 680, 9: 5.2 million; default: 4 6 7)"
     parser.add_argument("--levels", type=int, nargs="+", default=[4, 6, 7], metavar="N", help=levels)
     add_option(parser, "--fingertip", "radii of the fingertip", default=[0.01], type=float, nargs="+", metavar="M")
     add_option(parser, "--ticks", "ticks without a pause", default=20_000)
@@ -86,8 +86,8 @@ def configure_soak(parser: argparse.ArgumentParser) -> None:
 
 
 def configure_telemetry(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--subscribers", "number of subscribing processes", default=8)
-    add_option(parser, "--seconds", "duration of each measurement", default=10.0)
+    add_option(parser, "--subscribers", "number of subscribing processes", default=8, type=at_least(1))
+    add_option(parser, "--seconds", "duration of each measurement", default=10.0, type=at_least(0.1))
     add_option(parser, "--rate", "ticks per second", default=1000.0, metavar="HZ")
     add_flag(parser, "--forward", "also measure through `softfinger forward`")
     add_flag(parser, "--keys", "with --forward: use CURVE keys")

@@ -42,7 +42,9 @@ def run(args: argparse.Namespace) -> int:
                     durations[ending].append(simulate(args.scene, poses, Path(folder, f"results{ending}")))
                     advance(turn * len(SUFFIXES) + place + 1)
     rows = [{"format": ending[1:]} | summarize(turns, ticks) for ending, turns in durations.items()]
-    lines = [f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} turns each"]
+    lines = [
+        f"{ticks} ticks on {args.scene}, poses from CSV, with the start of the program; {rounds} repetitions of each"
+    ]
     lines += [
         f"  {row['format']:<5}{row['seconds']:7.2f} s, median {row['median_seconds']:.2f}, "
         f"processor {row['cpu_s']:.2f}: {row['times_real_time']:6.1f} x real time"

@@ -285,7 +285,7 @@ def compute_growth(hours: Array, values: Array) -> tuple[float, float]:
 def format_table(result: dict[str, Any]) -> list[str]:
     reference = "no C compiler" if result["missed_c"] is None else f"reference loop in C {result['missed_c']}"
     lines = [
-        f"{result['minutes']:.0f} minutes, {result['ticks']} ticks: {result['missed']} deadlines missed ({reference}), "
+        f"{result['minutes']:.1f} minutes, {result['ticks']} ticks: {result['missed']} deadlines missed ({reference}), "
         f"{result['lost']} ticks lost by {SUBSCRIBERS} subscribers",
         f"  {'':<40}{'MB':>8}{'an hour':>10}{'descriptors':>13}{'threads':>9}",
     ]

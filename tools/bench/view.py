@@ -196,7 +196,7 @@ def summary(turns: list[TurnResult]) -> dict[str, Any]:
 
 def format_table(result: dict[str, dict[str, Any]]) -> list[str]:
     lines = [
-        "beside the daemon   missed of 1000   late p50        p99   busy p50        p99   a viewer   frames a second"
+        "viewers             missed of 1000   late p50        p99   busy p50        p99   a viewer   frames a second"
     ]
     for name, case in result.items():
         cells = "".join(

@@ -234,7 +234,8 @@ def write(file: Path, report: dict[str, Any], option: str) -> None:
 
 
 def format_lines(report: Report, file: Path) -> list[str]:
-    text = [f"device report of driver {report['driver']}, softfinger {report['softfinger']}: {report['ended']}"]
+    ended = {"in full": "complete", "by a fault": "ended by a fault"}.get(report["ended"], report["ended"])
+    text = [f"device report of driver {report['driver']}, softfinger {report['softfinger']}: {ended}"]
     if report["fault"] is not None:
         text.append(f"  fault: {report['fault']['message']}")
     if report["device"] is not None:

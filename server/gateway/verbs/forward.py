@@ -39,6 +39,10 @@ def run(args: argparse.Namespace) -> int:
             if part is not None:
                 audience = "clients with a key" if part.peers.lock else "every client that can reach it"
                 log.info("%s forwarded on %s, to %s", name, part.peers.endpoint, audience)
+        if not args.commands_to:
+            log.info(
+                "telemetry is received from %s, also if the daemon starts later; to stop it: Ctrl-C", origin.telemetry
+            )
         telemetry = TelemetryProcess(args, origin) if args.commands_to and (args.to or args.lsl) else None
         if telemetry is not None:
             stack.callback(telemetry.end)

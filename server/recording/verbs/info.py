@@ -16,9 +16,13 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _size_text(size: int) -> str:
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
+
+
 def _format_lines(info: dict[str, Any]) -> Iterator[str]:
-    state = "whole" if info["whole"] else f"incomplete: {info['cut']}"
-    yield f"{info['file']}: {info['bytes'] / 1e6:.1f} MB, {state}"
+    state = "complete" if info["whole"] else f"incomplete: {info['cut']}"
+    yield f"{info['file']}: {_size_text(info['bytes'])}, {state}"
     rate = f" at {info['rate_hz']:g} Hz" if isinstance(info["rate_hz"], int | float) else ""
     counted = "ticks" if any(finger["modes"] for finger in info["fingers"].values()) else "poses"
     yield f"  {info['ticks']} {counted}, {info['first_tick']} to {info['last_tick']}{rate}, {info['duration_s']:.3f} s"

@@ -74,7 +74,8 @@ def run(args: argparse.Namespace) -> int:
         first = outcome.first
         raise Different(
             f"tick {first.tick} ({first.seconds:.3f} s), {f'{first.finger} ' if first.finger else ''}{first.key}: "
-            f"{first.recorded!r} then, {first.now!r} now; {outcome.different} of {outcome.compared} ticks differ"
+            f"recorded {first.recorded!r}, recomputed {first.now!r}; "
+            f"{outcome.different} of {outcome.compared} ticks differ"
         )
     if not outcome.compared:
         raise RecordingError(

@@ -59,7 +59,10 @@ def test_a_dry_run_shows_what_an_install_writes(
     written = content(root)
     assert set(written) == FILES | {RECORD}
     for name in FILES:
-        assert f"##### /{name}: new\n{written[name].decode()}" in shown
+        text = written[name].decode()
+        if "/share/" in name:
+            text = f"({len(text.splitlines())} lines from the help texts)\n"
+        assert f"##### /{name}: new\n{text}" in shown
     for words in ("systemd-sysusers", "systemctl daemon-reload", "udevadm control --reload"):
         assert f"##### then: {words}" in shown
 

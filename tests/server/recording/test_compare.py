@@ -223,7 +223,7 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     results = tmp_path / "golden.npz"
     assert cli.main(["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(results)]) == 0
     assert cli.main(["replay", "tap", "--scene", "paper-plane", "--against", str(results)]) == 0
-    assert cli.main(["replay", "tap", "--scene", "sphere", "--against", str(results)]) == Different.exit_code
+    assert cli.main(["replay", "tap", "--scene", "plane-at-60mm", "--against", str(results)]) == Different.exit_code
     assert cli.main(["replay", "tap", "--scene", "paper-plane"]) == 2
 
 

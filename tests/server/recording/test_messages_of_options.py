@@ -21,6 +21,8 @@ TABLE = "t x y z\n0 0 0 0\n1 0 0 0\n"
         ("export run.mcap --out run.csv --finger thumb", "no ticks of finger 'thumb': leave --finger out"),
         ("replay nowhere", "recording 'nowhere' is neither a file nor a shipped recording"),
         ("replay tip", "did you mean 'tap'?"),
+        ("info rum.mcap", "recording 'rum.mcap': no such file (did you mean 'run.mcap'?)"),
+        ("info nowhere/run.mcap", "recording 'nowhere/run.mcap': no such file; `softfinger recordings`"),
         ("replay tap --scene paper-plane --against a.npz --rate 1", "command line --rate: servo.rate_hz = 1.0"),
         ("import table --out a.csv --columns t,x,y,z --unit-m inf", "--unit-m inf: must be above 0 and finite"),
         ("import table --out a.csv --columns t,x,y,z --rate 9", "either a column t or --rate, not both"),
