@@ -12,7 +12,7 @@ from typing import Any
 from softfinger.config.errors import ConfigError
 
 
-def refusal(name: str, value: object, allowed: str) -> str:
+def describe_refusal(name: str, value: object, allowed: str) -> str:
     """Return the message for a value of an argument that is not allowed."""
     from softfinger.config.words import format_value
 
@@ -31,11 +31,11 @@ def check_text(value: object, name: str, example: str) -> str:
     """Return a printable text; raises ConfigError for anything else."""
     if isinstance(value, str) and (value.isprintable() or not value):
         return value
-    raise ConfigError(refusal(name, value, f"a text such as {example}"))
+    raise ConfigError(describe_refusal(name, value, f"a text such as {example}"))
 
 
 def check_mapping(value: object, name: str, example: str) -> Mapping[str, Any]:
     """Return a mapping with texts as keys; raises ConfigError for anything else."""
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
         return value
-    raise ConfigError(refusal(name, value, f"a mapping from texts to values, such as {example}"))
+    raise ConfigError(describe_refusal(name, value, f"a mapping from texts to values, such as {example}"))

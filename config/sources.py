@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
-from softfinger.config.arguments import refusal
+from softfinger.config.arguments import describe_refusal
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import read_input
 from softfinger.config.schema import Faults, Rig, Scene
@@ -49,7 +49,7 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
     try:
         path = Path(path_or_name)
     except TypeError:
-        raise ConfigError(refusal(kind, path_or_name, "a name or a path")) from None
+        raise ConfigError(describe_refusal(kind, path_or_name, "a name or a path")) from None
     if isinstance(path_or_name, Path) or path.name != path_or_name or path.suffix == ".toml":
         return path
     names = list_names(folder)

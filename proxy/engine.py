@@ -16,14 +16,14 @@ from numba import types
 from numpy import ndarray
 from numpy.typing import ArrayLike, NDArray
 
-from softfinger.config.arguments import check_text, refusal, to_number
+from softfinger.config.arguments import check_text, describe_refusal, to_number
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unpack
 from softfinger.proxy.kernels.jit.tuples import map_each, rows_of
 from softfinger.proxy.kernels.model import Scene, State
 from softfinger.proxy.kernels.query.bodies import step_bodies
-from softfinger.proxy.kernels.record_writer import read_poses, write_surfaces, write_timed_contact
+from softfinger.proxy.kernels.record_writer import unpack_poses, write_surfaces, write_timed_contact
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.pose_checks import PoseError, check_poses, stack_poses
 from softfinger.proxy.record import POSITION_MAX_M, RECORD_SIZE
@@ -62,7 +62,7 @@ def step_many(
     parameters = unpack(scene, values)
     state = unpack(start, state_values)
     for i in range(poses.shape[0]):
-        probes = read_poses(rows_of(parameters.fingers, poses[i], 0))
+        probes = unpack_poses(rows_of(parameters.fingers, poses[i], 0))
         state, contacts = step(parameters, state, probes, dt)
         rows = rows_of(parameters.fingers, records[i], 0)
         map_each(write_timed_contact, (contacts, rows, probes), first_tick + i, dt)
@@ -130,7 +130,7 @@ class Engine:
         rate = to_number(rate_hz)
         if not 1.0 / DT_MAX_S <= rate <= 1.0 / DT_MIN_S:
             allowed = f"a number from {1 / DT_MAX_S:g} to {1 / DT_MIN_S:g} Hz"
-            raise ConfigError(refusal("rate_hz", rate_hz, allowed))
+            raise ConfigError(describe_refusal("rate_hz", rate_hz, allowed))
         self.dt = 1.0 / rate
         self._begin = start_state(self.scene)
         self._start: Array = flatten(self._begin)
@@ -267,7 +267,7 @@ class Engine:
         from softfinger.config import schema
 
         if not isinstance(scene, schema.Scene):
-            raise ConfigError(refusal("scene", scene, "a Scene, as `load_scene` returns it"))
+            raise ConfigError(describe_refusal("scene", scene, "a Scene, as `load_scene` returns it"))
         if not self._take(scene):
             raise ConfigError("the new scene has other parts than the compiled one: create another Engine")
 
@@ -388,7 +388,7 @@ class Engine:
     def _check_dt(self, dt: float) -> float:
         step_s = to_number(dt)
         if not (step_s == 0.0 or DT_MIN_S <= step_s <= DT_MAX_S):
-            raise PoseError(refusal("dt", dt, f"0 or a number from {DT_MIN_S:g} to {DT_MAX_S:g} s"))
+            raise PoseError(describe_refusal("dt", dt, f"0 or a number from {DT_MIN_S:g} to {DT_MAX_S:g} s"))
         if self.scene.bodies is not None and step_s != self.dt:
             raise PoseError(f"dt = {step_s}: the bodies of [world] advance by {self.dt:g} s in each tick")
         return step_s

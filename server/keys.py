@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import zmq
 
-from softfinger.config.arguments import refusal
+from softfinger.config.arguments import describe_refusal
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import check_owner, open_input
 from softfinger.config.words import format_value
@@ -51,7 +51,7 @@ def check_keys(keys: object) -> ClientKeys | None:
     """Return the keys of a client, or None; raises ConfigError for anything else."""
     if keys is None or isinstance(keys, ClientKeys):
         return keys
-    raise ConfigError(refusal("keys", keys, "the result of `client_keys`, or None"))
+    raise ConfigError(describe_refusal("keys", keys, "the result of `client_keys`, or None"))
 
 
 def make_pair(folder: Path, name: str) -> tuple[Path, Path]:

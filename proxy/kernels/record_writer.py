@@ -91,15 +91,15 @@ def write_outcome(row: Any, at: int, outcome: ContactOutcome) -> None:
 
 
 @jit
-def read_pose(row: Any) -> Pose:
+def unpack_pose(row: Any) -> Pose:
     """Return the Pose of a row x, y, z, qw, qx, qy, qz."""
     return Pose((row[0], row[1], row[2]), as_unit((row[3], row[4], row[5], row[6])))
 
 
 @jit
-def read_poses(rows: Any) -> Any:
+def unpack_poses(rows: Any) -> Any:
     """Return the Pose of each row of a tuple."""
-    return map_each(read_pose, (rows,))
+    return map_each(unpack_pose, (rows,))
 
 
 @jit

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.arguments import refusal
+from softfinger.config.arguments import describe_refusal
 from softfinger.config.errors import ConfigError
 from softfinger.config.words import format_value
 from softfinger.server.experiment import checks, files
@@ -174,7 +174,7 @@ def _as_path(folder: str | Path) -> Path:
     try:
         return Path(folder)
     except TypeError:
-        raise ConfigError(refusal("folder", folder, "a path")) from None
+        raise ConfigError(describe_refusal("folder", folder, "a path")) from None
 
 
 def _check_participant(participant: int) -> int:

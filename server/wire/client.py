@@ -24,7 +24,7 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from softfinger.config.arguments import check_text, refusal
+from softfinger.config.arguments import check_text, describe_refusal
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.words import format_value
 from softfinger.drivers.closing import Closeable
@@ -314,7 +314,7 @@ class Window(Closeable):
         self, endpoint: str = DEFAULT_ENDPOINT, samples: int = 1000, finger: str = "", keys: ClientKeys | None = None
     ) -> None:
         if not isinstance(samples, int | np.integer) or not 1 <= samples <= SAMPLES_MAX:
-            raise ConfigError(refusal("samples", samples, f"an integer from 1 to {SAMPLES_MAX}"))
+            raise ConfigError(describe_refusal("samples", samples, f"an integer from 1 to {SAMPLES_MAX}"))
         self._size = samples
         # Twice the required length: rows are appended, and moved back when the end is reached, so the latest ones are
         # always one contiguous view.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from softfinger.config.arguments import refusal, to_number
+from softfinger.config.arguments import describe_refusal, to_number
 from softfinger.config.errors import ConfigError
 
 LONGEST_MS: Final = (1 << 31) - 1
@@ -18,5 +18,5 @@ def to_milliseconds(seconds: float | None) -> int:
         return -1
     wait_s = to_number(seconds)
     if math.isnan(wait_s):
-        raise ConfigError(refusal("timeout_s", seconds, "a number of seconds, inf, or None"))
+        raise ConfigError(describe_refusal("timeout_s", seconds, "a number of seconds, inf, or None"))
     return round(min(max(0.0, 1000.0 * wait_s), LONGEST_MS))

@@ -29,7 +29,7 @@ from softfinger.proxy.kernels.query.bodies import NO_FAULT, SLOW, SLOW_STEPS, ch
 from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_on, find_closest_within, find_deepest
 from softfinger.proxy.kernels.query.world import advance, place_all
-from softfinger.proxy.kernels.record_writer import read_poses
+from softfinger.proxy.kernels.record_writer import unpack_poses
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.pose_checks import PoseError
@@ -586,7 +586,7 @@ def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
     engine.data.qvel[3] = math.nan
     state = unpack(start_state(engine.scene), engine._state)
     assert step_bodies(engine.scene.bodies) != NO_FAULT
-    poses = read_poses([poses[-1] for poses in hand_path.values()])
+    poses = unpack_poses([poses[-1] for poses in hand_path.values()])
     for _ in range(2):
         state, contacts = step(engine.scene, state, poses, 1e-3)
         assert step_bodies(engine.scene.bodies) != NO_FAULT

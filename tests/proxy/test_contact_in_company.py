@@ -1,4 +1,4 @@
-"""Objects out of reach change no bit, and a contact that sticks has a constant normal.
+"""Objects out of reach and copies of an object change no bit, and a contact that sticks has a constant normal.
 
 Forces are compared with closed forms, r = 10 mm, R = 20 mm, K = K_t = 1000 N/m. If a contact sticks while the proxy is
 at c, the force on a probe at x is K (c - x): pressed d deep and dragged by e, K d n - K e.
@@ -67,6 +67,11 @@ def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **table
 
 
 def make_table(shape: str, folder: Path, material: dict[str, Any]) -> dict[str, Any]:
+    if shape == "heightmap":
+        x = 1e-3 * (np.arange(40) - 19.5)
+        np.save(folder / "hills.npy", 2e-3 * np.cos(200.0 * x[:, None]) * np.cos(170.0 * x))
+        keys = {"file": str(folder / "hills.npy"), "pitch_m": 1e-3, "level_m": 1.0}
+        return {"name": "it", "shape": shape, **keys, "material": material}
     solids = {"mesh box": lambda: bar(0.02, 0.0175, 0.015), "mesh ball": lambda: meshes.geodesic(6, BALL)}
     if shape in solids:
         file = write_part(folder, *solids[shape]())
@@ -101,7 +106,7 @@ def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:
 def check_out_of_reach(shape: str, method: str | None, folder: Path, material: dict[str, Any], **tables: Any) -> None:
     it, others = make_table(shape, folder, material), distant_objects(material)
     poses = handling(300, 11, 0.012 if "hollow" in shape else 0.016)[::2]
-    if shape == "plane":
+    if shape in ("plane", "heightmap"):
         poses[:, 2] += R
     alone, company = engine([it], method, **tables), engine([others[0], it, *others[1:]], method, **tables)
     if "finger" in tables:
@@ -115,11 +120,40 @@ def check_out_of_reach(shape: str, method: str | None, folder: Path, material: d
 
 @pytest.mark.sampled(15)
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("shape", [*SHAPES, "mesh box", "mesh ball"])
+@pytest.mark.parametrize("shape", [*SHAPES, "heightmap", "mesh box", "mesh ball"])
 def test_an_object_out_of_reach_changes_no_bit(shape: str, method: str | None, tmp_path: Path) -> None:
     if method == "rotation_vector" and shape in WITHOUT_CLOSED_FORM:
         pytest.skip("rotation_vector has no closed form on it")
     check_out_of_reach(shape, method, tmp_path, GRIP)
+
+
+FLOOR = {"shape": "plane", "position_m": [-R, 0.0, -R]}
+TOUCHED: dict[str, tuple[list[dict[str, Any]], list[float]]] = {
+    "ball": ([SHAPES["sphere"]], [0.0, 0.0, BALL + R]),
+    "two balls": ([SHAPES["sphere"] | {"position_m": [x, 0.0, 0.0]} for x in (-0.015, 0.015)], [0.0, 0.0, 0.0245]),
+    "groove": ([FLOOR, FLOOR | {"orientation_wxyz": [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]}], [-1e-3, 0.0, -1e-3]),
+}
+"""Objects, and a position of the fingertip at which it touches all of them, m."""
+
+
+@pytest.mark.parametrize("name", TOUCHED)
+def test_a_mesh_out_of_reach_changes_no_bit(name: str, tmp_path: Path) -> None:
+    shapes, start = TOUCHED[name]
+    objects = [{"name": f"it {i}", **keys, "material": GRIP} for i, keys in enumerate(shapes)]
+    far = make_table("mesh ball", tmp_path, GRIP) | {"name": "far", "position_m": [3.0, 0.0, 0.0]}
+    poses = handling(100, 11, 1e-3)
+    poses[:, :3] += start
+    alone, company = engine(objects, "midpoint"), engine([far, *objects], "midpoint")
+    assert_same_but_for_numbers(alone.run(poses), company.run(poses), 1)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_same_object_twice_is_one(shape: str, tmp_path: Path) -> None:
+    it = make_table(shape, tmp_path, GRIP)
+    for seed in (11, 13):
+        poses = handling(200, seed, 0.012 if "hollow" in shape else 0.016)
+        alone, twice = engine([it], "euler_zxz"), engine([it, it | {"name": "copy"}], "euler_zxz")
+        assert_same_but_for_numbers(alone.run(poses), twice.run(poses), 0)
 
 
 NORMALS = {

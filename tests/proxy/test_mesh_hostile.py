@@ -93,20 +93,16 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
         assert touching[np.linalg.norm(ways, axis=1) > 1.001 * room * R].all()
 
 
-@pytest.mark.parametrize(("room", "flagged_max"), [(0.1, 2), (0.3, 0)])
-def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room, flagged_max):
+@pytest.mark.parametrize("room", [0.1, 0.3])
+def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
     """Without friction the proxy moves to the side of the hand from any other side, though all triangles are equally
-    close. In a hollow of nearly the fingertip's size, the search does not finish from some sides (9 of 100), which
-    `contact.budget` shows."""
+    close, and the search finishes."""
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
-    flagged = 0
-    for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 10)]):
+    for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 100)]):
         reach = R * (room + 0.2)
-        last = visit(smooth, np.repeat(reach * side[None], 300, axis=0))[-1]
-        flagged += bool(last["contact.budget"])
+        last = visit(smooth, np.repeat(reach * side[None], 60, axis=0))[-1]
         # It rests on a facet, whose tangent deviates by the angle of a facet, or in an edge between two.
-        assert last["contact.budget"] or last["proxy.position"] @ side > 0.99 * room * R
-    assert flagged <= flagged_max
+        assert last["contact.budget"] == 0 and last["proxy.position"] @ side > 0.99 * room * R
 
 
 @pytest.mark.parametrize("name", ["star", "messy", "crossing"])

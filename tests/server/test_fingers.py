@@ -315,4 +315,4 @@ def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
     assert outside <= {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"}
     assert "eventfd_write" in outside
     loop = next(body for name, body in bodies.items() if "servo_loop" in name)
-    assert len(re.findall(r"call [\w ]*%[\w.]+\(", loop)) == 6  # read, write and the last zero, of each
+    assert len(re.findall(r"call [\w ]*%[\w.]+\(", loop)) == 8  # read, write and two of the last zero, of each

@@ -54,7 +54,8 @@ def commands(folder: Path) -> Iterator[str]:
         {"name": "large", "shape": "heightmap", "file": str(folder / "large.npy"), "pitch_m": 0.001, "level_m": 1.0},
         {"name": "table", "shape": "plane"},
     )
-    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", LOCAL), scene=scene))
+    force = SimpleNamespace(is_reachable=True, note_guard=lambda reason, is_off: None)
+    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", LOCAL), scene=scene, force=force))
     doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
         actions = cast(Any, SimpleNamespace(replace=None, publisher=publisher))

@@ -27,8 +27,14 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
 from softfinger.proxy.kernels.query.carry import has_moving_object, make_carry, move_point
 from softfinger.proxy.kernels.query.container import find_object
-from softfinger.proxy.kernels.query.kinds import has_mesh, is_mesh_at
-from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_within, find_deepest, is_inside
+from softfinger.proxy.kernels.query.kinds import is_mesh_at
+from softfinger.proxy.kernels.query.objects import (
+    NO_OBJECTS,
+    find_closest_within,
+    find_deepest,
+    is_inside,
+    is_near_mesh,
+)
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes import travel
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, NO_BUDGET, QUEUE_SIZE
@@ -72,26 +78,26 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
     The gap to a facet does not show the side. Between two positions outside of all facets, only a path shorter than
     two radii is certain to cross none.
     """
-    if has_mesh(objects):
-        path = vec3.sub(position, start)
-        if vec3.dot(path, path) >= 4.0 * radius * radius:
-            return False
+    length = vec3.norm(vec3.sub(position, start))
+    if length >= 2.0 * radius and is_near_mesh(objects, position, radius + length):
+        return False
     gap, _, _ = find_deepest(objects, position, radius, NO_OBJECTS, budget)
     return gap >= radius * (1.0 - INSIDE_TOLERANCE)
 
 
 @jit
 def refine_touch(
-    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, budget: int
+    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, near_mesh: bool, budget: int
 ) -> tuple[Vec3, bool]:
     """Return the position (3,) m on the path where object `index`, without the others, would be touched, and a flag.
 
-    met  (3,) m  touch found by the search of all objects
+    met        (3,) m  touch found by the search of all objects
+    near_mesh          True if a mesh may be touched on the path
 
-    The flag is False if another object obstructs the path, or if this is unknown. In a scene of meshes, one facet is
+    The flag is False if another object obstructs the path, or if this is unknown. Near a mesh, one facet is
     swept: the search of a mesh moves in steps of its clearance, and may end a little before the touch.
     """
-    if not isinstance(objects.search, FacetedSearch):
+    if not isinstance(objects.search, FacetedSearch) or not near_mesh:
         return met, not is_mesh_at(objects, index)
     body = find_object(objects, index)
     path_start = move_point(make_carry(body), start)
@@ -138,9 +144,10 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     if index >= 0.0:
         gap, point, normal, remaining = find_closest_within(objects, index, met, remaining)
         center = vec3.add_scaled(point, radius, normal)
-        together = has_mesh(objects)
-        touch, exact = refine_touch(objects, index, start, position, radius, met, remaining)
-        if state.started != 0.0 and together:
+        reach = radius + vec3.norm(vec3.sub(position, start))
+        near_mesh = is_mesh_at(objects, index) or is_near_mesh(objects, position, reach)
+        touch, exact = refine_touch(objects, index, start, position, radius, met, near_mesh, remaining)
+        if state.started != 0.0 and near_mesh:
             # Other facets may be equally near, or the search did not finish: on this one it might be inside another.
             center = met
             if exact:

@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
 from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.kinds import has_creases_at, has_mesh
-from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_within, find_deepest
+from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_within, find_deepest, is_near_mesh
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, QUEUE_SIZE
 from softfinger.proxy.kernels.shapes.composite import NO_LIMIT_M, raised_clear
 
@@ -75,9 +75,9 @@ def raise_outside(objects: Any, index: float, radius: float, center: Vec3, norma
     index   of an object that the fingertip touches there
     normal  (3,)  of that object there
 
-    In a scene of meshes, it is the first position along the normal that is outside of all objects.
+    Near a mesh, it is the first position along the normal that is outside of all objects.
     """
-    if not isinstance(objects.search, FacetedSearch):
+    if not isinstance(objects.search, FacetedSearch) or not is_near_mesh(objects, center, 2.0 * radius):
         body = find_object(objects, index)
         return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius)), True
     height, step, room = 0.0, FIRST_RISE * radius, QUEUE_SIZE

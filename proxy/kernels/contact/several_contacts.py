@@ -43,9 +43,10 @@ from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.carry import has_moving_object
 from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, is_mesh_at
-from softfinger.proxy.kernels.query.objects import find_deepest
+from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest_of_others
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE
+from softfinger.proxy.kernels.shapes.protocol import direction
 from softfinger.proxy.record import CAUSE_NONE, FREE, SLIDING
 
 NO_FORCES = ContactForces(
@@ -56,6 +57,10 @@ NO_FORCES = ContactForces(
     area=NO_PATCH, unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
 )  # fmt: skip
 """Forces of an unused contact."""
+
+
+SEAM_DISTANCE = 1e-3
+"""Distance, as a share of the radius, within which a proxy that moves towards an edge is about to cross it."""
 
 
 @jit
@@ -82,22 +87,40 @@ def make_no_approach(probe: Probe) -> Approach:
 
 @jit
 def is_clear_of_others(
-    objects: Any, radius: float, start: Vec3, center: Vec3, index: float, budget: int, room: float
+    objects: Any, radius: float, start: Vec3, center: Vec3, before: Vec3, index: float, budget: int
 ) -> bool:
     """Return True if the proxy hits no object except `index` on its path from `start` to `center` (3,) m.
 
-    room  1 if objects that it only touches count, too, such as the second of two flush objects, otherwise -1
+    before  (3,) m  position from which it moved, if an object flush with `index` counts, too; otherwise `center`
+
+    The same object twice is one: it does not obstruct the proxy.
     """
-    skip = (index, -1.0, -1.0)
+    own_gap, surface = radius, find_surface_kind_at(objects, index)
+    if surface != FACETED and surface != CREASED:  # a touch over the probe may be inside, by the curvature
+        own_gap, _, _, _ = find_closest_within(objects, index, center, budget)
     if start != center or has_moving_object(objects):
-        hit, _, budget = find_first_hit(objects, start, center, radius, True, skip, budget)
+        skip = (index, -1.0, -1.0)
+        hit, _, budget = find_first_hit(objects, start, center, min(radius, own_gap), True, skip, budget)
         if hit >= 0.0:
             return False
-    gap, at, budget = find_deepest(objects, center, radius * (1.0 + INSIDE_TOLERANCE), skip, budget)
-    # The proxy may cut into the triangle it is on, and into a height map if its search did not finish.
-    surface = find_surface_kind_at(objects, index)
-    is_support = at == index and surface != FACETED and surface != CREASED
-    return budget >= 0 and (gap >= radius * (1.0 + room * INSIDE_TOLERANCE) or is_support)
+    gap, _, budget = find_deepest_of_others(objects, center, radius * (1.0 + INSIDE_TOLERANCE), index, budget)
+    if budget < 0 or gap < min(radius, own_gap) - INSIDE_TOLERANCE * radius:
+        return False
+    touches = gap < radius * (1.0 + INSIDE_TOLERANCE) and before != center
+    return not touches or not crosses_seam(objects, radius, before, center, index, budget)
+
+
+@jit
+def crosses_seam(objects: Any, radius: float, before: Vec3, center: Vec3, index: float, budget: int) -> bool:
+    """Return True if another object is nearer than object `index` a little further on the path to `center` (3,) m.
+
+    The proxy is then at the edge of the first of two flush objects, or beyond it.
+    """
+    _, along = direction(vec3.sub(center, before), ZERO)
+    further = vec3.add_scaled(center, SEAM_DISTANCE * radius, along)
+    own_gap, _, _, _ = find_closest_within(objects, index, further, budget)
+    gap, _, budget = find_deepest_of_others(objects, further, own_gap, index, budget)
+    return budget < 0 or gap < own_gap - INSIDE_TOLERANCE * radius
 
 
 @jit
@@ -118,8 +141,8 @@ def continue_or_detect_several(
                 # Past a seam it rolls on the next object. Facets that share an edge are both touched there, and form
                 # one surface.
                 index, center = approach.active[0].object_index, approach.center
-                room = -1.0 if is_mesh_at(shapes, index) else 1.0
-                single = is_clear_of_others(shapes, finger.radius, center, center, index, approach.budget, room)
+                before = center if is_mesh_at(shapes, index) else approach.outside
+                single = is_clear_of_others(shapes, finger.radius, center, center, before, index, approach.budget)
         if not single:
             approach = continue_several(scene, objects, shapes, finger.radius, state, motion)
         if not has_ended(approach.active):
@@ -170,6 +193,6 @@ def land_among_several(
     ):
         return Landing(center, active, bounded), False
     # A first touch may be over the second of two flush objects, beyond the edge of the one that was hit.
-    room = 1.0 if approach.began else -1.0
-    clear = is_clear_of_others(objects, radius, approach.start, center, active[0].object_index, approach.budget, room)
+    before = approach.outside if approach.began else center
+    clear = is_clear_of_others(objects, radius, approach.start, center, before, active[0].object_index, approach.budget)
     return Landing(center, active, bounded), clear

@@ -3,7 +3,7 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import Single, SmoothSearch, Vec3
+from softfinger.proxy.kernels.model import FACETED, Many, Single, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.container import (
@@ -15,6 +15,7 @@ from softfinger.proxy.kernels.query.container import (
     find_world_plane,
     is_beyond,
 )
+from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, has_mesh
 from softfinger.proxy.kernels.shapes import (
     bend,
     closest,
@@ -134,8 +135,25 @@ def find_deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int)
         body = objects.body
         gap, facet, budget = nearest_of_shape(body.shape, into(body.pose, x), within, known, budget)
         return NearestObject(gap, facet if gap < NO_GAP else -1.0, budget)
+    return find_deepest_of_many(objects, x, within, known, -1, budget)
+
+
+@jit
+def find_deepest_of_others(objects: Any, x: Vec3, within: float, index: float, budget: int) -> NearestObject:
+    """Return `find_deepest` of all objects except `index`; on a mesh, that is only one of its triangles."""
+    known = (index, -1.0, -1.0)
+    if isinstance(objects, Single) or find_surface_kind_at(objects, index) == FACETED:
+        return find_deepest(objects, x, within, known, budget)
+    return find_deepest_of_many(objects, x, within, known, extract_row(index), budget)
+
+
+@jit
+def find_deepest_of_many(objects: Many, x: Vec3, within: float, known: Vec3, skip: int, budget: int) -> NearestObject:
+    """Return `find_deepest` of many objects without row `skip`, which may be -1."""
     smallest, index = NO_GAP, -1.0
     for row in range(int(objects.size)):
+        if row == skip:
+            continue
         gap, facet = NO_GAP, 0.0
         is_plane, plane = find_world_plane(objects, float(row))
         if is_plane:
@@ -147,6 +165,17 @@ def find_deepest(objects: Any, x: Vec3, within: float, known: Vec3, budget: int)
         if gap < smallest:
             smallest, index = gap, row + MAX_ENTRIES * facet
     return NearestObject(smallest, index, budget)
+
+
+@jit
+def is_near_mesh(objects: Any, x: Vec3, reach: float) -> bool:
+    """Return True if a mesh may be within `reach` m of `x` (3,) m; a mesh out of reach must not change the result."""
+    if isinstance(objects, Single) or isinstance(objects.search, SmoothSearch):
+        return has_mesh(objects)
+    for row in range(int(objects.size)):
+        if objects.entries[row].shape.surface == FACETED and not is_beyond(objects, row, x, reach):
+            return True
+    return False
 
 
 @jit

@@ -39,6 +39,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.dispatch import by_type, by_type_with_default
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.shapes.budget import INSIDE_TOLERANCE, MAX_STRIDE
 
 X_AXIS: Vec3 = (1.0, 0.0, 0.0)
 Y_AXIS: Vec3 = (0.0, 1.0, 0.0)
@@ -119,7 +120,8 @@ def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> A
     """Return the share of the path from `start` to `end` at which a sphere of that radius hits the shape, or NO_HIT.
 
     A path that ends inside is a hit, at its start if the start is inside, too. With `leaves`, a path that starts inside
-    and gets no deeper is not a hit: a proxy on the shape may be inside by rounding.
+    and gets no deeper is not a hit: a proxy on the shape may be inside by rounding. Nor is a short path that ends
+    outside: the fingertip at its two ends covers it, and a proxy that follows a curved surface moves on a chord.
     """
 
 
@@ -244,6 +246,10 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
     clearance = gap - radius
     if clearance >= length:
         return NO_HIT
+    if leaves and length <= MAX_STRIDE * radius:
+        gap, _, _ = closest(shape, end)
+        if gap >= radius * (1.0 - INSIDE_TOLERANCE):
+            return NO_HIT
     touching = TOUCHING_CLEARANCE * radius
     if clearance <= touching:
         gap, _, _ = closest(shape, end)

@@ -44,6 +44,17 @@ def move_constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3
 
 
 @jit
+def is_on_mesh(objects: Any, active: ActiveSet) -> bool:
+    """Return True if a constraint is a facet."""
+    one, two, three = active
+    return (
+        is_mesh_at(objects, one.object_index)
+        or is_mesh_at(objects, two.object_index)
+        or is_mesh_at(objects, three.object_index)
+    )
+
+
+@jit
 def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
     """Return the constraints of a proxy at rest, on meshes those of the facets under it (`move_constraint_over_edge`).
 
@@ -51,9 +62,9 @@ def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Res
     probe is deeper than `DEEP_SHARE`: there, the force would change by more than the proxy moves. With a height map
     they are not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
     """
-    if not isinstance(objects.search, FacetedSearch):
-        return rest.active
     active, center = rest.active, rest.center
+    if not isinstance(objects.search, FacetedSearch) or not is_on_mesh(objects, active):
+        return active
     one = move_constraint_over_edge(objects, active[0], center, active)
     two = move_constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
     active = one, two, move_constraint_over_edge(objects, active[2], center, (one, two, active[2]))

@@ -37,7 +37,7 @@ from softfinger.proxy.kernels.query.kinds import (
     has_creases_at,
     has_slow_query,
 )
-from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest, find_neighbour
+from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest, find_neighbour, is_near_mesh
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, MAX_STRIDE, SETTLED_STEP
 
@@ -63,7 +63,8 @@ def settle_among_several(
     """
     if isinstance(objects.search, CreasedSearch):
         return settle_in_steps(objects, radius, probe, start, center, active, budget)
-    if isinstance(objects.search, FacetedSearch):
+    reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))  # covers the path to rest
+    if isinstance(objects.search, FacetedSearch) and is_near_mesh(objects, center, reach):
         return settle_on_facets(objects, radius, probe, center, active, budget)
     return settle_for(objects, radius, probe, start, center, active, budget)
 

@@ -224,8 +224,10 @@ def find_nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, e
                 if first >= 0:
                     free, begin = slice_from(waiting, end), nodes * LANES
                     down = descend_tree(whole, first + lane, near, x, best, bounds, free, begin)
-                if down.number < 0:
-                    down = Candidate(number if number >= 0 else guess, best, down.spent)
+                if down.number < 0 and number >= 0:
+                    down = Candidate(number, best, down.spent)
+                elif down.number < 0 and guess >= 0:  # the walk may begin beyond the limit
+                    down = Candidate(guess, find_foot_on(read_corners(mesh, guess), x).square, down.spent + 1)
                 down = walk_downhill(mesh, down, x)
                 spent += down.spent
                 if down.square < best:
