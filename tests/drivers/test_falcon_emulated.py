@@ -182,7 +182,7 @@ from softfinger.drivers.falcon.device import Options, open_device
 from softfinger.server.driver_contract import RATE_HZ, DeviceCaller
 given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
 first, second = (open_device(build(Options, {**given, "serial": name}, "rig"), RATE_HZ) for name in ("SN1", "SN2"))
-ends = [Servo(first), Servo(second)]
+ends = [DeviceCaller(first), DeviceCaller(second)]
 first.arm()
 second.arm()
 for turn in range(30):
