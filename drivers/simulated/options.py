@@ -75,6 +75,12 @@ class Options(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.recording, self.position_m) and self.recording is not None and self.position_m is not None:
             yield "position_m", self.position_m, "the hand follows a recording: remove one of the two"
+        if is_usable(self.loop, self.position_m, self.puck) and not self.loop and (self.position_m or self.puck):
+            yield (
+                "loop",
+                self.loop,
+                "only a hand that follows a recording stops after one pass: remove `loop`, and --once",
+            )
         if not is_usable(self.puck) or self.puck is None:
             return
         for key in ("recording", "position_m"):
@@ -114,8 +120,7 @@ def make_simulation(options: Options, rate_hz: float) -> Simulation:
     poses = _make_poses(options, preset, rate_hz)
     x, y, z = (float(a) for a in options.sway_m)
     turns = options.sway_phase_rad / (2.0 * pi)
-    endless = options.loop or options.puck is not None
-    intention = Intention(float(len(poses)), float(endless), (x, y, z), options.sway_hz / rate_hz, float(turns))
+    intention = Intention(float(len(poses)), float(options.loop), (x, y, z), options.sway_hz / rate_hz, float(turns))
     flat = np.ascontiguousarray(poses).reshape(-1)
     position, orientation = compute_goal(intention, flat, 0)
     return Simulation(plant, make_rest_state(position, orientation), intention, flat)

@@ -10,6 +10,7 @@ import pytest
 from helpers.refusals import refusal
 
 from softfinger.config.devices import load_presets
+from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.sources import list_shipped
@@ -68,6 +69,12 @@ def test_free_hand_follows_its_recording() -> None:
     # Spring and damper cause an error of m a / k: 0.3 kg, 3 m/s^2 (a tap of 10 mm within 0.08 s has 9) over 1e5 N/m.
     assert np.abs(samples[:, :3] - wanted[:, :3]).max() < 1e-4
     assert samples[:, 3:7].tobytes() == np.ascontiguousarray(wanted[:, 3:]).tobytes()
+
+
+@pytest.mark.parametrize("goal", [{"position_m": AT}, {"puck": {}}])
+def test_only_a_hand_that_follows_a_recording_stops_after_one_pass(goal: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="loop = false: only a hand that follows a recording"):
+        build(Options, {"loop": False, **goal}, "[device]")
 
 
 @pytest.mark.parametrize("preset", ["omega.3", "falcon"])
