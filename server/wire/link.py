@@ -33,8 +33,8 @@ PERIOD_S: Final = 0.02
 STABLE_S: Final = 10.0
 """A process that has run for this long is restarted without a pause."""
 PAUSE_S: Final = 0.1
-PAUSE_MAX_S: Final = 5.0
-"""Pause before a restart: doubled each time the process exits early, up to this."""
+PAUSE_MAX_S: Final = 1.0
+"""Pause before a restart: doubled each time the process exits early, up to this. Clients get no answer meanwhile."""
 LOG_PERIOD_S: Final = 10.0
 """Shortest interval of log messages about peers: a peer must not fill the log."""
 RECONNECT_S: Final = 1.0
@@ -313,5 +313,5 @@ class SocketProcess:
         if figures.lost != self._logged.lost:
             log.warning("telemetry: subscribers were too slow %d times so far and lost messages", figures.lost)
         if figures.refused != self._logged.refused:
-            log.warning("connections refused so far: %d", figures.refused)
+            log.warning("connections refused, or closed before their handshake, so far: %d", figures.refused)
         self._logged, self._logged_s = figures, now_s
