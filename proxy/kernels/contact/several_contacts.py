@@ -26,6 +26,7 @@ from softfinger.proxy.kernels.contact.rest.one_object import settle_on_one
 from softfinger.proxy.kernels.contact.rest.projection import is_safe_step
 from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import (
     CREASED,
     FACETED,
@@ -85,7 +86,7 @@ def make_no_approach(probe: Probe) -> Approach:
     )  # fmt: skip
 
 
-@jit
+@outlined
 def is_clear_of_others(
     objects: Any, radius: float, start: Vec3, center: Vec3, before: Vec3, index: float, budget: int
 ) -> bool:

@@ -321,7 +321,7 @@ def find_tangent_plane(constraint: Constraint, objects: Any, radius: float, cent
     return CuttingPlane(constraint.object_index, normal, vec3.dot(normal, point) + radius)
 
 
-@jit
+@outlined
 def solve_tangent_planes(
     objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet
 ) -> tuple[ActiveSet, Vec3]:
