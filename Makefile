@@ -95,7 +95,7 @@ coverage: $(STAMP) ## Line and branch coverage of `make test` by folder, includi
 	$(BIN)/python tests/coverage_by_folder.py build/coverage.json
 	exit $${result:-0}
 
-mutants: $(STAMP) ## Insert the mistakes of tests/mutants.toml one by one into a copy: each must fail a test (minutes; ARGS=--only TEXT, --json FILE, --sweep: mistakes by rule)
+mutants: $(STAMP) ## Insert the mistakes of tests/mutants.toml one by one into a copy: each must fail a test (minutes; ARGS=--only TEXT)
 	@exec $(BIN)/python tests/mutants.py $(ARGS)
 
 test-vm: $(STAMP) ## Test drivers on a real kernel's USB and HID, the service under systemd, in virtual machines (minutes; ARGS= for pytest)

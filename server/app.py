@@ -36,12 +36,11 @@ from softfinger.server.services.world import WorldState
 from softfinger.server.socket_process.setup import StateInfo
 from softfinger.server.states import DaemonState, States, Trigger
 from softfinger.server.wire.endpoint import listen
-from softfinger.server.wire.events import make_event
+from softfinger.server.wire.events import make_event, read_clock_s
 from softfinger.server.wire.native.switch import SharedSwitch
 from softfinger.server.wire.protocol import DEFORMATION, SCHEMA, WORLD
 from softfinger.server.wire.publisher import Publisher
 from softfinger.server.wire.rig_endpoints import Endpoints, bind_rig
-from softfinger.server.wire.stamps import read_clock_s
 
 if TYPE_CHECKING:  # an HTTP server takes time to import, and is off by default
     from softfinger.server.metrics.service import MetricsService

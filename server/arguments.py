@@ -87,6 +87,11 @@ def add_flag(parser: argparse._ActionsContainer, name: str, help: str) -> None:
     parser.add_argument(name, action="store_true", help=help)
 
 
+def add_duration(parser: argparse._ActionsContainer, name: str, help: str, default: float | None = None) -> None:
+    """Add an option that is a time in s."""
+    add_option(parser, name, help, default, metavar="S", type=duration)
+
+
 def add_daemon_options(parser: argparse._ActionsContainer, commands: bool = False) -> None:
     """Add the options of a client: endpoint of the daemon, `--commands` if requested, and keys."""
     add_option(parser, "--endpoint", "telemetry or commands endpoint of the daemon", default=DEFAULT_ENDPOINT)
@@ -100,37 +105,16 @@ def add_daemon_options(parser: argparse._ActionsContainer, commands: bool = Fals
 
 def add_stream_options(parser: argparse._ActionsContainer) -> None:
     """Add `--duration` and `--timeout` of a client of the telemetry."""
-    add_option(
-        parser,
-        "--duration",
-        "stop after S seconds (default: when the daemon ends, or Ctrl-C)",
-        metavar="S",
-        type=parse_duration,
-    )
-    add_option(
-        parser, "--timeout", "stop if no telemetry arrives for S seconds", default=3.0, metavar="S", type=parse_duration
-    )
+    add_duration(parser, "--duration", "stop after S seconds (default: when the daemon ends, or Ctrl-C)")
+    add_duration(parser, "--timeout", "stop if no telemetry arrives for S seconds", default=3.0)
 
 
 def parse_files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
-    """Return the files of a repeatable option by finger name.
+    """Return the files of a repeatable option by finger name: NAME=FILE for each, or FILE, once, with the key "".
 
-    Parameters
-    ----------
-    values
-        FILE, given once, or NAME=FILE for each of several fingers.
-    flag
-        Name of the option, for the message.
+    flag  name of the option, for the message
 
-    Returns
-    -------
-    dict
-        File by name; a FILE without a name has the key "".
-
-    Raises
-    ------
-    ConfigError
-        If a name is repeated, or if values with and without a name are mixed.
+    Raises ConfigError if a name is repeated, or if values with and without a name are mixed.
     """
     files: dict[str, str] = {}
     for value in values:
@@ -160,7 +144,7 @@ def find_default_rig(scene: str, fallback: str) -> str:
     return name if name in list_shipped(Rig) else fallback
 
 
-def parse_duration(text: str) -> float:
+def duration(text: str) -> float:
     seconds = float(text)
     if not 0.0 < seconds < 1e9:
         raise argparse.ArgumentTypeError(f"{text}: the duration must be above 0 s and below 1e9 s")

@@ -3,7 +3,7 @@
 Distances at random points, near to and far from the surface, are compared with those to all triangles. Then a hand
 presses, drags and lifts at random, with friction, torsion and rolling. In every tick the proxy's distance from all
 triangles must be at least the radius of the fingertip, and the proxy must not have crossed a triangle since the
-previous tick. Ticks are timed individually, five times, and compared with those of an empty scene.
+previous tick. `softfinger bench mesh` measures the time of a tick.
 
 By default this is done for ten meshes made from formulas; with --hostile for malformed ones, and for sockets that fit
 the fingertip, where all triangles are equally close. Exit code 1 if an error was found.
@@ -29,15 +29,13 @@ from softfinger.config import schema
 from softfinger.config.errors import HapticError
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.kernels.jit.pack import flatten, packed, unpack
+from softfinger.proxy.kernels.jit.pack import flatten, unpack
 from softfinger.proxy.kernels.model import Triangles
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.shapes.mesh.contact import NO_TRIANGLE
 from softfinger.proxy.kernels.shapes.mesh.nearest import find_nearest
 from softfinger.proxy.record import UNSEARCHED
-from softfinger.proxy.scene import build_scene, start_state
-from softfinger.server.loop.clock import make_stopwatch
-from softfinger.server.offline.cost import time_steps
+from softfinger.proxy.scene import build_scene
 from softfinger.server.progress import show_progress
 from softfinger.tools import measure
 
@@ -69,7 +67,6 @@ SOCKETS: Final = {
 """Clearance of each, as a fraction of the fingertip's radius, and its frequency: 20 times the square is the number of
 triangles."""
 BLOCK: Final = 10_000
-TURNS: Final = 5
 INSIDE: Final = 1e-9
 """Fraction of the radius that counts as inside, and of the mesh's size that counts as another distance."""
 COUNTED: Final = ("touching", "inside", "not_finite", "through", "budget")
@@ -174,19 +171,6 @@ def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) 
     return counts | {"deepest": deepest, "first_inside": first}
 
 
-def time_ticks(scene: schema.Scene, poses: Array) -> dict[str, float]:
-    """Return p50, p99 and maximum of a tick, us, each by its shortest time, which no stall lengthens."""
-    tree, times = build_scene(scene), np.zeros((TURNS, len(poses)))
-    parameters = packed(tree)
-    for turn in range(TURNS):
-        watch = make_stopwatch(1, len(poses))
-        watch.ns.fill(0)  # otherwise the system would allocate its pages in the same ticks of every turn
-        time_steps(parameters, packed(start_state(tree)), poses, 1e-3, watch, np.zeros(1, np.int64))
-        times[turn] = 1e-3 * watch.ns[0]
-    least = times.min(axis=0)
-    return {"p50": float(np.median(least)), "p99": float(np.percentile(least, 99)), "longest": float(least.max())}
-
-
 def in_socket(ticks: int, radius: float) -> Array:
     """Return poses (ticks, 7) of a hand that crosses the wall of a socket from its centre in all directions."""
     ways = wander(6, ticks, 2.0 * radius)
@@ -196,7 +180,6 @@ def in_socket(ticks: int, radius: float) -> Array:
 def judge(file: str, args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     tip, socket = {"fingertip": {"radius_m": args.radius}}, Path(file).stem in SOCKETS
     scene = scene_with(make_object("part", "mesh", file=file, scale=args.scale, inside=socket), **tip)
-    empty = scene_with(make_object("far", "sphere", radius_m=0.01, position_m=[900.0, 900.0, 900.0]), **tip)
     mesh = triangles_of(scene)
     balls = balls_of(*mesh)
     result: dict[str, Any] = {"triangles": len(mesh.triangles)}
@@ -205,7 +188,6 @@ def judge(file: str, args: argparse.Namespace, rng: np.random.Generator) -> dict
     if args.ticks:
         poses = in_socket(args.ticks, args.radius) if socket else hand(mesh, args.ticks, args.radius, rng)
         result["hand"] = check_ticks(scene, balls, poses, args.radius)
-        result["tick_us"], result["empty_us"] = (time_ticks(tree, poses) for tree in (scene, empty))
     return result
 
 
@@ -225,9 +207,6 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
         if ticks := content.get("hand"):
             counts = ", ".join(f"{ticks[key]:,} {key}" for key in COUNTED)
             yield f"  {ticks['ticks']:,} ticks: {counts}; deepest {ticks['deepest']:.1e} r"
-            for key, text in (("tick_us", "a tick"), ("empty_us", "of an empty scene")):
-                us = content[key]
-                yield f"  {text}: p50 {us['p50']:.2f}, p99 {us['p99']:.2f}, longest {us['longest']:.1f} us"
 
 
 def main() -> int:

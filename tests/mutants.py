@@ -1,7 +1,6 @@
 """Planted mistakes, which tests have to catch: one at a time, in a copy of the program.
 
-    python tests/mutants.py [--only TEXT] [--json FILE]
-    python tests/mutants.py --sweep ...                  generates them by rules: see sweep.py
+    python tests/mutants.py [--only TEXT]
 
 `mutants.toml` lists them. Tests run as in tests/run.py: those marked `plain` with kernels as plain Python, all others
 compiled. A failing test has caught the mistake; a test that cannot run has not. All tests are first run without a
@@ -12,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import shutil
 import signal
@@ -24,9 +22,8 @@ import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-import sweep
 from run import ENVIRONMENT
 
 ROOT: Final = Path(__file__).resolve().parents[1]
@@ -157,11 +154,8 @@ def tell(results: Sequence[tuple[Mutant, Outcome]], seconds: float) -> None:
 
 
 def main(words: Sequence[str]) -> int:
-    if "--sweep" in words:
-        return sweep.main([word for word in words if word != "--sweep"])
     parser = argparse.ArgumentParser(description="Plant each mistake of tests/mutants.toml and see it caught.")
     parser.add_argument("--only", default="", metavar="TEXT", help="those whose file or description has this in it")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write what became of each")
     args = parser.parse_args(words)
     begun, mutants, results = time.monotonic(), read(args.only), list[tuple[Mutant, Outcome]]()
     if not mutants:
@@ -178,9 +172,6 @@ def main(words: Sequence[str]) -> int:
             results.append((mutant, outcome))
             print(f"[{number}/{len(mutants)}] {outcome.word:<8} {outcome.seconds:5.1f} s  {mutant}", flush=True)
     tell(results, time.monotonic() - begun)
-    if args.json is not None:
-        rows: list[dict[str, Any]] = [mutant._asdict() | outcome._asdict() for mutant, outcome in results]
-        args.json.write_text(json.dumps(rows, indent=2) + "\n", "utf-8")
     return 0 if all(outcome.word == CAUGHT for _, outcome in results) else 1
 
 

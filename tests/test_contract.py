@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
+import tomllib
 from pathlib import Path
 
 import pytest
 from references import contract
 
 pytestmark = pytest.mark.plain
-LISTED = json.loads((Path(contract.__file__).with_suffix(".json")).read_text("utf-8"))
+LISTED = tomllib.loads(Path(contract.__file__).with_suffix(".toml").read_text("utf-8"))
 NAMES = contract.names()
 
 
 @pytest.mark.parametrize("kind", LISTED)
 def test_no_name_disappears(kind: str) -> None:
-    assert set(LISTED[kind]) - set(NAMES[kind]) == set()
+    listed = {first + ending for first, endings in LISTED[kind].items() for ending in endings}
+    assert listed - set(NAMES[kind]) == set()

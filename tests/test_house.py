@@ -6,15 +6,10 @@ import ast
 import importlib
 import importlib.util
 import re
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
-from helpers.planting import functions_of, mistakes_in, plant
-from sweep import PARTS
-
-from softfinger.config import load
 
 pytestmark = pytest.mark.plain
 ROOT = Path(__file__).resolve().parents[1]
@@ -83,39 +78,6 @@ def test_each_planted_mistake_can_be_made() -> None:
         for test in mutant["tests"]:
             file, _, function = test.partition("[")[0].partition("::")
             assert f"def {function.rpartition('::')[2]}" in (ROOT / file).read_text("utf-8"), test
-
-
-def test_each_mistake_that_is_excused_is_one_of_the_sweep() -> None:
-    for entry in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8")).get("equivalent", []):
-        assert entry.keys() == {"file", "line", "mistake", "reason"} and len(entry["reason"].split()) >= 4, entry
-        assert any(entry["file"] in part.files for part in PARTS.values()), entry["file"]
-        planted = {(mistake.line, mistake.wrong) for mistake in mistakes_in(ROOT, entry["file"])}
-        assert (entry["line"], entry["mistake"]) in planted, entry
-
-
-def test_a_constant_is_planted_where_it_is_imported_and_nowhere_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As an edit of its file does: another module may have a number of the same name, which is the same object."""
-    imported = "from softfinger.there import LEGS"
-    texts = {"softfinger.there": "LEGS: int = 3", "importing": imported, "another": "LEGS = 3"}
-    made = {}
-    for module, text in texts.items():
-        file = tmp_path / f"{module.rpartition('.')[2]}.py"
-        file.write_text(text)
-        spec = importlib.util.spec_from_file_location(module, file)
-        made[module] = importlib.util.module_from_spec(spec)
-        monkeypatch.setitem(sys.modules, module, made[module])
-        spec.loader.exec_module(made[module])
-    (mistake,) = mistakes_in(tmp_path, "there.py")
-    plant(tmp_path, mistake, {})
-    assert [module.LEGS for module in made.values()] == [7, 7, 3]
-
-
-def test_functions_are_found_although_the_collector_was_frozen() -> None:
-    """conftest.py freezes all imported objects, which `gc.get_objects` then omits."""
-    file = "config/load.py"
-    assert functions_of(ROOT, {file})[file, "load_scene"] == [load.load_scene]
 
 
 def test_marks_of_helpers_are_named_in_the_files_that_use_them() -> None:

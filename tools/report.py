@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         except RecordingError as error:  # cut short by a kill, or of another version
             log.warning("left out: %s", error)
             continue
-        lines += [f"--- {path.name}", *(f"{line.text}" for line in log_lines(path, cleaner))]
+        lines += [f"--- {path.name}", *(text for *_, text in log_lines(path, cleaner))]
     parts["log.txt"] = "\n".join([*lines, ""]).encode()
     try:
         with write_new_file(args.out) as file:
@@ -123,13 +123,13 @@ def clean_event(event: dict[str, Any], cleaner: privacy.Redactor) -> dict[str, A
     return clean | ({"serial": privacy.shorten_serial(str(event["serial"]))} if "serial" in event else {})
 
 
-def log_lines(path: Path, cleaner: privacy.Redactor) -> Iterator[blackbox.LogLine]:
+def log_lines(path: Path, cleaner: privacy.Redactor) -> Iterator[tuple[float, int, str, str]]:
     """Yield the cleaned lines of the log in a black box file."""
     with open_input(path) as file:
         for schema, _, message in iter_mcap_messages(file, LOG_TOPIC):
             line = load_message_class(schema.data, schema.name).FromString(message.data)
             time_s = message.log_time / 1e9
-            yield blackbox.LogLine(time_s, LEVEL_STEP * line.level, line.name, cleaner.text(line.message))
+            yield time_s, LEVEL_STEP * line.level, line.name, cleaner.text(line.message)
 
 
 def _to_json(value: Any) -> bytes:

@@ -70,9 +70,8 @@ def plan_goals(goals: Array, velocities: Array, lowest: Array, highest: Array, d
 class LedHands(gymnasium.Env[Observation, Array], ABC):
     """Simulated hands that an agent moves, one per finger of a scene. Subclasses define observation and reward.
 
-    scene     as for `load_scene`; ConfigError if its number of fingers differs
-    setup     dataclass of the subclass
-    homes_m   (3,) m of each hand, its initial position, at rest
+    scene    as for `load_scene`; ConfigError if its number of fingers differs
+    homes_m  (3,) m of each hand, its initial position, at rest
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  (as the base class declares it)
@@ -156,10 +155,7 @@ class LedHands(gymnasium.Env[Observation, Array], ABC):
         return velocities
 
     def _run(self, goals: Array) -> Any:
-        """Run the ticks along goals (ticks + 1, hands, 7), of which the first is the current one.
-
-        Returns records by finger.
-        """
+        """Run the ticks along goals (ticks + 1, hands, 7), the first is the current one; return records by finger."""
         intention = Intention(float(len(goals)), 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
         hands = tuple(
             DrivenPlant(device.plant, PlantInputs(intention, goals[:, index].reshape(-1), line))

@@ -55,11 +55,7 @@ def stream(save: Path | None = None, connect: str | None = None) -> Any:
 
 
 class RerunSink:
-    """Logs the data of a daemon or a recording to a Rerun stream.
-
-    fingers  names of several fingers, one empty name for a single one
-    scene    scene to draw, None for none
-    """
+    """Logs the data of a daemon or a recording to a Rerun stream."""
 
     def __init__(self, stream: Any, fingers: Sequence[str], scene: Scene | None) -> None:
         import rerun

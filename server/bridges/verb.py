@@ -20,10 +20,6 @@ log: Final = logging.getLogger(__name__)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb; return the exit code.
-
-    Raises NoTelemetry if nothing arrives, and RecordingError if a recording cannot be read.
-    """
     if args.viewer == "foxglove":
         if args.recording or args.save or args.connect:
             raise ConfigError("Foxglove opens a recording (.mcap) itself; --save and --connect are for Rerun")

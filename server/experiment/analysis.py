@@ -118,18 +118,10 @@ def fit_answers(experiment: ExperimentFile, rows: Sequence[Entry]) -> Fit | Powe
 
 
 def fit_power_law(levels: Sequence[float], answers: Sequence[float]) -> PowerLaw:
-    """Fit a line to the logarithms of answers over levels.
+    """Fit a line to the logarithms of answers (n,) over levels (n,), all above 0.
 
-    Parameters
-    ----------
-    levels, answers
-        (n,) values above 0.
-
-    Returns
-    -------
-    PowerLaw
-        Intervals are Student's. Undetermined values are nan: the exponent of a single level, and the intervals of too
-        few answers.
+    Intervals are Student's. Undetermined values are nan: the exponent of a single level, and the intervals of too few
+    answers.
     """
     x, y = np.log(levels), np.log(answers)
     middle, answer, centred = float(x.mean()), float(y.mean()), x - x.mean()

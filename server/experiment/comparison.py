@@ -40,17 +40,8 @@ def compare_models(
 ) -> list[Comparison]:
     """Compare the model of all conditions with the models in which a factor has no effect, for each factor.
 
-    Parameters
-    ----------
-    rows
-        Answered trials; practice and catch trials are ignored.
-    excluded
-        Participants to leave out.
-
-    Returns
-    -------
-    list of Comparison
-        One for each factor with an answer at two or more of its levels, in the order of the file.
+    Factors with answers at fewer than two of their levels are left out. So are practice and catch trials of `rows`, and
+    `excluded` participants.
 
     Notes
     -----

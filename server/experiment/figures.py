@@ -40,10 +40,7 @@ LABELS: Final = {
 
 
 def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list[Path]:
-    """Draw the fits, and the columns in AVERAGED_COLUMNS if there are any; return the files.
-
-    Raises ConfigError if matplotlib is not installed.
-    """
+    """Draw the fits and AVERAGED_COLUMNS, if any, and return the files; raises ConfigError without matplotlib."""
     try:
         import matplotlib
 

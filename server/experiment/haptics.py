@@ -253,10 +253,7 @@ def _make_row(finger: str, sample: Sample) -> dict[str, Any]:
 
 
 def _summarize(ticks: list[dict[str, Any]], reached_s: float | None) -> dict[str, Any]:
-    """Return the columns of a touch for the table of trials.
-
-    With several fingers, the path is that of the first one; the forces are over all.
-    """
+    """Return the columns of a touch for the table: forces over all fingers, and the path of the first one."""
     if not ticks:
         return {}
     force = np.array([[tick["fx_n"], tick["fy_n"], tick["fz_n"]] for tick in ticks])

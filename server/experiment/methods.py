@@ -22,16 +22,8 @@ def write_methods(
 ) -> list[str]:
     """Return the paragraphs of a methods section.
 
-    Parameters
-    ----------
-    rows
-        Answered trials of all participants.
-    excluded
-        Reason by excluded participant.
-    starts
-        Contents of the files about each start of a session (`about.json`).
-    answers
-        Rows of `surveys.survey_table`.
+    starts   contents of the files about each start of a session (`about.json`)
+    answers  rows of `surveys.survey_table`
     """
     paragraphs = [
         _describe_participants(experiment, rows, excluded, starts),

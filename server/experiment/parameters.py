@@ -84,10 +84,7 @@ def split_masses(values: Mapping[str, Any]) -> tuple[dict[str, float], dict[str,
 
 
 def load_changed_scene(source: SceneSource, values: Mapping[str, Any], where: str) -> Scene:
-    """Return a scene with changed values, including masses.
-
-    Raises ConfigError, with `where`, if the scene lacks a value.
-    """
+    """Return a scene with changed values and masses; raises ConfigError, with `where`, if it lacks a value."""
     masses, parameters = split_masses(values)
     scene = load_scene(source)
     if not masses:

@@ -67,18 +67,8 @@ def write_report(
 ) -> str:
     """Return the report as HTML. All texts of the experiment and of participants are escaped.
 
-    Parameters
-    ----------
-    rows
-        Answered trials.
-    groups
-        Fits by condition.
-    surveys
-        Rows of `surveys.survey_table`, and effects of `surveys.compare_scores`.
-    root
-        Folder of the experiment.
-    figures
-        Files of figures; the PNG ones are embedded.
+    surveys  rows of `surveys.survey_table`, and effects of `surveys.compare_scores`
+    figures  files of figures; the PNG ones are embedded
     """
     excluded = find_excluded_participants(experiment, rows)
     sections: dict[str, Callable[[], str]] = {
@@ -220,10 +210,7 @@ def _format_effects(effects: Sequence[tuple[str, Effect]], kind: str) -> str:
 
 
 def _load_starts(root: Path) -> list[dict[str, Any]]:
-    """Return the stored data of each start of a session, with `simulated` for dry runs.
-
-    Raises ConfigError if a file is damaged.
-    """
+    """Return the data of each start of a session, `simulated` for dry runs; raises ConfigError if damaged."""
     starts = []
     for path in sorted(root.glob("sub-*/sub-*_run-*_about.json")):
         journal = read(path.parent / f"{path.parent.name}_journal.jsonl")

@@ -40,10 +40,7 @@ class Session:
         self._procedures = [make_procedures(experiment.procedure, experiment.observer.lapse) for _ in self.conditions]
 
     def welcome(self, journal: MemoryJournal, answers: AnswerSource) -> None:
-        """Ask for consent and the surveys before the first trial, then show the instructions.
-
-        Raises Stopped if the participant does not agree.
-        """
+        """Ask for consent, raising Stopped without it, and the first surveys; then show the instructions."""
         if self.experiment.consent and not any(entry["agreed"] for entry in journal.entries_of("consent")):
             answer = answers.ask(self.experiment.title, make_consent_question(self.experiment), None, 0, (0, 0))
             journal.write("consent", agreed=answer.value == AGREE)
@@ -59,10 +56,7 @@ class Session:
         answers: AnswerSource,
         folder: ParticipantFolder | None = None,
     ) -> None:
-        """Run the trials without an answer in the journal.
-
-        The procedures first receive the previous answers, in order.
-        """
+        """Run the trials without an answer in the journal; the procedures first receive the earlier answers."""
         answered = {entry["trial"]: entry for entry in journal.entries_of("done")}
         started = [entry["trial"] for entry in journal.entries_of("begun")]
         for trial in self.trials:

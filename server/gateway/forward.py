@@ -41,13 +41,7 @@ class CommandPath(NamedTuple):
 
 
 class Forwarder:
-    """Forwarding of telemetry and commands.
-
-    stream    source of the telemetry, if any
-    readers   endpoint for ZeroMQ subscribers, with its lock
-    commands  path of commands, if any
-    outlets   streams of Lab Streaming Layer
-    """
+    """Forwarding of telemetry and commands."""
 
     def __init__(
         self,

@@ -25,13 +25,6 @@ class File(NamedTuple):
     text: str
 
 
-class Action(NamedTuple):
-    """Action on a file, or the reason for none."""
-
-    text: str
-    path: Path
-
-
 class Ledger:
     """Record of the installed files below `root` with a hash of each content, stored in the file `record`.
 
@@ -82,8 +75,8 @@ class Ledger:
         recorded_digest = self._files.get(str(file.path))
         return "foreign" if recorded_digest is None else "outdated" if digest == recorded_digest else "edited"
 
-    def write(self, files: Sequence[File]) -> Iterator[Action]:
-        """Write new files, update unedited ones, and remove recorded files that are not in `files` any more.
+    def write(self, files: Sequence[File]) -> Iterator[str]:
+        """Write new files, update unedited ones, remove recorded files that are not in `files`; yield each action.
 
         Raises ConfigError, before any change, if a file belongs to somebody else or may not be written.
         """
@@ -99,19 +92,18 @@ class Ledger:
             yield from self._remove([path for path in self._files if path not in paths])
             for file, state in zip(files, states, strict=True):
                 if state == "edited":
-                    yield Action(
-                        "edited, therefore not replaced; move it away to install the new one:", self._resolve(file.path)
-                    )
+                    remedy = "edited, therefore not replaced; move it away to install the new one"
+                    yield f"{remedy}: {self._resolve(file.path)}"
                     continue
                 if state != "unchanged":
                     self._write_file(file.path, file.text)
                 self._files[str(file.path)] = _digest(file.text.encode())
-                yield Action(ACTION_TEXTS[state], self._resolve(file.path))
+                yield f"{ACTION_TEXTS[state]} {self._resolve(file.path)}"
         finally:
             self._save()
 
-    def remove(self) -> Iterator[Action]:
-        """Remove all unedited files that were written, then the empty folders that were made for them.
+    def remove(self) -> Iterator[str]:
+        """Remove all unedited files that were written, then the empty folders made for them; yield each action.
 
         Raises ConfigError, before any change, if something may not be removed.
         """
@@ -121,16 +113,16 @@ class Ledger:
         finally:
             self._save()
 
-    def _remove(self, paths: Sequence[str]) -> Iterator[Action]:
+    def _remove(self, paths: Sequence[str]) -> Iterator[str]:
         for path in paths:
             digest = self._digest_at(Path(path))
             if digest is not None and digest != self._files[path]:
-                yield Action("edited, therefore not removed; remove it yourself:", self._resolve(Path(path)))
+                yield f"edited, therefore not removed; remove it yourself: {self._resolve(Path(path))}"
                 continue
             if digest is not None:
                 self._resolve(Path(path)).unlink()
             del self._files[path]
-            yield Action("removed" if digest is not None else "gone already:", self._resolve(Path(path)))
+            yield f"{'removed' if digest is not None else 'gone already:'} {self._resolve(Path(path))}"
 
     def _save(self) -> None:
         if self._files:

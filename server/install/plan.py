@@ -50,10 +50,7 @@ SYSTEM: Final = InstallPaths(
 
 
 def find_user_paths(environment: Mapping[str, str], home: Path | None) -> InstallPaths:
-    """Return the places by the XDG base directories.
-
-    Raises ConfigError if one of them needs a home folder and there is none.
-    """
+    """Return the places by the XDG base directories; raises ConfigError without a home folder, if one needs it."""
 
     def folder(name: str, fallback: str) -> Path:
         value = environment.get(name, "")

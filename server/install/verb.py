@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 from softfinger.drivers.system.rules import install_command
-from softfinger.server.install.ledger import Action, Ledger
+from softfinger.server.install.ledger import Ledger
 from softfinger.server.install.plan import find_private_folder, install_paths, list_files, make_service_command
 from softfinger.server.install.system_commands import (
     STATE,
@@ -59,7 +58,8 @@ def install(args: argparse.Namespace, ledger: Ledger) -> None:
             print(f"##### {file.path}: {ledger.state(file)}\n{text}")
         print("\n".join(f"##### then: {shlex.join(words)}" for words in commands))
         return
-    show(ledger.write(files_to_write))
+    for action in ledger.write(files_to_write):
+        print(action)
     if args.root is None:
         run_all(commands)
     private_folder = find_private_folder(make_service_command(args.rig, args.scene)) if args.system else None
@@ -80,13 +80,9 @@ def remove(args: argparse.Namespace, ledger: Ledger) -> None:
         ledger.check()  # before the service is stopped
         if args.root is None:
             run_all(list_stop_commands(args.system))
-        show(ledger.remove())
+        for action in ledger.remove():
+            print(action)
         if args.root is None:
             run_all(list_cleanup_commands(args.system))
             if args.system and STATE.exists():
                 print(f"data of the service remain in {STATE}, and so does its account")
-
-
-def show(actions: Iterable[Action]) -> None:
-    for act in actions:
-        print(f"{act.text} {act.path}")

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import socket
 import threading
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
-import softfinger.server.metrics
 from softfinger.server.loop import shutdown
 from softfinger.server.metrics.counts import MetricsCollector
+from softfinger.server.metrics.dashboard import make_dashboard
 from softfinger.server.services.base import Worker
 from softfinger.server.services.records import Sink
 from softfinger.server.wire.endpoint import BoundSocket
@@ -26,22 +26,11 @@ KEY: Final = "[metrics] endpoint"
 REQUEST_TIMEOUT_S: Final = 1.0
 """Time limit for a client to send its request and receive the answer."""
 POLL_S: Final = 0.25
-DASHBOARD: Final = Path(softfinger.server.metrics.__file__).with_name("grafana.json")
 DASHBOARD_PATH: Final = "/dashboard.json"
 
 
 class MetricsService(Worker):
-    """Worker that serves the metrics on a bound endpoint. Its failure does not end other services.
-
-    Parameters
-    ----------
-    bound
-        Endpoint.
-    counts
-        Source of the metrics.
-    event
-        Publishes an event.
-    """
+    """Worker that serves the metrics on a bound endpoint. Its failure does not end other services."""
 
     def __init__(self, bound: BoundSocket, counts: MetricsCollector, event: Callable[..., Any]) -> None:
         super().__init__("metrics")
@@ -66,7 +55,7 @@ class MetricsService(Worker):
     def _answer(self, environ: dict[str, Any], start_response: Any) -> Iterable[bytes]:
         if environ["PATH_INFO"] == DASHBOARD_PATH:
             start_response("200 OK", [("Content-Type", "application/json")])
-            return [DASHBOARD.read_bytes()]
+            return [json.dumps(make_dashboard()).encode()]
         answer: Iterable[bytes] = self._metrics_app(environ, start_response)
         return answer
 

@@ -186,9 +186,6 @@ class ClosedLoop:
 
     numba's dispatcher would determine the types of all parameters on each call, in a hundred microseconds: the kernel
     is compiled for them on the first.
-
-    tuning  Tuning
-    states  PlantState of each device
     """
 
     def __init__(self, tuning: Tuning, states: Sequence[PlantState]) -> None:

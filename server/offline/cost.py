@@ -38,9 +38,9 @@ PRESS_N: Final = 1.0
 class Cost(NamedTuple):
     """Time of one step, ns, and fraction of steps in contact.
 
-    median_ns    mean over the stretches of STRETCH_STEPS poses of their median over the blocks
-    p99_ns       99th percentile over all stretches
-    cpu_ns       median over blocks of the thread's processor time
+    median_ns  mean over the stretches of STRETCH_STEPS poses of their median over the blocks
+    p99_ns     99th percentile over all stretches
+    cpu_ns     median over blocks of the thread's processor time
     """
 
     median_ns: float
@@ -171,28 +171,21 @@ def iter_without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]
     def material(**changes: Any) -> tuple[Any, ...]:
         return tuple(replace(obj, material=replace(obj.material, **changes)) for obj in scene.object)
 
-    if scene.rolling is not None:
-        yield f"rolling ({scene.rolling.method})", replace(scene, rolling=None)
-    if any(obj.material.normal for obj in scene.object):
-        yield "law of the normal force", replace(scene, object=material(normal=None))
-    if any(finger.radii_m for finger in scene.fingers):
-        yield "ellipsoid", _with_tips(scene, _make_spherical)
-    if scene.soft:
-        yield "patch", _with_tips(scene, _make_rigid)
-    if any(obj.material.torsion for obj in scene.object):
-        yield "torsion", replace(scene, object=material(torsion=None))
-    if any(obj.material.friction for obj in scene.object):
-        yield "friction and rolling", replace(scene, rolling=None, object=_remove_friction(scene))
-    if scene.effect:
-        yield "effects of the workspace", replace(scene, effect=())
-    if any(obj.effect for obj in scene.object):
-        yield "effects of objects", replace(scene, object=tuple(replace(obj, effect=()) for obj in scene.object))
-    if any(obj.motion for obj in scene.object):
-        yield "motion", replace(scene, object=tuple(replace(obj, motion=None) for obj in scene.object))
-    if any(getattr(obj, "texture", None) for obj in scene.object):
-        yield "texture", replace(scene, object=tuple(_remove_texture(obj) for obj in scene.object))
-    if len(scene.object) > 1:
-        yield f"all objects but '{scene.object[0].name}'", replace(scene, object=scene.object[:1])
+    has_friction = any(obj.material.friction for obj in scene.object)
+    parts = {
+        f"rolling ({scene.rolling.method if scene.rolling else ''})": replace(scene, rolling=None),
+        "law of the normal force": replace(scene, object=material(normal=None)),
+        "ellipsoid": _with_tips(scene, _make_spherical) if any(finger.radii_m for finger in scene.fingers) else scene,
+        "patch": _with_tips(scene, _make_rigid),
+        "torsion": replace(scene, object=material(torsion=None)),
+        "friction and rolling": replace(scene, rolling=None, object=_remove_friction(scene)) if has_friction else scene,
+        "effects of the workspace": replace(scene, effect=()),
+        "effects of objects": replace(scene, object=tuple(replace(obj, effect=()) for obj in scene.object)),
+        "motion": replace(scene, object=tuple(replace(obj, motion=None) for obj in scene.object)),
+        "texture": replace(scene, object=tuple(_remove_texture(obj) for obj in scene.object)),
+        f"all objects but '{scene.object[0].name}'": replace(scene, object=scene.object[:1]),
+    }
+    yield from ((name, reduced) for name, reduced in parts.items() if reduced != scene)
 
 
 def keep_contact(scene: schema.Scene) -> schema.Scene:

@@ -191,10 +191,7 @@ def draw_torsion(axes: Any, tips: dict[str, Fingertip]) -> None:
 
 
 def compute_mean_distance(exponent: float, steps: int = 4000) -> float:
-    """Return the mean distance from the centre under the pressure (1 - s^k)^(1/k) on a patch of radius 1.
-
-    Uses the midpoint rule.
-    """
+    """Return the mean distance from the centre of a patch of radius 1 under the pressure (1 - s^k)^(1/k)."""
     s = (np.arange(steps) + 0.5) / steps
     pressure = (1.0 - s**exponent) ** (1.0 / exponent)
     return float((pressure * s * s).sum() / (pressure * s).sum())

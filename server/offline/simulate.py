@@ -176,23 +176,14 @@ def run_recording(
     >>> sorted(set(records["contact.mode"].tolist()))   # free, rolling, sliding
     [0, 1, 2]
     """
-    loaded_scene, loaded_rig = (
-        load_scene(scene, overrides),
-        load_rig(rig, {} if rate_hz is None else {"servo.rate_hz": rate_hz}),
-    )
-    if isinstance(recording, Mapping):
-        return simulate_recordings(loaded_scene, loaded_rig, recording)
-    return simulate_recordings(loaded_scene, loaded_rig, {"": recording})[loaded_scene.fingers[0].name]
-
-
-def simulate_recordings(
-    scene: schema.Scene, rig: schema.Rig, recordings: Mapping[str, str | Path]
-) -> dict[str, Records]:
-    """Return the records of each finger by name, at the rig's rate. Raises ConfigError unless each has a recording."""
-    fingers = [finger.name for finger in scene.fingers]
-    poses = load_finger_poses(fingers, recordings, rig.servo.rate_hz)
-    records = simulate(make_tuning(scene, rig.guard), poses, rig.servo.rate_hz)
-    return {name: Records(np.ascontiguousarray(records[:, index])) for index, name in enumerate(fingers)}
+    loaded_scene = load_scene(scene, overrides)
+    loaded_rig = load_rig(rig, {} if rate_hz is None else {"servo.rate_hz": rate_hz})
+    fingers = [finger.name for finger in loaded_scene.fingers]
+    recordings = recording if isinstance(recording, Mapping) else {"": recording}
+    poses = load_finger_poses(fingers, recordings, loaded_rig.servo.rate_hz)
+    records = simulate(make_tuning(loaded_scene, loaded_rig.guard), poses, loaded_rig.servo.rate_hz)
+    results = {name: Records(np.ascontiguousarray(records[:, index])) for index, name in enumerate(fingers)}
+    return results if isinstance(recording, Mapping) else results[fingers[0]]
 
 
 def load_finger_poses(fingers: Sequence[str], recordings: Mapping[str, str | Path], rate_hz: float) -> Array:

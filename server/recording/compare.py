@@ -92,12 +92,9 @@ class SkippedTicks(NamedTuple):
 class ReplayComparison(NamedTuple):
     """Result of a comparison.
 
-    ticks      number of ticks of the recording
-    compared   number of compared ticks
-    different  number of different ticks
-    first      first difference; None if there is none
-    largest    largest difference of each key
-    left_out   ticks that were not compared
+    first     first difference; None if there is none
+    largest   largest difference of each key
+    left_out  ticks that were not compared
     """
 
     ticks: int
@@ -128,10 +125,7 @@ class ReplayResult(NamedTuple):
 
 
 def compare_run(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
-    """Compute every tick of a run with today's step and guard, and report the progress.
-
-    Raises ConfigError if the scene has other fingers.
-    """
+    """Compute every tick of a run with today's step and guard; raises ConfigError for a scene with other fingers."""
     names = [finger.name for finger in scene.fingers]
     if len(names) != len(run.fingers) or (len(names) > 1 and names != list(run.fingers)):
         raise ConfigError(

@@ -38,15 +38,9 @@ class TickField(NamedTuple):
 class Layout:
     """Byte offset of each number in an encoded message.
 
-    Parameters
-    ----------
-    message
-        Instance whose repeated fields have the length common to all messages; its values are overwritten.
+    message  instance whose repeated fields have the length common to all messages; its values are overwritten
 
-    Raises
-    ------
-    ValueError
-        If a field is not a number of eight bytes.
+    Raises ValueError if a field is not a number of eight bytes.
     """
 
     def __init__(self, message: Any) -> None:

@@ -95,12 +95,8 @@ class McapFile:
         self._add(_record(channel))
         return number
 
-    def message(self, channel: int, time_ns: int, data: bytes, sequence: int = 0) -> None:
-        header = np.zeros(1, _MESSAGE_HEADER)
-        header[0] = (Opcode.MESSAGE, _COUNTED_HEADER_BYTES + len(data), channel, sequence, time_ns, time_ns)
-        self._add_to_index(channel, np.array([time_ns]), np.array([self._pending_bytes]))
-        self._add(header.tobytes() + data)
-        self._flush_if_full()
+    def message(self, channel: int, time_ns: int, data: bytes) -> None:
+        self.block(channel, np.array([time_ns]), np.frombuffer(data, np.uint8)[None], np.zeros(1, np.int64))
 
     def block(self, channel: int, times_ns: Times, messages: Bytes, sequences: NDArray[np.int64]) -> None:
         """Add messages (n, size) with their times (n,); full chunks are written, the remainder is pending."""
@@ -112,18 +108,18 @@ class McapFile:
             times = times_ns[block]
             encoded = np.empty((len(times), _MESSAGE_HEADER.itemsize + size), np.uint8)
             header = np.empty(len(times), _MESSAGE_HEADER)
-            header["opcode"], header["length"], header["channel"] = (
-                Opcode.MESSAGE,
-                _COUNTED_HEADER_BYTES + size,
-                channel,
-            )
-            header["sequence"], header["log"], header["publish"] = sequences[block], times, times
+            header["opcode"], header["length"] = Opcode.MESSAGE, _COUNTED_HEADER_BYTES + size
+            header["channel"], header["sequence"] = channel, sequences[block]
+            header["log"] = header["publish"] = times
             encoded[:, : _MESSAGE_HEADER.itemsize] = header.view(np.uint8).reshape(len(times), -1)
             encoded[:, _MESSAGE_HEADER.itemsize :] = messages[block]
-            self._add_to_index(channel, times, self._pending_bytes + np.arange(len(times)) * encoded.shape[1])
+            pairs = np.empty((len(times), 2), "<u8")
+            pairs[:, 0], pairs[:, 1] = times, self._pending_bytes + np.arange(len(times)) * encoded.shape[1]
+            self._index.setdefault(channel, []).append(pairs)
             self._add(encoded.data.cast("B"))
             written += len(times)
-            self._flush_if_full()
+            if self._pending_bytes >= CHUNK_BYTES:
+                self.flush()
 
     def flush(self) -> None:
         if not self._pending:
@@ -238,15 +234,6 @@ class McapFile:
     def _add(self, data: bytes | memoryview) -> None:
         self._pending.append(data)
         self._pending_bytes += len(data)
-
-    def _add_to_index(self, channel: int, times: Times, offsets: NDArray[np.int64]) -> None:
-        pairs = np.empty((len(times), 2), "<u8")
-        pairs[:, 0], pairs[:, 1] = times, offsets
-        self._index.setdefault(channel, []).append(pairs)
-
-    def _flush_if_full(self) -> None:
-        if self._pending_bytes >= CHUNK_BYTES:
-            self.flush()
 
     def _write(self, data: bytes) -> None:
         remaining, start_s = memoryview(data), time.monotonic()

@@ -4,28 +4,19 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Final
 
-import numpy as np
-
+from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import open_recording
 from softfinger.drivers.poses import POSE_COLUMNS
+from softfinger.proxy.record import AT
 from softfinger.server.recording.reader import translate_errors
-from softfinger.server.recording.results import McapResults
-from softfinger.server.wire.client import Sample, record_of
+from softfinger.server.recording.writer import RecordingFile
 
-SUFFIXES: Final = (".csv", ".mcap")
+POSE: Final = slice(AT.probe_position, AT.probe_position + len(POSE_COLUMNS) - 1)
+"""Columns of a record with position and orientation."""
 _LINE: Final = ",".join(["%.17g"] * len(POSE_COLUMNS)) + "\n"  # 17 digits reproduce every float64
-
-
-class PosesFile(Protocol):
-    """File of poses: t (s), position (m) and orientation, with the message that they come from."""
-
-    def add(self, t: float, sample: Sample) -> None: ...
-
-    def close(self) -> None:
-        """Write pending poses and close the file."""
 
 
 class CsvPoses:
@@ -44,9 +35,11 @@ class CsvPoses:
             self.close()
             raise
 
-    def add(self, t: float, sample: Sample) -> None:
-        self._write(_LINE % (t, *sample.probe.position, *sample.probe.orientation))
-        self._lines += 1
+    def add(self, times: Array, records: Array) -> None:
+        """Write the poses of records (n, RECORD_SIZE) at times (n,), s."""
+        for t, pose in zip(times.tolist(), records[:, POSE].tolist(), strict=True):
+            self._write(_LINE % (t, *pose))
+            self._lines += 1
 
     def close(self) -> None:
         with translate_errors(self._path):
@@ -68,43 +61,40 @@ class CsvPoses:
 
 
 class McapPoses:
-    """MCAP file with complete records on topic `contact`, written in blocks with the wall clock's time."""
-
-    BLOCK: Final = 256
+    """MCAP file with complete records on topic `contact`, at the wall clock's time."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._rows = path, list[list[float]]()
+        self._path = path
         with translate_errors(path):
             file = open_recording(path)
-        try:
-            self._results = McapResults(path, file)
-        except RecordingError:
-            path.unlink(missing_ok=True)
-            raise
+            try:
+                self._recording = RecordingFile(file, with_pictures=False)
+            except OSError:
+                path.unlink(missing_ok=True)
+                raise
 
-    def add(self, t: float, sample: Sample) -> None:
-        self._rows.append(record_of(sample))
-        if len(self._rows) == self.BLOCK:
-            self._flush()
+    def add(self, times: Array, records: Array) -> None:
+        """Write records (n, RECORD_SIZE)."""
+        with translate_errors(self._path):
+            self._recording.ticks(records)
 
     def close(self) -> None:
         try:
-            self._flush()
-            self._results.close()
+            with translate_errors(self._path):
+                self._recording.close()
         finally:
-            if not self._results.count():
+            if not self._recording.count():
                 self._path.unlink(missing_ok=True)
 
-    def _flush(self) -> None:
-        if self._rows:
-            self._results.append(np.array(self._rows))
-            self._rows.clear()
+
+PosesFile = CsvPoses | McapPoses
 
 
 def open_poses_file(path: Path) -> PosesFile:
     """Open a file of the type given by its suffix; raises ConfigError for other suffixes."""
-    kinds: dict[str, Any] = {".csv": CsvPoses, ".mcap": McapPoses}
-    if path.suffix.lower() not in kinds:
-        raise ConfigError(f"{path}: the name of a recording must end in {' or '.join(SUFFIXES)}")
-    file: PosesFile = kinds[path.suffix.lower()](path)
-    return file
+    match path.suffix.lower():
+        case ".csv":
+            return CsvPoses(path)
+        case ".mcap":
+            return McapPoses(path)
+    raise ConfigError(f"{path}: the name of a recording must end in .csv or .mcap")

@@ -40,7 +40,6 @@ class RecorderState(NamedTuple):
 
     ticks           written ticks of the first finger
     dropped         ticks of all fingers dropped because the disk was too slow
-    bytes           written bytes
     error           reason of an early end; else empty
     whole           whether everything is written and the file closed
     events_dropped  events dropped because the disk was too slow
@@ -71,14 +70,9 @@ class Recorder:
 
     If the disk is full, the file ends with the last complete write; without any message it is removed.
 
-    Parameters
-    ----------
-    about
-        Tables of metadata (`RecordingFile`).
-    on_trouble
-        Called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed.
-    guards
-        Names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`.
+    about       tables of metadata (`RecordingFile`)
+    on_trouble  called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed
+    guards      names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`
     """
 
     def __init__(
@@ -155,10 +149,7 @@ class Recorder:
         )  # fmt: skip
 
     def stop(self, timeout_s: float) -> RecorderState:
-        """Finish the recording, waiting at most `timeout_s` for the disk; writing continues after a timeout.
-
-        May be called repeatedly.
-        """
+        """Finish the recording; after at most `timeout_s`, return while the thread writes. May be called repeatedly."""
         self._closing.set()
         self._thread.join(timeout_s)
         return self.recorded

@@ -15,8 +15,7 @@ import math
 import os
 from array import array
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import groupby, repeat
 from pathlib import Path
@@ -29,8 +28,7 @@ from numpy.typing import NDArray
 from softfinger.config.arrays import Array
 from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import RecordingError
-from softfinger.config.files import open_input, open_output, write_new_file
-from softfinger.drivers.closing import Closeable
+from softfinger.config.files import open_input, write_new_file
 from softfinger.drivers.poses import LINE_MAX
 from softfinger.proxy.record import RECORD_SIZE, list_columns
 from softfinger.server.progress import show_progress
@@ -238,12 +236,19 @@ def _read_npz(path: Path, finger: str) -> Array:
 def _write_mcap(
     path: Path, file: IO[bytes], fingers: Sequence[str], blocks: Iterable[Array], context: RunContext
 ) -> None:
-    with McapResults(path, file, fingers, context.about) as recording:
+    has_world = context.about.get("scene", {}).get("world") is not None
+    recording = RecordingFile(file, fingers, context.about, with_pictures=has_world)
+    try:
         for block in blocks:
             for index, finger in enumerate(fingers):
-                recording.append(block[:, index], finger)
+                try:
+                    recording.ticks(block[:, index], finger)
+                except ValueError as error:
+                    raise RecordingError(str(error)) from error
             while context.messages:
                 recording.message(*context.messages.popleft())
+    finally:
+        recording.close()
 
 
 def _read_mcap(path: Path, finger: str) -> Array:
@@ -262,53 +267,3 @@ def _read_mcap(path: Path, finger: str) -> Array:
     if not count:
         raise RecordingError(f"{path}: has no message on topic '{name_contact_topic(finger)}'")
     return np.concatenate(blocks)
-
-
-class McapResults(Closeable):
-    """Records streamed into an MCAP file, on topic `contact`, or on a topic for each of several fingers.
-
-    Chunks of 64 KiB are passed to the system as soon as they are full: after a crash or a kill, all but the last one
-    can be read. The constructor raises RecordingError if the file cannot be created, `append` and `close` if it cannot
-    be written (a full disk).
-    """
-
-    def __init__(
-        self,
-        path: str | Path,
-        file: IO[bytes] | None = None,
-        fingers: Sequence[str] = ("",),
-        about: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Open the file; `file` replaces the path as the target, and is closed at the end."""
-        self._path = Path(path)
-        tables = about or {}
-        has_world = tables.get("scene", {}).get("world") is not None
-        with self._translate_errors():
-            self._recording = RecordingFile(file or open_output(path, 0), fingers, tables, with_pictures=has_world)
-
-    def append(self, records: Array, finger: str = "") -> None:
-        """Add records (n, RECORD_SIZE) of a finger; a single one may be (RECORD_SIZE,)."""
-        with self._translate_errors():
-            self._recording.ticks(np.atleast_2d(records), finger)
-
-    def message(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Add a message of a topic of the scene, a map as on the wire."""
-        with self._translate_errors():
-            self._recording.message(topic, message)
-
-    def count(self, finger: str = "") -> int:
-        """Return the number of records of a finger in the file."""
-        return self._recording.count(finger)
-
-    def close(self) -> None:
-        """Write the remaining records and the index. May be called repeatedly."""
-        with self._translate_errors():
-            self._recording.close()
-
-    @contextmanager
-    def _translate_errors(self) -> Iterator[None]:
-        try:
-            with translate_errors(self._path):
-                yield
-        except ValueError as error:
-            raise RecordingError(str(error)) from error

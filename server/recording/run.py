@@ -48,7 +48,6 @@ class Run(NamedTuple):
     notes    tables of metadata
     events   in file order
     cut      reason why the file is incomplete; empty for a complete one
-    bodies   of the scene's [world]
     """
 
     fingers: dict[str, dict[str, Array]]

@@ -41,9 +41,6 @@ class DaemonInterface(NamedTuple):
     """Interface of the commands to the daemon, other than the rendering.
 
     replace  renders a scene under a name, and returns its first tick
-    event    publishes and records an event
-    stop     ends the run in order
-    fail     ends the run with an error
     """
 
     publisher: Publisher
@@ -59,7 +56,6 @@ class CommandHandlers:
 
     `set_scene` and `reset_world` return before the scene is compiled, and call `on_result` later.
 
-    endpoint    of the commands
     scene_name  name of the initial scene
     """
 

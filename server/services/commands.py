@@ -46,10 +46,7 @@ POLL_S: Final = 0.005
 
 
 class CommandService:
-    """Service that answers the requests of an endpoint.
-
-    scene_name  name of the initial scene
-    """
+    """Service that answers the requests of an endpoint."""
 
     def __init__(self, endpoint: str, rendering: Rendering, daemon: DaemonInterface, scene_name: str) -> None:
         self._handlers: Final = CommandHandlers(endpoint, rendering, daemon, scene_name)
@@ -100,11 +97,11 @@ class CommandService:
         if self._thread.ident is not None:
             self._thread.join(JOIN_S)
 
-    def _receive(self, client: bytes, body: bytes | None) -> bytes | None:
+    def _receive(self, client: bytes, body: bytes) -> bytes | None:
         """Answer a request, or queue it; never waits."""
         command_id, arrived_s = "", time.monotonic()
         try:
-            if body is not None and len(body) > SHORT_REQUEST_BYTES:
+            if len(body) > SHORT_REQUEST_BYTES:
                 self._enqueue(client, body, arrived_s)
                 return None
             request = self._parse(body, arrived_s)
@@ -116,7 +113,7 @@ class CommandService:
         except Exception as error:
             return encode_refusal(self._as_declined(error), command_id)
 
-    def _parse(self, body: bytes | None, arrived_s: float) -> Request:
+    def _parse(self, body: bytes, arrived_s: float) -> Request:
         """Return the parsed request and count it as a sign of life at its arrival; raises DeclinedRequest."""
         request = parse(body)
         self._check_heartbeat()  # a heartbeat missed before this request counts as missed

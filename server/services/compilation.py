@@ -53,7 +53,6 @@ class SceneRequest(NamedTuple):
     """Request to replace the scene.
 
     read   returns the validated scene
-    name   name of the scene
     reply  called with the first tick of the scene, or with the error
     """
 
@@ -181,10 +180,7 @@ def _make_superseded_error() -> SupersededRequest:
 
 
 def compile_loop(scene: schema.Scene) -> Tuning:
-    """Compile the servo's loop for a scene and return the tuning.
-
-    Any device will do, since the compiled loop is the same for all.
-    """
+    """Compile the loop of a scene, with any device, since it is the same for all; return the tuning."""
     rig = load_rig("replay")
     with open_device(find_single_device(rig), rig.servo.rate_hz) as device:
         tuning = make_tuning(scene, rig.guard)

@@ -21,7 +21,6 @@ if TYPE_CHECKING:  # only for scenes with an elastic object
 class Deformation:
     """Derives the loads from the records of the servo.
 
-    fingers  names of several fingers, an empty name for a single one
     publish  publishes a message of a topic with the content of a tick
     """
 

@@ -22,10 +22,7 @@ def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
 def inject_faults(
     devices: tuple[Device, ...], scene: schema.Scene, faults: schema.Faults | None, rate_hz: float
 ) -> tuple[Device, ...]:
-    """Return the devices with faults injected, or unchanged without any.
-
-    Raises ConfigError for a fault of a finger that the scene does not have.
-    """
+    """Return the devices with faults injected, if any; raises ConfigError for a fault of a finger that is missing."""
     if faults is None:
         return devices
     names = [finger.name for finger in scene.fingers]

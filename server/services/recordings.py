@@ -32,11 +32,7 @@ CLOSE_S: Final = 2.0
 
 
 class Recordings:
-    """Service that starts, feeds and ends recordings of a daemon.
-
-    fingers  names of several fingers, an empty name for a single one
-    event    publishes an event
-    """
+    """Service that starts, feeds and ends recordings of a daemon."""
 
     def __init__(self, rendering: Rendering, fingers: Sequence[str], event: Callable[..., Any]) -> None:
         self._rendering, self._fingers, self._event = rendering, list(fingers), event

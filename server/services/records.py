@@ -23,11 +23,11 @@ BATCH: Final = 256
 class Sink(NamedTuple):
     """Consumer of records.
 
-    name    name in logs and events
-    take    is called with batches (n, fingers x RECORD_SIZE), a row per tick, in order, and with the number of ticks
-            lost so far; the next batch overwrites the array, so it must copy what it needs, and it must not wait
-    vital   returns the error that ends the run if `take` raises; None: the sink is removed, with an event, and the run
-            continues
+    name   name in logs and events
+    take   is called with batches (n, fingers x RECORD_SIZE), a row per tick, in order, and with the number of ticks
+           lost so far; the next batch overwrites the array, so it must copy what it needs, and it must not wait
+    vital  returns the error that ends the run if `take` raises; None: the sink is removed, with an event, and the run
+           continues
     """
 
     name: str
@@ -38,10 +38,7 @@ class Sink(NamedTuple):
 class RecordService(Worker):
     """Service that reads the relay's tap, from the servo's start to the last record after its end.
 
-    tap    source of the records
     sinks  consumers, in the order of their calls; a sink that failed is not called again
-    fail   ends the run with an error
-    event  publishes an event
 
     It also releases the servo, which must outlive its reader.
     """

@@ -165,28 +165,15 @@ class Rendering:
         check_replacement(scene, rig, self.scene, self.rig)
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
-        """Change parameters of the scene, all in the same tick.
+        """Change parameters of the scene, given by dotted key, all in the same tick.
 
+        Returns the scene before and after, and a lower bound of the number of ticks started without the change.
         Parameters that act on the force reach their values at the end of the ramp of the rig's [commands].
 
-        Parameters
-        ----------
-        changes
-            Values by dotted key, as for `load_scene`.
-        where
-            Origin of the changes, for messages.
+        where  origin of the changes, for messages
 
-        Returns
-        -------
-        tuple[Scene, Scene, int]
-            Scene before and after, and a lower bound of the number of ticks started without the change.
-
-        Raises
-        ------
-        ConfigError
-            If a value is out of its range, or would need another loop.
-        SceneReplacement
-            If another change is in progress.
+        Raises ConfigError if a value is out of its range or would need another loop, and SceneReplacement if another
+        change is in progress.
         """
         with _acquire(self._parameters_lock):
             before, after = self.scene, apply_overrides(self.scene, changes, where)
@@ -319,10 +306,7 @@ class Rendering:
         shutdown.stop_all(self.servo.devices)
 
     def _wait_ticks(self, count: int, timeout_s: float) -> bool:
-        """Wait for a number of further ticks; return False on a timeout.
-
-        Returns True if the loop ends, because the force is then zero.
-        """
+        """Wait for further ticks, or the end of the loop, when the force is zero; return False on a timeout."""
         ticks, until = self.servo.ticks, time.monotonic() + timeout_s
         while self.servo.is_ticking and self.servo.ticks < ticks + count:
             if time.monotonic() > until:

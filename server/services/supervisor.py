@@ -13,11 +13,7 @@ from softfinger.server.services.base import Worker
 
 
 class Supervisor(Worker):
-    """Service that monitors a servo from its start to its last tick.
-
-    fail   ends the run with an error
-    event  publishes an event
-    """
+    """Service that monitors a servo from its start to its last tick."""
 
     def __init__(self, servo: ServoThread, fail: Callable[[HapticError], None], event: Callable[..., Any]) -> None:
         super().__init__("supervisor")

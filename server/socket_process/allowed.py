@@ -6,7 +6,6 @@ import errno
 import logging
 import os
 import threading
-import time
 from pathlib import Path
 from typing import Final
 
@@ -17,10 +16,6 @@ from softfinger.server.keys import read_pair, read_public
 
 log: Final = logging.getLogger(__name__)
 
-REREAD_MIN_S: Final = 0.1
-"""Shortest time between two reads because of unknown keys, unless the folder has just changed."""
-FILE_COMPLETE_NS: Final = 1_000_000_000
-"""A new file in the folder is complete after this time."""
 _NO_FILES: Final = (errno.EMFILE, errno.ENFILE)
 """Peers may have used up all file descriptors: then the keys are assumed unchanged."""
 
@@ -32,7 +27,6 @@ class AllowedKeys:
         self.folder = Path(folder)
         self._names: dict[bytes, str] = {}
         self._accepted: set[bytes] = set()
-        self._read_s, self._read_ns = 0.0, 0
         self._revoked: set[bytes] = set()
         self._warned: set[str] = set()
         self._reading = threading.Lock()
@@ -41,7 +35,7 @@ class AllowedKeys:
     def callback(self, domain: str, key: bytes) -> bool:
         """Return whether a peer with this key (Z85) may connect; called by libzmq's authenticator, in its thread."""
         # A rejected client does not connect again, so a key that was just added must be found now.
-        if key not in self._names and (time.monotonic() - self._read_s > REREAD_MIN_S or self._has_changed()):
+        if key not in self._names:
             self._read()
         if key not in self._names:
             return False
@@ -63,19 +57,8 @@ class AllowedKeys:
         """Refuse a key (Z85) until the gateway is restarted."""
         self._revoked.add(key)
 
-    def _has_changed(self) -> bool:
-        """Return whether the folder has changed since the last read.
-
-        A change shortly before the read counts, too: a file may have been incomplete.
-        """
-        try:
-            return os.stat(self.folder).st_mtime_ns > self._read_ns - FILE_COMPLETE_NS
-        except OSError:
-            return False
-
     def _read(self, strictly: bool = False) -> None:
         with self._reading:
-            self._read_s, self._read_ns = time.monotonic(), time.time_ns()
             self._read_all(strictly)
 
     def _read_all(self, strictly: bool) -> None:

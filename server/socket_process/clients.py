@@ -34,7 +34,7 @@ _decoder: Final = msgspec.msgpack.Decoder(_CommandId)
 class Clients:
     """Command clients of one endpoint.
 
-    on_request  is called with a client, its request (None: not two frames), and whether it sends too many; returns
+    on_request  is called with a client, its request (empty: not two frames), and whether it sends too many; returns
                 whether the request was accepted; others are answered with BUSY_MESSAGE
     """
 
@@ -43,7 +43,7 @@ class Clients:
         gate: SocketContext,
         bound: BoundEndpoint,
         lock: KeyLock | None,
-        on_request: Callable[[bytes, bytes | None, bool], bool],
+        on_request: Callable[[bytes, bytes, bool], bool],
     ) -> None:
         options = {
             "maxmsgsize": REQUEST_MAX,
@@ -68,7 +68,7 @@ class Clients:
                 return count
             client, *frames = self.peers.socket.recv_multipart(zmq.NOBLOCK)
             self._burst_counts[client] += 1
-            body = frames[1] if len(frames) == 2 and not frames[0] else None
+            body = frames[1] if len(frames) == 2 and not frames[0] else b""
             if not self._on_request(client, body, self._burst_counts[client] > BURST):
                 self.answer(client, encode_busy(body))
         return REQUESTS_PER_TURN
@@ -79,10 +79,10 @@ class Clients:
             self.peers.socket.send_multipart([client, b"", body], zmq.NOBLOCK)
 
 
-def encode_busy(body: bytes | None) -> bytes:
+def encode_busy(body: bytes) -> bytes:
     """Return the answer to a request that is one too many."""
     try:
-        command_id = _decoder.decode(body or b"").command_id
+        command_id = _decoder.decode(body).command_id
     except (msgspec.DecodeError, ValueError, RecursionError):
         command_id = ""
     return msgspec.msgpack.encode({"command_id": command_id, "success": False, "result": {}, "error": BUSY_MESSAGE})

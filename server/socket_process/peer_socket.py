@@ -62,10 +62,7 @@ class SocketContext(NamedTuple):
 
 
 class PeerSocket:
-    """Socket on an endpoint that is already bound; without a lock, every peer that reaches it may connect.
-
-    options  of the socket, by name
-    """
+    """Socket on an endpoint that is already bound; without a lock, every peer that reaches it may connect."""
 
     def __init__(
         self, gate: SocketContext, kind: int, bound: BoundEndpoint, lock: KeyLock | None, options: dict[str, int]

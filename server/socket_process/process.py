@@ -25,7 +25,7 @@ import zmq
 from softfinger.server.socket_process.brake import Brake, takes_force_off
 from softfinger.server.socket_process.channel import Channel, Message
 from softfinger.server.socket_process.clients import REQUESTS_PER_TURN, Clients
-from softfinger.server.socket_process.messages import Messages
+from softfinger.server.socket_process.messages import Messages, RowReader
 from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.socket_process.readers import Readers
 from softfinger.server.socket_process.request_queue import RequestQueue
@@ -39,7 +39,6 @@ from softfinger.server.socket_process.setup import (
     ProcessSetup,
     StateInfo,
 )
-from softfinger.server.socket_process.ticks import RowReader
 
 log: Final = logging.getLogger(__name__)
 
@@ -104,10 +103,10 @@ class Publishing:
             Clients(gate, listener, lock, lambda client, body, too_much: self._accept(number + client, body, too_much))
         )
 
-    def _accept(self, client: bytes, body: bytes | None, too_much: bool) -> bool:
+    def _accept(self, client: bytes, body: bytes, too_much: bool) -> bool:
         """Queue a request, or return False; if it turns the force off, the loop does so now."""
         accepted = self._waiting.add(client, body, too_much)
-        if accepted and body is not None and takes_force_off(body):
+        if accepted and takes_force_off(body):
             self._brake.count(1)
         return accepted
 
@@ -115,9 +114,9 @@ class Publishing:
         """Pass queued requests to the daemon, until too many are unanswered."""
         while self._waiting and self._unanswered < UNANSWERED_MAX:
             client, body = self._waiting.pop()
-            if self._channel.send(Kind.MALFORMED if body is None else Kind.REQUEST, client, body or b""):
+            if self._channel.send(Kind.REQUEST, client, body):
                 self._unanswered += 1
-            elif body is not None and takes_force_off(body):  # the daemon will not receive it
+            elif takes_force_off(body):  # the daemon will not receive it
                 self._brake.count(-1)
 
     def run(self) -> None:
@@ -269,10 +268,7 @@ class _DaemonLogHandler(logging.Handler):
 
 
 def request_priority(priority: int) -> bool:
-    """Request a real-time priority, so that a busy processor delays no tick; return whether it was granted.
-
-    Threads created later inherit it.
-    """
+    """Request a real-time priority for this and later threads, and so for ticks; return whether it was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:  # for the reason reported for the servo

@@ -19,19 +19,19 @@ class RequestQueue:
     """Requests of all clients; clients take turns."""
 
     def __init__(self) -> None:
-        self._requests = OrderedDict[bytes, deque[bytes | None]]()
+        self._requests = OrderedDict[bytes, deque[bytes]]()
         """Requests of each client; the client whose turn is next is the first."""
         self._count = self._bytes = 0
 
     def __len__(self) -> int:
         return self._count
 
-    def add(self, client: bytes, body: bytes | None, too_much: bool) -> bool:
-        """Append a request (None: not two frames); return False if it is refused.
+    def add(self, client: bytes, body: bytes, too_much: bool) -> bool:
+        """Append a request; return False if it is refused.
 
         too_much  the client sends too many; a request that turns the force off is accepted nevertheless
         """
-        if body is not None and takes_force_off(body):
+        if takes_force_off(body):
             is_full, too_much = self._count >= 2 * QUEUED_MAX, False
         else:
             is_full = self._count >= QUEUED_MAX or self._bytes >= QUEUED_BYTES_MAX
@@ -39,15 +39,15 @@ class RequestQueue:
             return False
         self._requests.setdefault(client, deque()).append(body)
         self._count += 1
-        self._bytes += len(body or b"")
+        self._bytes += len(body)
         return True
 
-    def pop(self) -> tuple[bytes, bytes | None]:
+    def pop(self) -> tuple[bytes, bytes]:
         """Remove and return a client and its oldest request."""
         client, requests = self._requests.popitem(last=False)
         body = requests.popleft()
         if requests:
             self._requests[client] = requests
         self._count -= 1
-        self._bytes -= len(body or b"")
+        self._bytes -= len(body)
         return client, body

@@ -42,9 +42,7 @@ class Kind(IntEnum):
     READY = 16
     FIGURES = 17
     REQUEST = 18
-    """Request of the client `key`."""
-    MALFORMED = 20
-    """Message of a client without exactly two frames."""
+    """Request of the client `key`; empty for a message without exactly two frames."""
     LOG = 21
     """Warning for the log."""
 
@@ -53,7 +51,6 @@ class ListeningSocket(Struct, frozen=True):
     """Listening socket for peers.
 
     name    telemetry or commands
-    fd      of the socket
     key     file of the secret key, '' if none is required
     folder  public keys of the peers that may connect
     """
@@ -68,8 +65,6 @@ class ListeningSocket(Struct, frozen=True):
 class StateInfo(Struct, frozen=True):
     """Contents of `state` that do not come from the tick.
 
-    scene    name of the scene
-    rate_hz  tick rate, 1/s
     epoch_s  offset of the epoch from CLOCK_MONOTONIC, s
     """
 
@@ -81,11 +76,8 @@ class StateInfo(Struct, frozen=True):
 class TickParameters(Struct, frozen=True):
     """Parameters of the published ticks.
 
-    schema    version of the protocol
-    every     one in this many ticks is sent
-    topics    topic of each finger
-    state     topic of `state`
-    state_hz  rate of `state`, 1/s
+    schema  version of the protocol
+    every   one in this many ticks is sent
     """
 
     schema: int
@@ -99,7 +91,6 @@ class ProcessSetup(Struct, frozen=True):
     """Setup of a process; without an endpoint of telemetry it does not send ticks.
 
     memory    file of the ticks
-    begin     first row to publish
     bell      eventfd that signals a new row
     switch    file of the force switch (`brake.py`)
     backlog   messages queued for a slow subscriber
@@ -122,7 +113,6 @@ class Figures(Struct, frozen=True):
 
     subscribers  present connections of subscribers
     lost         messages at which a subscriber was found to be too slow
-    refused      connections that were refused
     missed       ticks that were overwritten before the publisher read them
     """
 

@@ -40,10 +40,6 @@ _MODE_STYLES: Final = {0: "green", 1: "bold blue", 2: "bold red"}
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the verb; return 0.
-
-    Raises NoTelemetry if nothing arrives, and ProtocolError if the stream has another format.
-    """
     try:
         if args.json:
             _show_until_end(args, lambda board: print(_to_json(board), flush=True), _LINE_PERIOD_S)

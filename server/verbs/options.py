@@ -12,10 +12,10 @@ from typing import Any, Final
 from softfinger.server.arguments import (
     Parser,
     add_daemon_options,
+    add_duration,
     add_flag,
     add_option,
     add_stream_options,
-    parse_duration,
 )
 from softfinger.server.offline.figures import plot_file
 from softfinger.server.viewer.roles import Role
@@ -57,7 +57,7 @@ def configure_run(parser: Parser) -> None:
         parser, "--inject", "inject faults between device and loop: a file or the name of a shipped one", metavar="FILE"
     )
     add_flag(parser, "--view", "open a browser page on which the mouse moves the hand")
-    add_option(parser, "--duration", "stop after S seconds of ticks", metavar="S", type=parse_duration)
+    add_duration(parser, "--duration", "stop after S seconds of ticks")
 
 
 def configure_simulate(parser: Parser) -> None:
@@ -74,7 +74,7 @@ def configure_simulate(parser: Parser) -> None:
     )
     add_option(parser, "--out", "output file: .csv, .npz or .mcap", required=True, type=Path)
     add_option(parser, "--plot", "plot depth, force, angles and modes (.png, .svg)", metavar="FILE.png", type=plot_file)
-    add_option(parser, "--duration", "with --device: simulated time (default: 10)", metavar="S", type=parse_duration)
+    add_duration(parser, "--duration", "with --device: simulated time (default: 10)")
     add_option(parser, "--method", "rolling method that replaces the scene's")
     add_option(parser, "--rate", "tick rate that replaces the rig's (default: 1000)", metavar="HZ", type=float)
     add_option(
@@ -129,9 +129,7 @@ def configure_view(parser: Parser) -> None:
     # page.
     add_flag(parser, "--until-eof", argparse.SUPPRESS)
     add_flag(parser, "--no-open", "do not open a browser")
-    add_option(
-        parser, "--duration", "exit after S seconds (default: run until Ctrl-C)", metavar="S", type=parse_duration
-    )
+    add_duration(parser, "--duration", "exit after S seconds (default: run until Ctrl-C)")
 
 
 def configure_record(parser: Parser) -> None:
@@ -174,13 +172,7 @@ def configure_ctl(parser: Parser) -> None:
         nargs="*",
     )
     add_daemon_options(parser)
-    add_option(
-        parser,
-        "--timeout",
-        "time limit for the answer (default: depends on the method)",
-        metavar="S",
-        type=parse_duration,
-    )
+    add_duration(parser, "--timeout", "time limit for the answer (default: depends on the method)")
     add_flag(parser, "--json", "print the result as JSON")
 
 

@@ -124,10 +124,7 @@ def report_settings(settings: list[Setting]) -> None:
 
 
 def start_watchers(daemon: Daemon) -> list[Watcher]:
-    """Start a watcher for each device of a daemon.
-
-    Raises ConfigError if no other process can remove the force of a device.
-    """
+    """Start a watcher for each device; raises ConfigError if no other process can remove the force of one."""
     zero_commands = []
     for device in daemon.devices:
         zero_command = device.last_word()

@@ -48,7 +48,6 @@ class Stage(NamedTuple):
     target  of a finger
     proxy   position (3,) m of a finger's proxy, outside all objects even if the target is inside one
     force   normal force of a finger, N
-    radius  of a finger, m
     height  height (m) of the object straight below a point (3,); None if there is none
     """
 

@@ -40,10 +40,6 @@ class LoadedRecording(NamedTuple):
     """Contents of a recording.
 
     fingers  records (n, RECORD_SIZE) by finger, of the same ticks
-    scene    rendered scene
-    name     of the scene
-    rate_hz  of the ticks
-    start    of the scene
     events   in order of time
     worlds   messages of `world` in order of time
     notes    description of the daemon; empty if the file has none
@@ -62,17 +58,11 @@ class LoadedRecording(NamedTuple):
 def load(recording: str, scene: str | None) -> LoadedRecording:
     """Load a recording to show.
 
-    Parameters
-    ----------
-    recording
-        An .mcap; a .csv or .npz of results, or of poses, which are rendered first; or the name of a shipped recording.
-    scene
-        Scene that replaces the recording's; None: the recording's, or `paper-plane` for poses.
+    recording  an .mcap; a .csv or .npz of results, or of poses, which are rendered first; or the name of a shipped
+               recording
+    scene      scene that replaces the recording's; None: the recording's, or `paper-plane` for poses
 
-    Raises
-    ------
-    RecordingError, ConfigError
-        If the recording or the scene cannot be read, or their fingers differ.
+    Raises RecordingError, ConfigError if the recording or the scene cannot be read, or their fingers differ.
     """
     blocks: dict[str, list[TickBlock]] = {}
     notes: dict[str, Any] = {}

@@ -101,10 +101,7 @@ def _plot(
     bands: tuple[VisibleState, ...] = (),
     has_time: bool = False,
 ) -> Any:
-    """Add a plot of lines over coloured bands of the states of the contact, which are 0 or 1.
-
-    The vertical axis spans at least 0 to `reach`.
-    """
+    """Add a plot of lines, over at least 0 to `reach`, and coloured bands of the states, which are 0 or 1."""
     series = (
         {"label": "s"},
         *(

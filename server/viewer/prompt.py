@@ -38,16 +38,9 @@ REQUEST_PERIOD_S: Final = 1.0
 class PromptPanel:
     """Display of a daemon's prompt, and input of the answer.
 
-    Parameters
-    ----------
-    commands
-        Sends commands to the daemon.
-    on_refused
-        Called with the reason if an answer was refused.
-    can_answer
-        False: only show the prompt.
-    size
-        Text size relative to the page.
+    on_refused  called with the reason if an answer was refused
+    can_answer  false: only show the prompt
+    size        text size relative to the page
     """
 
     def __init__(

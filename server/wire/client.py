@@ -32,7 +32,7 @@ from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.keys import ClientKeys, check_keys
 from softfinger.server.wire import DEFAULT_ENDPOINT
-from softfinger.server.wire.client_requests import ask_for_keys
+from softfinger.server.wire.client_requests import ask_for_keys, to_milliseconds
 from softfinger.server.wire.protocol import (
     CONTACT,
     FINGERS,
@@ -43,7 +43,6 @@ from softfinger.server.wire.protocol import (
     find_finger,
     name_contact_topic,
 )
-from softfinger.server.wire.waits import to_milliseconds
 
 _RECEIVE_BACKLOG: Final = 40960  # same as the publisher's: a short pause of the client loses nothing
 _LARGEST_FRAME: Final = 1 << 20  # ZeroMQ disconnects a peer that sends more, before it allocates
@@ -112,10 +111,33 @@ class Sample:
 
 
 class Subscription(Closeable):
-    """Subscription to one endpoint, made by `subscribe`; an iterator and a context manager."""
+    """Iterator over the messages of an endpoint, and a context manager; `subscribe` makes one.
+
+    Iteration raises NoTelemetry after the timeout, and ProtocolError for a message that does not follow the protocol.
+
+    Parameters
+    ----------
+    endpoint
+        Telemetry endpoint of the daemon.
+    topics
+        One topic or several.
+    timeout_s
+        Longest wait for a message, s; None waits without limit.
+    keys
+        Keys of the client, if the server requires them.
+
+    Raises
+    ------
+    ConfigError
+        If a topic is unknown or the endpoint is invalid.
+    """
 
     def __init__(
-        self, endpoint: str, topics: Sequence[str], timeout_s: float | None = None, keys: ClientKeys | None = None
+        self,
+        endpoint: str = DEFAULT_ENDPOINT,
+        topics: Sequence[str] = (CONTACT,),
+        timeout_s: float | None = None,
+        keys: ClientKeys | None = None,
     ) -> None:
         topics = [topics] if isinstance(topics, str) or not isinstance(topics, Iterable) else [*topics]
         unknown = [topic for topic in topics if not _is_topic(topic)]
@@ -222,37 +244,7 @@ class Subscription(Closeable):
             self.close()
 
 
-def subscribe(
-    endpoint: str = DEFAULT_ENDPOINT,
-    topics: Sequence[str] = (CONTACT,),
-    timeout_s: float | None = None,
-    keys: ClientKeys | None = None,
-) -> Subscription:
-    """Subscribe to telemetry and iterate over its messages.
-
-    Parameters
-    ----------
-    endpoint
-        Telemetry endpoint of the daemon.
-    topics
-        One topic or several.
-    timeout_s
-        Longest wait for a message, s; None waits without limit.
-    keys
-        Keys of the client, if the server requires them.
-
-    Returns
-    -------
-    Subscription
-        Its iteration raises NoTelemetry after the timeout, and ProtocolError for a message that does not follow the
-        protocol.
-
-    Raises
-    ------
-    ConfigError
-        If a topic is unknown or the endpoint is invalid.
-    """
-    return Subscription(endpoint, topics, timeout_s, keys)
+subscribe = Subscription
 
 
 def explain_no_telemetry(endpoint: str, waited_s: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import uuid
 from typing import Any, Final, TypeVar
 
@@ -10,6 +11,7 @@ import msgspec
 import numpy as np
 import zmq
 
+from softfinger.config.arguments import describe_refusal, to_number
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
 from softfinger.config.schema import Telemetry, find_runtime_folder, make_commands_address
 from softfinger.server.keys import ClientKeys
@@ -19,6 +21,9 @@ from softfinger.server.wire.endpoint import check_runtime_folder
 from softfinger.server.wire.envelope import compute_expiry
 
 R = TypeVar("R")
+
+LONGEST_MS: Final = (1 << 31) - 1
+"""25 days: the largest timeout of a socket."""
 
 TIMEOUT_S: Final = 5.0
 SCENE_TIMEOUT_S: Final = 300.0
@@ -121,6 +126,16 @@ def choose_timeout(method: str, timeout_s: float | None) -> float:
     if timeout_s is not None:
         return timeout_s
     return SCENE_TIMEOUT_S if method in ("set_scene", "reset_world") else TIMEOUT_S
+
+
+def to_milliseconds(seconds: float | None) -> int:
+    """Return a timeout in ms, at most LONGEST_MS; -1, without limit, for None. Raises ConfigError for anything else."""
+    if seconds is None:
+        return -1
+    wait_s = to_number(seconds)
+    if math.isnan(wait_s):
+        raise ConfigError(describe_refusal("timeout_s", seconds, "a number of seconds, inf, or None"))
+    return round(min(max(0.0, 1000.0 * wait_s), LONGEST_MS))
 
 
 def to_unset(value: R | None) -> R | msgspec.UnsetType:

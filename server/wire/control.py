@@ -41,9 +41,9 @@ from softfinger.server.wire.client_requests import (
     extract_result,
     find_default_commands,
     make_no_answer_error,
+    to_milliseconds,
     to_unset,
 )
-from softfinger.server.wire.waits import to_milliseconds
 
 P = ParamSpec("P")
 SCENE_EXAMPLE: Final = '{"fingertip": {"radius_m": 0.01}, "object": [...]}, or the name of a shipped scene'

@@ -71,10 +71,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def make_runtime_folder() -> None:
-    """Create the folder, mode 700, if it is missing.
-
-    Raises ConfigError if it cannot be created, and as `check_runtime_folder` does.
-    """
+    """Create the folder, mode 700, if it is missing; raises ConfigError, also as `check_runtime_folder` does."""
     folder = find_runtime_folder()
     try:
         folder.mkdir(mode=0o700)

@@ -77,12 +77,12 @@ def _explain(error: msgspec.ValidationError) -> str:
     return re.sub(r"^(.*) - at `\$\.?(.+)`$", r"\2: \1", text)
 
 
-def parse(body: bytes | None) -> Request:
-    """Decode and validate the body of a request, of bounded size; None is a message with other frames.
+def parse(body: bytes) -> Request:
+    """Decode and validate the body of a request, of bounded size; an empty one is a message with other frames.
 
     Raises DeclinedRequest if it is invalid or has expired.
     """
-    if body is None:
+    if not body:
         raise DeclinedRequest("malformed", "a request has two frames: an empty one and a msgpack map")
     try:
         # msgpack, not msgspec: it checks a declared length before it allocates, and bounds its stack.
@@ -117,10 +117,7 @@ def parse(body: bytes | None) -> Request:
 
 
 def _is_plain(decoded: Any) -> bool:
-    """Return whether a decoded value has only JSON's types with string keys, and is within limits.
-
-    Does not recurse.
-    """
+    """Return whether a decoded value has only JSON's types with string keys, and is within limits; not recursive."""
     level, nodes = [decoded], 0
     for _ in range(DEPTH_MAX + 1):
         below: list[Any] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -12,6 +13,8 @@ from softfinger.proxy.record import AT, CAUSE_NAMES, FREE, ROLLING, SLIDING
 from softfinger.server.wire.protocol import SCHEMA
 
 Map = dict[str, Any]
+
+_START_S: Final = time.time() - time.monotonic()
 
 MIN_INTERVAL_S: Final = 0.1
 """Shortest time between two guard events of one name, or two missed-deadline events.
@@ -150,6 +153,15 @@ class RecordEvents:
             self._sent_s[key] = now
             events.append(event)
         return events
+
+
+def read_clock_s() -> float:
+    """Return the time for messages, events and recordings: the time of day at the start, plus CLOCK_MONOTONIC since.
+
+    Ticks use the same clock, so a clock that is set while the daemon runs changes no order. Suspensions of the machine
+    are not included.
+    """
+    return _START_S + time.monotonic()
 
 
 def make_event(moment: tuple[int, float], kind: str, name: str, fields: Mapping[str, Any]) -> Map:

@@ -55,12 +55,12 @@ Send = Callable[[Kind, bytes, bytes], object]
 class RequestHandlers(NamedTuple):
     """Handlers of requests; both are called in the thread of the link, and must not raise.
 
-    answer       is called with a client and its request (None: not two frames); returns the answer, or None if `reply`
+    answer       is called with a client and its request (empty: not two frames); returns the answer, or None if `reply`
                  sends it later; must not wait
     each_period  is called every PERIOD_S or sooner
     """
 
-    answer: Callable[[bytes, bytes | None], bytes | None]
+    answer: Callable[[bytes, bytes], bytes | None]
     each_period: Callable[[], None]
 
 
@@ -223,21 +223,19 @@ class SocketProcess:
                 self._present_figures = msgspec.msgpack.decode(message.body, type=Figures)
             case Kind.LOG:
                 log.warning("%s", message.body.decode(errors="replace"))
-            case Kind.REQUEST | Kind.MALFORMED:
+            case Kind.REQUEST:
                 self._requests.append(message)
                 return True
         return False
 
     def _answer(self, handlers: RequestHandlers, message: Message) -> None:
-        body = None if message.kind == Kind.MALFORMED else message.body
-        answer = handlers.answer(message.key, body)
+        answer = handlers.answer(message.key, message.body)
         is_sent = message.key == NO_CLIENT or (
             answer is not None and self._channel.send(Kind.ANSWER, message.key, answer)
         )
         if not is_sent:
             self._channel.send(Kind.DEFERRED, message.key)
-        if message.kind == Kind.REQUEST:
-            self._on_handled(message.body)
+        self._on_handled(message.body)
 
     def _restart(self) -> bool:
         """Start another process after one has exited; return False if none is needed."""

@@ -93,13 +93,7 @@ _FINGER_KEY: Final = Key("finger", "str", "", "", "name of the finger, empty for
 
 EVENT_EXTRA_KEYS: Final = {
     "contact": (
-        Key(
-            "cause",
-            "str",
-            "",
-            "",
-            "cause of the mode change: touch, drag, theta_max, stop, reverse, release or restart",
-        ),
+        Key("cause", "str", "", "", "cause of the change: touch, drag, theta_max, stop, reverse, release or restart"),
         Key("from", "int", "1", "", "contact mode before"),
         Key("to", "int", "1", "", "contact mode after"),
         Key("object", "int", "1", "", "index of the object touched or released"),
@@ -171,23 +165,11 @@ HEALTH_KEYS: Final = (
     Key("modes.rolling", "int", "1", "", "ticks in mode rolling"),
     Key("modes.sliding", "int", "1", "", "ticks in mode sliding"),
     Key("subscribers", "int", "1", "", "connections with a subscription"),
-    Key(
-        "lost",
-        "int",
-        "1",
-        "",
-        "lower bound of the messages lost because subscribers were too slow, since the server started",
-    ),
+    Key("lost", "int", "1", "", "least number of messages lost by slow subscribers, since the server started"),
     Key("refused", "int", "1", "", "connections refused or closed because of their messages, since the server started"),
     Key("restarts", "int", "1", "", "restarts of the processes of telemetry and commands since the server started"),
     Key("state", "str", "", "", "state of the daemon: starting, ready, armed, faulted or stopping"),
-    Key(
-        "preparing",
-        "str",
-        "",
-        "",
-        "progress of the scene that `set_scene` prepares, such as `compiling kernel 12`; or empty",
-    ),
+    Key("preparing", "str", "", "", "progress of a scene in preparation, such as `compiling kernel 12`; or empty"),
 )
 
 STATE_KEYS: Final = (

@@ -21,7 +21,7 @@ from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, list_columns
 from softfinger.server.socket_process.setup import Figures, Kind, ProcessSetup, StateInfo, TickParameters
-from softfinger.server.wire.events import RecordEvents, make_event
+from softfinger.server.wire.events import RecordEvents, make_event, read_clock_s
 from softfinger.server.wire.health import HealthSummary, combine
 from softfinger.server.wire.link import SILENT_MAX_S, RequestHandlers, Send, SocketProcess
 from softfinger.server.wire.native.memory import LAYOUT
@@ -41,7 +41,6 @@ from softfinger.server.wire.protocol import (
     name_contact_topic,
 )
 from softfinger.server.wire.rig_endpoints import COMMANDS, TELEMETRY, Endpoints, bind_telemetry
-from softfinger.server.wire.stamps import read_clock_s
 
 log: Final = logging.getLogger(__name__)
 

@@ -64,10 +64,7 @@ def bind_telemetry(endpoint: str) -> Endpoints:
 
 
 def bind_rig(rig: schema.Rig) -> Endpoints:
-    """Bind the endpoints of a rig.
-
-    Raises ConfigError for unusable keys, and the errors of `listen`; no endpoint remains bound then.
-    """
+    """Bind the endpoints of a rig, all or none; raises ConfigError for unusable keys, and the errors of `listen`."""
     endpoints, telemetry, commands = Endpoints(), rig.telemetry.endpoint, rig.commands_endpoint
     with ExitStack() as undo:
         undo.callback(endpoints.close)

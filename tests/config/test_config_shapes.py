@@ -10,7 +10,6 @@ from helpers.refusals import faults_in
 
 from softfinger.config import limits, schema
 from softfinger.config.load import build, describe
-from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import shape_bodies
 
@@ -139,32 +138,6 @@ def test_faults_of_pose_and_shape_are_reported_together() -> None:
     ring, turn = sorted(faults_of("torus", minor_radius_m=0.06, orientation_wxyz=[0, 0, 0, 0]))
     assert "object[0].minor_radius_m = 0.06: must be below major_radius_m = 0.06 m" in ring
     assert turn.startswith("f.toml: object[0].orientation_wxyz = ")
-
-
-@pytest.mark.parametrize(
-    ("keys", "kinds"),
-    [
-        (("plane", {}), [model.Plane]),
-        (("sphere", {"inside": True}), [model.Sphere]),
-        (("cylinder", {"length_m": None}), [model.Cylinder]),
-        (("cylinder", {}), [model.CappedCylinder]),
-        (("cylinder", {"length_m": None, "inside": True}), [model.Cylinder]),
-        (("cylinder", {"inside": True}), [model.Cylinder, model.Plane, model.Plane]),
-        (("capsule", {}), [model.Capsule]),
-        (("box", {}), [model.Box]),
-        (("box", {"inside": True}), [model.Plane] * 6),
-        (("ellipsoid", {}), [model.Ellipsoid]),
-        (("torus", {}), [model.Torus]),
-    ],
-)
-def test_bodies_of_a_shape(keys: tuple[str, dict[str, Any]], kinds: list[type]) -> None:
-    bodies = shape_bodies(object_of(keys[0], **keys[1]))
-    assert [type(shape) for shape, _, _ in bodies] == kinds
-    for shape, position, orientation in bodies:
-        assert position == (0.0, 0.0, 0.0)
-        assert orientation == (1.0, 0.0, 0.0, 0.0)
-        leaves = [leaf for item in shape for leaf in (item if isinstance(item, tuple) else (item,))]
-        assert all(type(leaf) is float for leaf in leaves)
 
 
 @pytest.mark.parametrize(

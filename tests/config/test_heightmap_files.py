@@ -64,7 +64,6 @@ def test_check_prints_size_and_heights(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("heights", "reason"),
     [
-        (np.zeros((1, 1)), "has a single value: must have at least two"),
         (np.array([[0.0, 1.0], [np.nan, 0.0]]), "row 1, column 0: nan: must be finite"),
         (np.array([[0.0, -4000.0]]), "a height of -2000 m with level_m = 0.5, at most 1000 m up or down is allowed"),
     ],

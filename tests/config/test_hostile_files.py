@@ -30,7 +30,8 @@ from softfinger.drivers.poses import load_poses
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.recording import results
 from softfinger.server.recording.compare import READ_FIELDS
-from softfinger.server.recording.results import McapResults, read_results, write_blocks
+from softfinger.server.recording.poses_file import McapPoses
+from softfinger.server.recording.results import read_results, write_blocks
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.summary import summarize
 from softfinger.tools.doctor import report
@@ -87,24 +88,6 @@ def test_only_regular_files_are_read(
     make(path)
     with pytest.raises(error, match=f"odd{ending}"):
         read(path)
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    "words", [["check", "odd.toml"], ["run", "--scene", "odd.toml"], ["run", "--recording", "odd.csv"]]
-)
-def test_a_pipe_ends_a_command_with_an_error(tmp_path: Path, words: list[str]) -> None:
-    os.mkfifo(tmp_path / words[-1])
-    rig = tmp_path / "rig.toml"
-    rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n[telemetry]\nendpoint = "tcp://127.0.0.1:*"\n')
-    extra = ["--rig", str(rig), "--realtime", "off"] if words[0] == "run" else []
-    process = run_program(
-        [sys.executable, "-m", "softfinger.server.cli", *words, *extra],
-        cwd=tmp_path,
-        env={key: value for key, value in os.environ.items() if key != "NUMBA_DISABLE_JIT"},
-    )
-    assert process.returncode in (2, 3), process.stderr
-    assert "only a regular file can be read" in process.stderr and "Traceback" not in process.stderr
 
 
 LARGE = 1 << 30
@@ -210,8 +193,9 @@ def write_sweep(path: Path) -> None:
 
 
 def stream(path: Path) -> None:
-    with McapResults(path) as recording:
-        recording.append(some_records(1))
+    file = McapPoses(path)
+    file.add(np.zeros(1), some_records(1))
+    file.close()
 
 
 OUTPUTS: dict[str, Callable[[Path], object]] = {

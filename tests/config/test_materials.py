@@ -62,18 +62,6 @@ def test_torsion_follows_its_formula(name: str) -> None:
     assert material.torsion.friction_length_m == pytest.approx(2.0 / 3.0 * material.friction.static * 0.006, rel=0.002)
 
 
-def test_materials_are_ordered_by_softness_and_slipperiness() -> None:
-    stiffness = [
-        material_of(n).stiffness_n_per_m
-        for n in ["sponge", "foam", "skin", "silicone", "rubber", "abs", "wood", "glass"]
-    ]
-    assert stiffness == sorted(set(stiffness))
-    slippery = [
-        load_materials()[n].values["friction"]["kinetic"] for n in ["oiled-steel", "steel", "aluminium", "rubber"]
-    ]
-    assert slippery == sorted(set(slippery))
-
-
 def test_names_of_materials_and_fingertips_are_distinct() -> None:
     assert not set(NAMES) & set(TIPS) and len(NAMES) >= 18 and len(TIPS) >= 5
     papers_by_entry = [[*entry.papers, *(row.paper for row in entry.measured)] for entry in ENTRIES.values()]

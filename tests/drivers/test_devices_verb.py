@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 from emulators.boards import BOARDS
-from helpers.haply_devices import Service
 from helpers.programs import Program
 from test_hid_emulated import WHY_NOT, run_beside_device
 
@@ -104,13 +103,6 @@ def test_tables_are_read(root: Path) -> None:
     ]
 
 
-def test_a_system_without_tables_has_no_devices(tmp_path: Path) -> None:
-    """Without the folders of the kernel the lists are empty and no error is raised."""
-    assert discovery.list_names(tmp_path) == frozenset()
-    assert list(discovery.iter_hidraw_nodes(tmp_path)) == []
-    assert not discovery.has_usb(tmp_path)
-
-
 def test_unreadable_tables_give_no_devices(root: Path) -> None:
     plug_usb(root, "1-1.2", "1451", "0402", bDeviceClass="00")
     hidden = root / "hidden"
@@ -149,7 +141,6 @@ def test_unreadable_tables_give_no_devices(root: Path) -> None:
     ],
 )
 def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str, rig: str) -> None:
-    """Each device of the published tables is claimed by its driver and has a shipped rig."""
     claim = find_claim(at("", vendor, product))
     assert claim is not None
     assert claim.driver == driver
@@ -193,12 +184,6 @@ def test_a_teensy_is_not_identified_by_its_ids(node: Path) -> None:
     claim = find_claim(haply)
     assert claim is not None
     assert (claim.driver, claim.rigs) == ("haply", ("haply-inverse3", "haply-minverse"))
-    with Service() as service:
-        at_service = DeviceConfig(driver="haply", options={"port": service.port})
-        assert diagnose(haply, claim, at_service).state == "usable"
-    diagnosis = diagnose(haply, claim, at_service)
-    assert diagnosis.state == "service"
-    assert "systemctl start haply-inverse-service" in diagnosis.remedy
 
 
 def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
@@ -296,14 +281,8 @@ def test_a_missing_library_is_diagnosed(node: Path, monkeypatch: pytest.MonkeyPa
     assert diagnosis.state == "library"
     assert "libdrd was not found" in diagnosis.reason
     assert "export FDSDK=" in diagnosis.remedy
-
-
-def test_the_library_file_of_the_rig_is_checked(node: Path) -> None:
-    omega = at(node, 0x1451, 0x0402, bus="usb")
     named = DeviceConfig(driver="forcedimension", options={"library_file": "/no/libdrd.so.9"})
     assert "libdrd.so.9': the file does not exist" in diagnose(omega, find_claim(omega), named).reason
-    config = DeviceConfig(driver="hid", options={"library_file": "/no/libdrd.so.9"})
-    assert "libdrd.so.9" not in diagnose(omega, find_claim(omega), config).reason
 
 
 def test_a_falcon_needs_its_firmware(root: Path) -> None:
@@ -315,12 +294,6 @@ def test_a_falcon_needs_its_firmware(root: Path) -> None:
     assert "firmware.bin' is not a file" in diagnosis.reason
     file.write_bytes(b"\0")
     assert diagnose_requirements(claim, {"firmware": str(file)}).state == "usable"
-
-
-def test_a_missing_driver_is_diagnosed(root: Path) -> None:
-    diagnosis = diagnose(at(root), Claim("no-such-driver", "hid", 0x046D, 0xC626))
-    assert diagnosis.state == "driver"
-    assert "'no-such-driver' is not installed" in diagnosis.reason
 
 
 def test_output_without_devices() -> None:

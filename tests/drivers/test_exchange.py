@@ -39,7 +39,7 @@ from softfinger.tools.exchange import (
     exchange_loop,
     make_disarmed_guard,
 )
-from softfinger.tools.exchange_figures import HISTOGRAM_S, make_histogram, summarize_burst, summarize_part
+from softfinger.tools.exchange_figures import summarize_burst, summarize_part
 
 pytestmark = pytest.mark.real_time  # after a pause of the loop the guard starts at zero force
 
@@ -76,7 +76,6 @@ def test_rows_contain_every_sample_in_order() -> None:
 
 
 def test_a_push_is_a_faded_sine_along_its_axis() -> None:
-    """The force written is the closed form times the guard's ramp, along one axis, and zero afterwards."""
     newton, seconds, hertz = 2.0, 0.5, 6.0
     with recording() as device, Exchange(device, RIG, ARMED) as exchange:
         rows = exchange.record(seconds, Push((0.0, newton, 0.0), hertz, seconds))
@@ -194,12 +193,6 @@ def test_figures_of_known_rows() -> None:
     assert result["new_samples_hz"] == pytest.approx(750.0, rel=1e-12)
     assert result["sample_step_s"]["min"] == pytest.approx(1e-3, rel=1e-9)  # a difference of times near 2 s
     assert result["sample_step_s"]["max"] == pytest.approx(2e-3, rel=1e-9)
-
-
-def test_histogram_counts_every_value_once() -> None:
-    counted = make_histogram(np.array([1e-8, 1.5e-8, 3e-6, 4e-6, 0.9]))
-    assert counted == [[1e-8, 1], [2e-8, 1], [5e-6, 2], [0.9, 1]]
-    assert list(HISTOGRAM_S) == sorted(HISTOGRAM_S)
 
 
 def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

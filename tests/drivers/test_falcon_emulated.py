@@ -165,54 +165,6 @@ def test_the_serial_number_selects_the_device(tmp_path: Path) -> None:
         assert message in process.stderr
 
 
-def test_devices_reports_running_firmware() -> None:
-    words = (sys.executable, "-m", "softfinger.server.cli", "devices", "--json")
-    for more, state, reply in (((), "firmware", None), (("--ask",), "usable", {"firmware": True})):
-        process, saw = beside({}, *words, *more, code=0)
-        (device,) = json.JSONDecoder().raw_decode(process.stdout)[0]["devices"]
-        assert (device["driver"], device["state"], device["said"]) == ("falcon", state, reply)
-        assert (saw["steps"] > 0) == (reply is not None)
-        assert saw["most"] == [0, 0, 0]
-
-
-TWO = """
-import sys
-from softfinger.config.load import build, load_rig
-from softfinger.drivers.falcon.device import Options, open_device
-from softfinger.server.driver_contract import RATE_HZ, DeviceCaller
-given = {**load_rig("falcon").device.options, "kick_s": 0.15, "timeout_s": 1.0}
-first, second = (open_device(build(Options, {**given, "serial": name}, "rig"), RATE_HZ) for name in ("SN1", "SN2"))
-ends = [DeviceCaller(first), DeviceCaller(second)]
-first.arm()
-second.arm()
-for turn in range(30):
-    samples = [end.read() for end in ends]
-    for end in ends:
-        end.write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
-first.close()
-for turn in range(30):
-    status, sample = ends[1].read()
-    assert status in (0, 1, 3), status
-    ends[1].write(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
-print([sample[2] for _, sample in samples], sample[2], ends[0].read()[0], flush=True)
-second.close()
-"""
-
-
-def test_two_falcons_through_libusb() -> None:
-    case = {"place": [0.0, 0.0, 0.03], "serial": "SN1", "second": {"place": [0.0, 0.0, 0.045], "serial": "SN2"}}
-    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n{TWO}"
-    process, saw = beside(case, sys.executable, "-c", code, code=0)
-    first, second, later, closed = (float(part) for part in re.findall(r"-?[\d.]+", process.stdout.splitlines()[-2]))
-    # 0.1 N against the hand's 300 N/m, and half a count at each leg
-    assert first == pytest.approx(0.03, abs=4e-4)
-    assert second == pytest.approx(0.045, abs=4e-4)
-    assert later == pytest.approx(0.045, abs=4e-4)
-    assert closed == -1
-    for device, least in ((saw, 30), (saw["second"], 60)):
-        assert device["steps"] >= least and max(device["most"]) > 0 and device["motors"] == [0, 0, 0]
-
-
 def test_a_weight_gives_the_gain() -> None:
     case = {"place": [0.0, 0.0, 0.0], "hand": False, "gain": -4000.0, "weight_kg": 0.1, "weight_after": 1500}
     words = ("calibrate", "--rig", "falcon", "--mass", "0.1", "--hang", "40", "--json")

@@ -46,14 +46,12 @@ def places(number: int) -> np.ndarray:
     ],
 )
 def test_published_positions(counts: tuple[int, int, int], place_mm: tuple[float, float, float]) -> None:
-    """Encoder counts give the published positions to their printed digits, from one start of the search."""
     place, converged = forward(delta.FALCON, angles(*counts), delta.HOME)
     assert converged
     np.testing.assert_allclose(1e3 * np.array(place), place_mm, rtol=0, atol=5.001e-4)  # half of the last digit
 
 
 def test_published_torques() -> None:
-    """Forces of 1 N at the workspace centre give the published torques to their printed digits."""
     for force, torque_mnm, digit in (
         ((1.0, 0.0, 0.0), (15.488, -52.725, 37.237), 1e-3),
         ((0.0, 0.0, 1.0), (24.18, 24.18, 24.18), 1e-2),
@@ -83,18 +81,6 @@ def test_a_failed_search_restarts_at_the_centre() -> None:
         for last in ((math.nan, 0.0, 0.11), (0.5, -0.5, -0.4)):
             position, converged = forward(delta.FALCON, theta, last)
             assert converged and math.dist(place, position) < 1e-9
-
-
-def test_rows_of_k_are_the_derivative() -> None:
-    h = 1e-6  # m: its square times the third derivative, and rounding over it, stay below 1e-6 rad/m
-    for place in places(300):
-        _, k = compute_leg_angles(delta.FALCON, tuple(place))
-        for axis in range(3):
-            step = h * np.eye(3)[axis]
-            ahead, _ = compute_leg_angles(delta.FALCON, tuple(place + step))
-            behind, _ = compute_leg_angles(delta.FALCON, tuple(place - step))
-            slope = (np.array(ahead) - np.array(behind)) / (2 * h)
-            np.testing.assert_allclose(np.array(k)[:, axis], slope, rtol=1e-6, atol=1e-5)
 
 
 def test_torques_do_the_work_of_the_force() -> None:

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from helpers.examples import Cases
 
-from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, load_rig
 from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.block import Block
 from softfinger.drivers.falcon import delta, packets, reply
 from softfinger.drivers.falcon.block import AT
-from softfinger.drivers.falcon.device import Options
 from softfinger.drivers.kinematics.delta import compute_leg_angles
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
@@ -36,15 +33,8 @@ def packet(motors: tuple[int, int, int], state: int) -> bytes:
     ],
 )
 def test_published_packets(motors: tuple[int, int, int], state: int, wire: str) -> None:
-    """Encoding motor counts and lights gives the published bytes, and decoding is the inverse."""
     assert packet(motors, state).hex(" ") == wire
     assert packets.decode(np.frombuffer(bytes.fromhex(wire), np.uint8)) == (motors, state)
-
-
-def test_every_count_is_decoded() -> None:
-    for value in range(-32768, 32768, 17):
-        counts = (value, -1 - value, value ^ 0x5A)
-        assert packets.decode(np.frombuffer(packet(counts, 0x75), np.uint8)) == (counts, 0x75)
 
 
 def blank() -> np.ndarray:
@@ -132,10 +122,3 @@ def test_buttons_and_lost_homing() -> None:
     assert word.view(np.float64)[AT.sample + 8] == 5.0
     assert answer(word, (0, 0, 0), 0x70) == OK
     assert answer(word, (0, 0, 0), 0x30) == FORCE_OFF
-
-
-def test_options_are_checked() -> None:
-    options = load_rig("falcon").device.options
-    for change, message in (({"counts_per_nm": 1e9}, "counts_per_nm"), ({"kick_s": 0.2}, "timeout_s")):
-        with pytest.raises(ConfigError, match=message):
-            build(Options, {**options, **change}, "falcon [device]")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -284,17 +284,9 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
         servo.write(0.0, 0.0, 0.3, 0.0, 0.0, 0.0)
         assert any(stub.motors(1)) and not any(stub.motors(0))
         servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        results: dict[str, Any] = {}
-        loops = [
-            threading.Thread(target=lambda name=name, device=device: results.update({name: run(device, 300)}))
-            for name, device in (("first", first), ("second", second))
-        ]
-        for loop in loops:
-            loop.start()
-        for loop in loops:
-            loop.join()
-        for name, height in (("first", 0.03), ("second", 0.045)):
-            ended, records = results[name]
+        with ThreadPoolExecutor() as pool:
+            results = list(pool.map(lambda device: run(device, 300), (first, second)))
+        for (ended, records), height in zip(results, (0.03, 0.045), strict=True):
             assert ended == s.LoopEnd(s.FINISHED, OK)
             assert np.mean(records[:, AT.servo_device] == OK) > 0.5
             np.testing.assert_allclose(columns(records, AT.probe_position)[:, 2], height, rtol=0, atol=COUNT_M)
@@ -324,6 +316,7 @@ def test_a_falcon_reports_its_firmware(stub: UsbStub) -> None:
     diagnosis, reply = devices.identify_device(FALCON, claim)
     assert (diagnosis.state, reply) == ("firmware", {"firmware": False})
     assert stub["opens"] == stub["closes"] and stub["loads"] == 0
+    assert len(stub.log()) and not stub.log()[:, :3].any()  # packets without a force
     stub["held"] = 1
     diagnosis, reply = devices.identify_device(FALCON, claim)
     assert (diagnosis.state, reply) == ("busy", None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -18,8 +17,6 @@ from helpers.drd_stub import OmegaBench, Stub, bench, plugged_in, stub, stub_lib
 from helpers.forgotten import forget_user
 from helpers.garbage import exchange_garbage
 from helpers.plain_by_call import matrix, turned
-from helpers.programs import Program
-from helpers.refusals import refusal
 
 from softfinger.config.errors import (
     DeviceBusy,
@@ -29,7 +26,6 @@ from softfinger.config.errors import (
     DeviceTimeout,
     HapticError,
 )
-from softfinger.config.load import build
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, TIMEOUT, WITHHELD
 from softfinger.drivers.forcedimension import device as forcedimension
@@ -59,7 +55,6 @@ class TestContract(DriverContract):
 
 
 def test_models_equal_the_vendors_header() -> None:
-    """System types and recommended maxima equal the published ones."""
     types = {
         33: "omega.3", 34: "omega.6", 36: "omega.6", 35: "omega.7", 37: "omega.7", 63: "delta.3", 206: "sigma.3",
         104: "sigma.7", 105: "sigma.7", 203: "lambda.3", 131: "lambda.6", 132: "lambda.6", 108: "lambda.7",
@@ -200,12 +195,9 @@ def test_stop_over_an_arming_that_hangs(stub: Stub, bench: OmegaBench) -> None:
 @pytest.mark.parametrize("code", [2, 6, 7])
 def test_firmware_without_a_watchdog(code: int, stub: Stub, bench: OmegaBench) -> None:
     stub["refuse_watchdog"] = code
-    with pytest.raises(DeviceError, match=r"dhdSetWatchdog.*") as caught:
+    kind, message = (DeviceTimeout, "") if code == 7 else (DeviceError, r"before 3\.0 has no watchdog.*watchdog_s = 0")
+    with pytest.raises(kind, match=rf"dhdSetWatchdog.*{message}"):
         bench.open(watchdog_s=0.03)
-    if code == 7:
-        assert type(caught.value) is DeviceTimeout
-    else:
-        assert re.search(r"firmware before 3\.0 has no watchdog.*watchdog_s = 0", str(caught.value))
     assert stub["expert"] == stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
     with bench.open(watchdog_s=0.0) as device:
         assert DeviceCaller(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
@@ -310,13 +302,6 @@ def test_watchdog_shorter_than_two_ticks_is_refused(bench: OmegaBench) -> None:
     assert bench.stub["watchdog"] == 0
 
 
-def test_options_outside_their_range_are_refused_by_name() -> None:
-    options = {"watchdog_s": 0.5, "serial": -1, "number": 127, "velocity_threshold": -1, "model": "omega.5", "spin": 1}
-    message = refusal(build, forcedimension.Options, options, "rig [device]")
-    for word in ("watchdog_s = 0.5", "serial = -1", "number = 127", "velocity_threshold = -1", "omega.6", "spin"):
-        assert word in message
-
-
 # --- library and USB ---
 
 
@@ -335,15 +320,6 @@ def test_the_error_for_a_missing_library_lists_the_paths(tmp_path: Path) -> None
         pytest.raises(DeviceNotFound, match=r"the file does not exist.*omega\.x haptic device.*lambda.*1451:7777"),
     ):
         forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
-    with tempfile.TemporaryDirectory() as folder:
-        os.chmod(folder, 0o755)
-        with (
-            plugged_in(0x0402, nodes=Path(folder), mode=0),
-            pytest.raises(
-                DeviceNotFound, match=r"the file does not exist.*omega\.x.*may not be opened.*install --system"
-            ),
-        ):
-            forcedimension.open_device(forcedimension.Options(library_file="/no/such/libdrd.so"), RATE_HZ)
 
 
 @pytest.mark.parametrize("variable", ["FDSDK", "FORCEDIM_SDK", "HOME"])
@@ -364,12 +340,8 @@ def test_the_library_is_searched_without_a_home_directory(monkeypatch: pytest.Mo
             library.load(named, {})
 
 
-def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
+def test_every_function_has_its_full_prototype() -> None:
     """All result and parameter types are declared: by default ctypes would truncate a double and reject a char."""
-    loaded = library.load(str(stub_library))
-    for name, (result, parameters) in library.PROTOTYPES.items():
-        function = getattr(loaded, name)
-        assert function.restype is result and function.argtypes == list(parameters)
     source = (Path(__file__).parents[1] / "stubs" / "drd.c").read_text()
     for name, (_, parameters) in library.PROTOTYPES.items():
         declared = re.search(rf"\b{name}\(([^)]*)\)\n?\s*{{", source)[1]
@@ -378,7 +350,6 @@ def test_every_function_has_its_full_prototype(stub_library: Path) -> None:
 
 
 def test_permission_is_diagnosed_over_usb(stub: Stub, bench: OmegaBench) -> None:
-    """A USB node without permission gives the command; otherwise the library does not see the device."""
     stub["devices"] = 0
     nodes = stub.path.parent
     with (
@@ -391,22 +362,6 @@ def test_permission_is_diagnosed_over_usb(stub: Stub, bench: OmegaBench) -> None
     assert type(caught.value) is DeviceError
     with plugged_in(nodes=nodes), pytest.raises(DeviceNotFound, match="1451"):
         bench.open()
-
-
-def test_the_process_that_uses_the_device_is_named(stub: Stub, bench: OmegaBench) -> None:
-    """A process that has the node open is named with its id, otherwise the error is about another process."""
-    stub["held"] = 1
-    with pytest.raises(DeviceBusy, match="used by another process"):
-        bench.open()
-    nodes = stub.path.parent
-    with (
-        plugged_in(0x0402, nodes=nodes, privileged=True),
-        (nodes / "001" / "005").open() as node,
-        Program(["sleep", "60"], stdin=node) as holder,
-    ):
-        with pytest.raises(DeviceBusy, match=rf"used by process {holder.pid} \(sleep\)"):
-            bench.open()
-        holder.kill()
 
 
 # --- exchange ---

@@ -113,17 +113,6 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
     assert library.counts() == {"reads": 4}
 
 
-def test_a_device_without_a_frame_gives_its_position(library: Library) -> None:
-    library.word[AT.has_frame] = library.word[AT.has_gripper] = 0
-    library.rotation = turned(2, 0.3)
-    status, sample = library.read()
-    assert status == OK
-    np.testing.assert_allclose(sample[:3], TO_WORLD @ library.place, atol=1e-15)
-    assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]
-    assert sample[9] == 0.0
-    assert library.calls == ["get_position", "get_buttons"]
-
-
 @pytest.mark.parametrize("name", NO_ROTATIONS)
 def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(name: str, library: Library) -> None:
     library.rotation = NO_ROTATIONS[name]
@@ -221,16 +210,6 @@ def test_a_failed_status_call_is_a_failure(library: Library) -> None:
 # --- forces ---
 
 
-def test_a_wrench_is_turned_into_the_librarys_frame(library: Library) -> None:
-    assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
-    assert library.wrenches == [(0.2, 0.1, 0.3, 0.02, 0.01, 0.03, 0.0)]
-    assert library.calls == ["set_wrench"]
-    library.word[AT.has_torque] = 0
-    assert library.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK
-    assert library.wrenches == [(0.2, 0.1, 0.3, 0.0, 0.0, 0.0, 0.0)]
-    assert library.counts() == {"writes": 2}
-
-
 @pytest.mark.parametrize("place", range(6))
 def test_a_wrench_that_is_no_number_is_zero(place: int, library: Library) -> None:
     wrench = [1.0] * 6
@@ -262,18 +241,3 @@ def test_results_of_a_force(code: int, status: int, counts: dict[str, int], libr
     assert library.counts() == {"writes": 1, **counts}
     assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert library.counts() == {"writes": 2, **dict.fromkeys(counts, 2)}
-
-
-def test_a_failed_force_has_a_reason(library: Library) -> None:
-    library.gives |= {"set_wrench": -1, "get_error": ERROR_TIMEOUT}
-    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == TIMEOUT
-    library.gives["get_error"] = 2
-    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
-    assert library.counts() == {} and library.word[AT.lock] == 0
-
-
-def test_only_one_thread_has_the_lock(library: Library) -> None:
-    assert library.block.call(exchange.lock) == 1
-    assert library.block.call(exchange.lock) == 0
-    assert library.block.call(exchange.unlock) == 0
-    assert library.block.call(exchange.lock) == 1

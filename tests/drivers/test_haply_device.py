@@ -25,7 +25,6 @@ from helpers.stopping import stop_during_writes
 from helpers.waits import eventually, fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound
-from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.config.load import find
 from softfinger.config.schema import Rig
 from softfinger.drivers import switch_interval
@@ -194,14 +193,12 @@ def test_a_force_is_under_the_key_of_an_older_service() -> None:
 @pytest.mark.parametrize(
     ("page", "message"),
     [
-        ('{"project_version":"3.0.7.0"}', "version 3.0.7.0; this driver supports 3.1 to 3.x"),
         ('{"project_version":"4.0.0.0"}', "version 4.0.0.0; this driver supports 3.1 to 3.x"),
         ('{"project_version":"new"}', "the version 'new', which is not a version number"),
-        ("[1, 2]", "returns no version"), ("{}", "returns no version"),
         ('{"project_version":' + 9000 * "[", "returns no version"),
     ],
-    ids=["old", "next", "no number", "a list", "nothing", "deep"],
-)  # fmt: skip
+    ids=["next", "no number", "deep"],
+)
 def test_a_service_of_another_version_is_rejected(page: str, message: str, service: Service) -> None:
     service.set(pages={"/version": page})
     with pytest.raises(DeviceError, match=message):
@@ -240,17 +237,8 @@ def test_the_error_without_a_service_names_the_one_to_start() -> None:
         rig_options(10000)
 
 
-def test_opening_at_a_silent_service_times_out(service: Service) -> None:
-    service.set(mute=True)
-    begun = time.monotonic()
-    with pytest.raises(NoAnswer, match=r"does not answer within 2 s: restart it"):
-        opened(service)
-    assert time.monotonic() - begun > 1.0
-
-
 @pytest.mark.parametrize("enveloped", [False, True])
 def test_filters_are_set_as_in_the_rig(enveloped: bool, service: Service) -> None:
-    """Answers are read in both documented forms."""
     service.set(enveloped=enveloped, version_enveloped=enveloped)
     assert identify(BOARD, rig_options(service.port))["service"] == "3.5.0.0"
     changed = {"force_gate": 0.0, "damping": 0.5, "gravity_compensation": False, "torque_scaling": False}
@@ -347,22 +335,9 @@ def test_an_old_wrench_becomes_zero(service: Service) -> None:
         fresh(servo)
 
 
-BAD: dict[str, tuple[Any, int, str]] = {
+BAD: dict[str, tuple[str, int, str]] = {
     "no JSON": ("}{", PROTOCOL, "malformed"),
-    "a number": ("7", PROTOCOL, "Expected `object`"),
-    "a text for a number": (
-        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":"0","y":0,"z":0}}}}}}]}}',
-        PROTOCOL, "Expected `float | null`",
-    ),
     "no state": (f'{{"inverse3":[{{"device_id":"{ID}"}}]}}', PROTOCOL, "missing required field `state`"),
-    "NaN": (
-        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":NaN,"y":0,"z":0}}}}}}]}}',
-        PROTOCOL, "malformed",
-    ),
-    "a number that is too large": (
-        f'{{"inverse3":[{{"device_id":"{ID}","state":{{"cursor_position":{{"x":1e400,"y":0,"z":0}}}}}}]}}',
-        PROTOCOL, "out of range",
-    ),
     "deep": ('{"a":' + 5000 * "[", PROTOCOL, "the service answered"),
     "huge": ('{"a":"' + 300_000 * "x" + '"}', PROTOCOL, "over size limit|262144"),
     "a name that steers terminals": (

@@ -9,30 +9,22 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from helpers.called import called
-from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.haply_devices import ID, RIG, Service, opened
 from helpers.programs import Program, run_program
 from helpers.rig_files import load_rig_in_process, write_rig
 from helpers.waits import until
 
-from softfinger.config.load import load_scene
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find
-from softfinger.proxy.record import AT, MODE_NAMES
 from softfinger.server.verbs.check import examine_file
 from softfinger.tools.doctor import attached
 
 pytestmark = pytest.mark.real_time
-
-LIFT_M = 0.012
-"""Height of the hand over the plane: the fingertip of 10 mm is free by 2 mm."""
 PATIENT = {"stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
 """Times for a busy machine, where a process may answer late."""
 
@@ -43,22 +35,6 @@ def rig(service: Service, **changes: Any) -> Rig:
 
 def pushes(service: Service) -> None:
     until(lambda: service.force()[2] >= 0.5, 240.0)  # a process may have to compile first
-
-
-def test_closed_loop_through_the_daemon() -> None:
-    scene = load_scene("paper-plane")
-    with Service() as service:
-        service.do("hand", id=ID, at=[0.0, 0.0, LIFT_M], press=0.005, drag=0.02)
-        records = records_of_daemon(rig(service), scene, 2500)
-        forces = np.array(service.log())[:, 1:]
-    compared = assert_engine_agrees(records, scene, 1000.0)
-    assert set(records[:, AT.contact_mode]) == set(range(len(MODE_NAMES)))
-    assert compared > 300
-    ticks = iter(records[:, AT.force : AT.force + 3].tolist())
-    changes = [row for row, _ in groupby(forces.tolist()) if any(row)]  # a force is sent again if there is no new one
-    assert len(changes) > 300
-    assert all(any(row == tick for tick in ticks) for row in changes)
-    assert not forces[-1].any()
 
 
 def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:

@@ -25,29 +25,10 @@ from softfinger.drivers.haply.messages import (
 pytestmark = pytest.mark.plain
 
 DEVICE, GRIP = DeviceRef("inverse3", "049D"), DeviceRef("wireless_verse_grip", "7")
+KEYS = ["inverse3", "wireless_verse_grip", "device_id", "state", "cursor_position", "orientation", "x", "y", "z", "w"]
 JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.text(max_size=8),
-    lambda inner: (
-        st.lists(inner, max_size=4)
-        | st.dictionaries(
-            st.sampled_from(
-                [
-                    "inverse3",
-                    "wireless_verse_grip",
-                    "device_id",
-                    "state",
-                    "cursor_position",
-                    "orientation",
-                    "x",
-                    "y",
-                    "z",
-                    "w",
-                ]
-            ),
-            inner,
-            max_size=6,
-        )
-    ),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(KEYS), inner, max_size=6),
     max_leaves=20,
 )
 

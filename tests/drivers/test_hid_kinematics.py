@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from emulators.woodenhaptics import TABLE, Arm
 from helpers.hid_devices import RIGS, rig_options
-from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from softfinger.drivers.kinematics import chain
@@ -22,7 +21,6 @@ def arm_of(rig: str) -> chain.Chain:
 
 
 def test_published_positions_and_currents() -> None:
-    """WoodenHaptics 2019 at encoders (500, -800, 1200): position and currents equal the published digits."""
     arm = arm_of("woodenhaptics-2019")
     angles = chain.compute_angles(arm, (500.0, -800.0, 1200.0))
     half = 0.5e-5  # of the last digit
@@ -83,26 +81,6 @@ def test_jacobian_is_the_derivative(rig: str) -> None:
         current, cut = chain.compute_currents(arm._replace(current_max=1e9), tuple(angles), tuple(force))
         np.testing.assert_allclose(current, columns @ force * arm.per_torque, rtol=1e-12, atol=1e-14)
         assert not cut
-
-
-@pytest.mark.parametrize("unlike", [False, True], ids=["shipped", "three unlike joints"])
-def test_power_is_conserved(unlike: bool) -> None:
-    """k I omega = f . v for turning motors, also if all joints differ: checks sign and size of each ratio."""
-    kinematics = rig_options("woodenhaptics-polhem-v1").kinematics
-    assert isinstance(kinematics, Chain)
-    if unlike:
-        kinematics = replace(kinematics, body_m=(0.16, 0.12, 0.09), torque_constant_nm_per_a=(0.03, 0.05, 0.02))
-    arm, generator, h = chain.make_chain(kinematics), np.random.default_rng(7), 1e-3
-    for counts in generator.uniform(-3000, 3000, (100, 3)):
-        turning, force = generator.normal(size=3), generator.normal(size=3)
-        ahead, behind = (
-            chain.forward(arm, chain.compute_angles(arm, tuple(counts + s * turning))) for s in (h, -h)
-        )  # fmt: skip
-        current, _ = chain.compute_currents(arm, chain.compute_angles(arm, tuple(counts)), tuple(force))
-        radians = turning * 2 * np.pi / kinematics.counts_per_turn
-        electrical = np.dot(np.multiply(kinematics.torque_constant_nm_per_a, current), radians)
-        mechanical = np.dot(force, np.subtract(ahead, behind) / (2 * h))
-        assert electrical == pytest.approx(mechanical, abs=1e-11)  # rounding of positions over 2 h
 
 
 def test_limited_currents_preserve_the_direction() -> None:

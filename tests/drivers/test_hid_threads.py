@@ -236,23 +236,6 @@ def test_a_failed_calibration_closes_the_device() -> None:
             assert api.closed == 1
 
 
-def test_a_hanging_preset_raises_an_error() -> None:
-    options = rig_options("woodenhaptics-2019", calibrate=True)
-    arm = Woody("woody-2019", 2, lambda _: (0.0, 0.0, 0.0))
-    fd, end = ends()
-    api = Api(fd)
-
-    def answer(data: bytes) -> bytes:
-        api.ready.clear()  # from the first answer on
-        return arm.answer(data)
-
-    with Answering(end, answer):
-        link = link_by_threads(api, options)
-        with pytest.raises(DeviceTimeout, match=r"accepts no report \(a write has not returned"):
-            HidDevice(options, link.fd, link.threads)
-    api.ready.set()  # after the last answer, which would clear it again
-
-
 @pytest.mark.parametrize("cause", ["unplugged", "read", "write"])
 def test_a_disconnected_device_is_lost(cause: str) -> None:
     with ThreadedBoard() as linked:

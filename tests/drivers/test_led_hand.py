@@ -10,7 +10,6 @@ import pytest
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
-from softfinger.config.schema import Rig
 from softfinger.drivers import registry
 from softfinger.drivers.simulated.device import Options, SimulatedDevice, open_device
 from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
@@ -109,16 +108,7 @@ def test_a_lead_is_for_the_tip_of_the_tool() -> None:
     np.testing.assert_allclose(sample, [0.01, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0], atol=1e-7)
 
 
-def test_the_shipped_rig_waits_above_the_scenes() -> None:
-    rig: Rig = load_rig("simulated-hand")
-    with registry.open_device(rig.device, rig.servo.rate_hz, "[device]") as device:
-        assert device.hand() is not None
-        samples = read(DeviceCaller(device), 100)
-    np.testing.assert_allclose(samples, [[*AT, *UPRIGHT]] * 100, atol=1e-12)
-
-
 def test_hold_freezes_the_goal_of_the_hand() -> None:
-    """`hold` freezes the goal, so a push is constant; a lead from there causes no jump."""
     soft = {"hand": {"mass_kg": 0.1, "damping_ns_per_m": 20.0, "stiffness_n_per_m": 1000.0}, **BARE}
     tool = make_tool((0.0, 0.0, -0.05), (0.0, 1.0, 0.0, 0.0))
     with opened(recording="tap", loop=True, **soft) as device:

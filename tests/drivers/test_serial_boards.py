@@ -33,8 +33,7 @@ class BoardBench(RefusingBench):
         super().__init__(node)
         self.undo = undo
 
-    def refused(self) -> Device:
-        path = "/dev/ttyACM-none" if self.case == "not_found" else str(self.node.path)
+    def open_path(self, path: str) -> Device:
         return open_device(rig_options(self.rig, path=path), driver_contract.RATE_HZ)
 
 
@@ -42,9 +41,7 @@ class TwoDiy(BoardBench):
     rig: ClassVar[str] = "haply-2diy"
     force_step_n: ClassVar[float] = 1e-6
 
-    def open(self) -> Device:
-        if self.case:
-            return self.refused()
+    def open_emulated(self) -> Device:
         self.board = Firmware()
         self.port = self.undo.enter_context(Port(self.board))
         self.device = opened(self.rig, self.port.path)
@@ -69,9 +66,7 @@ class HapkitBench(BoardBench):
     force_step_n: ClassVar[float] = 0.02
     """The duty has 255 steps and its square is the torque: 0.017 N at 1 N."""
 
-    def open(self) -> Device:
-        if self.case:
-            return self.refused()
+    def open_emulated(self) -> Device:
         self.undo.close()
         self.board = self.undo.enter_context(Hapkit(sketch_library()))
         self.device = opened(self.rig, self.board.path, mounting=ASLANT)

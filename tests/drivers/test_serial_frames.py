@@ -75,7 +75,6 @@ def parse_text(frame: bytes) -> list[float] | None:
 
 @pytest.mark.parametrize("end", [b"", b"\n"], ids=["one newline", "two newlines"])
 def test_the_published_frame(end: bytes) -> None:
-    """The maker's example is decoded to its digits, with and without a newline before the padding."""
     values, usable = decode(pad_frame(PUBLISHED + end))
     assert usable.all()
     assert values[0].tolist() == [-59.276, 13.383, -148.002, 0.0919, -1.8483, 1.0370, -1.9512, 0.0]
@@ -107,10 +106,7 @@ def test_forces_are_rounded_to_a_millinewton(force: tuple[float, float, float]) 
 def test_invalid_frames_are_rejected(text: bytes) -> None:
     assert not decode(pad_frame(text))[1].any()
     assert parse_text(pad_frame(text)) is None
-
-
-def test_a_frame_ends_with_a_newline() -> None:
-    assert not decode(pad_frame(PUBLISHED)[:-1] + b" ")[1].any()
+    assert not decode(pad_frame(PUBLISHED)[:-1] + b" ")[1].any()  # without a newline at its end
 
 
 @pytest.mark.scaled

@@ -36,21 +36,11 @@ def test_the_printed_rig_is_checked(
     assert "on an arc, in its middle along (0.00, 0.00, 1.00) of the world" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("rig", "words"),
-    [
-        ("haply-2diy", "in the plane across (0.00, -1.00, 0.00) of the world; forces out of it are not displayed"),
-        (
-            "hapkit",
-            "on an arc, in its middle along (0.00, 0.00, 1.00) of the world; forces across it are not displayed",
-        ),
-    ],
-)
-def test_check_prints_the_motion_of_a_device(rig: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", rig]) == 0
-    assert words in capsys.readouterr().out
-    assert main(["check", "woodenhaptics-v3"]) == 0
-    assert "of the world" not in capsys.readouterr().out
+def test_check_prints_the_motion_of_a_device(capsys: pytest.CaptureFixture[str]) -> None:
+    plane = "in the plane across (0.00, -1.00, 0.00) of the world; forces out of it are not displayed"
+    for rig, is_plane in (("haply-2diy", True), ("woodenhaptics-v3", False)):
+        assert main(["check", rig]) == 0
+        assert (plane in capsys.readouterr().out) == is_plane
 
 
 @pytest.mark.real_time

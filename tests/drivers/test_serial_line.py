@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -38,37 +39,18 @@ def test_shipped_rigs_fit(rig: str) -> None:
             r"sends 4 bytes and receives 6, so servo\.rate_hz = 161 needs 644 bytes/s to the board and 966 from it, "
             r".*: set baud to 19200 or more, .*lower servo\.rate_hz, .*, to 160 Hz, or shorten the frames",
         ),
-        ({"baud": 115200}, 1920.0, ""),
         ({"baud": 115200}, 1921.0, "set baud to 230400 or more"),
-        ({"baud": 2000000}, 8000.0, ""),
         # ttyACM is the USB port of a board, ttyUSB and ttyS are lines
         ({"baud": 9600, "path": "/dev/ttyACM0"}, 1000.0, ""),
         ({"baud": 9600, "path": "/dev/ttyUSB0"}, 1000.0, "960 bytes/s"),
-        ({"baud": 9600, "path": "/dev/ttyS0"}, 1000.0, "960 bytes/s"),
         # by its vendor: FTDI, and Teensy
         ({"baud": 9600, "vendor_id": 0x0403, "product_id": 0x6001}, 1000.0, "960 bytes/s"),
         ({"baud": 9600, "vendor_id": 0x16C0, "product_id": 0x0483}, 1000.0, ""),
-        ({"baud": 9600, "vendor_id": 0x16C0, "product_id": 0x0483, "path": "/dev/ttyUSB3"}, 1000.0, "960 bytes/s"),
     ],
 )  # fmt: skip
 def test_frames_are_compared_with_the_line_rate(changes: dict[str, object], rate_hz: float, says: str) -> None:
-    if not says:
+    with pytest.raises(ConfigError, match=says) if says else nullcontext():
         line.check(rig_options("hapkit", **changes), rate_hz, "rig")
-        return
-    with pytest.raises(ConfigError, match=says):
-        line.check(rig_options("hapkit", **changes), rate_hz, "rig")
-
-
-def test_a_link_has_the_line_rate_of_its_port(tmp_path: Path) -> None:
-    link = tmp_path / "usb-board"
-    link.symlink_to("/dev/ttyACM0")
-    line.check(rig_options("hapkit", baud=9600, path=str(link)), 1000.0, "rig")
-
-
-def test_no_baud_rate_is_suggested_if_none_suffices() -> None:
-    text = rig_options("woodenhaptics-v3", vendor_id=None, product_id=None)
-    with pytest.raises(ConfigError, match=r"arrive late: lower servo\.rate_hz"):
-        line.check(text, 8000.0, "rig")
 
 
 def test_check_and_run_reject_a_slow_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

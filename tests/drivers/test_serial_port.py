@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -13,7 +11,7 @@ from helpers.programs import run_program
 from helpers.serial_devices import board, opened, rig_options
 from test_devices_verb import plug_serial
 
-from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
 from softfinger.drivers.serial import port
 from softfinger.drivers.serial.device import open_device
 from softfinger.drivers.system import discovery
@@ -57,29 +55,6 @@ try:
 except Exception as error:
     print(type(error).__name__, str(error).split(" (")[0])
 """
-
-
-def test_a_port_without_permission() -> None:
-    folder = tempfile.mkdtemp(dir="/tmp")
-    node, user = Path(folder) / "ttyACM9", os.geteuid()
-    try:
-        node.write_bytes(b"")
-        Path(folder).chmod(0o755)
-        cases = [(0o000, "run `sudo .* install --system`, and plug the device in again")]
-        if user == 0:  # only root may change a file's group
-            os.chown(node, 0, 20)
-            cases.append((0o060, r"run `sudo usermod -aG dialout \$USER`, and log in again"))
-        for mode, reason in cases:
-            node.chmod(mode)
-            if user == 0:
-                os.seteuid(65534)
-            try:
-                with pytest.raises(DevicePermission, match=f"may not be opened by this user.*{reason}"):
-                    port.open_port(rig_options(path=str(node)))
-            finally:
-                os.seteuid(user)
-    finally:
-        shutil.rmtree(folder)
 
 
 def test_the_port_is_found_by_its_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,7 @@ import numba
 import numpy as np
 import pytest
 from emulators import puck as emulated
-from helpers.closed_loop import assert_engine_agrees
-from helpers.hid_devices import RefusedNode, ends
+from helpers.hid_devices import RefusedNode, RefusingBench, ends
 from scipy.spatial.transform import Rotation
 
 from softfinger.config.errors import ConfigError, DeviceNotFound
@@ -25,30 +24,25 @@ from softfinger.drivers.simulated.device import SimulatedDevice
 from softfinger.drivers.spacemouse import device as spacemouse
 from softfinger.drivers.spacemouse.device import SpaceMouse, find, open_device
 from softfinger.drivers.spacemouse.puck import Options, decode, make_parameters, move
-from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.driver_contract import RATE_HZ, Bench, DeviceCaller, DriverContract
-from softfinger.server.loop import servo_thread as s
-from softfinger.server.loop.tuning import make_tuning
+from softfinger.server.driver_contract import RATE_HZ, DeviceCaller, DriverContract
 from softfinger.server.offline.simulate import simulate_devices
 
 PAST = 350 - 15
 """Counts beyond the usual deadband at full deflection."""
 
 
-class PuckBench(Bench):
+class PuckBench(RefusingBench):
     cannot: ClassVar[Mapping[str, str]] = {"timeout": "a puck that nobody touches sends nothing, for ever"}
 
     def __init__(self, node: RefusedNode) -> None:
-        self.node = node
+        super().__init__(node)
         self.end: socket.socket | None = None
         self.device: Any = None
-        self.case = ""
 
-    def open(self) -> Device:
-        if self.case == "not_found":
-            return open_device(Options(), RATE_HZ)
-        if self.case:
-            return open_device(Options(path=str(self.node.path)), RATE_HZ)
+    def open_path(self, path: str) -> Device:
+        return open_device(Options(path=path), RATE_HZ)
+
+    def open_emulated(self) -> Device:
         self.unplug()
         fd, self.end = ends()
         self.device = SpaceMouse(Options(), fd, RATE_HZ)
@@ -57,16 +51,8 @@ class PuckBench(Bench):
     def displayed(self) -> tuple[float, ...]:
         return tuple(self.device.read_log().wrench[-1].tolist())
 
-    def make(self, case: str) -> None:
-        if case == "lost":
-            self.unplug()
-            return
-        self.case = case
-        self.node.make(case)
-
-    def mend(self) -> None:
-        self.node.mend()
-        self.case = ""
+    def faults(self) -> Mapping[str, Callable[[], object]]:
+        return {"lost": self.unplug}
 
     def unplug(self) -> None:
         if self.end is not None:
@@ -151,18 +137,6 @@ def test_axes_can_be_inverted() -> None:
         _, displacement, table = over(servo)
     assert displacement[0] < 0 < displacement[2]
     assert table[-1, 6] > 0
-
-
-def test_the_fingertip_remains_in_the_workspace() -> None:
-    box = {"workspace_min_m": [-1e-4, -0.1, 0.0], "workspace_max_m": [1e-4, 0.1, 0.1], "start_m": [0.0, 0.0, 0.03]}
-    with puck(**box, gain_m_per_s=3e-3) as (_, servo, end):
-        end.send(emulated.combined(right=350, away=100)[0])
-        _, _, table = over(servo)
-        assert table[-1, 0] == 1e-4
-        assert table[-1, 1] > table[1, 1] > 0.0
-        end.send(emulated.combined(right=-16)[0])
-        _, _, table = over(servo)
-        assert table[-1, 0] < 1e-4
 
 
 def test_buttons_and_lamp() -> None:
@@ -260,34 +234,6 @@ def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> No
     assert total.min() > number * 1_000
 
 
-def test_a_closed_device_reads_as_lost() -> None:
-    fd, end = ends()
-    with end:
-        device = SpaceMouse(Options(), fd, RATE_HZ)
-        servo = DeviceCaller(device)
-        device.close()
-        assert servo.read()[0] == LOST
-
-
-@pytest.mark.real_time
-def test_a_puck_touches_a_scene() -> None:
-    scene, rig = load_scene("paper-plane"), load_rig("spacemouse")
-    fd, end = ends()
-    options = build(Options, rig.device.options | {"start_m": [0.0, 0.0, 0.012]}, "rig")
-    with end, SpaceMouse(options, fd, RATE_HZ) as device:
-        servo = s.ServoThread([device], make_tuning(scene, rig.guard, [device.info]), RATE_HZ, 900)
-        servo.compile()
-        end.send(emulated.combined(up=-60, right=100)[0])  # 9 mm/s: at the end 6 mm deep, which no guard clamps
-        servo.start()
-        ended = servo.join(30.0)
-        assert ended is not None and ended.ending == s.FINISHED
-        records = np.empty((900, RECORD_SIZE))
-        assert servo.records.take(records) == 900
-        servo.close()
-        assert not device.read_log().wrench[-1].any()
-    assert assert_engine_agrees(records, scene, RATE_HZ) > 100
-
-
 FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "resolution_m": 0.0, "delay_ticks": 0}
 
 
@@ -315,23 +261,6 @@ def test_a_puck_leads_the_hand_of_the_simulated_device() -> None:
     np.testing.assert_allclose(sample[:3], (2e-4 * PAST * 0.3, 0.0, 0.03), rtol=0, atol=1e-12)
     turned = Rotation.from_quat([*sample[4:7], sample[3]]).as_rotvec()
     np.testing.assert_allclose(turned, (0.0, 0.0, -3e-3 * PAST * 0.3), rtol=0, atol=1e-12)
-
-
-def test_a_force_displaces_the_hand_of_a_puck() -> None:
-    with led(**FREE, hand={"stiffness_n_per_m": 500.0}) as (_, servo, _):
-        for _ in range(2000):
-            servo.read()
-            servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        sample = servo.read()[1]
-    np.testing.assert_allclose(sample[:3], (0.0, 0.0, 0.03 + 1.0 / 500.0), rtol=0, atol=1e-9)  # a settled oscillation
-
-
-def test_a_puck_does_not_rotate_a_device_without_a_wrist() -> None:
-    with led(preset="falcon") as (_, servo, end):
-        end.send(emulated.combined(clockwise=350)[0])
-        for _ in range(50):
-            sample = servo.read()[1]
-    assert sample[3:7] == [1.0, 0.0, 0.0, 0.0]
 
 
 def test_the_simulated_device_is_lost_with_its_puck() -> None:
@@ -382,10 +311,8 @@ def attach(root: Path, name: str, nodes: dict[str, str]) -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"gain_m_per_s": 1.0}, "gain_m_per_s = 1.0: must be"),
         ({"start_m": [0.0, 0.0, 0.2]}, "start_m = .*outside of the workspace"),
         ({"workspace_min_m": [0.2, 0.0, 0.0]}, "workspace_min_m = .*is above workspace_max_m"),
-        ({"gain": 1.0}, "gain"),
     ],
 )
 def test_wrong_options_are_named(wrong: dict[str, Any], message: str) -> None:

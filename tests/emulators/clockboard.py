@@ -27,36 +27,19 @@ PERIOD_S: Final = 0.001
 
 
 def device_table(path: str, mode: str) -> dict[str, Any]:
+    check = {"kind": "crc8", "offset": BYTES - 1}
+    offsets = list(zip("xyz", (1, 5, 9), strict=True))
+    position = [{"meaning": axis, "offset": at, "type": "int32", "scale": 1e-9} for axis, at in offsets]
+    force = [{"meaning": f"force_{axis}", "offset": at, "type": "float32"} for axis, at in offsets]
     return {
-        "path": path,
-        "force_max_n": 3.0,
-        "stiffness_max_n_per_m": 300.0,
-        "damping_max_ns_per_m": 1.0,
-        "workspace_radius_m": 1.0,
-        "quiet_s": 0.1,
-        "timeout_s": 0.5,
+        "path": path, "force_max_n": 3.0, "stiffness_max_n_per_m": 300.0, "damping_max_ns_per_m": 1.0,
+        "workspace_radius_m": 1.0, "quiet_s": 0.1, "timeout_s": 0.5, "kinematics": {"kind": "cartesian"},
         "frames": {
             "mode": mode,
-            "input": {
-                "bytes": BYTES,
-                "start": [0xA5],
-                "check": {"kind": "crc8", "offset": BYTES - 1},
-                "field": [
-                    {"meaning": axis, "offset": 1 + 4 * k, "type": "int32", "scale": 1e-9}
-                    for k, axis in enumerate("xyz")
-                ],
-            },
-            "output": {
-                "bytes": BYTES,
-                "start": [0x5A],
-                "check": {"kind": "crc8", "offset": BYTES - 1},
-                "field": [
-                    {"meaning": f"force_{axis}", "offset": 1 + 4 * k, "type": "float32"} for k, axis in enumerate("xyz")
-                ],
-            },
+            "input": {"bytes": BYTES, "start": [0xA5], "check": check, "field": position},
+            "output": {"bytes": BYTES, "start": [0x5A], "check": check, "field": force},
         },
-        "kinematics": {"kind": "cartesian"},
-    }
+    }  # fmt: skip
 
 
 class ClockBoard:

@@ -10,7 +10,7 @@ is the kernel that libusb calls. The program can change the device over the sock
 The first argument is the case of the emulator (`from_case` there), and also: serial, late_every (each n-th reply is 4
 ms late), and steps after which a fault starts: lost_after, mute_after, broken_after (an error on the bus), block_after
 (accepts no more transfers), garble_after (sends noise), unhomed_after (loses its zeros), weight_after (weight_kg is
-added to the knob); second (the same for a second device).
+added to the knob).
 """
 
 from __future__ import annotations
@@ -30,33 +30,33 @@ from emulators.falcon import from_case, to_world
 from emulators.testbed import GLib, UMockdev
 
 EPROTO = 71
-PORT = "/devices/pci0000:00/0000:00:14.0/usb1/1-"
-NODES = "/dev/bus/usb/001/"
 INTERFACE = bytes([9, 4, 0, 0, 2, 255, 255, 255, 0])
 ENDPOINTS = b"".join(bytes([7, 5, end, 2, 64, 0, 0]) for end in (0x81, 0x02))
 CHIP = usbfs.descriptors((0x0403, 0xCB48), 0x0400, 8, 1, INTERFACE + ENDPOINTS)
 
 
 class Bed(usbfs.UsbDevice):
-    def __init__(self, case: dict, bed: object, port: int = 1) -> None:
+    device, path = "/devices/pci0000:00/0000:00:14.0/usb1/1-1", "/dev/bus/usb/001/002"
+
+    def __init__(self, case: dict) -> None:
         self.case, self.made = case, ""
-        self.port, self.device, self.path = port, f"{PORT}{port}", f"{NODES}{1 + port:03d}"
         self.falcon = from_case(case)
         self.strings = usbfs.strings("FTDI", "FALCON HAPTIC", case.get("serial", "SN42"))
         self.claimed: usbfs.Stream | None = None
         self.ready_at = 0.0
-        self.bed = bed
+        self.bed = UMockdev.Testbed.new()
         self._add()
         self.node = UMockdev.IoctlBase()
         self.node.connect("handle-ioctl", self.handle_ioctl)
         self.bed.attach_ioctl(self.path, self.node)
+        path = os.path.join(self.bed.get_root_dir(), "testbed")
+        self._serve(path)
+        os.environ["SOFTFINGER_TESTBED"] = path  # the program changes the device through this socket
 
     def _add(self) -> None:
-        number = 1 + self.port
-        names = f"BUSNUM=001 DEVNUM={number:03d} MAJOR=189 MINOR={self.port} PRODUCT=403/cb48/400 SUBSYSTEM=usb"
-        names += " DEVTYPE=usb_device"
+        names = "BUSNUM=001 DEVNUM=002 MAJOR=189 MINOR=1 PRODUCT=403/cb48/400 SUBSYSTEM=usb DEVTYPE=usb_device"
         attributes = (
-            f"busnum=1 devnum={number} bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
+            "busnum=1 devnum=2 bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
         )
         self.bed.add_from_string(usbfs.device_text(self.device, self.path, CHIP, names.split(), attributes.split()))
 
@@ -156,47 +156,31 @@ class Bed(usbfs.UsbDevice):
     def seen(self) -> dict:
         return self.falcon.seen()
 
+    def _serve(self, path: str) -> None:
+        server = socket.socket(socket.AF_UNIX)
+        server.bind(path)
+        server.listen()
 
-def serve(bed: Bed, path: str) -> None:
-    server = socket.socket(socket.AF_UNIX)
-    server.bind(path)
-    server.listen()
+        def run() -> None:
+            while True:
+                end, _ = server.accept()
+                with end, end.makefile("rw") as stream:
+                    for line in stream:
+                        answers: list[str] = []
+                        ready = threading.Event()
 
-    def run() -> None:
-        while True:
-            end, _ = server.accept()
-            with end, end.makefile("rw") as stream:
-                for line in stream:
-                    answers: list[str] = []
-                    ready = threading.Event()
+                        def ask(text: str = line.strip(), into: list = answers, flag: threading.Event = ready) -> bool:
+                            into.append(self.answer(text))
+                            flag.set()
+                            return False
 
-                    def ask(text: str = line.strip(), into: list = answers, flag: threading.Event = ready) -> bool:
-                        into.append(bed.answer(text))
-                        flag.set()
-                        return False
+                        GLib.idle_add(ask, priority=GLib.PRIORITY_DEFAULT)
+                        ready.wait()
+                        stream.write(answers[0] + "\n")
+                        stream.flush()
 
-                    GLib.idle_add(ask, priority=GLib.PRIORITY_DEFAULT)
-                    ready.wait()
-                    stream.write(answers[0] + "\n")
-                    stream.flush()
-
-    threading.Thread(target=run, daemon=True).start()
-
-
-class Beds:
-    """One or two devices, and the socket by which the program changes the first."""
-
-    def __init__(self, case: dict) -> None:
-        bed = UMockdev.Testbed.new()
-        self.first = Bed(case, bed)
-        self.second = Bed(case["second"], bed, 2) if "second" in case else None
-        path = os.path.join(bed.get_root_dir(), "testbed")
-        serve(self.first, path)
-        os.environ["SOFTFINGER_TESTBED"] = path
-
-    def seen(self) -> dict:
-        return self.first.seen() | ({"second": self.second.seen()} if self.second else {})
+        threading.Thread(target=run, daemon=True).start()
 
 
 if __name__ == "__main__":
-    testbed.main(Beds)
+    testbed.main(Bed)

@@ -23,13 +23,11 @@ class Compiled(NamedTuple):
     """A step after optimisation.
 
     kernels     our kernels compiled into it, as module.name
-    body        its text without mangled names, version counters and metadata
     operations  count of each instruction
     calls       count of each called function, except the compiler's memory helpers
     """
 
     kernels: set[str]
-    body: str
     operations: Counter[str]
     calls: Counter[str]
 
@@ -71,25 +69,11 @@ def compile_step(scene: model.Scene) -> Compiled:
 
 def read(ir: str) -> Compiled:
     """Read the module of one step, whose callees are all inlined into one function."""
-    ((name, body),) = functions(ir).items()
-    body = plain(body, name)
+    (body,) = functions(ir).values()
     operations = Counter(re.findall(r"^  (?:%\S+ = )?(?:tail call|(\w+))", body, re.MULTILINE))
     helpers = ("llvm.mem", "llvm.stack", "llvm.fabs")
-    calls = Counter({n: count for n, count in called_in(body).items() if not n.startswith(helpers)})
-    return Compiled(kernels_in(ir), body, operations, calls)
-
-
-def plain(body: str, name: str) -> str:
-    """Return a body without anything that depends on earlier compilations: values and blocks are numbered in order of
-    appearance; mangled names, metadata and comments are removed."""
-    body = body.replace(name, "kernel")
-    body = re.sub(r" *;.*$", "", body, flags=re.MULTILINE)  # comments
-    body = re.sub(r"(, )?![\w.]+( ![\w.]+)?", "", body)  # metadata
-    body = re.sub(r" #\d+", "", body)  # attribute groups
-    # label definitions have no percent sign, references have one
-    body = re.sub(r'^("[^"]*"|[\w.$-]+):$', r"%\1:", body, flags=re.MULTILINE)
-    numbers: dict[str, str] = {}
-    return re.sub(r'%("[^"]*"|[\w.$-]+)', lambda m: numbers.setdefault(m[1], f"%{len(numbers)}"), body)
+    calls = Counter({name: count for name, count in called_in(body).items() if not name.startswith(helpers)})
+    return Compiled(kernels_in(ir), operations, calls)
 
 
 def kernels_in(ir: str) -> set[str]:

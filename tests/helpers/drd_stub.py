@@ -24,6 +24,8 @@ from softfinger.server.driver_contract import RATE_HZ, Bench
 SOURCE = Path(__file__).parents[1] / "stubs" / "drd.c"
 LOGGED = 1 << 14
 """Length of the stub's log."""
+PRESSING = {"type": 34, "wrist": 1, "z": 0.0115, "az": 0.0035, "ax": 0.006, "ay": 0.012, "hz": 1.0, "turn": 0.5}
+"""Once a second the hand moves 2 mm deep into the plane z = 0 with a finger of 10 mm, rolls, slides and releases."""
 
 
 class Stub(CStub):
@@ -60,9 +62,9 @@ def stub(stub_library: Path) -> Iterator[Stub]:
 
 
 @contextmanager
-def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged: bool = False) -> Iterator[None]:
-    """Let the system list these products, with device nodes of that mode under `nodes`. Unless `privileged`, run as a
-    user without privileges."""
+def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666) -> Iterator[None]:
+    """Let the system list these products, with device nodes of that mode under `nodes`, for a user without
+    privileges."""
     usb_devices, devices = discovery.iter_usb_devices, []
     for number, product in enumerate(products, 5):
         node = (nodes or Path("/dev/bus/usb")) / "001" / f"{number:03d}"
@@ -72,7 +74,7 @@ def plugged_in(*products: int, nodes: Path | None, mode: int = 0o666, privileged
             node.touch()
             node.chmod(mode)
     discovery.iter_usb_devices = lambda: devices
-    drop = os.geteuid() == 0 and not privileged
+    drop = os.geteuid() == 0
     if drop:
         os.seteuid(65534)  # user nobody: root may open everything
     try:
@@ -109,18 +111,9 @@ class OmegaBench(Bench):
         return y, -x, z
 
     def make(self, case: str) -> None:
-        match case:
-            case "not_found":
-                self.stub["devices"] = 0
-            case "busy":
-                self.stub["held"] = 1
-            case "permission":
-                self.stub["devices"] = 0
-                self.forbidden = True
-            case "lost":
-                self.stub["unplugged"] = 1
-            case "timeout":
-                self.stub.update(error=7, fail_read=0)
+        self.forbidden = case == "permission"
+        knobs = {"busy": {"held": 1}, "lost": {"unplugged": 1}, "timeout": {"error": 7, "fail_read": 0}}
+        self.stub.update(**knobs.get(case, {"devices": 0}))
 
     def mend(self) -> None:
         self.stub.reset()

@@ -81,12 +81,6 @@ labels = ["very low", "very high"]
     1,
 )
 
-RATING = (
-    EXPERIMENT.replace('kind = "compare"', 'kind = "rate"\nscale = [1, 7]\nscale_ends = ["soft", "hard"]')
-    .replace("reference = 500.0\n", "")
-    .replace("[0.5, 1.0]", "[500.0, 1000.0]")
-)
-
 
 class Session:
     """A running session and its participant's page in the browser."""

@@ -165,6 +165,10 @@ class FaultyDevice(Device):
         self._note("close")
         self.stop()
 
+    def fail_after(self, reads: int) -> None:
+        """Cause the fault after more reads, instead of at the read of the options."""
+        self._word[AT] = self._word[READS] + reads
+
     def release(self) -> None:
         self._word[FREE] = 1
 

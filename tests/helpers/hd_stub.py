@@ -26,18 +26,6 @@ ROW = np.dtype([("ns", "<i8"), ("device", "<i8"), ("force", "<f8", 3), ("torque"
 JOURNAL = np.dtype([("count", "<i8"), ("pad", "<i8", 7), ("row", ROW, ROWS)])
 
 
-def rows_of(journal: NDArray[Any]) -> NDArray[Any]:
-    """Return the rows of a journal in order of time, in the library's frame; also for a process that has ended."""
-    count = int(journal["count"])
-    rows = journal["row"]
-    return rows[:count].copy() if count <= ROWS else np.roll(rows, -(count % ROWS))
-
-
-def journal_in(file: Path) -> NDArray[Any]:
-    """Read the journal of a process with STUB_HD_LOG."""
-    return rows_of(np.fromfile(file, JOURNAL)[0])
-
-
 class HdStub(CStub):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -58,9 +46,11 @@ class HdStub(CStub):
         return tuple(out)
 
     def journal(self) -> NDArray[Any]:
-        """Return the rows so far: the motors' force in each tick."""
+        """Return the rows so far, in order of time: the motors' force in each tick, in the library's frame."""
         memory = (ctypes.c_char * JOURNAL.itemsize).from_address(self._library.stub_journal())
-        return rows_of(np.frombuffer(memory, JOURNAL)[0])
+        journal = np.frombuffer(memory, JOURNAL)[0]
+        count, rows = int(journal["count"]), journal["row"]
+        return rows[:count].copy() if count <= ROWS else np.roll(rows, -(count % ROWS))
 
     def after(self, ticks: int) -> None:
         """Wait for this number of ticks of the library's thread; fails if it does not run."""
@@ -126,18 +116,10 @@ class TouchBench(Bench):
         return fx, -fz, fy, 1e-3 * tx, -1e-3 * tz, 1e-3 * ty
 
     def make(self, case: str) -> None:
-        match case:
-            case "not_found":
-                self.stub["devices"] = 0
-            case "busy":
-                self.stub["held"] = 1
-            case "permission":
-                self.stub["devices"] = 0
-                self.ports((PORT,), permitted=False)
-            case "lost":
-                self.stub["unplugged"] = 1
-            case "timeout":
-                self.stub["hang_at"] = 0
+        if case == "permission":
+            self.ports((PORT,), permitted=False)
+        knobs = {"busy": {"held": 1}, "lost": {"unplugged": 1}, "timeout": {"hang_at": 0}}
+        self.stub.update(**knobs.get(case, {"devices": 0}))
 
     def mend(self) -> None:
         self.stub.reset()

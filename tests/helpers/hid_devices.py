@@ -22,6 +22,7 @@ from emulators.hand import Vector
 from emulators.woodenhaptics import Woody
 
 from helpers.rig_files import rig_options
+from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.link import link_by_threads
 from softfinger.server import driver_contract
@@ -232,6 +233,17 @@ class RefusingBench(driver_contract.Bench):
 
     def __init__(self, node: RefusedNode) -> None:
         self.node, self.case = node, ""
+
+    def open(self) -> Device:
+        if self.case:
+            return self.open_path(f"{self.node.path}-none" if self.case == "not_found" else str(self.node.path))
+        return self.open_emulated()
+
+    def open_path(self, path: str) -> Device:
+        raise NotImplementedError
+
+    def open_emulated(self) -> Device:
+        raise NotImplementedError
 
     def faults(self) -> Mapping[str, Callable[[], object]]:
         """Return functions that cause a fault, by its case."""

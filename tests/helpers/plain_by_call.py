@@ -8,9 +8,10 @@ compiled.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from errno import EAGAIN, EIO
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import pytest
@@ -18,10 +19,9 @@ from numba import config
 from numpy.typing import NDArray
 from references.rotation import rodrigues
 
-from helpers.plain_exchange import ORDERED, exchange_int64, unpack_at
 from softfinger.drivers.base import SAMPLE_SIZE
 from softfinger.drivers.block import Block
-from softfinger.proxy.kernels.jit import seqlock
+from softfinger.proxy.kernels.jit import pack, seqlock
 
 BY_CALL = [
     pytest.mark.plain,
@@ -35,6 +35,38 @@ START_NS = 10_000 * MS
 """Initial time of the clock."""
 NOT_OURS = 0x7FF8_0000_DEAD_BEEF
 """Guard word around a block; as float64 it is not a number."""
+
+
+def exchange_int64(address: int, value: int) -> int:
+    """Like the function in proxy.kernels.jit.memory."""
+    word = ctypes.c_int64.from_address(int(address))
+    before, word.value = word.value, value
+    return before
+
+
+def unpack_at(like: Any, address: int) -> Any:
+    """Like the function in proxy.kernels.jit.pack."""
+    leaves = len(pack.flatten(like))
+    return pack.unflatten(like, list((ctypes.c_double * leaves).from_address(int(address))))
+
+
+def _load(array: Any, index: int) -> int:
+    return int(array[index])
+
+
+def _store(array: Any, index: int, value: int) -> None:
+    array[index] = value
+
+
+def _no_fence() -> None:
+    """Do nothing: plain Python executes in order."""
+
+
+ORDERED: Final[dict[str, Callable[..., Any]]] = {
+    "load_acquire": _load, "load_relaxed": _load, "store_release": _store, "store_relaxed": _store,
+    "fence_acquire": _no_fence, "fence_release": _no_fence,
+}  # fmt: skip
+"""Words of memory, like those of proxy.kernels.jit.atomics."""
 
 
 class Clock:

@@ -40,12 +40,6 @@ def test_agrees_with_non_negative_least_squares(count):
         np.testing.assert_allclose(d, np.array(normals[:count]).T @ weights, atol=1e-9)
 
 
-def test_corner_of_a_box():
-    axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
-    push, _ = solve(3, *axes, 1.0, 2.0, 3.0)
-    assert push == (1.0, 2.0, 3.0)
-
-
 def test_a_demand_met_by_another_wall_gets_no_weight():
     slanted = (0.6, 0.0, 0.8)
     push, d = solve(2, (0.0, 0.0, 1.0), slanted, slanted, 1.0, 0.5, 0.0)

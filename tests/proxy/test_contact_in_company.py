@@ -268,21 +268,6 @@ def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, t
     np.testing.assert_allclose([force @ n, force @ across], [K * deep, -0.2], atol=1e-5)
 
 
-@pytest.mark.exhaustive
-def test_a_contact_that_sticks_to_a_mesh_sphere(tmp_path: Path) -> None:
-    ball = meshes.geodesic(24, BALL)
-    it = {"name": "it", "shape": "mesh", "file": write_part(tmp_path, *ball), "material": STICKY}
-    n = ball.vertices[0] / BALL
-    across = np.cross(n, [0.0, 0.0, 1.0])
-    across /= np.linalg.norm(across)
-    top = BALL + R
-    places = [(top + 1e-3) * n, (top - 3e-3) * n, (top - 3e-3) * n + 4e-4 * across]
-    last = engine([it]).run(line(*[p.tolist() for p in places]))[-1]
-    force = last[NAMED["force"].at :][:3]
-    # Vertices are stored in float32: 1e-9 m.
-    np.testing.assert_allclose([force @ n, force @ across], [3.0, -0.4], atol=1e-5)
-
-
 def test_a_pinched_ball_swings_by_its_two_tangential_springs() -> None:
     """Two sticking fingertips, 1 mm deep, act on a sphere of mass m as a spring of 2 K_t: sqrt(2 K_t / m)."""
     mass, deep, dt = 0.05, 1e-3, 1e-4

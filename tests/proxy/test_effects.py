@@ -165,13 +165,6 @@ def test_boundary_pushes_inward(effect: Any, x: model.Vec3, v: model.Vec3) -> No
     assert size <= 2 * effect.stiffness * depth + 1e-9
 
 
-@boundaries
-def test_boundary_starts_without_a_step(effect: Any) -> None:
-    edge = 0.1 + (0.05 if isinstance(effect, model.BoxBoundary) else 0.06)
-    force = force_of(effect, moment((edge + 1e-9, 0.0, 0.0), (5.0, 0.0, 0.0)))
-    assert 0.0 < -force[0] <= 2 * 400.0 * 1.001e-9
-
-
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.5])
 def test_magnet_vanishes_at_its_range_without_a_step(exponent: float) -> None:
     """The pull is F (1 - gap / range)^n towards the surface and F in contact, continuous at its range and at the

@@ -12,7 +12,7 @@ from softfinger.proxy.elastic import solution
 from softfinger.proxy.elastic.prepared import prepare_body
 from softfinger.proxy.elastic.solution import ElasticBody, Report
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.kernels.elastic import spots, step, surfaces
+from softfinger.proxy.kernels.elastic import step, surfaces
 from softfinger.proxy.kernels.elastic.response import compute_node_rows, read_compliance
 from softfinger.proxy.kernels.elastic.spots import make_spot
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
@@ -278,25 +278,6 @@ def test_an_expected_change_that_is_not_a_number_is_not_used() -> None:
     surface = start_state(Engine(scene()).scene).world.surfaces[0]
     for change, expected in ((np.nan, 0.0), (1.1, 0.0), (0.9, 0.9)):
         assert surfaces.expect(surface, (change, 0.0, 0.0), 1.0) == (expected, 0.0, 0.0)
-
-
-@pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")
-def test_the_surface_below_a_free_finger_is_searched_once_a_tick_and_only_while_the_other_presses(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    searches: list[Any] = []
-    nearest = spots.find_nearest_spot
-    monkeypatch.setattr(
-        spots, "find_nearest_spot", lambda *arguments: (searches.append(nearest(*arguments)), searches[-1])[1]
-    )
-    config, count = scene(friction=True, fingers=2), 30
-    angle = 0.006 * np.arange(count)
-    slid = np.array([at(x, y, 0.001) for x, y in zip(0.008 * np.cos(angle), 0.008 * np.sin(angle), strict=True)])
-    away = np.tile(at(0.005, 0.001, -0.02), (count, 1))
-    Engine(config).run({"a": slid, "b": away})
-    assert len(searches) == count
-    Engine(config).run({"a": away, "b": away})
-    assert len(searches) == count
 
 
 def test_two_fingers_displace_each_other_through_the_body() -> None:

@@ -298,36 +298,16 @@ def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
 
 TIP: dict[str, Any] = {"radii_m": list(AXES)}
 FAULTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
-    (
-        {},
-        {},
-        "fingertip.radius_m: is missing: give a number from 1e-05 to 1000 m, such as radius_m = 0.01, or the radii_m",
-    ),
+    ({}, {}, "fingertip.radius_m: is missing: give a number from 1e-05 to 1000 m, such as radius_m = 0.01, or"),
     (TIP | {"radius_m": 0.01}, {}, "fingertip.radius_m = 0.01: describes a sphere, and radii_m an ellipsoid"),
-    (
-        {"radius_m": 0.01, "orientation_wxyz": [1, 0, 0, 0]},
-        {},
-        "applies to an ellipsoid, but the fingertip is a sphere: remove it",
-    ),
+    ({"radius_m": 0.01, "orientation_wxyz": [1, 0, 0, 0]}, {}, "to an ellipsoid, but the fingertip is a sphere"),
     (TIP | {"orientation_wxyz": [0, 0, 0, 0]}, {}, "fingertip.orientation_wxyz = [0.0, 0.0, 0.0, 0.0]: all zero is no"),
-    (
-        {"radii_m": [0.001, 0.011, 0.011]},
-        {},
-        "fingertip.radii_m = [0.001, 0.011, 0.011]: the longest must be at most 10",
-    ),
+    ({"radii_m": [0.001, 0.011, 0.011]}, {}, "fingertip.radii_m = [0.001, 0.011, 0.011]: the longest must be"),
     ({"radii_m": [0.01, 0.01]}, {}, "fingertip.radii_m = [0.01, 0.01]: must be a list of 3 numbers"),
     ({"radii_m": [0.01, 0.01, 0.0]}, {}, "fingertip.radii_m[2] = 0.0: must be a number from 1e-05 to 1000 m"),
-    (
-        TIP,
-        {"rolling": {"method": "euler_zxz"}},
-        "rolling.method = 'euler_zxz': needs a spherical fingertip, but fingertip.radii_m is set",
-    ),
+    (TIP, {"rolling": {"method": "euler_zxz"}}, "rolling.method = 'euler_zxz': needs a spherical fingertip"),
     (TIP, {"rolling": {"method": "rotation_vector"}}, "use midpoint, or montana_rk4 for long ticks"),
-    (
-        TIP,
-        {"shape": "capsule", "radius_m": 0.05, "length_m": 0.1},
-        "object[0].shape = 'capsule': cannot be touch",
-    ),
+    (TIP, {"shape": "capsule", "radius_m": 0.05, "length_m": 0.1}, "object[0].shape = 'capsule': cannot be touch"),
     (TIP, {"shape": "sphere", "inside": True, "radius_m": 0.05}, "a sphere or infinite cylinder touched from outside"),
     (TIP, {"shape": "cylinder", "radius_m": 0.05, "length_m": 0.1}, "object[0].shape"),
     (TIP, {"shape": "box", "size_m": [0.1, 0.1, 0.1]}, "object[0].shape"),

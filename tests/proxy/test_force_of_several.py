@@ -198,20 +198,14 @@ def gained(records: Any, poses: Array) -> float:
     return float(np.sum((work + stored)[touching[1:] & touching[:-1]]))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("turn", [0.0, 0.05])
 @pytest.mark.parametrize("static", [0.6, 50.0])
 @pytest.mark.parametrize("name", SCENES)
-def test_a_closed_path_gains_nothing(name: str, static: float) -> None:
-    poses = closed_path(name, 3, 0.0)
-    assert gained(engine(name, static, static).run(poses), poses) <= 1e-9
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize("static", [0.6, 50.0])
-@pytest.mark.parametrize("name", SCENES)
-def test_a_closed_path_with_rolls_gains_at_most_the_stored_friction(name: str, static: float) -> None:
+def test_a_closed_path_gains_nothing_or_with_rolls_the_stored_friction(name: str, static: float, turn: float) -> None:
     """A roll back can return the energy K e^2 / 2 of a deflection e a second time, a known limit of the model. Friction
     of one object carries the proxy above another, which takes over the load later: see docs/model/patches.md."""
-    poses = closed_path(name, 3, 0.05)
+    poses = closed_path(name, 3, turn)
     records = engine(name, static, static).run(poses)
-    assert gained(records, poses) <= 0.5 / K * records["contact.tangential_force"].max() ** 2
+    most = 0.5 / K * records["contact.tangential_force"].max() ** 2 if turn else 1e-9
+    assert gained(records, poses) <= most

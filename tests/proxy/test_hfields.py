@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,7 @@ from softfinger.proxy.kernels.query.world import advance, place_all
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.pictures import Filed, make_picture
 from softfinger.proxy.scene import start_state
-from softfinger.server import cli, surface_meshes
-from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
+from softfinger.server import cli
 
 pytestmark = pytest.mark.plain
 
@@ -166,31 +164,13 @@ def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureF
     assert "the smooth surface is up to 0.000646 m higher or lower than the neighbouring pixels" in output
 
 
-def test_the_page_draws_the_mesh_on_its_moving_body(tmp_path: Path) -> None:
-    """The page gets one vertex per height in the geom's frame, and its surface follows the body."""
-    viser = pytest.importorskip("viser")
+def test_the_page_draws_one_vertex_per_height(tmp_path: Path) -> None:
+    """tests/server/viewer/test_world_drawn.py checks that drawn objects follow their bodies."""
     path = str(write_model(tmp_path, joint="<freejoint/>"))
-    scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}})
-    (hills_object,) = scene.object
+    (hills_object,) = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}}).object
     assert isinstance(hills_object, Filed) and isinstance(hills_object.motion, schema.Body)
     (vertices, triangles), of = make_picture(hills_object)
     assert of == len(triangles) == 2 * (ROWS - 1) * (COLUMNS - 1)
     x, y = (PITCH * (np.arange(n) - 0.5 * (n - 1)) for n in (COLUMNS, ROWS))
     expected = np.stack([*np.meshgrid(x, y), elevations_m()], axis=-1).reshape(-1, 3)
     np.testing.assert_allclose(vertices, expected, atol=1e-8)  # 32 bits
-    server = viser.ViserServer(port=0, verbose=False)
-    try:
-        bodies = BodyNodes(server.scene, scene, SceneStart(0, 0, 1e-3, True))
-        bodies.draw(0, surface_meshes.decode_mesh(vertices.astype("<f4").tobytes(), triangles.astype("<u4").tobytes()))
-        half = math.sqrt(0.5)  # rotate the body so that the geom has the same orientation in the world as in its frame
-        turn, back = np.empty(4), np.empty(4)
-        mujoco.mju_negQuat(back, np.array(hills_object.orientation_wxyz))
-        mujoco.mju_mulQuat(turn, np.array([half, 0.0, 0.0, half]), back)
-        offset = np.empty(3)
-        mujoco.mju_rotVecQuat(offset, np.array(hills_object.position_m), turn)
-        bodies.move_bodies({hills_object.motion.body: (tuple(np.array([0.3, 0.2, 0.1]) - offset), tuple(turn))})
-        for row, column in ((2, 3), (6, 9)):  # a quarter turn: x of the map is y of the world
-            foot = bodies.below(np.array([0.3 - y[row], 0.2 + x[column], 1.0]))
-            assert foot is not None and foot.point[2] == pytest.approx(0.1 + elevations_m()[row, column], abs=1e-7)
-    finally:
-        server.stop()

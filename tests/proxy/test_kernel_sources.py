@@ -59,23 +59,6 @@ def test_names_in_kernels_are_from_hashed_sources() -> None:
     assert [message for file, text in with_kernels.items() for message in unseen(file, text)] == []
 
 
-@pytest.mark.plain
-@pytest.mark.parametrize(
-    ("file", "module", "is_reported"),
-    [
-        ("proxy/kernels/step.py", "config.limits", False),
-        ("proxy/kernels/step.py", "proxy.record", True),
-        ("proxy/kernels/step.py", "tools.exchange", False),
-        ("tools/accuracy/measure.py", "tools.accuracy.cases", True),
-        ("tools/accuracy/measure.py", "tools.exchange", False),
-        ("tools/accuracy/measure.py", "drivers.block", True),
-    ],
-)
-def test_names_from_unhashed_sources_are_found(file: str, module: str, is_reported: bool) -> None:
-    text = f"from softfinger.{module} import X\n@jit\ndef kernel(a):\n    return a * X\n"
-    assert unseen(file, text) == ([] if is_reported else [f"{file}: kernel: X"])
-
-
 SHOW = r"""
 import os
 import sys

@@ -21,7 +21,7 @@ from softfinger.config.load import build
 from softfinger.proxy.engine import Engine, step_many
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import PLAIN
-from softfinger.proxy.kernels.query.container import MAX_ENTRIES, extract_facet, extract_row
+from softfinger.proxy.kernels.query.container import MAX_ENTRIES
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.kernels.shapes.any_shape import reach_of
 from softfinger.proxy.many import make_many
@@ -114,14 +114,6 @@ def test_bounding_spheres_contain_their_shapes(kind: str) -> None:
     farthest = max(np.linalg.norm(closest(shape, tuple(x))[1]) for x in 0.1 * points)
     reach = reach_of(shape)
     assert farthest <= reach * (1.0 + 1e-12) and (farthest > 0.8 * reach or reach == np.inf)
-
-
-@pytest.mark.plain
-def test_an_index_encodes_row_and_triangle() -> None:
-    for row in (0, 1, MAX_ENTRIES - 1):
-        for facet in (0, 1, 2**31 - 1):
-            index = float(row) + MAX_ENTRIES * float(facet)
-            assert (extract_row(index), extract_facet(index)) == (row, facet)
 
 
 @pytest.mark.plain

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +13,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from softfinger.config import schema
-from softfinger.proxy import progress
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.meshes import array_cache, prepared
 from softfinger.proxy.meshes import tree as trees
@@ -99,23 +95,6 @@ def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypa
     monkeypatch.setattr(prepared, "SOURCE_HASH", "another")
     prepare_tree(mesh, folder)
     assert BUILT == [180]
-
-
-def test_a_display_counts_the_stages_of_a_mesh(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    forget(monkeypatch)
-    reported: list[Any] = []
-
-    @contextmanager
-    def display(stage: str, total: int) -> Iterator[Callable[[int], None]]:
-        reported.append((stage, total))
-        yield reported.append
-
-    monkeypatch.setattr(progress, "display", display)
-    prepare_tree(part(tmp_path), folder)
-    assert reported == [("building the mesh of ball", 4), 1, 2, 3, 4]
-    forget(monkeypatch)
-    prepare_tree(part(tmp_path), folder)
-    assert len(reported) == 5
 
 
 def only_file(folder: Folder) -> Path:

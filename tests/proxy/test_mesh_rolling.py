@@ -65,7 +65,7 @@ def deflections(folder, half_angle, w, phase, method, *others):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("half_angle", [2e-4, 0.01, 0.1])
-def test_rolling_over_an_edge_deflects_nomake_object(tmp_path, half_angle, method):
+def test_rolling_over_an_edge_deflects_nothing(tmp_path, half_angle, method):
     """If the tick that leaves the ridge were lost, it would deflect by up to DEPTH x TICK_RAD = 2 um."""
     np.save(tmp_path / "hills.npy", np.zeros((4, 4)))
     box = make_object("box", "box", size_m=[0.01, 0.01, 0.01], position_m=[0.0, 0.0, -3.0])

@@ -1,16 +1,9 @@
 """Queries of the nearest triangle of a mesh, compared with a brute-force search by an independent formula."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from helpers import meshes
 from helpers.examples import examples
-from helpers.surface_hand import hand
-from helpers.touching import R, engine, make_object, write_part
 from hypothesis import given
 from hypothesis import strategies as st
 from references.triangles import distances
@@ -239,33 +232,3 @@ def test_tree_contains_each_triangle_once():
     assert (counts == 1).all()
     original = np.sort(vertices[triangles].sum(axis=1), axis=0)
     assert np.allclose(np.sort(tree.vertices[tree.corners].sum(axis=1), axis=0), original, rtol=0.0, atol=1e-15)
-
-
-def in_a_scene(folder: Path) -> dict[str, np.ndarray]:
-    bumpy = meshes.bumpy_sphere(8, 0.05, height=0.06)
-    running = engine(make_object("part", "mesh", file=write_part(folder, *bumpy)))
-    records = running.run(hand(bumpy, 400, R, np.random.default_rng(5)))
-    arrays = {name: array for name, array in build_tree(*bumpy)._asdict().items() if isinstance(array, np.ndarray)}
-    return arrays | {"records": np.asarray(records), "mode": np.asarray(records["contact.mode"])}
-
-
-PLAIN = """
-import sys
-from pathlib import Path
-import numpy as np
-from test_mesh_tree import in_a_scene
-np.savez(sys.argv[1], **in_a_scene(Path(sys.argv[1]).parent))
-"""
-
-
-@pytest.mark.exhaustive
-def test_plain_python_gives_the_same_bits(tmp_path):
-    path = os.pathsep.join([str(Path(__file__).parents[1]), str(Path(__file__).parent), *sys.path])
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": path, "SOFTFINGER_CACHE_DIR": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", PLAIN, str(tmp_path / "found.npz")], env=environment, check=True)
-    compiled = in_a_scene(tmp_path)
-    assert (compiled["mode"] > 0).mean() > 0.2 and len(np.unique(compiled["mode"])) == 3
-    with np.load(tmp_path / "found.npz") as plain:
-        assert set(plain) == set(compiled)
-        for name, array in compiled.items():
-            assert plain[name].dtype == array.dtype and plain[name].tobytes() == array.tobytes(), name

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from conftest import SceneFactory
@@ -15,7 +14,6 @@ from references.hand import Array
 from references.rotation import matrix
 
 from softfinger.proxy.kernels import model
-from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.kernels.query.motion import compute_pose
 from softfinger.proxy.scene import build_scene
 
@@ -103,15 +101,6 @@ def test_pose_is_valid_at_any_finite_time(motion: Any, time: float) -> None:
     pose = compute_pose(motion, TILTED, time)
     assert math.hypot(*pose.orientation) == pytest.approx(1.0, abs=1e-14)
     assert np.linalg.norm(np.array(pose.position) - TILTED.position) < 0.2
-
-
-def test_compiled_equals_plain_python() -> None:
-    compiled = numba.njit(**OPTIONS)(lambda m, p, t: compute_pose(m, p, t))
-    for motion in MOTIONS:
-        for time in np.linspace(0.0, 7.0, 57):
-            ours, plain = compiled(motion, TILTED, time), compute_pose(motion, TILTED, time)
-            # Sine and cosine may be from another library: some units in the last place of numbers below 4.
-            assert np.hstack(ours) == pytest.approx(np.hstack(plain), abs=1e-14)
 
 
 def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:

@@ -166,18 +166,6 @@ def test_a_second_object_is_met_while_the_first_is_touched(jump: float, thicknes
     assert faces[-1] > 0.0
 
 
-def test_a_lift_pushes_the_finger_against_a_shelf() -> None:
-    grip = {"stiffness_n_per_m": K}
-    lift = {"shape": "plane", "material": grip}
-    shelf = {"shape": "box", "size_m": [0.2, 0.2, 0.001], "position_m": [0.0, 0.0, 0.03], "motion": None}
-    driver = Driver(scene(lift, shelf))
-    for z in (R + 0.001, R - 0.001):
-        driver.step((0.0, 0.0, z), ((0.0, 0.0, 0.0), UPRIGHT))
-    for _ in range(3):
-        step = driver.step((0.0, 0.0, R - 0.001), ((0.0, 0.0, 0.04), UPRIGHT))
-        assert step.proxy_position[2] < 0.03 or step.force[2] > 0.0
-
-
 BLOCK = {"shape": "box", "size_m": (2 * HALF).tolist(), "material": GRIP}
 BALL = {"shape": "sphere", "radius_m": 0.02, "material": GRIP}
 ROLLING = {"rolling": {"method": "euler_zxz"}, "coupling": {"damping_ns_per_m": 2.0}}

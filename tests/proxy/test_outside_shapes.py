@@ -28,7 +28,6 @@ from softfinger.config.load import build, describe, load_rig
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
-from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.shapes import closest, curvature, is_hollow, transport
 from softfinger.proxy.record import FREE
 from softfinger.server.loop.servo_thread import ServoThread
@@ -78,6 +77,8 @@ def test_a_shape_of_another_package_extends_the_scene_format(cone: ModuleType) -
         scene({"shape": "kone", "half_angle_rad": 0.5})
     with pytest.raises(ConfigError, match=r"no closed form for the cone"):
         scene({"shape": "cone", "half_angle_rad": 0.5}, rolling={"method": "rotation_vector"})
+    up, shape = (0.0, 0.0, 1.0), cone.Cone(0.6, 0.8)
+    assert not is_hollow(shape) and transport(shape, (1.0, 0.0, 0.0), up, up) == (1.0, 0.0, 0.0)  # defaults
 
 
 @pytest.mark.plain
@@ -162,77 +163,27 @@ def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None
     np.testing.assert_allclose(on_cone, on_plane, atol=1e-9)
 
 
-def test_a_default_kernel_applies_to_all_types_but_none(cone: ModuleType) -> None:
-    @by_type
-    def half(node: Any) -> Any: ...
-
-    @half.otherwise
-    def half_of_any(node: Any) -> float:
-        return 0.5
-
-    @numba.njit(**OPTIONS)
-    def ask(node: Any) -> float:
-        return half(node)
-
-    shape = cone.Cone(0.6, 0.8)
-    assert half(shape) == 0.5 == ask(shape)
-    with pytest.raises(TypeError, match="half is not defined for None"):
-        half(None)
-    with pytest.raises(numba.TypingError):
-        ask(None)
-
-    @half.of(cone.Cone)
-    def half_of_cone(node: Any) -> float:
-        return 0.25
-
-    assert half(shape) == 0.25
-    assert is_hollow(shape) is False
-    assert transport(shape, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)) == (1.0, 0.0, 0.0)
-
-
 TOUCH = """
 import sys
 sys.path.insert(0, sys.argv[1])
-import softfinger_{name}
+import softfinger_beads
 from softfinger.config.load import load_scene
 from softfinger.proxy.engine import Engine, step_many
-step = Engine(load_scene(sys.argv[2])).step((0.0, 0.0, 0.0099), (1.0, 0.0, 0.0, 0.0))
+table = {"name": "thing", "shape": "beads", "balls_file": sys.argv[2], "material": {"stiffness_n_per_m": 1000.0}}
+scene = load_scene({"fingertip": {"radius_m": 0.01}, "object": [table]})
+step = Engine(scene).step((0.0, 0.0, 0.0099), (1.0, 0.0, 0.0, 0.0))
 print(round(step.force[2], 9), sum(step_many.stats.cache_hits.values()))
 """
-ASK = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import softfinger_{name}
-from softfinger.config.load import load_scene
-from softfinger.proxy.kernels.shapes import closest
-from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.proxy.scene import build_scene
-
-@entry
-def force_at(shape, x):
-    return 1000.0 * (0.01 - closest(shape, x)[0])
-
-force = force_at(build_scene(load_scene(sys.argv[2])).objects.body.shape, (0.0, 0.0, 0.0099))
-print(round(force, 9), sum(force_at.stats.cache_hits.values()))
-"""
-SCENE = """
-fingertip.radius_m = 0.01
-[[object]]
-name = "thing"
-shape = "{name}"
-{keys}
-material.stiffness_n_per_m = 1000.0
-"""
 
 
-def touched(name: str, folder: Path, keys: str, program: str = TOUCH) -> str:
+def touched(folder: Path, balls_file: Path) -> str:
     """Return the force of a touch and the number of cache hits, from a new process with its cache in the folder."""
-    (folder / "scene.toml").write_text(SCENE.format(name=name, keys=keys))
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(folder / "cache")}
     script = folder / "touch.py"  # code from a command line is not cached
-    script.write_text(program.format(name=name))
-    command = [sys.executable, "-B", str(script), str(folder), str(folder / "scene.toml")]
-    process = run_program(command, env=environment, check=True)
+    script.write_text(TOUCH)
+    process = run_program(
+        [sys.executable, "-B", str(script), str(folder), str(balls_file)], env=environment, check=True
+    )
     return process.stdout.strip()
 
 
@@ -341,18 +292,15 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("program", [ASK, pytest.param(TOUCH, marks=pytest.mark.exhaustive)], ids=["query", "step"])
-def test_an_outlined_kernel_is_linked_to_a_cached_caller(tmp_path: Path, program: str) -> None:
+def test_an_outlined_kernel_is_linked_to_a_cached_caller(tmp_path: Path, balls_file: Path) -> None:
     """A process that loads the caller from disk calls the query it was compiled with; editing the query compiles both
     again."""
     file = tmp_path / "softfinger_beads.py"
     shutil.copy(OUTSIDE / file.name, file)
-    np.savetxt(tmp_path / "balls.txt", BALLS, fmt="%.17g")
-    keys = f'balls_file = "{tmp_path / "balls.txt"}"'
-    assert touched("beads", tmp_path, keys, program) == "0.1 0"
-    assert touched("beads", tmp_path, keys, program) == "0.1 1"
+    assert touched(tmp_path, balls_file) == "0.1 0"
+    assert touched(tmp_path, balls_file) == "0.1 1"
     text = file.read_text()
     assert "return least, center, radius" in text
     file.write_text(text.replace("return least, center, radius", "return least + 5e-5, center, radius - 5e-5"))
-    assert touched("beads", tmp_path, keys, program) == "0.05 0"
-    assert touched("beads", tmp_path, keys, program) == "0.05 1"
+    assert touched(tmp_path, balls_file) == "0.05 0"
+    assert touched(tmp_path, balls_file) == "0.05 1"

@@ -369,19 +369,7 @@ BALL, DEEP, ARC = 0.05, 0.001, 0.4
 be 0.4 N."""
 
 
-BALL, DEEP, ARC = 0.05, 0.001, 0.4
-"""Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
-be 0.4 N."""
-
-
-BALL, DEEP, ARC = 0.05, 0.001, 0.4
-"""Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
-be 0.4 N."""
-
-
 STUCK = material({"static": 5.0, "kinetic": 4.0})
-
-
 FAR = wall("far", (0.0, 0.0, 1.0), offset=-5.0)
 
 

@@ -28,6 +28,7 @@ CENTERS = {
     "heightmap": (0.0, 0.0, 0.01),
     "ribbed-plane": (0.0, 0.0, 0.01),
     "pinch": (0.0, 0.0, 0.05),
+    "press-a-pad": (0.0, 0.0, 0.0085),
 }
 """Position of first touch, m, for each scene; in pinch that of the index finger."""
 TICKS = 1200

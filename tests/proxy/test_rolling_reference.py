@@ -94,51 +94,6 @@ def test_paper_experiment_along_an_arc() -> None:
     assert largest[1] == pytest.approx(table["largest_difference_y"], abs=0.5e-6)
 
 
-TABLE = [
-    # motion, method, heading, largest differences along x and y in mm
-    ("arc", "euler_zxz", "phi", (0.00387, 0.00393)),
-    ("arc", "euler_zyx", "own", (0.34067, 0.57934)),
-    ("arc", "rotation_vector", "own", (0.27901, 0.33110)),
-    ("line", "euler_zxz", "own", (0.00208, 0.00313)),
-    ("line", "euler_zyx", "own", (0.76124, 0.49121)),
-    ("line", "rotation_vector", "own", (0.0, 0.0)),
-]
-
-
-@pytest.mark.sampled(3)
-@pytest.mark.parametrize(("motion", "method", "heading", "largest_mm"), TABLE)
-def test_both_motions_and_both_interpretations(
-    motion: str, method: str, heading: str, largest_mm: tuple[float, float]
-) -> None:
-    """Distance of each method from the integrated path, for both interpretations of the experiment, to 1e-5 mm.
-
-    On an arc the step is constant in the contact frame, which turns by the method's spin. The kernel agrees with the
-    angles computed from matrices.
-    """
-    w, normal, n = paper_step(), np.array([0.0, 0.0, 1.0]), 100
-
-    def turned(angle: float, v: Array) -> Array:
-        return rodrigues(angle * normal) @ v
-
-    arc = motion == "arc"
-    exact, _ = rolling_equation(lambda k: turned(k * w[2] if arc else 0.0, w), R, np.linspace(0.0, n, n + 1))
-    start, turn = (0.0, 0.0, R), rotations.exp(tuple(w.tolist()))
-    out = roll(METHODS[method], model.Plane((0.0, 0.0, 1.0), 0.0), R, start, (0.0, 0.0, 1.0), turn)
-    step = turned(out.spin / 2 if heading == "phi" else 0.0, np.array(out.motion))
-    path = np.vstack([np.zeros(3), np.cumsum([turned(k * out.spin if arc else 0.0, step) for k in range(n)], axis=0)])
-    # The numbers are given to 1e-5 mm.
-    assert np.abs(path - exact).max(axis=0) == pytest.approx([*(1e-3 * np.array(largest_mm)), 0.0], abs=0.6e-8)
-
-    if method == "rotation_vector":
-        by_hand, spin = R * np.cross(w, normal), w[2]
-    else:
-        rotation = rodrigues(w)
-        axis, _, spin = zyx_roll(rotation, normal) if method == "euler_zyx" else zxz_roll(rotation, normal)
-        by_hand = R * np.cross(axis, normal)
-    assert np.array(out.motion) == pytest.approx(by_hand, abs=1e-15)
-    assert out.spin == pytest.approx(spin, abs=1e-15)
-
-
 def quaternions(rotations: Array) -> Array:
     """Quaternions (n, 4) of rotation matrices (n, 3, 3), by the axis of each step."""
     out, last = [np.array([1.0, 0.0, 0.0, 0.0])], rotations[0]

@@ -383,18 +383,6 @@ def test_results_scale_with_the_size(shape: Any) -> None:
             assert compiled_curvature(large, factor * 0.125, p, n) == (k1 / factor, k2 / factor, d1)
 
 
-@every_shape
-def test_compiled_kernels_match_plain_python(shape: Any) -> None:
-    rng = np.random.default_rng(13)
-    for _ in range(60):
-        x, v = triple(near_or_far(shape, rng)), triple(unit(rng))
-        result = closest(shape, x)
-        assert result == compiled_closest(shape, x)
-        _, point, normal = result
-        assert curvature(shape, 0.1, point, normal) == compiled_curvature(shape, 0.1, point, normal)
-        assert transport(shape, v, (0.0, 0.6, 0.8), normal) == compiled_transport(shape, v, (0.0, 0.6, 0.8), normal)
-
-
 @pytest.mark.parametrize("searched", [model.Mesh, model.Heightmap])
 def test_closest_is_not_defined_for_meshes_and_height_maps(searched: Any) -> None:
     """`closest` cannot report an incomplete search, so it is not defined for shapes that need one."""

@@ -26,21 +26,31 @@ def names() -> dict[str, list[str]]:
     schemas |= {f"{name} {part}": methods[name][part] for name in methods for part in ("params", "result")}
     return {
         "exports": sorted(softfinger.__all__),
-        "command line": sorted(set(_options(make_parser().complete(), "softfinger"))),
+        "command line": sorted(_options(make_parser().complete())),
         "keys": sorted({path for name, schema in schemas.items() for path in _paths(schema, schema, name, ())}),
         "telemetry": sorted(" ".join(f"{field[key]}" for key in _FIELD) for field in telemetry["record"]),
         "messages": sorted({*methods, *commands["errors"], *commands["request"], *commands["answer"]}),
     }  # fmt: skip
 
 
-def _options(parser: argparse.ArgumentParser, verb: str) -> Iterator[str]:
+def _options(parser: argparse.ArgumentParser) -> set[str]:
+    """Return each verb with each of its options; those that all verbs have once, as options of `*`."""
+    options = dict(_options_by_verb(parser, "softfinger"))
+    common = set.intersection(*options.values())
+    own = {f"{verb} {option}" for verb, names in options.items() for option in names - common}
+    return own | {f"* {option}" for option in common}
+
+
+def _options_by_verb(parser: argparse.ArgumentParser, verb: str) -> Iterator[tuple[str, set[str]]]:
+    names = set[str]()
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
+            names |= set(action.choices)
             for name, inner in action.choices.items():
-                yield f"{verb} {name}"
-                yield from _options(inner, f"{verb} {name}")
+                yield from _options_by_verb(inner, f"{verb} {name}")
         else:
-            yield from (f"{verb} {option}" for option in action.option_strings or [action.dest.upper()])
+            names |= set(action.option_strings or [action.dest.upper()])
+    yield verb, names
 
 
 def _paths(schema: Any, root: dict[str, Any], at: str, inside: tuple[str, ...]) -> Iterator[str]:

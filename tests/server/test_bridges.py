@@ -18,7 +18,7 @@ from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
-from softfinger.server.bridges import foxglove, rerun
+from softfinger.server.bridges import foxglove
 from softfinger.server.cli import main
 from softfinger.server.recording import picture
 from softfinger.server.recording.reader import RecordedWorld, read_contents
@@ -178,20 +178,6 @@ def test_a_port_in_use_raises_an_error_with_advice() -> None:
             foxglove.Server(int(first.url.rpartition(":")[2]))
     finally:
         first.close()
-
-
-def test_each_finger_has_named_entities(tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason=WHY)
-    stream = rerun.stream(tmp_path / "two.rrd")
-    scene = load_scene("pinch")
-    shown = rerun.RerunSink(stream, [finger.name for finger in scene.fingers], scene)
-    for finger in scene.fingers:
-        shown.ticks(run()[:100], finger.name)
-    stream.flush()
-    stream.disconnect()
-    batches = read_batches(tmp_path / "two.rrd")
-    for finger in scene.fingers:
-        assert {f"/world/{finger.name}/force", f"/plots/{finger.name}/force"} <= set(batches)
 
 
 # --- bodies of a [world] -----------------------------------------------------------------------------

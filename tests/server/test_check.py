@@ -50,30 +50,17 @@ def test_check_prints_shapes_laws_and_motions(tmp_path: Path) -> None:
 
 @pytest.mark.plain
 def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
-    files = {
-        "scene": "[fingertip]\nradius_m = 0\n",
-        "rig": '[device]\ndriver = "replay"\nrecording = "x"\nlop = true\n',
-        "driver": '[device]\ndriver = "replya"\n',
-        "both": "[fingertip]\n[device]\n",
-        "neither": "[hello]\n",
-    }
-    for name, text in files.items():
-        (tmp_path / f"{name}.toml").write_text(text)
-    paths = [str(tmp_path / f"{name}.toml") for name in files]
+    (tmp_path / "both.toml").write_text("[fingertip]\n[device]\n")
+    (tmp_path / "neither.toml").write_text("[hello]\n")
+    paths = [str(tmp_path / f"{name}.toml") for name in ("both", "neither")]
     result = called("check", *paths, "replay", "repaly")
-    assert result.returncode == 2, result.stderr
-    out, err = result.stdout, result.stderr
-    assert "replay: rig, usable" in out
-    for part in [
-        "fingertip.radius_m = 0",
-        "object: is missing",
-        "rig.toml [device]: lop is not a key here (did you mean 'loop'?)",
-        "driver.toml: not usable\n  device.driver = 'replya'",
+    assert result.returncode == 2 and "replay: rig, usable" in result.stdout
+    for part in (
         "both.toml: not usable\n  both scene (fingertip) and rig (device)",
         "neither.toml: not usable\n  neither scene nor rig",
         "no scene, rig or experiment is named 'repaly' (did you mean 'replay'?)",
-    ]:
-        assert part in err
+    ):
+        assert part in result.stderr
 
 
 @pytest.mark.plain

@@ -14,7 +14,6 @@ from helpers.called import called
 from helpers.processes import COMMAND
 from helpers.programs import run_program
 
-from softfinger.proxy.record import list_columns
 from softfinger.server.cli import VERBS, make_parser
 from softfinger.server.recording.results import read_results
 from softfinger.tools.bench.options import KINDS
@@ -49,12 +48,6 @@ def test_garbage_collection_is_on_when_a_verb_runs():
     assert outcome.stdout.splitlines()[-1:] == ["False 1 True True"], outcome.stderr
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_has_help(verb):
-    outcome = called(verb, "--help")
-    assert outcome.returncode == 0 and f"softfinger {verb}" in outcome.stdout and len(outcome.stdout) > 150
-
-
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -85,12 +78,6 @@ def test_quiet_leaves_warnings_and_results(tmp_path):
     assert outcome.returncode == 0 and outcome.stderr == ""
     outcome = called("check", "nothing", "-q")
     assert outcome.returncode == 2 and "nothing" in outcome.stdout + outcome.stderr
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh"])
-def test_completion_lists_every_verb(shell):
-    script = called("--print-completion", shell).stdout
-    assert all(verb in script for verb in VERBS) and "--realtime" in script
 
 
 def test_completion_lists_shipped_names(tmp_path):
@@ -172,16 +159,6 @@ def test_an_endpoint_in_use_gives_exit_code_7():
         port = socket.bind_to_random_port("tcp://127.0.0.1")
         result = run("run", "--endpoint", f"tcp://127.0.0.1:{port}", "--duration", "1")
     assert result.returncode == 7 and str(port) in result.stderr
-
-
-@pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
-def test_simulate_writes_every_format(ending, tmp_path):
-    out = tmp_path / f"out{ending}"
-    outcome = called(*SIMULATE, "--out", str(out))
-    assert outcome.returncode == 0 and "3 touch" in outcome.stdout and "3 release" in outcome.stdout
-    records = read_results(out)
-    assert records.shape == (2281, len(list_columns()))  # 228 intervals of 10 ms, and the first sample
-    np.testing.assert_array_equal(records[:, 1], np.arange(2281))
 
 
 PEAK = """
@@ -314,23 +291,6 @@ def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
     (feature,) = result["features"]
     assert feature["feature"] == "torsion linear" and feature["in_contact"] == 1.0
     assert feature["reference_ns"] > 0.0 and {"ns_per_step", "marginal_ns"} <= feature.keys()
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    "line", ["loop --seconds 0.3 --realtime off", "telemetry --seconds 0.5 --subscribers 2"], ids=["loop", "telemetry"]
-)
-def test_bench_prints_json(line, tmp_path):
-    plot = tmp_path / "plot.png"
-    outcome = run("bench", *line.split(), "--json", "--plot", str(plot))
-    assert outcome.returncode == 0, outcome.stderr
-    result = json.loads(outcome.stdout)
-    assert plot.read_bytes().startswith(b"\x89PNG")
-    if "loop" in line:
-        assert result["servo"]["ticks"] == 299
-        assert set(result["servo"]["late"]["blocks"]) == {"p50", "p99", "p999", "max"}
-    else:
-        assert result["daemon"]["lost"] == 0 and result["daemon"]["messages"] > 0
 
 
 def test_run_is_drawn(tmp_path):

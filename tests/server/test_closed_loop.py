@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from math import inf
 from pathlib import Path
@@ -37,7 +36,6 @@ from softfinger.server.loop.servo_thread import FINISHED, ServoThread
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import FIGURES, close_many, run_closed_loop
-from softfinger.tools.bench import closed_loop as bench_closed_loop
 
 OPEN_GUARD = Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0)
 ALOFT = Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
@@ -106,17 +104,6 @@ def test_simulate_verb_refuses_invalid_options(
 ) -> None:
     assert cli.main(["simulate", "--scene", "paper-plane", "--out", str(tmp_path / "o.csv"), *words]) == 2
     assert message in capsys.readouterr().err
-
-
-@pytest.mark.exhaustive
-def test_bench_measures_every_plant(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", "closed-loop", "--blocks", "3", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert [row["plant"] for row in result["plants"]] == list(bench_closed_loop.HANDLES)
-    for row in result["plants"]:
-        assert row["largest_force_n"] > 0.1
-        assert row["ticks_per_s"] == pytest.approx(1e9 / row["ns_per_tick"])
-        assert row["ratio"] == pytest.approx(row["ns_per_tick"] / row["reference_ns"])
 
 
 @pytest.mark.plain

@@ -112,9 +112,10 @@ def events(daemon: Daemon) -> Iterator[Any]:
     with subscribed(daemon.publisher.endpoint, "event") as subscriber:
         assert eventually(lambda: daemon.publisher.figures.subscribers == 1)
 
-        def next_event(kind: str) -> dict[str, Any]:
-            while (event := msgpack.unpackb(subscriber.recv_multipart()[1]))["kind"] != kind:
-                pass
+        def next_event(kind: str, name: str = "") -> dict[str, Any]:
+            event = {"kind": ""}
+            while event["kind"] != kind or name not in ("", event["name"]):
+                event = msgpack.unpackb(subscriber.recv_multipart()[1])
             return event
 
         yield next_event
@@ -141,24 +142,18 @@ def test_every_method_answers(rig):
         assert control.heartbeat().timeout_ms == 0
         changed = control.set_params({STIFFNESS: 500.0, PUSH: [0.0, 0.0, 1.0]})
         assert {key: (c.before, c.after) for key, c in changed.changed.items()} == {STIFFNESS: (1000.0, 500.0)}
-        message = next_event("command")
-        assert message["name"] == "set_params" and message["what"] == {STIFFNESS: {"from": 1000.0, "to": 500.0}}
+        assert next_event("command", "set_params")["what"] == {STIFFNESS: {"from": 1000.0, "to": 500.0}}
         assert control.mark("trial 7", {"hand": "left"}).tick > 0
         message = next_event("mark")
         assert (message["label"], message["data"]) == ("trial 7", {"hand": "left"}) and message["command_id"]
         assert control.disarm().armed is False and next_event("command")["name"] == "disarm"
         assert control.arm().armed is True and next_event("command")["what"] == {"armed": True}
         moved = control.drive("lid.top", (0.0, 0.0, 0.0005))
-        message = next_event("command")
-        assert message["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]} and message["name"] == "drive"
+        assert next_event("command", "drive")["what"] == {"object": "lid.top", "position_m": [0.0, 0.0, 0.0005]}
         assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > moved.tick)
         # 0.5 mm of stroke towards the finger, on a spring of 500 N/m
         normal = pytest.approx(500.0 * (DEPTH_M + 0.0005), rel=ROUNDING)
         assert eventually(lambda: recorder.batches[-1][-1, AT.contact_normal_force] == normal)
-        with pytest.raises(CommandRefused, match=r"refused: object lid\.top is a plane and no mesh"):
-            control.mesh("lid.top")
-        with pytest.raises(CommandRefused, match="bad_params: there is no object 7; objects are lid"):
-            control.mesh(7)
         reply = control.describe()
         assert reply["scene"]["object"][0]["position_m"] == [0.0, 0.0, 0.0005] and reply["scene_name"] == "pressed"
         assert reply["rig"]["guard"]["force_slew_n_per_s"] == SLEW and set(reply["commands"]["methods"]) == set(METHODS)
@@ -409,22 +404,10 @@ def test_disarm_fades_out_and_arm_fades_in(rig):
         assert len(fading) >= RAMP_S * 1000.0 - 1
 
 
-def test_disarm_and_arm_cause_no_step_of_force(rig):
-    with running(rig()) as (daemon, control, recorder):
-        first = daemon.servo.ticks
-        for _ in range(20):
-            control.disarm()
-            control.arm()
-        assert eventually(lambda: recorder.force_n > 1.99)
-        assert find_largest_rise(recorder.since(first)) <= SLEW / 1000.0 * (1.0 + ROUNDING)
-
-
 def test_without_a_heartbeat_there_is_no_force_until_the_next(rig):
     with running(rig(**{"commands.heartbeat_s": 0.5})) as (daemon, control, recorder), events(daemon) as next_event:
         assert control.heartbeat().timeout_ms == 500
-        while (lost := next_event("command"))["name"] != "heartbeat_missed":  # on a busy machine one was missed before
-            pass
-        assert lost["what"] == {"after_s": 0.5}
+        assert next_event("command", "heartbeat_missed")["what"] == {"after_s": 0.5}
         assert eventually(lambda: recorder.force_n == 0.0)
         assert control.describe()["armed"] is False and recorder.force_n == 0.0
         control.heartbeat()
@@ -454,35 +437,41 @@ def test_a_heartbeat_does_not_rearm_after_a_disarm(rig):
         control.disarm()
         assert eventually(lambda: daemon.rendering.force.is_inhibited_by(NO_HEARTBEAT_REASON))
         control.heartbeat()
-        while (message := next_event("command"))["name"] != "heartbeat":
-            pass
-        assert message["what"] == {"armed": False}
+        assert next_event("command", "heartbeat")["what"] == {"armed": False}
         tick = daemon.servo.ticks
         assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > tick + 100)
         assert not recorder.since(tick)[:, AT.force : AT.force + 3].any()
         assert control.arm().armed is True
 
 
-PUBLISHER = SimpleNamespace(set_preparing=None)
+def make_service(**force: Any) -> CommandService:
+    """Return a service without sockets, for a force with these methods; it requires a heartbeat every 10 s."""
+    rendering = SimpleNamespace(
+        rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
+        disarm=force.pop("disarm", None),
+        arm=force.pop("arm", None),
+        force=SimpleNamespace(**force),
+    )
+    return CommandService("ipc:///nowhere", rendering, make_actions(), "none")
+
+
+def make_actions(**actions: Any) -> SimpleNamespace:
+    publisher = SimpleNamespace(set_preparing=None)
+    return SimpleNamespace(**({"replace": None, "publisher": publisher, "event": lambda *_, **__: None} | actions))
+
+
+def pack(method: str, **params: Any) -> bytes:
+    return msgpack.packb({"command_id": "a", "method": method, "params": params})
 
 
 def test_an_invalid_request_does_not_count_as_a_heartbeat():
-    reasons: set[str] = set()
-    rendering = SimpleNamespace(
-        rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
-        disarm=reasons.add,
-        arm=reasons.discard,
-        force=SimpleNamespace(
-            is_inhibited_by=lambda why: why in reasons, end_at=lambda time_ns: None, is_requested=True
-        ),
-    )
-    actions = SimpleNamespace(replace=None, publisher=PUBLISHER, event=lambda *words, **fields: None)
-    good = msgpack.packb({"command_id": "a", "method": "heartbeat", "params": {}})
-    unknown = msgpack.packb({"command_id": "a", "method": "no_such_method", "params": {}})
     alive = []
-    for body in (b"\xc1", None, unknown, good):
-        commands = CommandService("ipc:///nowhere", rendering, actions, "none")  # no request received so far
-        reasons.clear()
+    for body in (b"\xc1", None, pack("no_such_method"), pack("heartbeat")):
+        reasons: set[str] = set()
+        commands = make_service(  # no request received so far
+            disarm=reasons.add, arm=reasons.discard, is_inhibited_by=reasons.__contains__, end_at=lambda time_ns: None,
+            is_requested=True,
+        )  # fmt: skip
         assert commands._receive(b"client", body) is not None
         commands._check_heartbeat()
         alive.append(not reasons)
@@ -496,43 +485,22 @@ def test_a_stop_whose_event_cannot_be_published_ends_the_run():
         raise MemoryError
 
     rendering = SimpleNamespace(force=SimpleNamespace(inhibit=acts.append))
-    daemon = SimpleNamespace(replace=None, publisher=PUBLISHER, event=event, stop=lambda: acts.append("stop"))
+    actions = make_actions(event=event, stop=lambda: acts.append("stop"))
     with pytest.raises(MemoryError):
-        CommandHandlers("ipc:///nowhere", rendering, daemon, "none").stop(Request("a", "stop", None))
+        CommandHandlers("ipc:///nowhere", rendering, actions, "none").stop(Request("a", "stop", None))
     assert acts == [COMMANDED_REASON, "stop"]
 
 
 def test_a_queued_request_counts_as_a_sign_of_life_from_its_arrival():
     deadlines_ns: list[int] = []
-    rendering = SimpleNamespace(
-        rig=load_rig("replay", {"commands.heartbeat_s": 10.0}),
-        force=SimpleNamespace(is_inhibited_by=lambda why: False, end_at=deadlines_ns.append),
-    )
-    commands = CommandService("ipc:///nowhere", rendering, SimpleNamespace(replace=None, publisher=PUBLISHER), "none")
+    commands = make_service(is_inhibited_by=lambda why: False, end_at=deadlines_ns.append)
     commands._note_alive(time.monotonic())
-    body = msgpack.packb(
-        {"command_id": "a", "method": "mark", "params": {"label": "x", "data": {"a": "x" * SHORT_REQUEST_BYTES}}}
-    )
-    assert commands._receive(b"client", body) is None
+    assert commands._receive(b"client", pack("mark", label="x", data={"a": "x" * SHORT_REQUEST_BYTES})) is None
     arrived_s = time.monotonic()
     assert b"bad_params: data has more" in commands._answer_queued(*commands._queue.get())
     assert deadlines_ns[0] < deadlines_ns[-1] <= 1e9 * (arrived_s + 10.0)
-    commands._parse(msgpack.packb({"command_id": "a", "method": "heartbeat"}), 0.0)  # a request that waited longer
+    commands._parse(pack("heartbeat"), 0.0)  # a request that waited longer
     assert deadlines_ns[-1] == deadlines_ns[-2]
-
-
-def test_each_client_gets_its_answers(rig):
-    with running(rig()) as (daemon, control, _):
-        for number in range(50):
-            with Control(daemon.commands_endpoint) as second:
-                assert second.set_params({STIFFNESS: 600.0 + number}).changed[STIFFNESS].after == 600.0 + number
-                assert control.describe()["scene"]["object"][0]["material"]["stiffness_n_per_m"] == 600.0 + number
-        request = msgpack.packb({"command_id": "h", "method": "set_scene", "params": {"scene": "frictionless-plane"}})
-        with zmq.Context() as context, context.socket(zmq.DEALER) as hasty:
-            hasty.linger = 10_000
-            hasty.connect(daemon.commands_endpoint)
-            hasty.send_multipart([b"", request])
-        assert eventually(lambda: control.get_state().active_field == "frictionless-plane")
 
 
 def test_a_late_answer_is_not_assigned_to_the_next_request():
@@ -557,24 +525,15 @@ def test_a_late_answer_is_not_assigned_to_the_next_request():
 
 
 def test_asyncio_client(rig):
-
     async def talk(endpoint: str) -> None:
         async with AsyncControl(endpoint, WAIT_S) as control:
             scene = asyncio.create_task(control.set_scene("frictionless-plane"))
-            assert (await control.heartbeat()).timeout_ms == 0
             states = await asyncio.gather(*(control.get_state() for _ in range(20)))
             assert len(states) == 20
             assert (await scene).active_field == "frictionless-plane"
-            changed = await control.set_params({"object.ice.material.stiffness_n_per_m": 900.0})
-            assert changed.changed["object.ice.material.stiffness_n_per_m"].before == 1000.0
             with pytest.raises(CommandRefused, match=r"^refused: object ice is not driven"):
                 await control.drive("ice", (0.0, 0.0, 0.0))
-            with pytest.raises(CommandRefused, match=r"^unknown_method"):
-                await control.ask("nosuch")
             assert (await control.disarm()).armed is False
-            assert (await control.arm()).armed is True
-            assert (await control.mark("x")).tick > 0
-            assert (await control.describe())["scene_name"] == "frictionless-plane"
             assert (await control.stop()).shutting_down
 
     with running(rig()) as (daemon, _, _):
@@ -705,36 +664,25 @@ def test_command_endpoints_in_use_off_and_ipc(rig, tmp_path):
 
 
 def test_a_flooding_client_gets_busy_and_other_clients_are_answered(rig):
+    request = msgpack.packb({"command_id": "x", "method": "get_state", "params": {}})
     with running(rig()) as (daemon, control, _), zmq.Context() as context, context.socket(zmq.DEALER) as flood:
         flood.linger = 0
         flood.connect(daemon.commands_endpoint)
-        stop, sent = threading.Event(), 0
 
         def pour() -> None:
-            nonlocal sent
-            request = msgpack.packb({"command_id": "x", "method": "get_state", "params": {}})
-            while not stop.is_set():
-                with contextlib.suppress(zmq.Again):
+            with contextlib.suppress(zmq.Again):
+                for _ in range(2 * BURST):
                     flood.send_multipart([b"", request], zmq.NOBLOCK)
-                    sent += 1
 
-        pouring = threading.Thread(target=pour)
-        pouring.start()
-        try:
-            first, answered = daemon.servo.ticks, 0
-            while daemon.servo.ticks < first + 1000 or answered <= 10:
+        with repeated(pour, 0.001):
+            for _ in range(20):
                 control.heartbeat()
-                answered += 1
-                gc.collect()  # Python does not collect during timed tests: helpers/stalls.py
-                time.sleep(0.002)
-        finally:
-            stop.set()
-            pouring.join()
+                time.sleep(0.02)
         errors = set()
         while flood.poll(200) and errors != {None, "busy"}:
             error = msgpack.unpackb(flood.recv_multipart()[1])["error"]
             errors.add(error and error.partition(":")[0])
-    assert errors == {None, "busy"} and sent > BURST
+    assert errors == {None, "busy"}
 
 
 FEW_MESSAGES = {"telemetry.every": 1000}
@@ -868,9 +816,6 @@ def test_stop_ends_a_daemon_process(tmp_path):
             assert changed.returncode == 0 and '"to": 800' in changed.stdout
             refused = ctl("set_params", "object.table.material.stiffness_n_per_m=hard")
             assert refused.returncode == 12 and "bad_params: " in refused.stderr
-            (tmp_path / "mine.toml").write_text(
-                '[fingertip]\nradius_m = 0.01\n[[object]]\nname = "a"\nshape = "plane"\nmaterial = "rubber"\n'
-            )
             assert "no such file" in ctl("set_scene", "scene=nosuch.toml").stderr
             assert ctl("mark", "label=go").returncode == 0
             assert "unknown method 'get_sate' (did you mean 'get_state'?)" in ctl("get_sate").stderr

@@ -10,18 +10,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import msgpack
 import numpy as np
 import pytest
 from helpers.daemons import QUIET, make_daemon, subscribed
-from helpers.faulty_device import FaultyDevice, registered
-from helpers.processes import COMMAND
-from helpers.programs import Program, run_program
+from helpers.faulty_device import registered
+from helpers.programs import run_program
 from helpers.waits import WAIT_S, eventually
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, RealtimeError, SafetyStop
@@ -128,12 +124,13 @@ def test_device_failure_is_named_and_force_is_zero(fault, error, faulty):
     assert not faulty.device.wrenches[-1].any()
 
 
-def test_stalled_servo_is_stopped_and_zeroed(faulty):
-    with Daemon(make_faulty_rig(fault="stall", at=200, stall_us=900_000), load_scene("paper-plane")) as running:
+def test_a_stalled_servo_is_stopped_and_writes_no_force_afterwards(faulty):
+    with Daemon(make_faulty_rig(fault="stall", at=700, stall_us=900_000), load_scene("paper-plane")) as running:
         running.start()
         with pytest.raises(SafetyStop, match="no tick for"):
             running.wait(60.0)
-    assert not faulty.device.wrenches[-1].any()
+    assert eventually(lambda: not running.servo.is_running)
+    assert faulty.device.wrenches.any() and not faulty.device.wrenches[-1].any()
 
 
 def test_a_stall_does_not_end_a_run_without_a_hand(faulty):
@@ -267,20 +264,6 @@ def granted_fifo() -> bool:
     return granted[0]
 
 
-def test_threads_of_a_device_get_the_priority_of_the_relay(faulty, monkeypatch):
-    applied, over = [], threading.Event()
-    thread = threading.Thread(target=over.wait, args=(WAIT_S,))
-    thread.start()
-    monkeypatch.setattr(FaultyDevice, "thread_ids", lambda device: [thread.native_id])
-    with Daemon(make_faulty_rig(realtime="auto"), load_scene("paper-plane"), 10, applied.extend) as running:
-        running.start()
-        assert running.wait(60.0)
-    over.set()
-    thread.join()
-    settings = {setting.name: setting[1:] for setting in applied}
-    assert settings["sched_fifo_exchange"] == settings["sched_fifo_relay"]
-
-
 @pytest.mark.skipif(not granted_fifo(), reason="needs the right to SCHED_FIFO")
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs a processor for the hog alone")
 def test_a_real_time_hog_does_not_delay_the_supervisor(faulty):
@@ -307,16 +290,6 @@ def test_a_real_time_hog_does_not_delay_the_supervisor(faulty):
     # The supervisor notices after 0.25 s. A thread of lower priority runs when the hog has used 0.95 s of CPU time:
     # Linux then throttles real-time processes (sched_rt_runtime_us).
     assert hogged_s < 0.9
-
-
-def test_real_time_off_does_not_change_the_supervisor(faulty):
-    applied = []
-    with Daemon(make_faulty_rig(), load_scene("paper-plane"), 300, applied.extend) as running:
-        running.start()
-        assert eventually(lambda: bool(applied))
-        assert os.sched_getscheduler(running.supervisor.native_id) == os.SCHED_OTHER
-        running.wait(60.0)
-    assert [setting.name for setting in applied] == ["off"]
 
 
 @pytest.mark.parametrize(("failing", "error"), [("publisher", "telemetry"), ("relay", "ticks cannot be received")])
@@ -370,32 +343,3 @@ def test_required_realtime_that_is_refused_does_not_start(tmp_path):
     assert "sched_fifo" in completed.stderr and "rtprio" in completed.stderr
     rows = np.loadtxt(forces, delimiter=",", skiprows=1, ndmin=2)
     assert len(rows) and not rows[:, 1:].any()
-
-
-@contextmanager
-def daemon(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Run `softfinger run` on a private endpoint; kill it at the end."""
-    with TemporaryDirectory(prefix="daemon") as folder:  # no port, because another program may use one
-        endpoint = f"ipc://{folder}/t"
-        command = [*COMMAND, "run", "--endpoint", endpoint, *words]
-        with Program(command, stderr=subprocess.PIPE, text=True, kill_at_end=True) as process:
-            yield process, endpoint
-
-
-def load_forces(path: Path) -> np.ndarray:
-    with np.load(path) as saved:
-        return np.hstack([saved["force"], saved["torque"]])
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive)])
-def test_signal_stops_in_order_with_zero_force(number, tmp_path):
-    forces = tmp_path / "forces.npz"
-    with daemon("--forces", str(forces)) as (process, endpoint):
-        with subscribed(endpoint, "contact") as socket:
-            while np.linalg.norm(msgpack.unpackb(socket.recv_multipart()[1])["force"]) < 0.5:
-                pass
-        process.send_signal(number)
-        assert process.wait(30) == 0
-    written = load_forces(forces)
-    assert np.linalg.norm(written[-20:-2, :3], axis=1).max() > 0.1
-    assert not written[-1].any()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import doctest
-import os
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from helpers.programs import run_program
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.engine import Engine
@@ -133,24 +130,3 @@ def test_the_example_of_the_docs_runs() -> None:
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(program, names := {})
     assert names["reward"] == -0.5  # in the air; 0.5 N are the target
-
-
-WITHOUT_GYMNASIUM = """
-import importlib
-import sys
-
-sys.modules["gymnasium"] = None
-for name in ("environment", "lift_environment"):
-    try:
-        importlib.import_module(f"softfinger.server.bridges.{name}")
-    except Exception as error:
-        print(error)
-"""
-
-
-def test_without_gymnasium() -> None:
-    command = [sys.executable, "-c", WITHOUT_GYMNASIUM]
-    environ = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    completed = run_program(command, env=environ, check=True)
-    lines = completed.stdout.splitlines()
-    assert len(lines) == 2 and all("pip install 'softfinger[gymnasium]'" in line for line in lines)

@@ -165,39 +165,41 @@ class Session:
         self.answered[method] = self.answered.get(method, 0) + 1
         return True
 
+    def forbid_force(self) -> None:
+        for interval in self.forceless:
+            interval.begin()
+
+    def permit_force(self) -> None:
+        for interval in self.forceless:
+            interval.end()
+
     # Actions that end the force.
 
     def disarm(self) -> None:
         self.call("disarm")
-        for interval in self.forceless:
-            interval.begin()
+        self.forbid_force()
         time.sleep(self.draw.uniform(0.0, 0.1))
         if self.draw.random() < 0.5:
+            place = tuple(self.draw.uniform(-0.05, 0.05) for _ in range(3))
             with contextlib.suppress(HapticError):
-                self.call(
-                    "zero", tuple(self.draw.uniform(-0.05, 0.05) for _ in range(3)), finger=self.draw.choice(NAMES)
-                )
+                self.call("zero", place, finger=self.draw.choice(NAMES))
         self.flood(self.draw.randrange(5))
         self.arm()
 
     def arm(self) -> None:
-        for interval in self.forceless:
-            interval.end()
+        self.permit_force()
         self.call("arm")
 
     def silence(self) -> None:
         time.sleep(HEARTBEAT_S + 0.05)
-        for interval in self.forceless:
-            interval.begin()
+        self.forbid_force()
         time.sleep(self.draw.uniform(0.02, 0.1))
-        for interval in self.forceless:
-            interval.end()
+        self.permit_force()
         self.call("heartbeat")
 
     def stop(self) -> None:
         self.call("stop")
-        for interval in self.forceless:
-            interval.begin()
+        self.forbid_force()
         self.restart()
 
     def terminate(self) -> None:
@@ -210,8 +212,7 @@ class Session:
 
     def restart(self) -> None:
         self.daemon.wait(WAIT_S)
-        for interval in self.forceless:
-            interval.end()
+        self.permit_force()
         for cable in self.cables:
             cable.mute.clear()
             cable.spoil = bytes

@@ -9,15 +9,8 @@ from pathlib import Path
 import pytest
 from helpers.injected_run import FROZEN_S
 
-from softfinger.config.errors import DeviceError, HapticError, SafetyStop
-from softfinger.drivers import base
-from softfinger.drivers.openhaptics import exchange as openhaptics
-from softfinger.server.loop import force_switch, health, limits
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.services import watches
 from softfinger.server.states import DaemonState
-from softfinger.server.viewer.door import process
-from softfinger.server.wire import link
 from softfinger.server.wire.events import REMEDIES
 from softfinger.tools.pages import hazards
 from softfinger.tools.pages.hazards import FAILED, HAZARDS, RESULTS_FILE
@@ -86,47 +79,6 @@ def test_measured_reactions_are_within_their_rows():
             timed.add(hazard.name)
             assert row["ticks"] <= hazard.within + row.get("handover", 0) + TURN, row
     assert len(timed) >= 7
-
-
-SET_BY = {
-    "a wall that is unstable": [(limits, "ENERGY_TIME_CONSTANT_S")],
-    "a force that is not finite": [(health, "NO_FORCE_MAX_S")],
-    "a pose that is not finite, out of range or short": [(health, "NO_FORCE_MAX_S")],
-    "a pose that jumps": [(health, "NO_FORCE_MAX_S"), (health, "TIME_PER_JUMP_S")],
-    "a handle that runs away": [(limits, "SPEED_TIME_CONSTANT_S"), (limits, "SLOW_TIME_S")],
-    "a device that warns": [(watches, "DEVICE_PERIOD_S")],
-    "a device that is lost or breaks its protocol": [(DeviceError, "exit_code")],
-    "a device that is silent, or sends invalid data": [(openhaptics, "TIMEOUT_NS"), (DeviceError, "exit_code")],
-    "a device that accepts no force": [(base, "IGNORED_WRENCH_MAX_S")],
-    "a device that removes its force": [(SafetyStop, "exit_code")],
-    "a loop that stalls": [(health, name) for name in ("STALL_POLLS", "STALL_POLL_S", "STALL_MAX_S")],
-    "a machine that starves the loop": [
-        (health, name) for name in ("LOST_MAX_S", "LOST_SHARE", "GAP_MIN_S", "GAP_MAX_S")
-    ],
-    "an exception in the servo's thread": [(HapticError, "exit_code")],
-    "a process of commands that ends": [(link, "PAUSE_MAX_S")],
-    "a process of telemetry that ends, also while no memory or file descriptor is left": [(link, "PAUSE_MAX_S")],
-    "a process of commands that hangs": [(link, "SILENT_MAX_S"), (force_switch, "UNREACHABLE_MAX_S")],
-    "a page that ends, also while no memory or file descriptor is left": [(process, "RESTARTS")],
-    "memory of the daemon in swap": [(watches, "SWAP_PERIOD_S")],
-    "commands that cannot be received": [(SafetyStop, "exit_code")],
-}
-"""Constants that set the numbers of a row; defaults of rig keys are in the reference of rigs."""
-
-
-@pytest.mark.parametrize(("name", "owner", "constant"), [
-    (name, owner, constant) for name, constants in SET_BY.items() for owner, constant in constants
-])  # fmt: skip
-def test_numbers_of_a_row_follow_its_constants(name, owner, constant, monkeypatch):
-    row = {hazard.name: tuple(hazard) for hazard in HAZARDS}[name]
-    value = getattr(owner, constant)
-    monkeypatch.setattr(owner, constant, 1.5 * value if isinstance(value, float) else 2 * value)
-    try:
-        changed = {hazard.name: tuple(hazard) for hazard in importlib.reload(hazards).HAZARDS}[name]
-    finally:
-        monkeypatch.undo()
-        importlib.reload(hazards)
-    assert changed != row
 
 
 BY_HAND = {"0 ticks", "0 ticks, 1 of a write"}

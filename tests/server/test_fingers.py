@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import re
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.compiled_code import called_in, functions
 from helpers.faulty_device import FaultyDevice, Options, acts
-from helpers.programs import run_program
 from helpers.two_fingers import NAMES, SCENE, two_fingers
 from helpers.waits import until
 
@@ -99,6 +94,7 @@ def test_one_device_that_fails_zeroes_both(place: int, fault: Any, ending: int, 
     for device in devices:
         assert np.abs(device.wrenches[-10:-2]).max() > 0.1 and not device.wrenches[-1].any()
         assert [act for act, *_ in device.acts] == ["arm", "stop"]
+        assert device.acts[0][2] == 0  # armed before the first tick
     failure = shutdown.describe_failure(devices[ended.finger], ended, NAMES[ended.finger])
     assert failure is not None and f"faulty, finger '{NAMES[place]}'" in str(failure)
 
@@ -118,14 +114,6 @@ def test_a_failed_device_whose_write_hangs_does_not_delay_the_zero_of_the_other(
             devices[place].release()
         ended, _ = run.result()
     assert (ended.status, ended.finger) == (LOST, place)
-
-
-def test_devices_are_armed_in_order_right_before_the_first_tick() -> None:
-    devices = make_two_devices()
-    run_servo(*devices, ticks=20)
-    threads = {thread for device in devices for act, thread, _ in device.acts if act == "arm"}
-    assert len(threads) == 1
-    assert [device.acts[0][::2] for device in devices] == [("arm", 0)] * 2
 
 
 def test_a_refused_arming_leaves_the_first_device_at_zero() -> None:
@@ -287,32 +275,3 @@ def test_simulate_refuses_recordings_that_do_not_match(
     words = ["simulate", "--scene", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "o.csv")]
     assert cli.main([*words, *(word for pose in poses for word in ("--poses", pose))]) == 2
     assert message in capsys.readouterr().err
-
-
-AUDIT = """
-import sys
-from helpers.faulty_device import FaultyDevice, Options, acts
-from helpers.two_fingers import two_fingers
-from softfinger.config.load import load_rig
-from softfinger.server.loop.servo import run_servo_loop
-from softfinger.server.loop.servo_thread import ServoThread
-from softfinger.server.loop.tuning import make_tuning
-devices = [FaultyDevice(Options()), FaultyDevice(Options())]
-ServoThread(devices, make_tuning(two_fingers(), load_rig("replay").guard), 1000.0).compile()
-print(*run_servo_loop.inspect_llvm().values())
-"""
-
-
-@pytest.mark.exhaustive  # test_kept_kernels.py examines the loop of one device, which is compiled anyway
-def test_a_loop_of_two_devices_calls_no_allocator(tmp_path: Path) -> None:
-    environment = os.environ | {
-        "SOFTFINGER_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).resolve().parents[1])
-    }  # fmt: skip
-    completed = run_program([sys.executable, "-c", AUDIT], env=environment, check=True)
-    bodies = functions(completed.stdout)
-    called = {name for body in bodies.values() for name in called_in(body)}
-    outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
-    assert outside <= {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"}
-    assert "eventfd_write" in outside
-    loop = next(body for name, body in bodies.items() if "servo_loop" in name)
-    assert len(re.findall(r"call [\w ]*%[\w.]+\(", loop)) == 8  # read, write and two of the last zero, of each

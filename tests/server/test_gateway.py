@@ -8,7 +8,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,8 @@ import zmq
 from helpers.called import called
 from helpers.daemons import subscribed
 from helpers.encoder import contact_map
-from helpers.processes import COMMAND, find_child
-from helpers.programs import Program, run_program
+from helpers.processes import COMMAND
+from helpers.programs import Program
 from helpers.telemetry_records import synthetic
 from helpers.waits import eventually, repeated
 from zmq.utils.monitor import recv_monitor_message
@@ -176,18 +175,6 @@ def test_a_restarted_publisher_requires_keys(key_ring: KeyRing) -> None:
         assert eventually(lambda: own.look().let_in == 2)
 
 
-def test_the_publisher_ends_with_a_daemon_that_is_killed(key_ring: KeyRing) -> None:
-    words = [*COMMAND, "run", "--rig", str(key_ring.rig)]
-    with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
-        try:
-            assert next(line for line in daemon.stderr if "telemetry for other machines on" in line)
-            pid = find_child(daemon.pid, b"socket_process\0telemetry")
-        finally:
-            daemon.kill()
-        daemon.stderr.close()
-    assert eventually(lambda: not Path(f"/proc/{pid}/cmdline").exists())
-
-
 @contextlib.contextmanager
 def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
     """Run `softfinger forward`; yield it and its endpoint."""
@@ -305,47 +292,3 @@ def test_a_key_that_floods_is_blocked(key_ring: KeyRing) -> None:
             assert eventually(lambda: reader.look().messages > reader_count + 500)
             assert flood.look().messages == count
         context.destroy(0)
-
-
-INLET = """
-import json, sys
-import pylsl
-(found,) = pylsl.resolve_byprop("source_id", sys.argv[1], timeout=60.0)
-inlet = pylsl.StreamInlet(found)
-info = inlet.info(60.0)
-values, stamp = inlet.pull_sample(60.0)
-channel, names, units = info.desc().child("channels").child("channel"), [], []
-while not channel.empty():
-    names.append(channel.child_value("label"))
-    units.append(channel.child_value("unit"))
-    channel = channel.next_sibling()
-print(json.dumps([info.name(), info.nominal_srate(), names, units, values, stamp - pylsl.local_clock()]))
-"""
-
-
-def test_a_lab_recorder_gets_every_number(tmp_path: Path) -> None:
-    pytest.importorskip("pylsl", reason="pylsl is not installed: pip install 'softfinger[lsl]'", exc_type=ImportError)
-    from softfinger.proxy.record import AT, FIELDS, list_columns
-
-    settings = tmp_path / "lsl.cfg"
-    settings.write_text("[multicast]\nResolveScope = machine\n")
-    env = os.environ | {"LSLAPICFG": str(settings)}
-    words = [*COMMAND, "forward", "--json", "--lsl"]
-    with (
-        Publisher("tcp://127.0.0.1:*") as publisher,
-        ticking(publisher),
-        Program([*words, "--from", publisher.endpoint], env=env, stdout=subprocess.PIPE) as process,
-    ):
-        try:
-            source = f"softfinger {publisher.endpoint}"
-            completed = run_program([sys.executable, "-c", INLET, source], env=env, timeout=WAIT_S)
-            assert completed.returncode == 0, completed.stderr
-            process.send_signal(signal.SIGINT)
-            assert json.loads(process.stdout.read())["lsl"]["streams"] == ["softfinger"]
-        finally:
-            process.kill()
-    name, rate, names, units, values, _ = json.loads(completed.stdout.splitlines()[-1])
-    assert (name, rate, names) == ("softfinger", 0.0, list_columns())
-    assert units == [field.unit for field in FIELDS for _ in range(field.size)]
-    tick = int(values[AT.tick])
-    assert values == synthetic(BATCH, first_tick=tick - tick % BATCH)[tick % BATCH].tolist()

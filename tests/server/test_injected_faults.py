@@ -208,7 +208,7 @@ def test_on_every_driver(
     assert norms[-1] == 0.0
     before = norms[(ticks >= at - 50) & (ticks < at)].max()
     assert before > 0.0, "the hand did not press before the fault"
-    assert norms.max() <= far.most
+    assert norms.max() <= FORCE_MAX_N
     zero_after = None
     if case.zero is not None:
         late = far.handover + TURN

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -73,16 +72,3 @@ def test_a_copy_continues_the_lift(duplicate: Callable[[Any], Any]) -> None:
             np.testing.assert_array_equal(copied_observation[name], value)
     start, copied_start = env.reset(seed=0)[0], copied.reset(seed=0)[0]
     np.testing.assert_array_equal(start["body.position"], copied_start["body.position"])
-
-
-def test_vector_environments_run() -> None:
-    make = functools.partial(gymnasium.make, lift_environment.NAME, step_ticks=5)
-    actions = np.stack([move((1, 0, 0), (-1, 0, 0)), move((0, 0, 0), (0, 0, 0))])
-    observations = []
-    for vector in (gymnasium.vector.SyncVectorEnv([make, make]), gymnasium.vector.AsyncVectorEnv([make, make])):
-        vector.reset(seed=1)
-        observations.append([vector.step(actions)[0] for _ in range(20)][-1])
-        vector.close()
-    assert observations[0]["thumb.position"][0, 0] > observations[0]["thumb.position"][1, 0] + 0.005
-    for name, value in observations[0].items():
-        np.testing.assert_array_equal(observations[1][name], value)

@@ -18,9 +18,11 @@ from helpers.processes import COMMAND
 from helpers.waits import WAIT_S, until
 
 from softfinger.config.load import load_rig, load_scene
+from softfinger.proxy.record import AT, FIELDS, list_columns
 from softfinger.server.app import Daemon
 from softfinger.server.gateway import lsl
 from softfinger.server.loop import servo_thread
+from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import Run, load_run
 from softfinger.server.remote import Client
 from softfinger.server.wire.protocol import EVENT
@@ -43,17 +45,25 @@ def inlet(name):
     opened.open_stream(60.0)
     return opened
 ticks, markers = inlet("softfinger"), inlet("softfinger-events")
+stream = ticks.info(60.0)
+rate, channel, names, units = stream.nominal_srate(), stream.desc().child("channels").child("channel"), [], []
+while not channel.empty():
+    names.append(channel.child_value("label"))
+    units.append(channel.child_value("unit"))
+    channel = channel.next_sibling()
 print("ready", flush=True)
-seen, told, last = {}, [], None
+seen, told, last, rows = {}, [], None, {}
 while last not in seen:  # the streams are separate connections: a marker may arrive before its tick
     samples, stamps = ticks.pull_chunk(0.05)
     seen |= {int(sample[1]): stamp for sample, stamp in zip(samples, stamps)}
+    rows |= {int(sample[1]): sample for sample in samples}
     samples, stamps = markers.pull_chunk(0.0)
     told += [(json.loads(sample[0]), stamp) for sample, stamp in zip(samples, stamps)]
     last = next((event["tick"] for event, _ in told if event.get("label") == "the last"), None)
 pairs = [(time.monotonic(), pylsl.local_clock(), time.monotonic()) for _ in range(10)]
 before, clock, after = min(pairs, key=lambda pair: pair[2] - pair[0])
-print(json.dumps({"ticks": list(seen.items()), "markers": told, "offset": clock - (before + after) / 2}))
+found = {"ticks": list(seen.items()), "markers": told, "offset": clock - (before + after) / 2}
+print(json.dumps(found | {"rate": rate, "names": names, "units": units, "values": rows[last]}))
 """
 
 
@@ -62,6 +72,7 @@ class MarkedRun(NamedTuple):
     run: Run
     epoch_s: float
     lsl: dict[str, Any] | None
+    records: np.ndarray
 
 
 def start_inlets(stack: Any, folder: Path, endpoint: str) -> tuple[Any, Any] | None:
@@ -114,7 +125,7 @@ def marked_run(tmp_path_factory: pytest.TempPathFactory) -> MarkedRun:
                     process.communicate(timeout=WAIT_S)
             epoch_s = daemon.servo.epoch_s
     run = load_run(folder / "run.mcap", ("timestamp",))
-    return MarkedRun(published, run, epoch_s, lsl_data)
+    return MarkedRun(published, run, epoch_s, lsl_data, read_results(folder / "run.mcap"))
 
 
 def select_marks(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -151,6 +162,16 @@ def test_lsl_has_the_time_of_the_tick(marked_run: MarkedRun) -> None:
         distance = stamp - stamps[event["tick"]]
         assert distance == pytest.approx(published["timestamp"] - times[event["tick"]], abs=DIGIT_S)
         assert stamp - marked_run.lsl["offset"] == pytest.approx(published["timestamp"] - marked_run.epoch_s, abs=LSL_S)
+
+
+def test_lsl_has_every_number_of_a_tick(marked_run: MarkedRun) -> None:
+    if marked_run.lsl is None:
+        pytest.skip("pylsl is not installed: pip install 'softfinger[lsl]'")
+    assert marked_run.lsl["names"] == list_columns() and marked_run.lsl["rate"] == 0.0  # irregular
+    assert marked_run.lsl["units"] == [field.unit for field in FIELDS for _ in range(field.size)]
+    values = marked_run.lsl["values"]
+    (row,) = marked_run.records[marked_run.records[:, AT.tick] == values[AT.tick]]
+    assert values == row.tolist()
 
 
 def test_a_pause_between_two_clocks_does_not_shift_the_stamps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from helpers.pages import running
 from helpers.telemetry_records import put, synthetic
-from prometheus_client.core import HistogramMetricFamily
 from prometheus_client.parser import text_string_to_metric_families
 
 from softfinger.config.errors import AddressInUse
@@ -26,10 +25,9 @@ from softfinger.server.metrics.counts import (
     LATENESS_S,
     ROWS,
     STATUSES,
-    Histogram,
     MetricsCollector,
 )
-from softfinger.server.metrics.service import DASHBOARD
+from softfinger.server.metrics.dashboard import make_dashboard
 from softfinger.server.recording.recorder import RecorderState
 from softfinger.server.recording.summary import summarize
 from softfinger.server.socket_process.setup import Figures
@@ -48,20 +46,6 @@ def index_samples(families) -> dict[tuple[str, tuple[tuple[str, str], ...]], flo
         for family in families
         for sample in family.samples
     }
-
-
-def test_a_histogram_counts_as_prometheus_does() -> None:
-    values = np.random.default_rng(3).choice([0.0, 0.5, 1.0, 1.5, 2.0, 7.0], 1000)
-    histogram = Histogram([0.5, 1.0, 2.0])
-    for part in np.array_split(values, 7):
-        histogram.add(part)
-    family = HistogramMetricFamily("h", "h")
-    histogram.write_to(family)
-    stats = index_samples([family])
-    for end in (0.5, 1.0, 2.0):
-        assert stats["h_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(values <= end)
-    assert stats["h_bucket", (("le", "+Inf"),)] == stats["h_count", ()] == len(values)
-    assert stats["h_sum", ()] == values.sum()  # multiples of a half add up exactly
 
 
 @pytest.mark.parametrize("batch", [1, 300, 5000])
@@ -166,7 +150,7 @@ def test_recordings_add_up(tmp_path: Path) -> None:
 def test_the_dashboard_uses_all_metrics(daemon: Daemon) -> None:
     with urllib.request.urlopen(f"{daemon.metrics_endpoint}/dashboard.json", timeout=60.0) as answer:
         board = json.load(answer)
-    assert board == json.loads(DASHBOARD.read_text())
+    assert board == make_dashboard()
     queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
     queried = {name for query in queries for name in COUNTED.findall(query)}
     published = {name for name, _ in scrape(daemon)}

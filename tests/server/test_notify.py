@@ -6,8 +6,7 @@ import contextlib
 import os
 import signal
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from helpers import faulty_device
 from helpers.daemons import make_daemon
 from helpers.processes import COMMAND
 from helpers.programs import Program, run_program
+from helpers.waits import eventually, until
 
 from softfinger.config.errors import SafetyStop
 from softfinger.server.services.notify import ServiceNotifier, _read_watchdog_s
@@ -41,21 +41,13 @@ class Manager:
         except TimeoutError:
             return []
 
-    def until(self, line: str, before: Callable[[], None] = lambda: None) -> list[str]:
-        before()
+    def until(self, line: str) -> list[str]:
         lines: list[str] = []
-        end = time.monotonic() + WAIT_S
-        while line not in lines:
-            assert time.monotonic() < end, lines
-            lines += self.receive(1.0)
+        until(lambda: lines.extend(self.receive(1.0)) or line in lines, WAIT_S, line)
         return lines
 
     def falls_silent(self) -> bool:
-        end = time.monotonic() + WAIT_S
-        while self.receive(QUIET_S):
-            if time.monotonic() > end:
-                return False
-        return True
+        return bool(eventually(lambda: not self.receive(QUIET_S), WAIT_S))
 
     def close(self) -> None:
         self._socket.close()
@@ -91,7 +83,8 @@ def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) ->
         assert manager.falls_silent()
         process.send_signal(signal.SIGCONT)
         manager.until("WATCHDOG=1")
-        last = manager.until("STOPPING=1", process.terminate)
+        process.terminate()
+        last = manager.until("STOPPING=1")
         assert "WATCHDOG_USEC=0" in last  # a slow shutdown is not mistaken for a hung servo
         assert process.wait(60) == 0, log_path.read_text()
 

@@ -3,37 +3,24 @@
 from __future__ import annotations
 
 import re
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-import numba
 import numpy as np
 import pytest
-from helpers.processes import COMMAND
 from helpers.shares import collect_shares
 from helpers.terminal import Screen, on_terminal
 from helpers.waits import until
-from numba.core import event
 
-from softfinger.proxy.kernels.jit.cache import Folder
-from softfinger.proxy.kernels.jit.compiler.numba_internals import KernelCache
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS, CompileProgress
-from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server import progress as display
 from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.experiment import Experiment
-from softfinger.server.progress import format_progress, name_warmup
+from softfinger.server.progress import name_warmup
 from softfinger.server.recording.export import export
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.tables import make_layout, read_table
-from softfinger.server.verbs import check
-
-RUN = [*COMMAND, "run", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "off"]
 
 LOGGING = """
 import logging, sys, time
@@ -74,40 +61,6 @@ def test_log_and_progress_never_share_a_line(columns: int) -> None:
     assert "outer" not in text and "Ctrl-C" not in text
     assert re.findall(r"log (\d)", text) == re.findall(r"count (\d)", text) == [str(n) for n in range(10)]
     assert screen.lines[-2:] == ["result", ""]
-
-
-def test_run_counts_in_a_separate_line() -> None:
-    screen, counts, interrupted = Screen(80), list[int](), False
-    with on_terminal(RUN) as (process, pieces):
-        for piece in pieces:
-            screen.feed(piece)
-            lines = [line for line in screen.lines if "Ctrl-C stops" in line]
-            assert len(lines) < 2
-            for line in lines:
-                match = re.fullmatch(r"\d:\d\d:\d\d (\d+) ticks, \d+ missed, \d+ records dropped; Ctrl-C stops *", line)
-                assert match, line
-                counts.append(int(match[1]))
-            if len(set(counts)) == 3 and not interrupted:
-                process.send_signal(signal.SIGINT)
-                interrupted = True
-        assert process.wait(30) == 0
-    assert counts == sorted(counts)
-    assert re.fullmatch(r"stopped after \d+ ticks; force is zero", screen.lines[-2])
-    assert not any("Ctrl-C stops" in line for line in screen.lines)
-
-
-@pytest.mark.exhaustive  # it has to last longer than a moment, on two processors
-def test_stability_shows_its_share() -> None:
-    screen, shares = Screen(80), []
-    words = ["stability", "--map", "all", "--compare", "--points", "40"]
-    with on_terminal([*COMMAND, *words]) as (process, pieces):
-        for piece in pieces:
-            screen.feed(piece)
-            shares += [
-                int(match[1]) for line in screen.lines if (match := re.search(r"finding limits .* (\d+)%", line))
-            ]
-        assert process.wait(30) == 0
-    assert len(set(shares)) > 2 and shares == sorted(shares)
 
 
 def test_lines_without_a_terminal_show_the_share(
@@ -160,62 +113,6 @@ def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pyte
     with display.show_progress("next", 4) as report_outer:
         report_outer(1)
     assert shown == {"outer": [0.125, 0.1875, 0.5, 0.5, 0.5, 1.0], "next": [0.25]}
-
-
-def test_check_reports_the_compilation_of_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    reported: list[str] = []
-
-    @contextmanager
-    def report(kernels: str) -> Iterator[None]:
-        reported.append(kernels)
-        yield
-        reported.append("end")
-
-    monkeypatch.setattr(check, "report_compilation", report)
-    monkeypatch.setattr(check, "summarize_rig", lambda rig: reported.append("summary") or [])
-    check.examine_file("simulated")
-    assert reported == ["kernels that call the device", "summary", "end"]
-
-
-class ProgressFolder(Folder):
-    """Folder of cached kernels that stores the progress text while a kernel is loaded."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self.seen: list[str] = []
-
-    def read(self, name: str) -> bytes | None:
-        self.seen.append(format_progress("simulating", 3, 10))
-        return super().read(name)
-
-
-def test_the_progress_text_distinguishes_compiling_and_loading(tmp_path: Path) -> None:
-    while_compiled: list[str] = []
-
-    class Look(event.Listener):  # type: ignore[misc]
-        def on_start(self, event: Any) -> None:
-            while_compiled.append(format_progress("simulating", 3, 10))
-
-        def on_end(self, event: Any) -> None:
-            pass
-
-    def doubled(number: float) -> float:
-        return 2.0 * number
-
-    folder = ProgressFolder(tmp_path / "kernels")
-    for _ in range(2):  # the second one finds the cached kernel
-        kernel: Any = numba.njit(**OPTIONS)(doubled)
-        kernel._cache = KernelCache(doubled, folder)
-        assert (
-            format_progress("simulating", 3, 10) == "simulating 30%" and format_progress("simulating") == "simulating"
-        )
-        with event.install_listener("numba:compile", Look()):
-            kernel.compile((numba.float64,))
-    assert len(while_compiled) == 1 and re.fullmatch(
-        r"simulating: compiling kernel \d+( \(about \d+ with an empty cache\))?", while_compiled[0]
-    )
-    assert folder.seen == ["simulating: loading cached kernels"] * 2
-    assert format_progress("simulating", 3, 10) == "simulating 30%"
 
 
 def test_kernels_are_counted_towards_those_of_the_scene() -> None:

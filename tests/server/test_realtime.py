@@ -169,14 +169,6 @@ def test_everything_is_granted_to_root() -> None:
     assert during["held"] == (0 if refused else 1)
     assert report.get("latency_us", 0) == 0
     assert report["main_policy"] == os.SCHED_OTHER
-
-
-@privileged
-@pytest.mark.parametrize("drop", [False, True])
-def test_undo_restores_everything(drop: bool) -> None:
-    report = run_child(cpu=max(os.sched_getaffinity(0)), drop=drop, keep=(SYS_NICE, IPC_LOCK))
-    assert report["by_name"]["sched_fifo"]["ok"]
-    assert report["during"] != report["before"]
     assert report["after"] == report["before"]
 
 
@@ -192,31 +184,6 @@ def test_memory_of_a_tick_is_loaded_and_the_rest_locked_on_touch() -> None:
     # Some pages of the interpreter may be loaded in between.
     assert report["late_resident"] < 4 * 1024
     assert report["late_faults"] > 0
-
-
-COMPILER = """
-import llvmlite.binding as llvm
-from softfinger.server.loop import realtime
-
-def code():
-    with open("/proc/self/smaps", errors="replace") as file:
-        for line in file:
-            if "r-xp" in line and "libllvmlite" in line:
-                return next(int(each.split()[1]) for each in file if each.startswith("Rss:"))
-
-llvm.parse_assembly("define i32 @f() { ret i32 7 }")
-before = code()
-realtime.apply("auto", 80, None)
-after = code()
-llvm.parse_assembly("define i32 @f() { ret i32 7 }").verify()
-print(after < before / 4, code() > after)
-"""
-
-
-@privileged
-def test_the_compiler_is_not_locked_in_memory() -> None:
-    process = run_program([sys.executable, "-c", COMPILER])
-    assert process.stdout == "True True\n", process.stderr
 
 
 MAPPED = """
@@ -282,12 +249,6 @@ def test_refusals_have_reason_and_remedy() -> None:
     assert report["after"] == report["before"]
 
 
-def test_a_limit_of_zero_is_reported_as_not_permitted() -> None:
-    memory = run_child(drop=True, limits={"RLIMIT_RTPRIO": 0, "RLIMIT_MEMLOCK": 0})["by_name"]["mlockall"]
-    assert not memory["ok"]
-    assert "EPERM" in memory["detail"]
-
-
 def test_require_refuses_to_start_and_restores_everything() -> None:
     report = run_child("require", cpu=1023, drop=True, limits=UNPRIVILEGED)
     for name in REQUIRED:
@@ -304,6 +265,7 @@ def test_require_starts_without_optional_settings() -> None:
     assert "error" not in report
     assert [s["name"] for s in report["settings"] if s["ok"] and s["name"] in REQUIRED] == ["sched_fifo", "mlockall"]
     assert report["by_name"]["cpu_dma_latency"]["ok"] == report["latency_device"]
+    assert report["during"] != report["before"] == report["after"]
 
 
 def test_a_missing_processor_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import re
 import threading
@@ -10,28 +11,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.daemons import make_daemon
-from helpers.drd_stub import Stub, stub, stub_library
 from helpers.telemetry_records import join, put, synthetic
-from test_forcedimension_loop import PRESSING, fd_rig
+from helpers.waits import repeated
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.load import load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.replay.device import Options, Replay
 from softfinger.proxy.record import AT
 from softfinger.server import cli
 from softfinger.server.app import Daemon
-from softfinger.server.recording.results import read_results
 from softfinger.server.verbs.record import RecordingStats, record
-from softfinger.server.wire.client import NoTelemetry, record_of, subscribe
+from softfinger.server.wire.client import NoTelemetry, subscribe
 from softfinger.server.wire.protocol import ProtocolError
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
 
-__all__ = ["stub", "stub_library"]  # fixtures
 
 RATE_HZ = 1000.0
 
@@ -71,39 +67,6 @@ def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) 
     # after the end of the recording its last sample is read again
     expected = played[np.minimum(np.arange(totals.first_tick, totals.last_tick + 1), len(played) - 1)]
     assert samples.tobytes() == expected.tobytes()
-
-
-def test_mcap_holds_every_value_and_replays(tmp_path: Path) -> None:
-    file = tmp_path / "again.mcap"
-    totals, played = record_replay(file)
-    records = read_results(file)
-    assert len(records) == totals.poses
-    np.testing.assert_array_equal(records[:, AT.tick], np.arange(totals.first_tick, totals.last_tick + 1))
-    position = AT.probe_position
-    ticks = np.minimum(np.arange(totals.first_tick, totals.last_tick + 1), len(played) - 1)
-    assert records[:, position : position + 3].tobytes() == played[ticks, :3].tobytes()
-    assert len(load_poses(file).t) == totals.poses
-
-
-@pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
-def test_a_recording_on_a_device_is_played_by_replay(stub: Stub, tmp_path: Path) -> None:
-    stub.update(**PRESSING)
-    file = tmp_path / "hand.csv"
-    with (
-        Daemon(fd_rig(stub), load_scene("paper-plane"), 1500) as daemon,
-        subscribe(daemon.publisher.endpoint, ("contact",)) as wire,
-    ):
-        totals = record_run(daemon, file)
-        sensed = np.array([record_of(sample) for sample in iter(lambda: wire.receive(0.5), None)])
-    assert totals.lost == 0 and totals.poses > 1000
-    sensed = sensed[(sensed[:, AT.tick] >= totals.first_tick) & (sensed[:, AT.tick] <= totals.last_tick)]
-    samples = Replay(Options(recording=str(file), loop=False), RATE_HZ).samples
-    # The time step of a pose includes deadlines missed before it.
-    periods = np.rint(sensed[:, AT.dt] * RATE_HZ).astype(int)
-    at = np.cumsum(periods) - periods[0] + len(samples) - 1 - (np.sum(periods) - periods[0])
-    pose = slice(AT.probe_position, AT.probe_position + 7)
-    assert len(sensed) > 1000 and np.ptp(sensed[:, AT.probe_position]) > 0.005
-    assert samples[at].tobytes() == np.ascontiguousarray(sensed[:, pose]).tobytes()
 
 
 def record_rows(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[RecordingStats, Path]:
@@ -185,26 +148,16 @@ def record_by_cli(path: Path) -> None:
 
 
 def test_the_verb_reports_ticks_time_and_losses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    file = tmp_path / "poses.csv"
-    stop = threading.Event()
-    with Publisher("tcp://127.0.0.1:*") as publisher:
-
-        def send() -> None:
-            records = make_moving(20_000)
-            for first in range(0, 20_000, 100):
-                publisher.publish(records[first : first + 100])
-                if stop.wait(0.01):
-                    return
-
-        thread = threading.Thread(target=send)
-        thread.start()
-        with caplog.at_level(logging.INFO):
-            words = ["record", "--poses", str(file), "--endpoint", publisher.endpoint, "--duration", "0.5"]
-            assert cli.main(words) == 0
-        stop.set()
-        thread.join()
-    ticks = re.search(r"500 poses of ticks (\d+) to (\d+)", caplog.text)
-    assert ticks is not None and int(ticks[2]) - int(ticks[1]) == 499
+    file, records = tmp_path / "poses.csv", make_moving(20_000)
+    firsts = itertools.count(0, 100)
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        repeated(lambda: publisher.publish(records[(first := next(firsts)) : first + 100]), 0.01),
+        caplog.at_level(logging.INFO),
+    ):
+        words = ["record", "--poses", str(file), "--endpoint", publisher.endpoint, "--duration", "0.5"]
+        assert cli.main(words) == 0
+    assert re.search(r"500 poses of ticks \d+ to \d+", caplog.text)
     assert "no tick lost; 0.5 s are over" in caplog.text
     assert len(load_poses(file).t) == 500
 

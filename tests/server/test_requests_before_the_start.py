@@ -31,6 +31,11 @@ pytestmark = pytest.mark.real_time
 REQUESTS: dict[str, dict[str, Any]] = {"mark": {"label": "early"}, "describe": {}, "get_state": {}, "disarm": {}}
 
 
+@pytest.fixture(autouse=True)
+def faulty_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    registered(monkeypatch)
+
+
 @contextmanager
 def connected(folder: Path) -> Iterator[tuple[Daemon, zmq.Socket[bytes]]]:
     """Yield a daemon before its start, and a client of its commands."""
@@ -66,24 +71,21 @@ def starting(folder: Path, requests: dict[str, dict[str, Any]]) -> Iterator[tupl
         assert not device.wrenches.any()
 
 
-def test_requests_before_the_start_are_answered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    registered(monkeypatch)
+def test_requests_before_the_start_are_answered(tmp_path: Path) -> None:
     with starting(tmp_path, REQUESTS) as (daemon, answers):
         assert answers.keys() == REQUESTS.keys()
         assert answers["mark"] and answers["describe"] and answers["disarm"]
         assert eventually(lambda: daemon.servo.ticks > 300)  # the ramp takes 10
 
 
-def test_a_stop_before_the_start_ends_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    registered(monkeypatch)
+def test_a_stop_before_the_start_ends_the_run(tmp_path: Path) -> None:
     with starting(tmp_path, {"stop": {}}) as (daemon, answers):
         assert answers == {"stop": True}
         assert daemon.wait(WAIT_S)
 
 
-def test_a_disarm_before_the_start_does_not_expire(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_disarm_before_the_start_does_not_expire(tmp_path: Path) -> None:
     """Its client waits for a shorter time than a compilation takes; the force must nevertheless be off."""
-    registered(monkeypatch)
     with connected(tmp_path) as (daemon, client):
         client.send_multipart(encode_request("mark", {"label": "early"}, 0.0)[1])
         client.send_multipart(encode_request("disarm", {}, 0.0)[1])
@@ -96,8 +98,7 @@ def test_a_disarm_before_the_start_does_not_expire(monkeypatch: pytest.MonkeyPat
         assert not daemon.devices[0].wrenches.any()  # type: ignore[attr-defined]
 
 
-def test_a_kill_of_the_commands_process_loses_no_disarm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    registered(monkeypatch)
+def test_a_kill_of_the_commands_process_loses_no_disarm(tmp_path: Path) -> None:
     with connected(tmp_path) as (daemon, client):
         client.send_multipart([b"", msgpack.packb({"command_id": "a", "method": "disarm"})])
         assert eventually(lambda: daemon.servo.switch[STOPS_RECEIVED] == 1)
@@ -111,9 +112,8 @@ def test_a_kill_of_the_commands_process_loses_no_disarm(monkeypatch: pytest.Monk
             assert eventually(lambda: daemon.devices[0].wrenches[-1].any())  # type: ignore[attr-defined]
 
 
-def test_a_flood_does_not_delay_a_disarm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_flood_does_not_delay_a_disarm(tmp_path: Path) -> None:
     """Nothing is answered before the start, so the flood remains in the process that receives it."""
-    registered(monkeypatch)
     with connected(tmp_path) as (daemon, flood), Control(daemon.commands_endpoint) as second:
         for _ in range(QUEUED_MAX + UNANSWERED_MAX):
             flood.send_multipart([b"", msgpack.packb({"command_id": "x", "method": "get_state"})])
@@ -124,9 +124,8 @@ def test_a_flood_does_not_delay_a_disarm(monkeypatch: pytest.MonkeyPatch, tmp_pa
         assert msgpack.unpackb(flood.recv_multipart()[1]) == answer
 
 
-def test_requests_are_answered_in_their_order(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_requests_are_answered_in_their_order(tmp_path: Path) -> None:
     """Otherwise an `arm` of the start could follow a later `disarm`."""
-    registered(monkeypatch)
     with connected(tmp_path) as (daemon, client):
         for _ in range(8):
             received = list[bytes]()

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-from zipfile import ZIP_STORED, ZipFile
+from zipfile import ZipFile
 
 import msgspec
 import numpy as np
 import pytest
 
 from softfinger.config.errors import RecordingError
+from softfinger.config.files import open_recording
 from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE, list_columns
 from softfinger.server.recording.export import export
-from softfinger.server.recording.results import SUFFIXES, McapResults, read_results, write_blocks
+from softfinger.server.recording.results import SUFFIXES, read_results, write_blocks
 from softfinger.server.recording.summary import summarize
+from softfinger.server.recording.writer import RecordingFile
 
 
 def make_records(count: int, seed: int = 11) -> np.ndarray:
@@ -72,21 +73,12 @@ def test_npz_equals_that_of_numpy(tmp_path: Path, count: int) -> None:
         assert all(ours.read(name) == numpys.read(name) for name in numpys.namelist())
 
 
-def test_npz_compresses_constant_fields_only(tmp_path: Path) -> None:
-    records = np.zeros((2500, RECORD_SIZE))
-    records[:, AT.tick], records[-1, AT.buttons] = np.arange(2500), 1.0
-    write_blocks(tmp_path / "o.npz", [""], [records[:, None]])
-    with ZipFile(tmp_path / "o.npz") as archive:
-        stored = {entry.filename for entry in archive.infolist() if entry.compress_type == ZIP_STORED}
-    assert stored == {"records.npy", "tick.npy", "buttons.npy"}
-
-
 def test_stream_can_be_read_before_it_is_closed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     records = make_records(3000)
     path = tmp_path / "live.mcap"
-    stream = McapResults(path)
+    stream = RecordingFile(open_recording(path), with_pictures=False)
     for row in records:
-        stream.append(row)
+        stream.ticks(row[None])
     copy = tmp_path / "copy.mcap"
     copy.write_bytes(path.read_bytes())
     rows = read_results(copy)
@@ -122,20 +114,6 @@ def test_other_files_are_refused(tmp_path: Path, ending: str) -> None:
     path.write_bytes(b"timestamp,tick\n1,2\n")
     with pytest.raises(RecordingError, match=path.name):
         read_results(path)
-
-
-def test_full_disk_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="No space left"):
-        McapResults("/dev/full")
-    stream = McapResults(tmp_path / "o.mcap")
-    full = os.open("/dev/full", os.O_WRONLY)
-    os.dup2(full, stream._recording._file.fileno())
-    os.close(full)
-    with pytest.raises(RecordingError, match="No space left"):
-        stream.append(make_records(5000))
-    with pytest.raises(RecordingError, match="No space left"):
-        stream.close()
-    stream.close()
 
 
 def test_a_link_still_points_at_its_file(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import ctypes
 import logging
 import os
 import threading
-import time
 import tty
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -21,7 +20,6 @@ from helpers.waits import WAIT_S
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, DeviceIO
-from softfinger.drivers.closing import Closeable
 from softfinger.server.loop import health, shutdown
 from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, LoopEnd
 from softfinger.server.watcher import write_zero_force
@@ -160,11 +158,6 @@ def test_a_watcher_discards_queued_bytes_before_its_zero() -> None:
     os.close(far)
 
 
-def test_an_error_without_a_message_is_reported_by_its_class() -> None:
-    with pytest.raises(DeviceError, match=r"could not be closed \(RuntimeError\)"):
-        shutdown.close(device(Motor(RuntimeError())))
-
-
 @pytest.mark.usefixtures("short_timeout")
 @pytest.mark.parametrize(("act", "acted"), [(shutdown.stop_all, "stopped"), (shutdown.close_all, "closed")])
 def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(
@@ -183,31 +176,20 @@ def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(
 
 @pytest.mark.usefixtures("short_timeout")
 def test_hanging_devices_share_one_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    waits, daemons = list[float](), set[bool]()
-    wait = threading.Event.wait
+    waits, wait = list[float](), threading.Event.wait
 
     def noted(event: threading.Event, timeout: float | None = None) -> bool:
-        if timeout is not None:
-            waits.append(timeout)
+        waits.extend([] if timeout is None else [timeout])
         return wait(event, timeout)
-
-    def stop(motor: Motor) -> None:
-        daemons.add(threading.current_thread().daemon)
-        motor.stop()
 
     monkeypatch.setattr(threading.Event, "wait", noted)
     motors = [Motor(hangs=True) for _ in range(10)]
-    failures = open_devices.call_all(stop, [*motors, Motor()])
-    assert sum(waits) <= open_devices.STOP_TIMEOUT_S and daemons == {True} and len(waits) == 11
+    failures = open_devices.call_all(Motor.stop, [*motors, Motor()])
+    assert sum(waits) <= open_devices.STOP_TIMEOUT_S and len(waits) == 11
     assert [motor for motor, _ in failures] == motors
     assert all(isinstance(error, TimeoutError) for _, error in failures)
     for motor in motors:
         motor.free.set()
-
-
-def test_a_slow_device_is_awaited() -> None:
-    """A duration below STOP_TIMEOUT_S is not a failure."""
-    assert open_devices.call_all(lambda _: time.sleep(0.2), [Motor()]) == []
 
 
 def test_devices_are_called_simultaneously(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,19 +259,3 @@ def test_a_loop_failure_is_reported_with_a_remedy() -> None:
     assert "2 of 12 deadlines" in device_slow and "in the device's exchange" in device_slow
     machine = str(shutdown.loop_failure(LoopEnd(health.STARVED, 0), 10, 2, True))
     assert "before the servo thread was woken" in machine and "softfinger doctor" in machine
-
-
-def test_with_closes_in_any_case() -> None:
-    class Door(Closeable):
-        closed = 0
-
-        def close(self) -> None:
-            self.closed += 1
-
-    door = Door()
-    with door as same:
-        assert same is door and door.closed == 0
-    assert door.closed == 1
-    with pytest.raises(ZeroDivisionError), door:
-        raise ZeroDivisionError
-    assert door.closed == 2

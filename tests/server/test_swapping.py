@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from softfinger.server.services.watches import STATUS, SWAPPED, SwapWatch, parse_swapped_kb
+from softfinger.server.services.watches import SWAPPED, SwapWatch
 
 pytestmark = pytest.mark.plain
 
@@ -37,9 +37,3 @@ def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) ->
     watch.stop()
     ((words, fields),) = events
     assert words == ("fault", SWAPPED) and "No such file" in fields["message"]
-
-
-def test_this_system_reports_swapped_memory() -> None:
-    """A status without the line counts as no swap."""
-    assert "VmSwap:" in STATUS.read_text()
-    assert parse_swapped_kb("Name:\tpython3\n") == 0

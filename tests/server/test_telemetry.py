@@ -12,10 +12,10 @@ from helpers.encoder import contact_map
 from helpers.telemetry_records import join, put, synthetic
 
 from softfinger.config.errors import ConfigError
-from softfinger.proxy.record import AT, CAUSE_NAMES, NAMED, list_columns
+from softfinger.proxy.record import AT, CAUSE_NAMES, NAMED
 from softfinger.server.wire.client import Sample, record_of
 from softfinger.server.wire.health import compute_work_of_hand
-from softfinger.server.wire.protocol import MAX_BYTES, decode, encode
+from softfinger.server.wire.protocol import decode, encode
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
@@ -65,11 +65,6 @@ def test_missing_patches_are_omitted_and_restored():
     assert [patch.object for patch in sample["contacts"]] == [4, 2]
 
 
-def test_messages_are_far_below_the_size_limit():
-    record = np.full(len(list_columns()), 2.0**53)
-    assert len(encode(contact_map(record))) < 1536 < MAX_BYTES // 16
-
-
 def test_transitions_become_events_with_cause_and_modes():
     story = [
         # tick, mode, cause, name, mode before
@@ -88,22 +83,12 @@ def test_transitions_become_events_with_cause_and_modes():
     events = publish_and_receive(records, "event", len(story), every=50)
     for event, (tick, mode, cause, name, before) in zip(events, story, strict=True):
         record = records[tick]
-        assert event == {
-            "schema": 1,
-            "timestamp": record[AT.timestamp],
-            "tick": tick,
-            "kind": "contact",
-            "name": name,
-            "cause": cause,
-            "from": before,
-            "to": mode,
-            "object": 4,
-            "force": record[AT.force : AT.force + 3].tolist(),
-            "normal_force": record[AT.contact_normal_force],
-            "tangential_force": record[AT.contact_tangential_force],
-            "point": record[AT.contact_point : AT.contact_point + 3].tolist(),
-            "finger": "",
-        }
+        vectors = {"force": record[AT.force : AT.force + 3], "point": record[AT.contact_point : AT.contact_point + 3]}
+        assert event == {key: value.tolist() for key, value in vectors.items()} | {
+            "schema": 1, "timestamp": record[AT.timestamp], "tick": tick, "kind": "contact", "name": name,
+            "cause": cause, "from": before, "to": mode, "object": 4, "finger": "",
+            "normal_force": record[AT.contact_normal_force], "tangential_force": record[AT.contact_tangential_force],
+        }  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -279,9 +264,3 @@ def test_link_at_an_ipc_path_is_not_followed(planted, tmp_path):
     with pytest.raises(ConfigError, match=r"telemetry"):
         Publisher(f"ipc://{tmp_path}/telemetry")
     assert not (tmp_path / "elsewhere").exists()
-
-
-def test_every_below_one_is_refused():
-    """every = 0 would divide by zero in the loop."""
-    with pytest.raises(ConfigError, match="every = 0"):
-        Publisher("tcp://127.0.0.1:*", every=0)

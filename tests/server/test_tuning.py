@@ -8,7 +8,7 @@ import numba
 import pytest
 
 from softfinger.config import schema
-from softfinger.config.load import load_rig, load_scene
+from softfinger.config.load import load_scene
 from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.model import State
@@ -54,6 +54,7 @@ def test_poses_are_checked_only_with_a_force_in_a_hand():
 def test_limits_are_lowered_to_those_of_the_device(field, limit, caplog):
     weak = dataclasses.replace(STRONG, **{field: 0.1})
     assert guard_limits(RIG, weak) == LIMITS._replace(**{limit: 0.1})
+    assert make_tuning(load_scene("paper-plane"), RIG, [weak]).guards == (guard_limits(RIG, weak),)
     assert f"guard.{field}" in caplog.text and "0.1" in caplog.text
 
 
@@ -61,13 +62,6 @@ def test_devices_without_torque_are_known():
     for driven, turns in ((3, 0.0), (6, 1.0)):
         assert guard_limits(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).displays_torque == turns
     assert guard_limits(RIG).displays_torque == 1.0
-
-
-def test_the_servo_gets_these_limits():
-    rig = load_rig("replay", {"guard.force_slew_n_per_s": 321.0})
-    weak = dataclasses.replace(STRONG, force_max_n=0.5)
-    tuning = make_tuning(load_scene("paper-plane"), rig.guard, [weak])
-    assert (tuning.guards[0].force_max, tuning.guards[0].force_slew) == (0.5, 321.0)
 
 
 @pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1000.0), (1.5, 1.5 * 12.0 ** (1 / 3) * 1000.0)])

@@ -11,10 +11,6 @@
 #include <math.h>
 #include <pthread.h>
 #include <stdbool.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -37,7 +33,7 @@ static __thread int last_error;
  /* faults: from this call on or at it (-1 never), or at every so many; the error that a failing call gives */ \
     X(fail_read, -1) X(fail_write, -1) X(fail_open, 0) X(error, COM) X(unplug_at, -1) \
     X(delay_at, -1) X(delay_s, 0) X(slow_s, 0) X(exclusive, 0) \
-    X(button_at, -1) X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) X(refuse_frame, 0) \
+    X(garbage, 0) X(refuse_init, 0) X(refuse_watchdog, 0) X(error_word, 0) X(refuse_frame, 0) \
     X(refuse_brakes, 0) X(enable_s, 0) \
  /* what was asked of it, to be read */ \
     X(opens, 0) X(closes, 0) X(reads, 0) X(writes, 0) X(force_on, 0) X(expert, 0) \
@@ -45,27 +41,13 @@ static __thread int last_error;
     X(regulated, 0) X(cause, 0) X(fx, 0) X(fy, 0) X(fz, 0) X(torque_sent, 0) \
     X(tx, 0) X(ty, 0) X(tz, 0) X(disables, 0) X(stops, 0) X(gripper_sent, 0) X(peak, 0) X(expert_misuse, 0) X(threads, 0) X(unplugged, 0)
 
-#define X(name, first) double name;
-static struct { KNOBS } k;
-#undef X
-#define X(name, first) {#name, &k.name, first},
-static const struct knob { const char *name; double *value, first; } knob[] = {KNOBS {0, 0, 0}};
-#undef X
+#include "knobs.h"
 static double position[3], velocity[3], now_s;
 static volatile int64_t fed_ns;
 enum { LOGGED = 1 << 14 };
 static double given[LOGGED][4];
 static int gifts;
 static volatile int inside;
-static uint64_t noise = 88172645463325252ull;
-
-static double *at(const char *name)
-{
-    for (const struct knob *one = knob; one->name; one++)
-        if (!strcmp(one->name, name)) return one->value;
-    fprintf(stderr, "stub: no knob %s\n", name);
-    abort();
-}
 
 static void put_back(void)
 {
@@ -87,7 +69,6 @@ void stub_reset(void)
     gifts = 0;
     put_back();
 }
-void stub_pose(double *out) { memcpy(out, position, sizeof position); }
 
 /* What the motors give now; a device without power or with its force off gives nothing. */
 void stub_force(double *out)
@@ -315,14 +296,6 @@ int dhdGetStatus(int status[17], char id)
     return 0;
 }
 
-static uint64_t random_bits(void)
-{
-    noise ^= noise << 13;
-    noise ^= noise >> 7;
-    noise ^= noise << 17;
-    return noise;
-}
-
 /* Bits of any kind: NaN, infinities, subnormals, huge and plausible numbers. */
 static int garbage(double *p[3], double m[9])
 {
@@ -347,7 +320,6 @@ static int pose(double *px, double *py, double *pz, double m[3][3], char id)
     int code = 0;
     if (n == k.delay_at) usleep((useconds_t)(k.delay_s * 1e6));
     if (k.slow_s > 0) usleep((useconds_t)(k.slow_s * 1e6));
-    if (n == k.button_at) force_off(BUTTON);
     if (k.garbage) {
         code = garbage((double **)p, (double *)m);
     } else if (k.fail_read >= 0 && n >= k.fail_read) {
@@ -412,18 +384,4 @@ int dhdSetForceAndTorqueAndGripperForce(
     return code;
 }
 
-/* Settings of a process, by those who start it. */
-__attribute__((constructor)) static void begin(void)
-{
-    const char *settings = getenv("STUB_DRD_SET");
-    char text[1024], *save = 0;
-    stub_reset();
-    if (!settings) return;
-    snprintf(text, sizeof text, "%s", settings);
-    for (char *pair = strtok_r(text, ",", &save); pair; pair = strtok_r(0, ",", &save)) {
-        char *equals = strchr(pair, '=');
-        if (!equals) abort();
-        *equals = 0;
-        stub_set(pair, atof(equals + 1));
-    }
-}
+__attribute__((constructor)) static void begin(void) { stub_reset(); }

@@ -20,18 +20,12 @@
  * inkwell switch of each model is as said; how long a calibration holds.
  *
  * Tests steer it through stub_set and stub_get, by the names in KNOBS, and look at the force of every tick in its log.
- * The log is in the file that STUB_HD_LOG names, mapped into memory, so that it is there after any end of the process.
  */
 #define _GNU_SOURCE
-#include <fcntl.h>
 #include <math.h>
 #include <pthread.h>
 #include <stdbool.h>
 #include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <sys/mman.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -61,24 +55,19 @@ static const HHD HANDLE[DEVICES] = {17, 42};
  /* whether x (mm) is the fraction of the monotonic clock's second, so that its age can be told */ \
     X(clock, 0) \
  /* the handles and the hands, kg, N s/m, N/m, N */ \
-    X(mass, 0.1) X(damping, 8) X(stiffness, 1000) X(motor_max, 22) \
+    X(mass, 0.1) X(damping, 8) X(stiffness, 1000) \
  /* a hand's path, mm, Hz and rad, in the library's frame: centre, amplitude of a sine in x and z and a cosine in y, of
     a sine turn about an axis (0, 1, 2), or a turn that stays; of the second device the centre is 100 mm to the right */ \
     X(x, 0) X(y, 20) X(z, 0) X(ax, 0) X(ay, 0) X(az, 0) X(hz, 1) X(turn, 0) X(turned, 0) X(axis, 1) \
     X(buttons, 0) X(docked, 0) X(temperature, 0.1) X(mirror, 0) \
  /* faults: at the frame of that number or from it on (-1 never); for `only` of the devices (-1 all) */ \
-    X(only, -1) X(error_at, -1) X(error, COMM) X(internal, 7) X(unplug_at, -1) X(unplugged, 0) \
+    X(only, -1) X(internal, 7) X(unplugged, 0) \
     X(delay_at, -1) X(delay_s, 0) X(drop_at, -1) X(hang_at, -1) X(garbage, 0) X(refuse_force, 0) X(rate_hz, 1000) \
  /* what was asked of it, to be read */ \
     X(opens, 0) X(closes, 0) X(starts, 0) X(stops, 0) X(running, 0) X(ticks, 0) X(frames, 0) X(errors, 0) X(misuse, 0) \
     X(updated, 0) X(update_style, 0) X(scheduled, 0) X(peak, 0) X(output_sets, 0)
 
-#define X(name, first) double name;
-static struct { KNOBS } k;
-#undef X
-#define X(name, first) {#name, &k.name, first},
-static const struct knob { const char *name; double *value, first; } knob[] = {KNOBS {0, 0, 0}};
-#undef X
+#include "knobs.h"
 
 static const char *const MODELS[] = {
     "Touch", "Touch X", "PHANTOM Omni", "PHANTOM Desktop", "PHANTOM Premium 1.5 6DOF", "PHANTOM Premium 3.0 6DOF",
@@ -101,19 +90,10 @@ static pthread_t scheduler;
 static bool scheduling;
 static __thread HHD current = 0xffffffff;
 static __thread bool in_scheduler;
-static uint64_t noise = 88172645463325252ull;
 
 /* A row for each device in each tick, and for each change in between: when (ns), which, what the motors give. */
 struct row { int64_t ns; int64_t device; double force[3]; double torque[3]; };
-static struct { int64_t count; int64_t pad[7]; struct row row[ROWS]; } *journal;
-
-static double *at(const char *name)
-{
-    for (const struct knob *one = knob; one->name; one++)
-        if (!strcmp(one->name, name)) return one->value;
-    fprintf(stderr, "stub: no knob %s\n", name);
-    abort();
-}
+static struct { int64_t count; int64_t pad[7]; struct row row[ROWS]; } journal;
 
 static int64_t now_ns(void)
 {
@@ -129,7 +109,7 @@ static bool powered(int d) { return device[d].output && !(k.unplugged && (k.only
 
 static void note(int d)
 {
-    struct row *row = &journal->row[journal->count % ROWS];
+    struct row *row = &journal.row[journal.count % ROWS];
     const bool on = powered(d);
     row->ns = now_ns();
     row->device = d;
@@ -137,7 +117,7 @@ static void note(int d)
         row->force[i] = on ? device[d].force[i] : 0;
         row->torque[i] = on ? device[d].torque[i] : 0;
     }
-    __atomic_store_n(&journal->count, journal->count + 1, __ATOMIC_RELEASE);
+    __atomic_store_n(&journal.count, journal.count + 1, __ATOMIC_RELEASE);
 }
 
 static void push(int code, HHD which)
@@ -200,7 +180,7 @@ static void pass(int d, double t, double dt)
 
 void stub_set(const char *name, double value) { *at(name) = value; }
 double stub_get(const char *name) { return *at(name); }
-void *stub_journal(void) { return journal; }
+void *stub_journal(void) { return &journal; }
 void stub_reset(void)
 {
     for (const struct knob *one = knob; one->name; one++)
@@ -208,7 +188,7 @@ void stub_reset(void)
     pthread_mutex_lock(&guard);
     height = 0;
     pthread_mutex_unlock(&guard);
-    __atomic_store_n(&journal->count, 0, __ATOMIC_RELEASE);
+    __atomic_store_n(&journal.count, 0, __ATOMIC_RELEASE);
     for (int d = 0; d < DEVICES; d++) {
         memset(&device[d], 0, sizeof device[d]);
         device[d].framed_tick = -1;
@@ -224,7 +204,6 @@ void stub_force(int d, double out[6])
     }
 }
 void stub_push(int code, int d, int many) { while (many-- > 0) push(code, d < 0 ? NONE : HANDLE[d]); }
-int stub_open(int d) { return device[d].open; }
 
 /* --- errors ----------------------------------------------------------------------------------------- */
 
@@ -297,9 +276,7 @@ void hdBeginFrame(HHD which)
     const double n = device[d].frames++;
     k.frames += 1;
     if (!mine(d)) return;
-    if (k.unplug_at >= 0 && n >= k.unplug_at) k.unplugged = 1;
     if (k.unplugged) push(COMM, which);
-    if (k.error_at >= 0 && n >= k.error_at) push((int)k.error, which);
     if (n == k.delay_at) usleep((useconds_t)(k.delay_s * 1e6));
 }
 void hdEndFrame(HHD which)
@@ -343,12 +320,10 @@ unsigned char hdIsEnabled(HDenum what) { bool *value = switched(what); return va
 
 static double random_number(void)
 {
-    noise ^= noise << 13;
-    noise ^= noise >> 7;
-    noise ^= noise << 17;
+    const uint64_t bits = random_bits();
     double value;
-    memcpy(&value, &noise, sizeof value);
-    return noise % 3 == 0 ? (double)(noise % 2001) / 1000 - 1 : value;
+    memcpy(&value, &bits, sizeof value);
+    return bits % 3 == 0 ? (double)(bits % 2001) / 1000 - 1 : value;
 }
 
 void hdGetDoublev(HDenum what, double *out)
@@ -514,22 +489,4 @@ void hdUnschedule(unsigned long handle)
     if (!in_scheduler) pthread_mutex_unlock(&calling);
 }
 
-__attribute__((constructor)) static void begin(void)
-{
-    const char *path = getenv("STUB_HD_LOG"), *settings = getenv("STUB_HD_SET");
-    const int file = path ? open(path, O_RDWR | O_CREAT, 0644) : -1;
-    if (path && (file < 0 || ftruncate(file, sizeof *journal))) abort();
-    journal = mmap(0, sizeof *journal, PROT_READ | PROT_WRITE, file < 0 ? MAP_SHARED | MAP_ANONYMOUS : MAP_SHARED, file, 0);
-    if (journal == MAP_FAILED) abort();
-    stub_reset();
-    if (!settings) return;
-    char text[1024], *save = 0;
-    snprintf(text, sizeof text, "%s", settings);
-    for (char *pair = strtok_r(text, ",", &save); pair; pair = strtok_r(0, ",", &save)) {
-        char *equals = strchr(pair, '=');
-        if (!equals) abort();
-        *equals = 0;
-        stub_set(pair, atof(equals + 1));
-    }
-    for (int d = 0; d < DEVICES; d++) goal(d, 0, device[d].position);
-}
+__attribute__((constructor)) static void begin(void) { stub_reset(); }

@@ -20,11 +20,10 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.kernels import model
 from softfinger.server.cli import main, make_parser
 from softfinger.server.loop.clock import make_stopwatch
-from softfinger.tools.accuracy import cases, figures, front, montana, paper, verb
+from softfinger.tools.accuracy import cases, front, montana, paper, verb
 from softfinger.tools.accuracy.classical import MAX_STEP_SHARE, Steps, roll_classical
 from softfinger.tools.accuracy.options import METHODS, MOTIONS, SURFACES
 from softfinger.tools.accuracy.reference import roll_path
-from softfinger.tools.accuracy.report import write_report
 
 R = cases.RADIUS_M
 W, SPIN = 2.0, 0.5
@@ -207,16 +206,6 @@ def test_motion_turns_at_its_nominal_rates(motion: cases.Motion) -> None:
     assert first @ n / np.linalg.norm(first - (first @ n) * n) == pytest.approx(0.7)
 
 
-def test_turns_lead_from_pose_to_pose() -> None:
-    rng = np.random.default_rng(51)
-    q = rng.normal(size=(20, 4))
-    q /= np.linalg.norm(q, axis=1)[:, None]
-    steps = cases.compute_turns(q)
-    assert (steps[:, 0] >= 0.0).all()
-    for before, step, after in zip(q, steps, q[1:], strict=False):
-        assert matrix(step) @ matrix(before) == pytest.approx(matrix(after), abs=1e-14)
-
-
 def test_impossible_cases_are_left_out() -> None:
     """No fingertip larger than the hollow it is in, no step of half a turn, no closed form where there is none."""
     sweep, drift = verb.plan_sweep(options())
@@ -292,25 +281,3 @@ def test_missing_scipy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.integrate", None)
     with pytest.raises(ConfigError, match=r"pip install 'softfinger\[accuracy\]'"):
         paper.compute_exact_path("world")
-
-
-@pytest.mark.exhaustive
-def test_figures_are_the_same_each_time(result: dict[str, Any], tmp_path: Path) -> None:
-    drawn = {}
-    for name, draw in figures.FIGURES.items():
-        draw(result, tmp_path / name)
-        drawn[name] = (tmp_path / name).read_text(encoding="utf-8")
-        assert "<dc:date>" not in drawn[name]
-        assert len(drawn[name]) < 80_000
-    draw(result, tmp_path / name)
-    assert (tmp_path / name).read_text(encoding="utf-8") == drawn[name]
-
-
-def test_report_has_every_section(result: dict[str, Any], tmp_path: Path) -> None:
-    write_report(result, tmp_path / "report.txt")
-    text = (tmp_path / "report.txt").read_text(encoding="utf-8")
-    assert "0.00387   0.00393" in text
-    for heading in ("the paper's experiment", "its time", "measured order", "Pareto front", "drift off the surface"):
-        assert f"\n{heading}" in text
-    assert f"measured on {result['machine']['processor']}" in text
-    assert "plane, constant rate: for an error below 1 pm at 1000 Hz use " in text

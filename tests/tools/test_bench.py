@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.browser import why_none
+from helpers.processes import COMMAND
+from helpers.programs import run_program
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
@@ -23,31 +25,28 @@ def measured(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.exhaustive
-def test_meshes_of_small_balls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--levels", "3", "--ticks", "1000", "--paced", "1000", "--plot", str(tmp_path / "cost.png")]
-    rows = measured(capsys, "mesh", *words)["rows"]
-    assert [(row["triangles"], row["bumpy"]) for row in rows] == [(1280, False), (1280, True)]
-    for row in rows:
-        assert row["distance_error_m"] < 1e-9 * 0.1
-        assert 1.0 <= row["asked"]["p50"] <= row["asked"]["max"] < 1280
-    assert (tmp_path / "cost.png").stat().st_size > 1000
+def small(line: str, part: str, *marks: pytest.MarkDecorator) -> Any:
+    return pytest.param(line, part, marks=[pytest.mark.exhaustive, *marks], id=line.split()[0])
 
 
-@pytest.mark.exhaustive
-def test_simulate_is_timed_in_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each format has a time and the ratio to real time that follows from it; a figure is drawn; no file remains."""
-    folder, drawing = tmp_path / "files", tmp_path / "times.svg"
-    folder.mkdir()
-    words = ["--ticks", "2000", "--rounds", "1", "--folder", str(folder), "--plot", str(drawing)]
-    rows = measured(capsys, "simulate", *words)["formats"]
-    assert [row["format"] for row in rows] == ["csv", "npz", "mcap"]
-    for row in rows:
-        assert row["times_real_time"] * row["seconds"] == pytest.approx(2.0)
-        assert 0.0 < row["seconds"] <= row["median_seconds"]
-        assert row["cpu_s"] > 0.0
-    assert drawing.stat().st_size > 0
-    assert not list(folder.iterdir())
+@pytest.mark.parametrize(
+    ("line", "part"),
+    [
+        pytest.param("loop --seconds 0.3 --realtime off", "servo", id="loop"),
+        small("telemetry --seconds 0.5 --subscribers 2", "daemon"),
+        small("mesh --levels 3 --ticks 1000 --paced 1000", "rows"),
+        small("simulate --ticks 2000 --rounds 1", "formats"),
+        small("closed-loop --blocks 3", "plants"),
+        small("soak --minutes 0.2", "processes", pytest.mark.real_time),
+        small("view --viewers 2 --browsers 1 --seconds 1", "cases", pytest.mark.real_time,
+              pytest.mark.skipif(bool(why_none()), reason=why_none())),
+    ],
+)  # fmt: skip
+def test_a_measurement_is_printed_and_drawn(line: str, part: str, tmp_path: Path) -> None:
+    plot = tmp_path / "plot.png"
+    completed = run_program([*COMMAND, "bench", *line.split(), "--json", "--plot", str(plot)], cwd=tmp_path)
+    assert completed.stdout and json.loads(completed.stdout)[part], completed.stderr
+    assert plot.read_bytes().startswith(b"\x89PNG") and list(tmp_path.iterdir()) == [plot]
 
 
 def test_a_scene_that_one_recording_cannot_run_on_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,22 +76,6 @@ def test_a_torn_parameter_set_is_detected() -> None:
     rows[:, 2] = [FORCE_N, 1.0 + 1.5, FORCE_N, 0.5]
     rows[3, 3] = 2.0
     assert count_torn(rows) == 1
-
-
-@pytest.mark.real_time
-@pytest.mark.exhaustive
-@pytest.mark.skipif(bool(why_none()), reason=why_none())
-def test_view_measures_every_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Ticks went on in all; a viewer has used a processor, a page has drawn; a figure is there."""
-    drawing = tmp_path / "late.svg"
-    words = ["--viewers", "2", "--browsers", "1", "--seconds", "1", "--plot", str(drawing)]
-    cases = measured(capsys, "view", *words)["cases"]
-    assert list(cases) == ["no viewer", "1 viewer", "2 viewers", "1 page"]
-    assert all(case["ticks"] > 100 for case in cases.values())
-    assert cases["no viewer"]["viewer_load"] == 0.0 < cases["1 viewer"]["viewer_load"]
-    assert [case["frames_per_s"] is None for case in cases.values()] == [True, True, True, False]
-    assert cases["1 page"]["frames_per_s"]["least"] > 0.0
-    assert drawing.stat().st_size > 0
 
 
 @pytest.mark.real_time

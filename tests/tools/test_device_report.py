@@ -17,8 +17,6 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-import test_falcon_emulated
-import test_spacemouse_emulated
 from helpers.drd_stub import stub_library  # noqa: F401  a fixture
 from helpers.programs import run_program
 from helpers.rig_files import write_rig
@@ -48,34 +46,32 @@ Here = Callable[..., str]
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> Path:
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Home and working folder of a user."""
     folder = tmp_path / USER
     folder.mkdir()
+    for name, value in (
+        ("HOME", folder),
+        ("USER", USER),
+        ("LOGNAME", USER),
+        ("SOFTFINGER_CACHE_DIR", CACHE_DIR.parent),
+    ):
+        monkeypatch.setenv(name, str(value))
+    monkeypatch.chdir(folder)
     return folder
 
 
-def run(home: Path, *words: str, **popen: Any) -> subprocess.CompletedProcess[str]:
-    return run_program(
-        [*COMMAND, "--device-report", *words], stdin=subprocess.DEVNULL, cwd=home, env=environment(home), **popen
-    )
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    return run_program([*COMMAND, "--device-report", *words], stdin=subprocess.DEVNULL)
 
 
 @pytest.fixture
-def here(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Here:
-    for name, value in environment(home).items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.chdir(home)
-
+def here(home: Path, capsys: pytest.CaptureFixture[str]) -> Here:
     def report_of(*words: str) -> str:
         assert main(["doctor", "--device-report", *words]) == 0
         return capsys.readouterr().out
 
     return report_of
-
-
-def environment(home: Path) -> dict[str, str]:
-    variables = os.environ | {"SOFTFINGER_CACHE_DIR": str(CACHE_DIR.parent)}
-    return variables | {"HOME": str(home), "USER": USER, "LOGNAME": USER}
 
 
 def checked(file: Path, home: Path) -> dict[str, Any]:
@@ -129,7 +125,7 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
 
 def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
     rig = write_rig(home, "omega-3", library_file=str(stub_library))
-    result = run(home, "--rig", rig, "--seconds", "0.3")
+    result = run("--rig", str(rig), "--seconds", "0.3")
     assert result.returncode == 0, result.stderr
     content = checked(home / "softfinger-forcedimension-report.json", home)
     assert content["device"]["name"] == "omega.3, serial ...30"
@@ -173,25 +169,6 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
         assert "is gone" in content["fault"]["message"]
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
-@pytest.mark.parametrize("driver", ["falcon", "spacemouse"])
-def test_other_emulated_devices_are_reported(driver: str, home: Path) -> None:
-    file = home / "report.json"
-    if driver == "falcon":
-        rig, beside_it = Path(test_falcon_emulated.rig_with(home, counts_per_nm=4000)), test_falcon_emulated.beside
-    else:
-        rig, beside_it = write_rig(home, driver), test_spacemouse_emulated.beside
-    rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
-    beside_it({}, *COMMAND, "--device-report", str(file), "--rig", str(rig), "--seconds", "0.3", code=0)
-    content = checked(file, home)
-    (device,) = content["identity"]
-    assert f"{device['vendor_id']}:{device['product_id']}" == {"falcon": "0403:cb48", "spacemouse": "046d:c626"}[driver]
-    assert content["complete"]
-    assert "exchange-time" in {row["id"] for row in content["questions"] if row["measured"]}
-    assert content["counts"]["replies" if driver == "falcon" else "reads"] > 0
-
-
 def test_a_puck_is_not_pushed() -> None:
     rig = load_rig("spacemouse")
     near, far = socket.socketpair()
@@ -200,15 +177,15 @@ def test_a_puck_is_not_pushed() -> None:
         report.limit_guard(rig, puck, 1.0)
 
 
-def test_nothing_is_compiled_before_the_device_is_open(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(home)
+@pytest.mark.usefixtures("home")
+def test_nothing_is_compiled_before_the_device_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("softfinger.tools.exchange.exchange_loop", None)
     for words in (["doctor", "--device-report"], ["devices", "--probe"], ["bench", "device"]):
         assert main([*words, "--rig", "omega-3"]) == DeviceNotFound.exit_code
 
 
 def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
-    result = run(home, "--rig", "omega-3", "--seconds", "0.3")
+    result = run("--rig", "omega-3", "--seconds", "0.3")
     assert result.returncode == 4 and "not answered" not in result.stdout
     content = checked(home / "softfinger-forcedimension-report.json", home)
     assert content["ended"] == "by a fault" and not content["complete"]
@@ -225,8 +202,7 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
     rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\nforces = "forces.npz"\n')
     process = subprocess.Popen(
         [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "2", "--with-force", "1"],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=home,
-        env=environment(home),
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr is not None
     for line in process.stderr:
@@ -252,7 +228,7 @@ def test_the_user_is_prompted_on_a_terminal(home: Path) -> None:
     main, side = pty.openpty()
     process = subprocess.Popen(
         [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "0.2"],
-        stdin=side, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=home, env=environment(home),
+        stdin=side, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     os.close(side)
     assert process.stderr is not None

@@ -16,17 +16,14 @@ from typing import Any
 import pytest
 import zmq
 from helpers.programs import run_program
-from helpers.shares import collect_shares
 
 from softfinger.config.errors import Unfit
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.server.loop import realtime
-from softfinger.server.progress import show_progress
 from softfinger.tools.doctor import attached, loop, machine
-from softfinger.tools.doctor.check import STATES, Check, format_lines, grade
-from softfinger.tools.doctor.verb import examine
+from softfinger.tools.doctor.check import STATES, Check, grade
 
 pytestmark = pytest.mark.real_time
 
@@ -101,24 +98,6 @@ def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, A
     assert "Traceback" not in result["stderr"]
 
 
-def test_figures_come_from_a_run_at_the_rigs_rate(result: dict[str, Any]) -> None:
-    """The loop has run its ticks at the rig's rate, and the checks speak of them."""
-    servo = result["loop"]["servo"]
-    assert servo["ticks"] == 299
-    assert result["loop"]["rate_hz"] == 1000.0
-    assert named(result, "ticks in time")["seen"].startswith(f"{servo['missed']} of 299 missed")
-    assert f"p99 {servo['late']['p99'] * 1e6:.0f} us" in named(result, "wake-up lateness")["seen"]
-
-
-def test_settings_are_applied_and_restored() -> None:
-    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
-    rig = load_rig("replay", {"servo.cpu": min(os.sched_getaffinity(0))})
-    checks = {check.name.removeprefix("real time, "): check for check in loop.check_settings(rig)}
-    assert checks["affinity"].state == "good"
-    assert checks.keys() == {"timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity"}
-    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
-
-
 @pytest.mark.parametrize(("mode", "state"), [("auto", "could be better"), ("require", "bad")])
 def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: str) -> None:
     rig = load_rig("replay", {"servo.cpu": 1023, "servo.realtime": mode})
@@ -150,21 +129,6 @@ def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: 
         assert "isolcpus" in checks[0].remedy and "servo.cpu" in checks[1].remedy
     with_c = loop.judge_loop(result | {"c": {"late": {"p99": 40e-6}}})
     assert "the same loop in C 40 us" in with_c[1].seen
-
-
-def test_the_share_of_the_steps_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    def measured(*words: Any) -> Any:
-        with show_progress("measuring", 2) as show:
-            show(1)
-        return check
-
-    check, shares = Check("a", "good", "", ""), collect_shares(monkeypatch)
-    monkeypatch.setattr(loop, "cache", measured)
-    monkeypatch.setattr(loop, "step", measured)
-    monkeypatch.setattr(loop, "measure_lateness", lambda *words: ([measured()], {"rate_hz": 1000.0}))
-    result = examine(load_rig("replay"), load_scene("paper-plane"), "replay", "paper-plane", 1.0, None)
-    assert result["states"]["good"] >= 3 and result["loop"] == {"rate_hz": 1000.0}
-    assert shares["checking the machine"] == [n / 14 for n in (2, 4, 5, 6, 7, 8, 9, 10, 12, 14)]
 
 
 def test_another_machine_is_read(tmp_path: Path) -> None:
@@ -271,14 +235,3 @@ def test_the_rig_selects_the_makers_library(tmp_path: Path, monkeypatch: pytest.
     assert check.state == "bad"
     assert "FDSDK" in check.remedy
     assert attached.check_maker_library(load_rig("replay"), "forcedimension").state == "good"
-
-
-def test_the_text_has_a_remedy() -> None:
-    """A good check is one line; other checks have the required value and the remedy below."""
-    good, bad = Check("a", "good", "seen", "wanted", "unused"), Check("b", "bad", "seen", "wanted", "do this")
-    assert len(format_lines([good])) == 1
-    assert [line.strip() for line in format_lines([bad])] == [
-        "bad             b: seen",
-        "wanted: wanted",
-        "remedy: do this",
-    ]

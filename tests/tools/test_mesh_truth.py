@@ -25,13 +25,12 @@ SCRIPT = Path(__file__).parents[1] / "mesh_truth.py"
 
 @pytest.mark.exhaustive
 def test_a_ball_is_true(tmp_path: Path) -> None:
-    """Distances to 1e-9 of its size, a proxy that is never inside, and times of ticks; exit code 0."""
+    """Distances to 1e-9 of its size, and a proxy that is never inside; exit code 0."""
     words = ["ball", "--points", "300", "--ticks", "1000", "--json"]
     process = run_program((sys.executable, str(SCRIPT), *words), check=True)
     result = json.loads(process.stdout)["ball"]
     assert result["distances"]["points"] == 300 and result["distances"]["error"] < 1e-9
     assert result["hand"]["touching"] > 100 and result["hand"]["inside"] == result["hand"]["through"] == 0
-    assert 0.0 < result["tick_us"]["p50"] <= result["tick_us"]["longest"]
 
 
 def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:

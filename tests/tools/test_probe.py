@@ -7,20 +7,18 @@ import pty
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.hd_stub import HdStub, hd, hd_library
-from test_device_report import checked, environment, home
+from test_device_report import checked, home
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server.cli import main
 from softfinger.tools.doctor import probe
-from softfinger.tools.doctor.probe import draw_range
 
 __all__ = ["hd", "hd_library", "home"]  # fixtures
 
@@ -31,9 +29,6 @@ Probing = Callable[..., str]
 
 @pytest.fixture
 def probing(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Probing:
-    for name, value in environment(home).items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.chdir(home)
     monkeypatch.setattr(probe, "PART_S", 0.2)
 
     def run(*words: str, typed: str | None = None) -> str:
@@ -104,10 +99,7 @@ def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
     assert not force[-1].any()
 
 
-def test_a_rig_with_a_limit_below_the_push_is_refused(
-    home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(home)
+def test_a_rig_with_a_limit_below_the_push_is_refused(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = home / "weak.toml"
     file.write_text('[device]\ndriver = "simulated"\n[guard]\nforce_max_n = 0.1\n')
     assert main(["devices", "--probe", "--push", "--rig", str(file)]) == 2
@@ -121,14 +113,3 @@ def test_without_a_rig_the_first_attached_device_is_used(monkeypatch: pytest.Mon
         probe.find_attached_rig()
     ports.append(SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0"))
     assert probe.find_attached_rig() == "touch"
-
-
-def test_the_picture_shows_wrong_motions() -> None:
-    moves: list[dict[str, Any]] = [
-        {"kind": "translation", "expected": "+x", "seen": "+x", "agrees": True},
-        {"kind": "translation", "expected": "+y", "seen": "-z", "agrees": False},
-    ]
-    text = "\n".join(draw_range({"range": None, "moves": moves}))
-    assert "right --> +x   as required" in text
-    assert "away from you --> -z   WRONG: required is +y" in text
-    assert "z  up: not seen" in text

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.described_boards import settled
-from helpers.far_rigs import FAR_RIGS, when_forced
-from test_device_report import checked, environment, home
+from helpers.far_ends import FAR_RIGS, when_forced
+from test_device_report import checked, home
 
 from softfinger.server.cli import main
 from softfinger.tools.doctor import probe
@@ -35,9 +35,6 @@ CASES = [
 def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
     course: str, name: str, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for key, value in environment(home).items():
-        monkeypatch.setenv(key, value)
-    monkeypatch.chdir(home)
     monkeypatch.setattr(probe, "PART_S", 0.1)
     monkeypatch.setattr(probe, "PUSH_S", 0.4)
     with open(os.devnull) as nobody, FAR_RIGS[name](home, monkeypatch) as far:

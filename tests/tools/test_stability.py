@@ -248,18 +248,6 @@ def test_verb_gives_one_case(capsys: pytest.CaptureFixture[str]) -> None:
     assert f"{row['limit_n_per_m']:.2f}" in capsys.readouterr().out
 
 
-@pytest.mark.exhaustive
-def test_maps_are_reproducible(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    first, repeated, results = tmp_path / "1.svg", tmp_path / "2.svg", str(tmp_path / "map.mcap")
-    words = ["--map", "all", "--points", "3", "--results", results]
-    rows = stability(capsys, *words, "--plot", str(first))["cases"]
-    assert [row["map"] for row in rows] == ["zwidth"] * 3 + ["rate"] * 3 + ["delay"] * 9
-    assert stability(capsys, *words, "--plot", str(repeated))["cases"] == rows
-    assert first.read_bytes() == repeated.read_bytes()
-    assert main(["stability", "--plot", str(tmp_path / "case.png")]) == 0
-    assert (tmp_path / "case.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_verb_times_random_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     words = ["--cases", "1500", "--ticks", "50", "--results", str(tmp_path / "runs.mcap")]
     runs = stability(capsys, *words)["runs"]

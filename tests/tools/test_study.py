@@ -21,21 +21,21 @@ def test_only_marked_tables_are_replaced():
     assert study.insert(page, {"drift": "| new |\n", "orders": "| 2 |\n"}) == page
 
 
-def test_a_mark_without_a_table_is_an_error():
-    with pytest.raises(ConfigError, match="study: orders -->: no such table; there are drift"):
-        study.insert(PAGE, {"drift": "| new |"})
-
-
 def test_table_becomes_markdown():
     made = format_table("title", ("surface", "over_euler"), [("plane", "1"), ("torus", "2")], 1)
     assert study.format_markdown(made) == "| surface | over_euler |\n| --- | --- |\n| plane | 1 |\n| torus | 2 |\n"
 
 
-def test_every_table_has_its_place_in_the_pages():
-    marked = [match["name"] for page in DOCS.rglob("*.md") for match in study.BLOCK.finditer(page.read_text())]
-    assert sorted(marked) == sorted(study.TABLES)
-
-
 def test_a_folder_without_pages_is_refused(tmp_path, capsys):
     assert study.main([str(tmp_path)]) == ConfigError.exit_code
     assert "contains no pages" in capsys.readouterr().err
+
+
+def test_a_mark_without_a_table_is_an_error():
+    with pytest.raises(ConfigError, match="study: orders -->: no such table; there are drift"):
+        study.insert(PAGE, {"drift": "| new |"})
+
+
+def test_every_table_has_its_place_in_the_pages():
+    marked = [match["name"] for page in DOCS.rglob("*.md") for match in study.BLOCK.finditer(page.read_text())]
+    assert sorted(marked) == sorted(study.TABLES)

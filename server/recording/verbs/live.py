@@ -56,12 +56,7 @@ class RecordingJob(NamedTuple):
 def record_live(job: RecordingJob, path: Path) -> str:
     """Record into a new file until the first of several causes ends the recording; return a report in one line.
 
-    Raises
-    ------
-    NoTelemetry
-        If nothing arrives.
-    RecordingError
-        If the file exists or cannot be written.
+    Raises NoTelemetry if nothing arrives, and RecordingError if the file exists or cannot be written.
     """
     with subscribe_all(job) as wire:
         first_samples, fingers, about = receive_first(wire, job)
@@ -102,7 +97,7 @@ class TickBatcher:
         self._receiver, self._first_finger = receiver, fingers[0]
         self._rows: dict[str, list[list[float]]] = {finger: [] for finger in fingers}
         self._due_s = time.monotonic() + BATCH_S
-        self.first = self.last = -1
+        self.first = self.last = self._timed_tick = -1
         self.seconds = 0.0
         self.lost = 0
         self.end_reason = ""
@@ -123,7 +118,8 @@ class TickBatcher:
             if self.first < 0:
                 self.first = sample.tick
             if finger == self._first_finger:
-                self.seconds += sample.dt * (1 + sample.lost)
+                self.seconds += sample.dt * (sample.tick - self._timed_tick if self._timed_tick >= 0 else 1)
+                self._timed_tick = sample.tick
             self.last = sample.tick
             self.lost += sample.lost
             self._rows[finger].append(record_of(sample))
@@ -150,10 +146,9 @@ def record_until_end(
     with ExitStack() as stack:
         stack.callback(batcher.flush)
         show = stack.enter_context(show_counter())
-        for first_sample in first_samples:
-            batcher.take(first_sample)
+        waiting = iter(first_samples)
         while not batcher.end_reason:
-            sample = wire.receive(POLL_S)
+            sample = next(waiting, None) or wire.receive(POLL_S)
             now = time.monotonic()
             if sample is None:
                 batcher.flush()
@@ -188,20 +183,14 @@ def subscribe_all(job: RecordingJob) -> Subscription:
 def receive_first(wire: Subscription, job: RecordingJob) -> tuple[list[Sample], list[str], dict[str, Any]]:
     """Return the first messages, the names of the fingers, and the daemon's description, empty if it sends none.
 
-    Raises
-    ------
-    NoTelemetry
-        If nothing arrives.
+    Raises NoTelemetry if nothing arrives.
     """
-    first_samples = _receive_full_tick(wire, job)
-    fingers = list(
-        dict.fromkeys(finger for sample in first_samples if (finger := find_finger(sample.topic)) is not None)
-    )
+    first_samples, fingers = receive_full_tick(wire, job)
     return first_samples, fingers, _request_description(job) | {"every": first_samples[-1]["every"]}
 
 
-def _receive_full_tick(wire: Subscription, job: RecordingJob) -> list[Sample]:
-    """Return the messages of at least one complete tick, which names all fingers, with the events before it."""
+def receive_full_tick(wire: Subscription, job: RecordingJob) -> tuple[list[Sample], list[str]]:
+    """Return the messages of at least one complete tick, with the events before it, and the names of the fingers."""
     samples: list[Sample] = []
     ticks: dict[str, int] = {}
     until = time.monotonic() + job.timeout_s
@@ -214,7 +203,7 @@ def _receive_full_tick(wire: Subscription, job: RecordingJob) -> list[Sample]:
             ticks[sample.topic] = ticks.get(sample.topic, 0) + 1
             # Messages of one tick arrive together: before the third message of one finger, each finger has had one.
             if ticks[sample.topic] == 3:
-                return samples
+                return samples, [find_finger(topic) or "" for topic in ticks]
     raise NoTelemetry(explain_no_telemetry(job.addresses.telemetry, job.timeout_s))
 
 

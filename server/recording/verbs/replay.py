@@ -130,10 +130,7 @@ def _from_file(path: Path, past: Run) -> Against:
 
 
 def _read_forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
-    """Read a file of forces written by the replay device: index of the read before each force, and wrench.
-
-    Returns None for other files.
-    """
+    """Return the forces in a file of the replay device: index of the read before each, and wrench; None if other."""
     try:
         if path.suffix.lower() == ".npz":
             with open_input(path) as file:

@@ -22,7 +22,6 @@ class Projection(NamedTuple):
 
     point   (3,) m
     normal  (3,)  unit normal of the surface, upwards
-    flat          whether the surface is flat
     scene_index   index of the object in `BodyNodes.poses`
     """
 

@@ -30,9 +30,7 @@ BOARD_SQUARES: Final = 13
 class SceneStart(NamedTuple):
     """Start of the rendering of a scene.
 
-    tick       its first tick
     missed     deadlines missed before it
-    period_s   period of a tick
     own_clock  whether all devices have their own clock; if so, a missed deadline takes no time
     """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import radians
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -62,27 +62,16 @@ def _read_xyz(at: int) -> slice:
     return slice(at, at + 3)
 
 
-class PatchColumns(NamedTuple):
-    """First columns of a patch in a record."""
-
-    object: int
-    point: int
-    normal: int
-    mode: int
-
-
 _PATCHES: Final = [
-    PatchColumns(*(NAMED[f"contacts{k}.{name}"].at for name in PatchColumns._fields)) for k in range(PATCHES)
+    tuple(NAMED[f"contacts{k}.{name}"].at for name in ("object", "point", "normal", "mode")) for k in range(PATCHES)
 ]
+"""First columns of each patch in a record."""
 
 
 class FingerNodes:
     """Nodes `/fingers/NAME`; `ball` is the part that a mouse can drag.
 
-    Parameters
-    ----------
-    bodies
-        Objects; the traces on them are in their frames.
+    bodies  objects; the traces on them are in their frames
     """
 
     def __init__(self, api: Any, scene: schema.Scene, parts: schema.FingerParts, bodies: BodyNodes) -> None:
@@ -185,12 +174,12 @@ class FingerNodes:
 
     def _show_patches(self, row: Array, is_shown: bool) -> None:
         lines = np.zeros((PATCHES, 2, 3))
-        for k, at in enumerate(_PATCHES):
-            is_visible = is_shown and row[at.object] >= 0.0
+        for k, (object_at, point_at, normal_at, mode_at) in enumerate(_PATCHES):
+            is_visible = is_shown and row[object_at] >= 0.0
             self._dots[k].visible = is_visible
             if is_visible:
-                point, normal = row[_read_xyz(at.point)], row[_read_xyz(at.normal)]
-                self._dots[k].position, self._dots[k].color = CM * point, self._choose_patch_colour(int(row[at.mode]))
+                point, normal = row[_read_xyz(point_at)], row[_read_xyz(normal_at)]
+                self._dots[k].position, self._dots[k].color = CM * point, self._choose_patch_colour(int(row[mode_at]))
                 lines[k] = CM * point, CM * point + 2.5 * CM * self.radius * normal
         self._normals.visible, self._normals.points = is_shown, lines
         radius = float(row[AT.contact_patch_radius])

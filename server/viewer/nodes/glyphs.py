@@ -98,12 +98,7 @@ def rotate_about(axis: Array, angle: float) -> Quaternion:
 class Trace:
     """Latest part of a trace as coloured segments, as few as possible because each costs drawing time.
 
-    Parameters
-    ----------
-    min_distance
-        Minimum distance between points; closer points are ignored.
-    segments
-        Maximum number of segments.
+    min_distance  minimum distance between points; closer points are ignored
     """
 
     def __init__(self, min_distance: float, segments: int = 120) -> None:

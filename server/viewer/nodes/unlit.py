@@ -59,7 +59,6 @@ def _switch_light_off(tree: dict[str, Any]) -> None:
 def make_squares(edge: float, count: int) -> NDArray[np.float64]:
     """Return the corners (n, 4, 3), counter-clockwise, of every other square of a horizontal board about the origin.
 
-    edge   length of a side
     count  squares per side, including the omitted ones
     """
     at = np.linspace(-0.5 * edge, 0.5 * edge, count + 1)

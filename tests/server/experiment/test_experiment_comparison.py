@@ -58,19 +58,6 @@ def test_confidence_follows_signal_detection() -> None:
         assert [marks[mark] / 2000 for mark in (1.0, 2.0, 3.0, 4.0)] == pytest.approx(shares, abs=4.5 * 0.5 / 2000**0.5)
 
 
-def test_the_planted_thresholds_and_ratings_are_recovered(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
-    """The 95 % intervals of the pooled fit contain the simulated thresholds, 0.15 without and 0.3 with damping."""
-    experiment, rows = study
-    pooled = {
-        group.condition: group.fit
-        for group in fit_groups(experiment.file, rows)
-        if group.participant == ALL_PARTICIPANTS
-    }
-    for condition, threshold in (("0.0", 0.15), ("4.0", 0.3)):
-        low, high = pooled[condition].threshold_95
-        assert low <= threshold <= high
-
-
 def test_the_likelihood_ratio_is_that_of_scipys_maxima(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
     experiment, rows = study
     total = 0.0

@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.faulty_device import registered
 from helpers.processes import COMMAND
 from helpers.programs import Program
 from helpers.waits import WAIT_S, repeated
-from test_trial_order import make_tables
+from test_trial_order import STIFFNESS, make_tables
 
-from softfinger.config.errors import CommandRefused, HapticError, RecordingError, SafetyStop
+from softfinger.config.errors import CommandRefused, DeviceLost, HapticError, RecordingError, SafetyStop
 from softfinger.config.materials import load_materials
 from softfinger.config.sources import EXPERIMENTS, list_names
 from softfinger.server import cli
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, load_results
-from softfinger.server.experiment.hands import interpolate_path
 from softfinger.server.experiment.haptics import START_TOLERANCE_M, START_TOLERANCE_RAD, Haptics
 from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.journal import read
@@ -47,7 +47,8 @@ SLEW_N = 2.0
 RAMP_TICKS = 500
 
 
-DAMPING = "object.table.material.damping_ns_per_m"
+MATERIAL = "object.table.material"
+DAMPING = f"{MATERIAL}.damping_ns_per_m"
 
 
 def experiment(**changes: Any) -> dict[str, Any]:
@@ -137,16 +138,25 @@ def test_a_guided_hand_starts_on_its_path_turns_and_turns_back(session: tuple[Pa
 
 
 @pytest.mark.exhaustive
-def test_a_limit_of_the_rig_is_a_factor(tmp_path: Path) -> None:
-    limits = {"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.3, 5.0]}
-    varied = Experiment(experiment() | {"factor": [limits]})
-    low, high = varied.run(tmp_path / "out", 1, settings(tmp_path))
-    assert low["peak_force_n"] == pytest.approx(0.3, rel=1e-9) and 0.5 < high["peak_force_n"] < 5.0
-    run = load_run(tmp_path / "out" / "sub-01" / "sub-01_run-01_ticks.mcap", ("force",))
-    replaced = [event["first"] for event in run.events if event["name"] == "replaced"]
-    assert len(replaced) == 2
-    for tick in replaced:
-        assert run.first["tick"][find_tick(run, tick)] == tick and not run.first["force"][find_tick(run, tick)].any()
+def test_a_limit_of_the_rig_and_a_material_are_levels_of_a_factor(tmp_path: Path) -> None:
+    kinds = {"weak": {"rig.guard.force_max_n": 0.3}, **{name: {MATERIAL: name} for name in ("wood", "rubber")}}
+    factor = {"name": "kind", "levels": list(kinds), "values": kinds}
+    task = {"kind": "rate", "parameter": DAMPING, "question": "How heavy?"}
+    Experiment(experiment() | {"factor": [factor], "task": task}).run(tmp_path / "out", 1, settings(tmp_path))
+    fields = ("force", "contact.normal_force", "contact.penetration")
+    run = load_run(tmp_path / "out" / "sub-01" / "sub-01_run-01_ticks.mcap", fields)
+    for condition, end in zip(kinds, select_marks(run, "release"), strict=True):
+        last = find_tick(run, end["tick"]) - 1
+        force = np.linalg.norm(run.first["force"][last])
+        normal, depth = run.first["contact.normal_force"][last], run.first["contact.penetration"][last]
+        if condition == "weak":
+            assert force == pytest.approx(0.3, rel=1e-9) and normal > 0.3
+            continue
+        assert force == pytest.approx(normal, rel=1e-9)
+        # The hand moves at some mm/s, where the damper contributes a thousandth of the force.
+        assert normal / depth == pytest.approx(load_materials()[condition].values["stiffness_n_per_m"], rel=0.01)
+    replaced = [find_tick(run, event["first"]) for event in run.events if event["name"] == "replaced"]
+    assert len(replaced) >= 2 and not run.first["force"][replaced].any()
 
 
 def vary_force_limit(limit: float) -> dict[str, Any]:
@@ -237,6 +247,31 @@ def test_a_touch_without_force_is_not_answered(tmp_path: Path, monkeypatch: pyte
     assert disarmed == [False]
     journal = tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl"
     assert [entry["kind"] for entry in read(journal)] == ["started", "begun"]
+
+
+def test_a_session_whose_device_is_lost_repeats_that_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver, touch = registered(monkeypatch), Haptics.touch
+    rating = {"kind": "rate", "parameter": DAMPING, "question": "How heavy?"}
+    pressing = experiment() | {"rig": "replay", "motion": {}, "turn": {}, "task": rating}
+    pressing["factor"] = [{"name": "push", "parameter": STIFFNESS, "levels": [500.0, 1000.0]}]
+    running = settings(tmp_path)
+    running = running._replace(
+        rig={**running.rig, "device.driver": "faulty", "device.fault": "lost", "device.at": 10**9}
+    )
+
+    def touch_and_unplug(self: Haptics, stimulus: Stimulus) -> TouchResult:
+        if stimulus.trial == 2 and len(driver.devices) == 1:
+            driver.device.fail_after(500)
+        return touch(self, stimulus)
+
+    monkeypatch.setattr(Haptics, "touch", touch_and_unplug)
+    with pytest.raises(DeviceLost, match="faulty"):
+        Experiment(pressing).run(tmp_path / "out", 1, running)
+    assert driver.device.wrenches.any() and not driver.device.wrenches[-1].any()
+    journal = tmp_path / "out" / "sub-01" / "sub-01_journal.jsonl"
+    assert [entry["kind"] for entry in read(journal)] == ["started", "begun", "done", "begun"]
+    rows = Experiment(pressing).run(tmp_path / "out", 1, running)
+    assert [(row["trial"], row["attempt"]) for row in rows] == [(1, 1), (2, 2)]
 
 
 def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
@@ -341,33 +376,6 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
         "started", "begun", "done", "begun", "done", "begun", "started", "begun", "done", "finished",
     ]  # fmt: skip
     assert len(list((tmp_path / "out" / "sub-01").glob("*.mcap"))) == 2
-
-
-@pytest.mark.exhaustive
-def test_materials_by_name_are_levels_of_a_factor(tmp_path: Path) -> None:
-    factor = {"name": "plate", "parameter": "object.table.material", "levels": ["wood", "rubber"]}
-    task = {"kind": "rate", "parameter": "object.table.material.damping_ns_per_m", "question": "How heavy?"}
-    procedure = {"kind": "constant", "levels": [0.2], "repetitions": 1}
-    design = make_tables(
-        factor=[factor], task=task, procedure=procedure, trial={"touch_s": 0.9}, motion={"fingertip": MOTION}
-    )
-    Experiment(design).run(tmp_path / "out", 1, settings(tmp_path))
-    recording = tmp_path / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
-    run = load_run(recording, ("contact.normal_force", "contact.penetration"))
-    conditions = [row["condition"] for row in load_results(tmp_path / "out")]
-    assert sorted(conditions) == ["rubber", "wood"]
-    for condition, end in zip(conditions, select_marks(run, "release"), strict=True):
-        last = find_tick(run, end["tick"]) - 1
-        normal, depth = run.first["contact.normal_force"][last], run.first["contact.penetration"][last]
-        # The hand moves at some mm/s, where the damper contributes a thousandth of the force.
-        stiffness = load_materials()[condition].values["stiffness_n_per_m"]
-        assert normal / depth == pytest.approx(stiffness, rel=0.01) and normal > 0.3
-
-
-def test_a_hand_follows_straight_lines() -> None:
-    path = ((0.0, 0.0, 0.0, 0.0), (2.0, 1.0, 2.0, 4.0))
-    assert interpolate_path(path, 1.0) == (0.5, 1.0, 2.0)
-    assert interpolate_path(path, -1.0) == (0.0, 0.0, 0.0) and interpolate_path(path, 9.0) == (1.0, 2.0, 4.0)
 
 
 @pytest.mark.exhaustive

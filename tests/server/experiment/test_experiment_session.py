@@ -29,11 +29,8 @@ from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, load_results
 from softfinger.server.experiment.folder import ParticipantFolder, load
-from softfinger.server.experiment.interfaces import NullApparatus
-from softfinger.server.experiment.journal import Journal, MemoryJournal, read
-from softfinger.server.experiment.observer import SimulatedObserver
+from softfinger.server.experiment.journal import Journal, read
 from softfinger.server.experiment.report import _load_starts
-from softfinger.server.experiment.session import Session
 
 pytestmark = pytest.mark.plain
 
@@ -45,14 +42,6 @@ def check_figure(figure: Path) -> None:
         assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50
     paths = [element for element in ET.parse(figure.with_suffix(".svg")).iter() if element.tag.endswith("}path")]
     assert len(paths) > 20
-
-
-def test_a_rehearsal_reports_each_trial() -> None:
-    file, numbers = Experiment("friction-magnitude").file, list[int]()
-    session, journal, observer = Session(file, 1), MemoryJournal(), SimulatedObserver(file, 1)
-    session.welcome(journal, observer)
-    session.run(journal, NullApparatus(numbers.append), observer)
-    assert numbers == list(range(1, len(session.trials) + 1))
 
 
 @pytest.mark.sampled(1)
@@ -77,17 +66,6 @@ def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path:
         rows = list(csv.DictReader(file))
     assert [int(row["trial"]) for row in rows] == list(range(1, len(rows) + 1))
     assert sum(entry["trials"] for entry in numbers) == sum(row["practice"] == "False" for row in rows)
-
-
-def test_the_truth_lies_in_most_intervals(cases: Callable[[int, int], int]) -> None:
-    """At most one of seven 95 % intervals misses the true value; chance is below 1 in 100."""
-    seeds, misses = cases(6, 50), 0
-    for seed in range(seeds):
-        experiment = Experiment("texture-roughness", {"design.seed": seed, "procedure.trials": 80})
-        rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
-        low, high = fit_groups(experiment.file, rows)[0].fit.threshold_95
-        misses += not low <= experiment.file.observer.threshold <= high
-    assert misses <= max(1, seeds // 7)
 
 
 def kill_and_resume(folder: Path, kills: int, seed: int) -> None:
@@ -220,12 +198,6 @@ def test_one_session_of_a_participant_at_a_time(tmp_path: Path) -> None:
         Journal(tmp_path / "j.jsonl")
 
 
-def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "j.jsonl").write_bytes(b'{"kind":"begun","trial":1}\n{"ki\n{"kind":"finished"}\n')
-    with pytest.raises(ConfigError, match="line 2 is not an entry"):
-        read(tmp_path / "j.jsonl")
-
-
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -236,11 +208,12 @@ def test_a_damaged_journal_is_refused(tmp_path: Path) -> None:
         ('{"kind":"survey"}', "missing required field `survey`"),
         ('{"trial":3}', "missing required field `kind`"),
         ('{"kind":[]}', r"Expected `str`, got `array` - at `\$.kind`"),
+        ('{"ki', "is not an entry"),
     ],
 )
 def test_an_edited_journal_entry_is_refused(line: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "j.jsonl").write_text('{"kind":"begun","trial":1}\n' + line + "\n")
-    with pytest.raises(ConfigError, match=f"j.jsonl: line 2: .*{message}.*: restore the file from a copy"):
+    (tmp_path / "j.jsonl").write_text('{"kind":"begun","trial":1}\n' + line + '\n{"kind":"finished"}\n')
+    with pytest.raises(ConfigError, match=rf"j\.jsonl: line 2:? .*{message}.*: restore"):
         read(tmp_path / "j.jsonl")
 
 
@@ -341,19 +314,12 @@ def test_a_title_of_any_characters_is_drawn(tmp_path: Path, caplog: pytest.LogCa
 
 def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
-    (tmp_path / "figures").write_text("a file")
-    assert cli.main(["figure", str(tmp_path)]) == ConfigError.exit_code
-    (tmp_path / "figures").unlink()
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
-    try:
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "numbers.csv").touch()
+    with limit_file_size(2000, tmp_path / "figures" / "numbers.csv"):
         assert cli.main(["figure", str(tmp_path)]) == ConfigError.exit_code
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    errors = capsys.readouterr().err
-    for reason in ("File exists", "File too large"):
-        fault = f"{tmp_path / 'figures'}: the figures cannot be written: {reason}: make room, or name another folder"
-        assert fault in errors
+    fault = f"{tmp_path / 'figures'}: the figures cannot be written: File too large: make room, or name another folder"
+    assert fault in capsys.readouterr().err
 
 
 def test_a_session_continues_without_a_lost_answer(tmp_path: Path) -> None:

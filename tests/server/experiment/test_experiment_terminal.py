@@ -54,13 +54,8 @@ def open_keyboard(stdin: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_simulated_numbers_are_within_their_bounds() -> None:
     height = {"name": "height", "kind": "number", "prompt": "?", "min": 0.5, "max": 2.5}
-    file = Experiment(make_tables(survey=[{"name": "s", "at": ["before"], "question": [height]}])).file
-    question = file.survey[0].question[0]
-    answers = {SimulatedObserver(file, 1).survey(question, None, number) for number in range(200)}
-    low_answers = {SimulatedObserver(make_low_file(height), 1).survey(question, None, number) for number in range(200)}
-    assert answers == {1.0, 2.0} and low_answers == {0.5, 1.0}
-
-
-def make_low_file(height: dict[str, Any]) -> Any:
     survey = {"name": "s", "at": ["before"], "question": [height]}
-    return Experiment(make_tables(survey=[survey], observer={"answers": {"height": 0.5}})).file
+    for changes, expected in (({}, {1.0, 2.0}), ({"observer": {"answers": {"height": 0.5}}}, {0.5, 1.0})):
+        file = Experiment(make_tables(survey=[survey], **changes)).file
+        (question,) = file.survey[0].question
+        assert {SimulatedObserver(file, 1).survey(question, None, number) for number in range(200)} == expected

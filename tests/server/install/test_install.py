@@ -185,11 +185,6 @@ def test_a_damaged_record_is_reported(root: Path, install: Install, capsys: pyte
     assert f"{root / RECORD} is damaged" in capsys.readouterr().err
 
 
-def test_removing_nothing_is_reported(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    assert install("--remove") == 0
-    assert capsys.readouterr().out == "nothing was installed\n"
-
-
 def test_a_wrong_rig_is_refused_before_installing(
     root: Path, install: Install, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,7 +22,7 @@ from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import load_finger_poses, run_ticks, simulate
-from softfinger.server.recording.compare import MEMORY_TIME_CONSTANTS, ReplayComparison, compare, compare_run
+from softfinger.server.recording.compare import ReplayComparison, compare, compare_run
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.verbs.options import TOLERANCE
@@ -273,8 +273,3 @@ def test_info_summarizes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert cli.main(["info", str(path)]) == 0
     output = capsys.readouterr().out
     assert "10 ticks are missing in 1 gaps" in output and "scene paper-plane" in output and "softfinger 0.0" in output
-
-
-@pytest.mark.plain
-def test_the_filter_forgets_below_the_last_bit() -> None:
-    assert np.exp(-MEMORY_TIME_CONSTANTS) < np.finfo(np.float64).eps

@@ -12,8 +12,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
+from itertools import count, repeat
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -31,15 +31,15 @@ from softfinger.config.files import open_recording
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
-from softfinger.proxy.record import AT, FIELDS
+from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE
 from softfinger.server import cli
 from softfinger.server.app import Daemon
-from softfinger.server.recording import picture, schemas
+from softfinger.server.recording import schemas
 from softfinger.server.recording.poses_file import CsvPoses, open_poses_file
 from softfinger.server.recording.reader import End, Event, Note, TickBlock, read_contents
 from softfinger.server.recording.recorder import NEW_RECORDING_REMEDY, PERIOD_S, QUEUE_EVENTS, QUEUE_ROWS, Recorder
-from softfinger.server.recording.results import McapResults
 from softfinger.server.recording.summary import summarize
+from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import EVENT_EXTRA_KEYS
@@ -123,16 +123,6 @@ NUMBERS = {
 def test_foxglove_messages_have_foxglove_numbers(name: str) -> None:
     fields = schemas.make_message_class(name).DESCRIPTOR.fields_by_name
     assert {field: fields[field].number for field in NUMBERS[name]} == NUMBERS[name]
-
-
-@pytest.mark.parametrize("scene", ["sphere", "cylinder", "corner", "pinch"])
-def test_shipped_scenes_are_drawn(scene: str) -> None:
-    shown = load_scene(scene)
-    drawn = schemas.make_message_class(schemas.SCENE).FromString(picture.encode_scene(shown, 10**18))
-    entities, balls = drawn.entities[: len(shown.object)], drawn.entities[len(shown.object) :]
-    assert [entity.id for entity in entities] == [entity.name for entity in shown.object]
-    assert all(len(t.cubes) + len(t.spheres) + len(t.cylinders) + len(t.lines) for t in entities)
-    assert [ball.spheres[0].size.x for ball in balls] == [2.0 * finger.radius_m for finger in shown.fingers]
 
 
 def test_every_event_survives_encoding() -> None:
@@ -333,26 +323,31 @@ class SlowFile:
         return self._file.write(data)
 
 
-def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
-    reports: list[str] = []
-    file = SlowFile(tmp_path / "slow.mcap")
+@contextmanager
+def stalled(path: Path, batches: Iterator[np.ndarray]) -> Iterator[tuple[Recorder, SlowFile, list[str]]]:
+    """Yield a recorder that has written one batch and waits for the disk with the next; its file, and its reports."""
+    file, reports = SlowFile(path), list[str]()
     recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
-    recorder.ticks(run()[:1])
-    assert eventually(lambda: recorder.recorded.ticks == 1)
+    recorder.ticks(first := next(batches))
+    assert eventually(lambda: recorder.recorded.ticks == len(first))
     file.free.clear()
-    recorder.ticks(run()[:1])
+    recorder.ticks(next(batches))
     assert file.writing.wait(WAIT_S)
-    start_s = time.monotonic()
-    for number in range(QUEUE_EVENTS + 30):
-        recorder.event(event("mark", f"mark {number}", number))
-    recorder.note("last", {"said": True})
-    assert recorder.recorded.events_dropped == 30
-    stalled = time.monotonic() - start_s
-    file.free.set()
-    assert eventually(lambda: reports)
-    recorded_ = recorder.stop(WAIT_S)
-    assert recorded_.whole and recorded_.events_dropped == 30
-    assert recorded_.worst_write_s >= stalled
+    yield recorder, file, reports
+
+
+def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
+    with stalled(tmp_path / "slow.mcap", repeat(run()[:1])) as (recorder, file, reports):
+        start_s = time.monotonic()
+        for number in range(QUEUE_EVENTS + 30):
+            recorder.event(event("mark", f"mark {number}", number))
+        recorder.note("last", {"said": True})
+        assert recorder.recorded.events_dropped == 30
+        stalled_s = time.monotonic() - start_s
+        file.free.set()
+        assert eventually(lambda: reports)
+        recorded_ = recorder.stop(WAIT_S)
+    assert recorded_.whole and recorded_.events_dropped == 30 and recorded_.worst_write_s >= stalled_s
     assert reports == ["30 events were not recorded: the disk was too slow"]
     _, events, notes, _ = read(tmp_path / "slow.mcap")
     assert [entry["name"] for entry in events] == [f"mark {number}" for number in range(QUEUE_EVENTS)]
@@ -360,43 +355,32 @@ def test_a_stalled_disk_drops_events_and_counts_them(tmp_path: Path) -> None:
     assert summarize(tmp_path / "slow.mcap")["events_dropped"] == 30
 
 
+def make_batches() -> Iterator[np.ndarray]:
+    """Yield batches of 1024 ticks that follow each other."""
+    for first in count(0, 1024):
+        batch = np.tile(run()[:1], (1024, 1))
+        batch[:, AT.tick] = first + np.arange(1024)
+        yield batch
+
+
 def test_a_stalled_disk_loses_ticks_but_delays_nothing(tmp_path: Path) -> None:
-    reports: list[str] = []
-    file = SlowFile(tmp_path / "slow.mcap")
-    recorder = Recorder(file, [""], about(), lambda text, _: reports.append(text))
-    batch = np.tile(run()[:1], (1024, 1))
-    numbers = iter(range(0, 10**9, 1024))
-
-    def take() -> int:
-        first = next(numbers)
-        batch[:, AT.tick] = first + np.arange(len(batch))
-        recorder.ticks(batch)
-        return first
-
-    take()
-    assert eventually(lambda: recorder.recorded.ticks == 1024)
-    file.free.clear()
-    take()
-    assert file.writing.wait(WAIT_S)
-    offered = 1024
-    while not recorder.recorded.dropped:  # without waiting
-        assert offered <= 2 * QUEUE_ROWS
-        take()
-        offered += 1024
-    dropped = 1024 * 10
-    for _ in range(9):
-        take()
-    assert recorder.recorded.dropped == dropped
-    file.free.set()
-    assert eventually(lambda: reports)
-    after = take()
-    recorded_ = recorder.stop(WAIT_S)
+    batches, dropped = make_batches(), 1024 * 10
+    with stalled(tmp_path / "slow.mcap", batches) as (recorder, file, reports):
+        while not recorder.recorded.dropped:  # without waiting
+            recorder.ticks(batch := next(batches))
+            assert batch[-1, AT.tick] <= 1024 + 2 * QUEUE_ROWS
+        for _ in range(9):
+            recorder.ticks(next(batches))
+        assert recorder.recorded.dropped == dropped
+        file.free.set()
+        assert eventually(lambda: reports)
+        recorder.ticks(last := next(batches))
+        recorded_ = recorder.stop(WAIT_S)
     assert recorded_.whole and recorded_.dropped == dropped
     records, _, notes, end = read(tmp_path / "slow.mcap")
     assert end.cut == "" and notes["end"] == {"ticks": len(records), "dropped": dropped, "events_dropped": 0}
-    assert records[-1, AT.tick] == after + 1023 and len(records) == after + 1024 - dropped
-    gaps = np.diff(records[:, AT.tick])
-    (at,) = np.flatnonzero(gaps != 1.0)
+    assert records[-1, AT.tick] == last[-1, AT.tick] == len(records) + dropped - 1
+    (at,) = np.flatnonzero(np.diff(records[:, AT.tick]) != 1.0)
     assert reports == [
         f"{dropped} ticks from tick {records[at, AT.tick] + 1:.0f} on were not recorded: the disk was too slow"
     ]
@@ -527,13 +511,13 @@ def test_a_recording_without_a_tick_leaves_no_file(limit: int, tmp_path: Path) -
 
 
 def test_poses_on_a_full_disk_end_with_a_whole_line(tmp_path: Path) -> None:
-    path, sample = tmp_path / "poses.csv", SimpleNamespace(probe=SimpleNamespace(position=(0, 0, 1 / 3)))
-    sample.probe.orientation = (1, 0, 0, 0)
+    path, records = tmp_path / "poses.csv", np.zeros((1, RECORD_SIZE))
+    records[0, [AT.probe_position + 2, AT.probe_orientation]] = 1 / 3, 1.0
     file, lines = CsvPoses(path), list[int]()
 
     def add_all() -> None:
         for number in range(100):
-            file.add(number * 1e-3, sample)
+            file.add(np.array([number * 1e-3]), records)
             lines.append(path.read_bytes().count(b"\n"))  # a kill loses no written line
 
     with file_size_limit(1000), pytest.raises(RecordingError, match=r"poses\.csv: cannot be written: File too large"):
@@ -549,10 +533,11 @@ def test_poses_on_a_full_disk_end_with_a_whole_line(tmp_path: Path) -> None:
 
 def test_results_on_a_full_disk_end_with_whole_chunks(tmp_path: Path) -> None:
     path, rows = tmp_path / "poses.mcap", run()
-    with McapResults(path, open_recording(path)) as results:
-        with file_size_limit(40_000), pytest.raises(RecordingError, match="File too large"):
-            results.append(rows)
-        written = results.count()
+    results = RecordingFile(open_recording(path), with_pictures=False)
+    with file_size_limit(40_000), pytest.raises(OSError, match="File too large"):
+        results.ticks(rows)
+    written = results.count()
+    results.close()
     ticks = ticks_by_library(path)  # with an index, because the end finds room
     assert summarize(path)["whole"] and 100 < len(ticks) == written < len(rows)
 

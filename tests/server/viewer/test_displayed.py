@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
 import pytest
-from emulators.haply2diy import Firmware, Port
-from helpers.browser import eventually, served, why_none
-from helpers.described_boards import lower
-from helpers.pages import running
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfinger.config import schema
-from softfinger.config.load import build, describe, load_rig, load_scene
+from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.drivers.kinematics.options import Paddle
 from softfinger.drivers.kinematics.subspace import make_subspace
 from softfinger.drivers.mounting import Mounting
@@ -103,33 +97,3 @@ def test_the_arrow_shows_the_displayed_force_and_dashes_the_rest() -> None:
 def test_a_dashed_line_has_gaps_as_long_as_its_dashes() -> None:
     line = make_dashes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 15.0, 0.0]))
     np.testing.assert_allclose(line[:, :, 1], [[2.0 * k, 2.0 * k + 1.0] for k in range(8)])
-
-
-@pytest.mark.real_time
-@pytest.mark.system
-@pytest.mark.skipif(bool(why_none()), reason=why_none())
-def test_the_page_shows_the_force_a_2diy_cannot_display() -> None:
-    plain = describe(load_scene("paper-plane"))
-    plain["object"][0] |= {"orientation_wxyz": [np.cos(np.pi / 8).item(), -np.sin(np.pi / 8).item(), 0.0, 0.0]}
-    scene, board = build(schema.Scene, plain, "a slope"), Firmware()
-    with Port(board) as port:
-        changes: dict[str, Any] = {
-            "device__path": port.path, "device__quiet_s": 0.1, "device__timeout_s": 0.5, "guard__ramp_s": 0.01,
-        }  # fmt: skip
-        with running("haply-2diy", scene, **changes) as daemon:
-            lower(board)
-            with served("--endpoint", daemon.publisher.endpoint, "--commands", str(daemon.commands_endpoint)) as screen:
-                text = screen.page.get_by_text(re.compile(r"displayed: [\d.]+ N in its plane"))
-                assert eventually(text.count)
-
-                def parts() -> list[float]:
-                    return [float(number) for number in re.findall(r"([\d.]+) N", text.first.inner_text())]
-
-                shown, lost = eventually(lambda: min(forces := parts()) > 0.05 and forces)
-                # Sliding straight down a slope of 45 degrees puts the force on the cone of the kinetic friction 0.5: in
-                # the plane (1 + 0.5) N cos 45, across it (1 - 0.5) N cos 45. Both are shown with two decimals.
-                assert shown / (shown + lost) == pytest.approx(0.75, abs=0.02)
-                link = screen.page.get_by_role("link", name="A device of two degrees of freedom")
-                assert link.get_attribute("href").endswith(
-                    "devices/serial.md#one-or-two-degrees-of-freedom-in-a-three-dimensional-scene"
-                )

@@ -7,23 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from conftest import paper_mapping
-from helpers.browser import eventually, served, why_none
-from helpers.recorded import EPOCH_S, about, event, recorded, run
+from helpers.recorded import EPOCH_S, about, event, run
 
 from softfinger.config.load import build, describe, load_scene
 from softfinger.config.schema import Scene
 from softfinger.server.recording.writer import RecordingFile
 from softfinger.server.viewer.driven import DrivenPoses, RecordedBodies
-from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import RecordedPage, load
 
 LID = {"name": "lid", "shape": "plane", "motion": {"kind": "driven"}, "position_m": [0.0, 0.0, 0.01]}
 HALF = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
-NODE = "window.__viserMutable.nodeRefFromName['/objects/0']?.position.toArray()"
-"""Position of the drawn node, not of the message."""
 
 
 def drive_event(tick: int, **changes: Any) -> dict[str, Any]:
@@ -66,29 +61,3 @@ def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None
             RecordedPage(page, loaded, tick).step(0.0)
             assert page.bodies is not None
             np.testing.assert_allclose(page.bodies.poses[-1][0], [*pointer, 0.0085], atol=1e-9)
-
-
-@pytest.mark.real_time
-@pytest.mark.system
-@pytest.mark.skipif(bool(why_none()), reason=why_none())
-def test_a_driven_object_in_a_browser_has_its_recorded_pose(tmp_path: Path) -> None:
-    moves = {500: [0.02, 0.0, 0.02], 900: [0.03, 0.01, 0.015]}
-    events = [drive_event(tick, object="lid", position_m=place) for tick, place in moves.items()]
-    scene = build(Scene, paper_mapping(table=LID), "recorded")
-    file = recorded(tmp_path / "moved.mcap", run(), events, scene=describe(scene))
-    places = {0: LID["position_m"], 499: LID["position_m"], 500: moves[500], 1500: moves[900]}
-    with served(str(file)) as screen:
-
-        def is_at(place: Any) -> bool:
-            position = screen.page.evaluate(NODE)
-            return position is not None and bool(np.allclose(np.array(position) / CM, place, atol=1e-6))
-
-        assert eventually(lambda: screen.shows("tick 0"))
-        for tick in (1500, 500, 499, 1500, 0):
-            screen.fill("time, s", str(tick / 1000.0))
-            assert eventually(lambda tick=tick: is_at(places[tick])), tick
-        screen.choose("speed", "0.25")
-        screen.fill("time, s", "0.85")
-        assert eventually(lambda: is_at(moves[500]))
-        screen.page.get_by_label("play", exact=True).click()
-        assert eventually(lambda: is_at(moves[900]))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from helpers.browser import eventually, shown, why_none
-from helpers.experiment_page import RATING, STUDY, session
+from helpers.experiment_page import STUDY, session
 from helpers.waits import WAIT_S
 
 from softfinger.server.experiment.experiment import load_results
@@ -106,29 +106,6 @@ def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: N
     events = load_run(own / "sub-01_run-01_ticks.mcap", ("force",)).events
     answers = [event["what"]["value"] for event in events if event.get("name") == "answer"]
     assert answers == ["first", "3", "second", "4", "95", "go on", "second", "1", "first", "1"]
-
-
-@pytest.mark.real_time
-@pytest.mark.exhaustive
-def test_a_rating_and_an_estimate_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    with session(tmp_path / "scale", RATING) as run:
-        run.click("begin")
-        assert run.waits("1: soft, 7: hard")
-        run.click("6")
-        assert run.waits("trial 2 of 4", "1: soft, 7: hard")
-        run.page.keyboard.press("3")
-        assert run.waits("A break")
-    assert [row["answer"] for row in load_results(tmp_path / "scale" / "out")] == [6.0, 3.0]
-    with session(tmp_path / "number", RATING.replace('scale = [1, 7]\nscale_ends = ["soft", "hard"]', "")) as run:
-        run.click("begin")
-        for text in ("many", "-3"):
-            run.write("your number", text)
-            run.click("answer")
-            assert run.waits("give a number from 1e-06 to 1e+06")
-        run.write("your number", "12,5")
-        run.click("answer")
-        assert run.waits("trial 2 of 4")
-    assert [row["answer"] for row in load_results(tmp_path / "number" / "out")] == [12.5]
 
 
 @pytest.mark.plain

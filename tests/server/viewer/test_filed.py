@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import meshes
 from helpers.browser import Screen, coloured, eventually, why_none
 from helpers.pages import daemon_of
 
-from softfinger.config import schema
-from softfinger.config.load import build, describe
 from softfinger.server.remote import Client
 from softfinger.server.viewer.nodes.looks import CM
 
 pytestmark = [pytest.mark.real_time, pytest.mark.system, pytest.mark.skipif(bool(why_none()), reason=why_none())]
 
-RADIUS_M = 0.03
 GREY, WHITE = 240.0, 250.0
 """An object's colour is below GREY; the empty background is above WHITE."""
 TRIANGLES = """name => {
@@ -59,22 +54,4 @@ def test_a_height_map_is_drawn_and_touched(screen: Screen, client: Client) -> No
     assert eventually(lambda: count_triangles(screen) == 2 * 63 * 63)
     assert eventually(lambda: get_colour(screen, (0.0, -0.03, 0.0)).max() < GREY)
     assert get_colour(screen, (0.025, 0.0, 0.03)).min() > WHITE
-    assert touch_until_shown(screen, client)
-
-
-@pytest.mark.exhaustive
-def test_a_mesh_is_drawn_and_touched(screen: Screen, client: Client, tmp_path: Path) -> None:
-    file = meshes.write_ply(tmp_path / "ball.ply", meshes.geodesic(16, RADIUS_M))
-    ball = {"name": "ball", "shape": "mesh", "file": str(file), "position_m": [0.0, 0.0, -RADIUS_M]}
-    scene = {
-        "fingertip": {"radius_m": 0.01},
-        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
-        "object": [ball | {"material": {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}}],
-    }
-    client.ask("hand", {"position_m": [0.0, 0.0, 0.02]})
-    client.set_scene(describe(build(schema.Scene, scene, "ball")))
-    assert eventually(lambda: count_triangles(screen) == 5120)
-    below = (0.0, -0.7 * RADIUS_M, -0.3 * RADIUS_M)  # on the ball, in front of the finger
-    assert eventually(lambda: get_colour(screen, below).max() < GREY)
-    assert get_colour(screen, (0.025, 0.0, 0.02)).min() > WHITE
     assert touch_until_shown(screen, client)

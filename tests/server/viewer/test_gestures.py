@@ -81,14 +81,6 @@ def test_each_gesture_causes_its_motion() -> None:
     assert most["spin"][2] < gestures.SPIN_RAD * 0.05  # it has slipped about the normal
 
 
-def test_a_slide_moves_towards_the_middle() -> None:
-    """A slide that starts on the right moves left, which keeps it on objects in the middle of a scene."""
-    for x, sign in ((0.03, -1.0), (0.0, 1.0)):
-        points = [step.point[0] for step in play_gesture("slide", (x, 0.0, 0.02)) if step.mode != ContactMode.FREE]
-        farthest = max(points, key=lambda point: abs(point - x))
-        assert sign * (farthest - x) == pytest.approx(gestures.SLIDE_M, abs=1.5e-3)
-
-
 class MovableFinger(SimulatedHands):
     def __init__(self) -> None:
         super().__init__("lift-a-box")

@@ -7,8 +7,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import msgpack
-import msgspec
 import numpy as np
 import pytest
 from conftest import paper_mapping
@@ -16,16 +14,11 @@ from helpers import meshes
 
 from softfinger.config import schema
 from softfinger.config.load import build
-from softfinger.proxy.meshes.prepared import describe_mesh
-from softfinger.proxy.meshes.thinning import PICTURE_TRIANGLES
 from softfinger.proxy.record import RECORD_SIZE
-from softfinger.server.socket_process.setup import ANSWER_MAX
 from softfinger.server.surface_meshes import decode_mesh
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import LoadedRecording, RecordedPage
-from softfinger.server.wire.commands import MeshResult
-from softfinger.server.wire.envelope import encode_answer
 
 BEGAN = SceneStart(0, 0, 1e-3, own_clock=False)
 
@@ -38,22 +31,6 @@ def parse_scene(path: Path) -> schema.Scene:
 
 def write_scan(folder: Path, frequency: int) -> Path:
     return meshes.write_ply(folder / f"ball{frequency}.ply", meshes.geodesic(frequency, 0.04))
-
-
-def test_a_picture_is_unchanged_by_the_wire(tmp_path: Path) -> None:
-    report, picture = describe_mesh(parse_scene(write_scan(tmp_path, 60)).object[1])  # type: ignore[arg-type]
-    assert report.triangles == 72000 and 20000 < len(picture.triangles) <= PICTURE_TRIANGLES
-    message = encode_answer(
-        "7",
-        MeshResult(
-            picture.vertices.astype("<f4").tobytes(), picture.triangles.astype("<u4").tobytes(), report.triangles
-        ),
-    )
-    assert PICTURE_TRIANGLES * (3 * 12 + 12) < ANSWER_MAX  # no shared vertices
-    decoded = msgspec.convert(msgpack.unpackb(message)["result"], MeshResult)
-    mesh = decode_mesh(decoded.vertices, decoded.triangles)
-    assert decoded.of == 72000 and mesh.faces.tolist() == picture.triangles.tolist()
-    np.testing.assert_allclose(mesh.vertices, picture.vertices, rtol=6e-8)  # float32
 
 
 @pytest.mark.parametrize(

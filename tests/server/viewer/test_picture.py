@@ -23,7 +23,6 @@ from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingertip import make_finger, nail
 from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, PLUMB, TORSION, Looks
 from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
-from softfinger.server.viewer.nodes.unlit import make_squares
 from softfinger.server.viewer.plots import LINES
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 
@@ -67,19 +66,6 @@ def test_a_plane_faces_along_its_normal() -> None:
     assert (mesh.vertices[:, 2] == 0.0).all() and (np.cross(b - a, c - a) @ UP > 0.0).all()
 
 
-def test_an_infinite_cylinder_has_no_end_faces() -> None:
-    mesh = make_surface(make_object({"shape": "cylinder", "radius_m": 0.02}))
-    np.testing.assert_allclose(np.hypot(*mesh.vertices[:, :2].T), 0.02, rtol=1e-12)  # rounding of a sine
-
-
-def test_an_unknown_shape_has_no_mesh() -> None:
-
-    class Elsewhere:
-        shape = "elsewhere"
-
-    assert make_surface(Elsewhere()) is None  # type: ignore[arg-type]
-
-
 @given(st.floats(-3.0 * pi, 3.0 * pi), st.floats(0.1, 10.0))
 def test_an_arc_is_as_long_as_its_angle(angle: float, radius: float) -> None:
     line = glyphs.make_arc(angle, radius)[: glyphs.ARC_PIECES]
@@ -95,11 +81,6 @@ def test_a_cone_has_the_slope_of_the_friction() -> None:
     assert atan2(np.hypot(rim[0], rim[1]), rim[2]) == pytest.approx(atan2(0.6, 1.0), rel=1e-12)
 
 
-def test_marks_are_on_the_surface_of_the_fingertip() -> None:
-    points = glyphs.make_circles((0.8, 0.7, 1.2)).reshape(-1, 3)
-    np.testing.assert_allclose(((points / (0.8, 0.7, 1.2)) ** 2).sum(axis=1), 1.0, rtol=1e-12)
-
-
 @given(units)
 def test_rotation_to_a_normal_maps_z_to_it(normal: np.ndarray) -> None:
     normal = normal / np.linalg.norm(normal)
@@ -109,21 +90,6 @@ def test_rotation_to_a_normal_maps_z_to_it(normal: np.ndarray) -> None:
 @given(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.floats(-3.0, 3.0))
 def test_angles_of_the_sliders_round_trip(x: float, y: float, z: float) -> None:
     np.testing.assert_allclose(to_angles(from_angles(x, y, z)), (x, y, z), atol=1e-9)
-
-
-def test_a_rotation_times_its_inverse_is_the_identity() -> None:
-    q = glyphs.rotate_about(np.array([1.0, 2.0, 3.0]), 0.7)
-    np.testing.assert_allclose(glyphs.multiply(q, glyphs.invert(q)), glyphs.IDENTITY, atol=1e-15)
-
-
-def test_a_trace_drops_its_oldest_segments() -> None:
-    trace = glyphs.Trace(0.1, segments=3)
-    zigzag = [(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.2, 0.3), (0.35, 0.0), (0.5, 0.3)]
-    drawn = [trace.add(np.array([x, y, 0.0]), (1, 2, 3)) for x, y in zigzag]
-    assert drawn == [False, False, True, True, True, True]
-    trace.break_line()
-    assert not trace.add(np.array([9.0, 0.0, 0.0]), (1, 2, 3))
-    assert sorted(trace.segments[:, 1, 0].round(6).tolist()) == [0.2, 0.35, 0.5]
 
 
 @example([(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])  # out and back along one line
@@ -142,14 +108,6 @@ def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ..
     for x in np.arange(0.0, 0.2, 0.01):
         line.add(np.array([x, 0.0, 0.0]), (1, 2, 3))
     assert np.count_nonzero(np.linalg.norm(line.segments[:, 1] - line.segments[:, 0], axis=1)) == 1
-
-
-def test_a_trace_of_two_colours_has_two_segments() -> None:
-    trace = glyphs.Trace(0.1)
-    for x, colour in ((0.0, 1), (0.2, 1), (0.4, 2), (0.6, 2)):
-        trace.add(np.array([x, 0.0, 0.0]), (colour, 0, 0))
-    assert trace.segments[:3, 1, 0].round(6).tolist() == [0.2, 0.6, 0.0]
-    assert trace.colours[:2, 0, 0].tolist() == [1, 2]
 
 
 def distance_to_segment(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
@@ -197,27 +155,6 @@ def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
     assert position == pytest.approx((0.9, 2.0, 3.0)) and turn == pytest.approx((half, 0.0, 0.0, half))
     bodies.move_bodies({})
     assert bodies.poses[0] == (position, turn)
-
-
-@given(units, st.floats(-0.05, 0.05))
-def test_the_ground_is_the_highest_plane_below(normal: np.ndarray, height: float) -> None:
-    turn = glyphs.rotate_z_to(normal / np.linalg.norm(normal))
-    material = {"stiffness_n_per_m": 1000.0, "friction": {"static": 0.6, "kinetic": 0.5}}
-    floor = [0.0, 0.0, -0.1]
-    planes = [
-        {"position_m": [0.0, 0.0, height], "orientation_wxyz": list(turn)} | {"name": "slope"},
-        {"position_m": floor, "name": "floor"},
-    ]
-    planes = [{"shape": "plane", "material": material} | plane for plane in planes]
-    scene = build(schema.Scene, paper_mapping() | {"object": planes}, "test scene")
-    bodies, point = BodyNodes(Frames(), scene, SceneStart(0, 0, 1e-3, True)), np.array([0.01, -0.02, 0.03])
-    up = glyphs.rotate(turn, UP)
-    slope = point[2] - up @ (point - (0.0, 0.0, height)) / up[2] if up[2] > 0.5 else -1.0
-    expected = slope if -0.1 < slope <= point[2] else -0.1
-    foot = bodies.below(point)
-    assert foot is not None
-    np.testing.assert_allclose(foot.point, [0.01, -0.02, expected], atol=1e-15)
-    assert bodies.below(np.array([0.0, 0.0, -0.3 - abs(slope)])) is None
 
 
 @given(units, st.floats(-0.9, 0.9), st.floats(0.0, 2.0 * pi))
@@ -352,16 +289,6 @@ def test_a_nudge_moves_rolls_and_spins() -> None:
     np.testing.assert_allclose(by_key.position, by_mouse.position, atol=1e-12)
     spun = nudge_target(START, Nudge(spin=0.5 * pi), 0.01)
     assert spun.orientation == pytest.approx((sqrt(0.5), 0.0, 0.0, sqrt(0.5)))
-
-
-def test_a_board_has_the_dark_squares_of_a_chessboard() -> None:
-    corners = make_squares(13.0, 13)
-    assert corners.shape == (85, 4, 3) and (corners[..., 2] == 0.0).all()
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
-    np.testing.assert_allclose(across, np.tile(UP, (85, 1)), atol=1e-12)
-    middles = corners.mean(axis=1).round(6)
-    apart = np.abs(middles[:, None] - middles).sum(axis=2)
-    assert apart[apart > 0.0].min() == pytest.approx(2.0) and np.abs(middles).max() == pytest.approx(6.0)
 
 
 def test_a_view_along_a_plane_gives_no_target() -> None:

@@ -16,22 +16,19 @@ from helpers.live_pages import step_until
 from helpers.pages import running
 from helpers.pressed import pressed_scene
 from helpers.programs import run_program
-from mcap.reader import make_reader
 
 from softfinger.config.errors import RecordingError
 from softfinger.config.load import load_scene
-from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.results import write_blocks
 from softfinger.server.viewer.driven import ObjectControls
-from softfinger.server.viewer.hand import HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.live import NEW_SCENE_TEXT, NO_TICKS_TEXT, SILENCE_S, LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
-from softfinger.server.viewer.nodes.camera import place_camera
 from softfinger.server.viewer.page import Page
 from softfinger.server.viewer.playback import TRACE_TICKS, Player, load
 from softfinger.server.viewer.wire import ReceivedData
@@ -39,7 +36,6 @@ from softfinger.server.wire.client_requests import NoAnswer
 
 pytestmark = pytest.mark.real_time
 
-WAIT_S = 60.0
 BEGAN = SceneStart(0, 0, 0.001, own_clock=False)
 
 
@@ -55,24 +51,6 @@ def test_results_are_shown_unchanged(tmp_path: Path, results: np.ndarray, ending
     shown = load(str(file), None)
     assert list(shown.fingers) == [""] and shown.fingers[""].tobytes() == results.tobytes()
     assert shown.scene.object[0].shape == "plane"
-
-
-def test_a_damaged_part_is_reported_and_fingers_remain_aligned(
-    tmp_path: Path, results: np.ndarray, caplog: pytest.LogCaptureFixture
-) -> None:
-    file = tmp_path / "run.mcap"
-    write_blocks(file, ["index", "thumb"], [np.stack([results, results], axis=1)])
-    with file.open("rb") as recorded:
-        found = make_reader(recorded).get_summary()
-    assert found is not None and len(found.chunk_indexes) > 8
-    data = bytearray(file.read_bytes())
-    chunk = found.chunk_indexes[4]
-    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF
-    file.write_bytes(data)
-    index, thumb = load(str(file), "pinch").fingers.values()
-    assert f"{file} is incomplete: a part is damaged" in caplog.text
-    assert 0 < len(index) < len(results)
-    np.testing.assert_array_equal(index, thumb)
 
 
 def test_poses_are_rendered_first(results: np.ndarray) -> None:
@@ -119,33 +97,6 @@ def test_a_player_plays_loops_and_jumps(page: Page, tmp_path: Path, results: np.
     assert player._time.content == f"{end} of {end}"
     player.advance(0.1)
     assert player.take_rows()[0][""][:, 1].tolist() == [0]
-
-
-def test_a_high_window_shows_a_scene_from_farther_away_also_if_its_page_applies_the_initial_camera_later(
-    page: Page,
-) -> None:
-    scene = load_scene("paper-plane")
-    page.add_views()
-    page.change(scene, BEGAN)
-    near = place_camera(scene)
-    updates: list[Any] = []
-    camera = SimpleNamespace(image_height=200, image_width=100, on_update=updates.append)
-    page._follow_camera(SimpleNamespace(camera=camera))  # type: ignore[arg-type]
-    far = np.array(near.look_at) + 2.0 * np.subtract(near.position, near.look_at)
-    assert camera.position == pytest.approx(far)
-    camera.position = np.array(near.position)
-    updates[0](camera)
-    assert camera.position == pytest.approx(far)
-    camera.position = np.array(near.position) + 0.1
-    updates[0](camera)
-    assert camera.position == pytest.approx(np.array(near.position) + 0.1)
-
-
-def test_plots_have_the_name_of_their_finger_if_there_are_several(page: Page) -> None:
-    page.add_views()
-    for scene, title in (("pinch", "thumb: depth, mm"), ("paper-plane", "depth, mm")):
-        page.change(load_scene(scene), BEGAN)
-        assert page._plots._plots[0].title == title
 
 
 @pytest.fixture
@@ -235,16 +186,6 @@ def test_ticks_and_scenes_may_arrive_in_any_order(page: Page) -> None:
     assert set(page.fingers[""]._object_traces) == {0}
 
 
-def test_a_moment_too_small_for_an_arc_has_no_tip(page: Page) -> None:
-    rows = np.array(run_recording("press-roll-spin-drag"))[1000:1001]
-    page.add_views()
-    page.change(load_scene("paper-plane"), BEGAN)
-    for moment, drawn in ((1e-5, False), (-1e-5, False), (5e-4, True), (-5e-4, True)):
-        rows[:, AT.contact_torsion] = moment
-        page.show({"": rows})
-        assert page.fingers[""]._arc.visible is drawn
-
-
 def test_ticks_of_the_previous_scene_are_not_drawn(page: Page, live: LivePage) -> None:
     """The first tick of the new scene distinguishes them."""
     assert step_until(live, lambda: page._newest)
@@ -311,22 +252,3 @@ def test_a_hand_without_a_wrist_can_be_moved(page: Page) -> None:
         nudged_at = daemon.rendering.servo.ticks
         assert step_until(live, lambda: daemon.rendering.servo.ticks > nudged_at + 1000)
         assert not page.refusal
-
-
-def test_sliders_follow_a_finger_until_the_page_moves_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("softfinger.server.viewer.hand.SLIDER_UPDATE_S", -1.0)
-    targets = []
-    hold = lambda finger, on_target, failed: on_target(hand.target(finger))  # noqa: E731
-    commands = HandCommands(lambda finger, target: targets.append(target), hold)
-    hand = HandControls(page.server.gui, page.server.scene, commands)
-    hand.change([MovableFinger("", 0.01, np.full(3, -0.05), np.full(3, 0.05))])
-    row = np.zeros(RECORD_SIZE)
-    row[AT.probe_orientation] = 1.0
-    for height in (0.02, 0.012):
-        row[AT.probe_position + 2] = height
-        hand.update_pose("", row)
-        assert hand._sliders[2].value == pytest.approx(1e3 * height)
-    hand.nudge(Nudge(z=-0.004))
-    hand.update_pose("", row)
-    assert hand._sliders[2].value == pytest.approx(8.0)
-    assert [target.position[2] for target in targets] == pytest.approx([0.008])

@@ -10,7 +10,6 @@ from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
 from softfinger.server.viewer.timeline import (
     COLUMNS,
     Events,
-    describe_event,
     find_state_runs,
     format_band,
     format_pointer,
@@ -76,11 +75,3 @@ def test_events_follow_from_the_ticks_if_none_are_recorded() -> None:
     records[10, AT.contact_cause] = 6
     events = Events({"": records}, (), 1000.0)
     assert events.after(0) == 10 and "release" in events.format_html(10)
-
-
-def test_the_description_of_an_event_is_short() -> None:
-    assert (
-        describe_event({"kind": "contact", "name": "slip", "cause": "drag", "finger": "", "count": 0})
-        == "contact slip, cause drag"
-    )
-    assert describe_event({"kind": "contact", "name": "touch", "cause": "touch"}) == "contact touch"

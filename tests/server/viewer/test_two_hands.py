@@ -12,7 +12,6 @@ from helpers.pages import daemon_of
 
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
-from softfinger.server.viewer.gestures import LIFT_M
 from softfinger.server.viewer.hand import TARGET_VALID_S
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.wire.client import subscribe
@@ -57,12 +56,6 @@ def hands_next_to_box(client: Client, screen: Screen) -> None:
     assert eventually(stay)
     client.reset_world()
     screen.tab("Hand")
-
-
-def test_the_button_lifts_the_box(screen: Screen, heights) -> None:  # type: ignore[no-untyped-def]
-    screen.page.get_by_role("button", name="lift a box", exact=True).click()
-    assert eventually(lambda: heights() > RESTS_M + 0.8 * LIFT_M)
-    assert eventually(lambda: heights() < RESTS_M + 1e-3)
 
 
 def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]

@@ -51,8 +51,8 @@ CFunc, cpu_target, get_pointer_to_function, llvm_cfunc_wrapper_name
 types.Callable, types.Dispatcher, resolve_value_type, lower_constant
                          A kernel chosen by type is cached, too. Without: `overload` compiles it for every scene.
 
-TESTED_VERSIONS names the versions of numba tested with these; `tests/proxy/test_numba_internals.py` checks each. Read
-the three files completely before an upgrade of numba.
+TESTED_VERSIONS names the versions of numba tested with these. `tests/proxy/test_numba_internals.py` checks all that
+results depend on. Read the three files completely before an upgrade of numba.
 """
 
 from __future__ import annotations
