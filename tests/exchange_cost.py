@@ -358,7 +358,7 @@ def draw(results: dict[str, dict[str, Any]], path: Path) -> None:
     own = np.array([[costs[key] for key in ("own", "least", "most")] for costs in results.values()]) * 1e6
     reach = np.abs(own[:, 1:] - own[:, :1]).T
     axes.barh(list(results), own[:, 0], xerr=reach, capsize=4)
-    axes.set_xlabel("own time of a tick, beside the same C calls made bare (us)")
+    axes.set_xlabel("time of a tick minus that of the same C calls without the driver (us)")
     save(drawing, path)
 
 
