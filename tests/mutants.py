@@ -80,6 +80,7 @@ class Copy:
         self._environment = ENVIRONMENT | {
             "PYTHONPATH": str(self.folder / ".dev"),
             "SOFTFINGER_CACHE_DIR": str(folder / "kernels"),
+            "SOFTFINGER_TEST_WAIT_S": "30",
         }
         command = [sys.executable, "-c", "import softfinger.server.cli as it; print(it.__file__)"]
         process = subprocess.run(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 import time
@@ -12,7 +13,8 @@ from typing import Any
 from softfinger.drivers.base import OK
 from softfinger.server.driver_contract import DeviceCaller
 
-WAIT_S = 120.0
+WAIT_S = float(os.environ.get("SOFTFINGER_TEST_WAIT_S", "120"))
+"""Longest wait, s; shorter with a planted mistake (`tests/mutants.py`), for which a test waits in vain."""
 
 
 def eventually(condition: Callable[[], Any], seconds: float = WAIT_S, every_s: float = 0.001) -> Any:
