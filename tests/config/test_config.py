@@ -489,7 +489,7 @@ def test_missing_file_suggests_a_similar_one(tmp_path: Path) -> None:
         load_rig(str(tmp_path / "bnech.toml"))
     with pytest.raises(ConfigError, match="is a folder"):
         load_rig(tmp_path)
-    with pytest.raises(ConfigError, match="cannot be read: embedded null byte"):
+    with pytest.raises(ConfigError, match=r"cannot be read: .*embedded null"):
         load_rig("a\0b.toml")
 
 

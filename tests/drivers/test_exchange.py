@@ -164,7 +164,8 @@ def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
     outside = {name for name in called if name not in bodies and not name.startswith("llvm.")}
     assert outside <= {"clock_gettime", "clock_nanosleep", "sin"}
     assert {"clock_gettime", "clock_nanosleep"} <= outside
-    assert sum(len(re.findall(r"call [\w ]*%[\w.]+\(", body)) for body in bodies.values()) == 5
+    # Read and write of both devices, and the last zero, which has two places in code from Python 3.13's bytecode.
+    assert sum(len(re.findall(r"call [\w ]*%[\w.]+\(", body)) for body in bodies.values()) in (5, 6)
 
 
 def rows_of(count: int) -> np.ndarray:
