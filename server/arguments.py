@@ -110,11 +110,24 @@ def add_stream_options(parser: argparse._ActionsContainer) -> None:
 
 
 def parse_files_by_finger(values: Sequence[str], flag: str) -> dict[str, str]:
-    """Return the files of a repeatable option by finger name: NAME=FILE for each, or FILE, once, with the key "".
+    """Return the files of a repeatable option by finger name.
 
-    flag  name of the option, for the message
+    Parameters
+    ----------
+    values
+        FILE, given once, or NAME=FILE for each of several fingers.
+    flag
+        Name of the option, for the message.
 
-    Raises ConfigError if a name is repeated, or if values with and without a name are mixed.
+    Returns
+    -------
+    dict
+        File by name; a FILE without a name has the key "".
+
+    Raises
+    ------
+    ConfigError
+        If a name is repeated, or if values with and without a name are mixed.
     """
     files: dict[str, str] = {}
     for value in values:

@@ -97,7 +97,10 @@ def stop_exit_code() -> int:
 def handle_signals(ignore_after: bool = False) -> Iterator[None]:
     """Handle signals in the block as described above; has no effect outside the main thread.
 
-    ignore_after  the process exits after the block: ignore signals from there on, so that none changes the exit code
+    Parameters
+    ----------
+    ignore_after
+        The process exits after the block: ignore signals from there on, so that none changes the exit code.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -142,8 +145,12 @@ def mark_imported() -> None:
 def stop_on_signal(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | None = None) -> Iterator[None]:
     """Call `stop` on each signal in the block instead of raising an exception.
 
-    stop   requests the end; may be called repeatedly, from a signal handler or another thread
-    pause  called before the process is stopped (Ctrl-Z): removes the force and returns a function that restores it
+    Parameters
+    ----------
+    stop
+        Requests the end; may be called repeatedly, from a signal handler or another thread.
+    pause
+        Called before the process is stopped (Ctrl-Z): removes the force and returns a function that restores it.
     """
     state = _state
     before = state.stop, state.pause

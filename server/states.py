@@ -78,7 +78,10 @@ FAULT_REASONS: Final = frozenset({NO_HEARTBEAT_REASON, TOO_FAST_REASON, UNREACHA
 class States:
     """State machine of a daemon; thread-safe.
 
-    report  called on each transition, in order, with the previous state, the new state and the cause
+    Parameters
+    ----------
+    report
+        Called on each transition, in order, with the previous state, the new state and the cause.
     """
 
     def __init__(

@@ -35,7 +35,14 @@ RESTARTS = 3
 class Watcher:
     """Starts the process; call `supervise` repeatedly, and `dismiss` after the device is closed.
 
-    zero  bytes that command zero force when written to it
+    Parameters
+    ----------
+    node
+        Path of the device node.
+    fd
+        Descriptor of the open device.
+    zero
+        Bytes that command zero force when written to it.
     """
 
     def __init__(self, node: str, fd: int, zero: bytes) -> None:

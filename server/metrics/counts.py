@@ -93,7 +93,16 @@ class FingerCounts:
 class MetricsCollector(Collector):
     """Collector that receives records and returns the metrics on a scrape; thread-safe.
 
-    wire  returns the figures of the publisher, and the number of restarts of its processes
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    wire
+        Returns the figures of the publisher, and the number of restarts of its processes.
+    written
+        Returns the counts of the recordings.
+    state
+        Returns the state of the daemon.
     """
 
     def __init__(

@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -57,27 +57,43 @@ def list_files(directory: Path) -> list[Path]:
     return []
 
 
+class LogLine(NamedTuple):
+    """Line of the log: time (s), level of `logging`, name of the logger, text."""
+
+    time: float
+    level: int
+    name: str
+    text: str
+
+
 class LogBuffer(logging.Handler):
-    """Log handler that stores the latest lines: time (s), level of `logging`, name of the logger, text; thread-safe."""
+    """Log handler that stores the latest lines; thread-safe."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._lines = deque[tuple[float, int, str, str]](maxlen=LINES_MAX)
+        self._lines: deque[LogLine] = deque(maxlen=LINES_MAX)
         self.setFormatter(logging.Formatter("%(message)s"))
 
     def emit(self, record: logging.LogRecord) -> None:
         at_s = read_clock_s() - (time.time() - record.created)
-        self._lines.append((at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
+        self._lines.append(LogLine(at_s, record.levelno, record.name, self.format(record)[:TEXT_MAX]))
 
-    def lines(self, since_s: float) -> list[tuple[float, int, str, str]]:
+    def lines(self, since_s: float) -> list[LogLine]:
         """Return the lines since a time (s)."""
-        return [line for line in list(self._lines) if line[0] >= since_s]
+        return [line for line in list(self._lines) if line.time >= since_s]
 
 
 class BlackBox:
     """Ring buffer of a run's latest ticks and events; `take` and `event` never wait for a disk, `write` does.
 
-    rate_hz  rate of the ticks, which determines the size of the buffer
+    Parameters
+    ----------
+    fingers
+        Names of several fingers; one empty name for a single finger.
+    guards
+        Names of the guard's bits.
+    rate_hz
+        Rate of the ticks, which determines the size of the buffer.
     """
 
     def __init__(self, fingers: Sequence[str], guards: Sequence[str], rate_hz: float) -> None:
@@ -111,9 +127,15 @@ class BlackBox:
     def write(self, path: Path, about: Mapping[str, Any]) -> None:
         """Write the stored data to a new file, which appears only when it is complete.
 
-        about  tables of metadata (`RecordingFile`)
+        Parameters
+        ----------
+        about
+            Tables of metadata (`RecordingFile`).
 
-        Raises OSError if the file cannot be written.
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
         """
         with self._lock:
             order = (np.arange(self._next - self._count, self._next)) % len(self._rows)
@@ -149,7 +171,12 @@ class BlackBox:
 def prepare_folder(directory: Path) -> None:
     """Create the folder for this user only, and delete its oldest files to make room for one more.
 
-    Raises OSError if the folder cannot be created, and ConfigError if other users may write to it.
+    Raises
+    ------
+    OSError
+        If the folder cannot be created.
+    ConfigError
+        If other users may write to it.
     """
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     check_owner(directory, directory.stat(), "could select the file that this program replaces")

@@ -45,7 +45,10 @@ ARROW_M_PER_N: Final = 0.02
 def select_displayed(records: Record, before: float) -> tuple[NDArray[np.int64], float]:
     """Return the indices of the records (n, RECORD_SIZE) to draw, and the number of the last picture.
 
-    before  number of the last picture, returned by the previous call; NaN for the first
+    Parameters
+    ----------
+    before
+        Number of the last picture, returned by the previous call; NaN for the first.
     """
     if not len(records):
         return np.empty(0, np.int64), before

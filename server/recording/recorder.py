@@ -70,9 +70,14 @@ class Recorder:
 
     If the disk is full, the file ends with the last complete write; without any message it is removed.
 
-    about       tables of metadata (`RecordingFile`)
-    on_trouble  called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed
-    guards      names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`
+    Parameters
+    ----------
+    about
+        Tables of metadata (`RecordingFile`).
+    on_trouble
+        Called from the thread with a sentence when ticks were dropped or the recording failed; true: it failed.
+    guards
+        Names of the guard's bits, to derive events from the ticks; None: all events arrive by `event`.
     """
 
     def __init__(

@@ -71,7 +71,10 @@ def summarize(recording: str | Path) -> dict[str, Any]:
     events_dropped  events not written for the same reason
     lost            ticks that did not arrive over the wire
 
-    Raises RecordingError if the file is not a recording of this program.
+    Raises
+    ------
+    RecordingError
+        If the file is not a recording of this program.
     """
     path = find_recording(recording)
     fingers: dict[str, _Finger] = {}

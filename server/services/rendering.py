@@ -165,15 +165,28 @@ class Rendering:
         check_replacement(scene, rig, self.scene, self.rig)
 
     def set_parameters(self, changes: Mapping[str, Any], where: str) -> tuple[schema.Scene, schema.Scene, int]:
-        """Change parameters of the scene, given by dotted key, all in the same tick.
+        """Change parameters of the scene, all in the same tick.
 
-        Returns the scene before and after, and a lower bound of the number of ticks started without the change.
         Parameters that act on the force reach their values at the end of the ramp of the rig's [commands].
 
-        where  origin of the changes, for messages
+        Parameters
+        ----------
+        changes
+            Values by dotted key, as for `load_scene`.
+        where
+            Origin of the changes, for messages.
 
-        Raises ConfigError if a value is out of its range or would need another loop, and SceneReplacement if another
-        change is in progress.
+        Returns
+        -------
+        tuple[Scene, Scene, int]
+            Scene before and after, and a lower bound of the number of ticks started without the change.
+
+        Raises
+        ------
+        ConfigError
+            If a value is out of its range, or would need another loop.
+        SceneReplacement
+            If another change is in progress.
         """
         with _acquire(self._parameters_lock):
             before, after = self.scene, apply_overrides(self.scene, changes, where)

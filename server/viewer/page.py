@@ -92,8 +92,14 @@ AsyncMessageBuffer.push = push_from_any_thread  # type: ignore[method-assign, as
 class Page:
     """Page on `host`:`port`, or the next free port; a data source, such as `LivePage`, updates it.
 
-    allowed  further host names of the page
-    token    secret part of the address, reused from a previous page; None: a new one
+    Parameters
+    ----------
+    host, port
+        Address to listen on.
+    allowed
+        Further host names of the page.
+    token
+        Secret part of the address, reused from a previous page; None: a new one.
     """
 
     def __init__(self, host: str, port: int, allowed: tuple[str, ...] = (), token: str | None = None) -> None:
@@ -155,7 +161,14 @@ class Page:
     def change(self, scene: schema.Scene, start: SceneStart, devices: Mapping[str, LowDofDevice] = NO_DEVICES) -> None:
         """Replace the scene and all its nodes.
 
-        devices  devices that display only a part of the force, by finger name
+        Parameters
+        ----------
+        scene
+            New scene.
+        start
+            Start of the scene.
+        devices
+            Devices that display only a part of the force, by finger name.
         """
         with self.server.atomic():
             for nodes in self.fingers.values():
@@ -341,9 +354,13 @@ def parse_scene(description: dict[str, Any]) -> schema.Scene:
 def run_frames(work: Callable[[float], None], stop_requests: list[bool], duration: float | None) -> None:
     """Call `work(dt)` about 30 times per second, and no faster than the page is drawn.
 
-    stop_requests  stops the loop once it has an element. A list, because a signal handler may add to it: the lock of an
-                   Event could be locked by the interrupted thread.
-    duration       maximum duration, s; None: no limit
+    Parameters
+    ----------
+    stop_requests
+        Stops the loop once it has an element. A list, because a signal handler may add to it: the lock of an Event
+        could be locked by the interrupted thread.
+    duration
+        Maximum duration, s; None: no limit.
     """
     gc.freeze()  # existing objects are permanent: exclude them from collections
     start_s = last = collected = time.monotonic()

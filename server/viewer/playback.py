@@ -58,11 +58,17 @@ class LoadedRecording(NamedTuple):
 def load(recording: str, scene: str | None) -> LoadedRecording:
     """Load a recording to show.
 
-    recording  an .mcap; a .csv or .npz of results, or of poses, which are rendered first; or the name of a shipped
-               recording
-    scene      scene that replaces the recording's; None: the recording's, or `paper-plane` for poses
+    Parameters
+    ----------
+    recording
+        An .mcap; a .csv or .npz of results, or of poses, which are rendered first; or the name of a shipped recording.
+    scene
+        Scene that replaces the recording's; None: the recording's, or `paper-plane` for poses.
 
-    Raises RecordingError, ConfigError if the recording or the scene cannot be read, or their fingers differ.
+    Raises
+    ------
+    RecordingError, ConfigError
+        If the recording or the scene cannot be read, or their fingers differ.
     """
     blocks: dict[str, list[TickBlock]] = {}
     notes: dict[str, Any] = {}

@@ -56,7 +56,12 @@ class RecordingJob(NamedTuple):
 def record_live(job: RecordingJob, path: Path) -> str:
     """Record into a new file until the first of several causes ends the recording; return a report in one line.
 
-    Raises NoTelemetry if nothing arrives, and RecordingError if the file exists or cannot be written.
+    Raises
+    ------
+    NoTelemetry
+        If nothing arrives.
+    RecordingError
+        If the file exists or cannot be written.
     """
     with subscribe_all(job) as wire:
         first_samples, fingers, about = receive_first(wire, job)
@@ -183,7 +188,10 @@ def subscribe_all(job: RecordingJob) -> Subscription:
 def receive_first(wire: Subscription, job: RecordingJob) -> tuple[list[Sample], list[str], dict[str, Any]]:
     """Return the first messages, the names of the fingers, and the daemon's description, empty if it sends none.
 
-    Raises NoTelemetry if nothing arrives.
+    Raises
+    ------
+    NoTelemetry
+        If nothing arrives.
     """
     first_samples, fingers = receive_full_tick(wire, job)
     return first_samples, fingers, _request_description(job) | {"every": first_samples[-1]["every"]}

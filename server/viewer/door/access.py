@@ -55,8 +55,16 @@ Handler = Callable[[ServerConnection], Awaitable[None]]
 class Access:
     """Check of requests to a page on `host`.
 
-    allowed  further hosts, NAME or NAME:PORT, for access through a tunnel
-    token    secret part of the address; None: a new one
+    Parameters
+    ----------
+    host
+        Address that the page listens on.
+    allowed
+        Further hosts, NAME or NAME:PORT, for access through a tunnel.
+    title
+        Title of the page.
+    token
+        Secret part of the address; None: a new one.
     """
 
     def __init__(

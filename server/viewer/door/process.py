@@ -63,10 +63,21 @@ class PageProcess:
     Waits for the address of the page and logs it. A page that prints no address within START_TIMEOUT_S is killed. A
     page that crashes is restarted at the same address, at most RESTARTS times, so that an open browser can continue.
 
-    log_options  options for the log level of the page
-    on_event     called with a sentence when the page has crashed or restarted
+    Parameters
+    ----------
+    telemetry, commands
+        Endpoints of the daemon.
+    log_options
+        Options for the log level of the page.
+    on_event
+        Called with a sentence when the page has crashed or restarted.
+    role
+        Role of the user.
 
-    Raises ConfigError if `commands` is None.
+    Raises
+    ------
+    ConfigError
+        If `commands` is None.
     """
 
     def __init__(

@@ -55,8 +55,12 @@ def place_camera(
     Hollow objects do not enlarge the picture, unless there are no other ones: they are larger than a touch and fill it
     anyway.
 
-    file_vertices  vertices (n, 3) m of objects that are loaded from files, by index
-    drawn_objects  drawn objects with their poses; None: the scene's objects at their initial poses
+    Parameters
+    ----------
+    file_vertices
+        Vertices (n, 3) m of objects that are loaded from files, by index.
+    drawn_objects
+        Drawn objects with their poses; None: the scene's objects at their initial poses.
     """
     reach = 2.0 * max(max(finger.radii_m or (finger.radius_m,)) for finger in scene.fingers)
     objects = drawn_objects or [(obj, (obj.position_m, obj.orientation_wxyz)) for obj in scene.object]

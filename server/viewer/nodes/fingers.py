@@ -71,7 +71,10 @@ _PATCHES: Final = [
 class FingerNodes:
     """Nodes `/fingers/NAME`; `ball` is the part that a mouse can drag.
 
-    bodies  objects; the traces on them are in their frames
+    Parameters
+    ----------
+    bodies
+        Objects; the traces on them are in their frames.
     """
 
     def __init__(self, api: Any, scene: schema.Scene, parts: schema.FingerParts, bodies: BodyNodes) -> None:
