@@ -79,7 +79,7 @@ class Options(Table, frozen=True, kw_only=True):
             yield (
                 "loop",
                 self.loop,
-                "only a hand that follows a recording stops after one pass: remove `loop`, and --once",
+                "only a hand that follows a recording stops after one pass: leave out `loop` and --once",
             )
         if not is_usable(self.puck) or self.puck is None:
             return

@@ -13,6 +13,7 @@ import socket
 import tempfile
 import threading
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -239,15 +240,17 @@ class RefusingBench(driver_contract.Bench):
             return self.open_path(f"{self.node.path}-none" if self.case == "not_found" else str(self.node.path))
         return self.open_emulated()
 
+    @abstractmethod
     def open_path(self, path: str) -> Device:
-        raise NotImplementedError
+        """Open the device of a path, which is refused."""
 
+    @abstractmethod
     def open_emulated(self) -> Device:
-        raise NotImplementedError
+        """Open the emulated device."""
 
+    @abstractmethod
     def faults(self) -> Mapping[str, Callable[[], object]]:
         """Return functions that cause a fault, by its case."""
-        raise NotImplementedError
 
     def make(self, case: str) -> None:
         if case in self.faults():
