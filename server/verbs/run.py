@@ -6,14 +6,14 @@ import argparse
 import logging
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_faults, load_rig, load_scene
-from softfinger.config.schema import Faults
-from softfinger.drivers import base
+from softfinger.config.schema import Faults, Rig
+from softfinger.drivers import base, registry
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KERNEL_FOLDER
 from softfinger.proxy.scene import explain
 from softfinger.server import signals
@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     with report_compilation("kernels that call the device"):  # compiled when the driver is imported
         rig = load_rig(args.rig or find_default_rig(args.scene, VIEW_RIG if args.view else RIG), changes, sources)
     scene = load_scene(args.scene)
+    check_device_options(rig, sources)
     rate = rig.servo.rate_hz
     ticks = None if args.duration is None else max(1, round(args.duration * rate))
 
@@ -91,6 +92,18 @@ def run(args: argparse.Namespace) -> int:
         if failed is not None and failed is not first:
             raise failed
     return signals.stop_exit_code()
+
+
+def check_device_options(rig: Rig, sources: Mapping[str, str]) -> None:
+    """Raise ConfigError for an option that the driver of a device lacks; `sources` has the option by dotted key."""
+    for config in rig.tables.values():
+        known = {"driver", *registry.load(config.driver).Options.__struct_fields__}
+        for dotted, source in sources.items():
+            table, key = dotted.split(".")
+            if table == "device" and key not in known:
+                raise ConfigError(
+                    f"{source}: driver '{config.driver}' has no option {key}: remove it, or add --device replay"
+                )
 
 
 def announce(daemon: Daemon, scene_name: str, suggest_view: bool) -> None:

@@ -135,6 +135,7 @@ def test_run_for_a_duration_logs_plain_lines():
         (["run", "--scene", "moon"], 2, ["moon", "paper-plane"]),
         (["run", *FREE, "--recording", "nothing"], 3, ["nothing", "tap"]),
         (["run", *FREE, "--device", "omega"], 4, ["omega", "replay"]),
+        (["run", *FREE, "--rig", "omega-3", "--once"], 2, ["--once", "forcedimension", "--device replay"]),
         (["run", "--endpoint", "tcp://0.0.0.0:5555"], 2, ["0.0.0.0", "127.0.0.1"]),
         (["run", "--duration", "-1"], 2, ["duration"]),
         (["run", *FREE, "--record", "nowhere/trial.mcap"], 2, ["--record nowhere/trial.mcap", "does not exist"]),
