@@ -30,12 +30,12 @@ def make_many(
         raise ConfigError(f"{len(objects)} walls and objects: at most {MAX_ENTRIES} are possible; remove some")
     needs = _list_needed_kernels(objects, fingers, rolling)
     entries = [_make_entry(obj, needs) for obj in objects]
-    movers = [row for row, obj in enumerate(entries) if obj.motion.kind != model.STILL]
+    movable_rows = [row for row, obj in enumerate(entries) if obj.motion.kind != model.STILL]
     return model.Many(
         entries=Rows(entries),
         size=float(len(entries)),
-        movers=ReadOnly(np.array(movers or [0], np.int64)),
-        moving=float(len(movers)),
+        movable_rows=ReadOnly(np.array(movable_rows or [0], np.int64)),
+        movable_count=float(len(movable_rows)),
         search=search_for(objects),
         materials=Rows([obj.material._replace(normal=None) for obj in objects]),
         textures=_make_textures([obj.texture for obj in objects]),

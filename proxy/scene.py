@@ -144,12 +144,12 @@ def start_state(scene: model.Scene) -> model.State:
         center=model.ZERO,
         contacts=(model.NO_CONTACT,) * count_contacts(scene.objects),
         rolled=0.0,
-        stuck=0.0,
+        stuck_ticks=0.0,
         effects=effects,
     )
     poses = _make_memory(scene.objects)
     was = None if isinstance(scene.objects, model.Many) else poses
-    world = model.World(started=0.0, time=0.0, poses=poses, was=was, surfaces=_make_surfaces(scene))
+    world = model.World(started=0.0, time=0.0, poses=poses, last_pose=was, surfaces=_make_surfaces(scene))
     return model.State(world=world, fingers=(finger,) * len(scene.fingers))
 
 
@@ -271,7 +271,7 @@ def _compile_mesh(mesh: schema.Mesh) -> list[Body]:
         corners=ReadOnly(tree.corners),
         across=ReadOnly(tree.across),
         upward=ReadOnly(tree.upward),
-        number=float(len(tree.corners)),
+        triangle_count=float(len(tree.corners)),
         center=(x, y, z),
         size=tree.size,
         side=side,

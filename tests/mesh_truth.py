@@ -80,7 +80,7 @@ def ask(like: Any, values: Array, points: Array, budget: int, results: Array) ->
     mesh = unpack(like, values)
     for i in range(len(points)):
         near = find_nearest(mesh, (points[i, 0], points[i, 1], points[i, 2]), 1e300, NO_TRIANGLE, budget, 0.0)
-        results[i, 0], results[i, 1], results[i, 2] = near.square**0.5, near.bound**0.5, near.spent
+        results[i, 0], results[i, 1], results[i, 2] = near.squared_distance**0.5, near.bound**0.5, near.visits
 
 
 def triangles_of(scene: schema.Scene) -> meshes.Mesh:

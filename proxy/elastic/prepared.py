@@ -97,7 +97,7 @@ def compile_elastic(obj: schema.Mesh, elastic: schema.Elastic, mesh: model.Trian
     return model.Elastic(
         compliance=body.compliance,
         nodes=ReadOnly(np.array(nodes, np.int64)),
-        number=float(len(body.nodes)),
+        node_count=float(len(body.nodes)),
         softness=1.0 / elastic.youngs_pa,
         damping=elastic.damping_s,
         bending=body.bending,

@@ -146,7 +146,7 @@ def step_with_one_object(
 ) -> tuple[FingerState, Contact]:
     """Compute the contact in a scene of one object that is not a mesh: its proxy follows the slip on that object."""
     shapes, motion = strip_materials(objects), ProbeMotion(probe, state.probe, dt)
-    if state.stuck >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
+    if state.stuck_ticks >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
         return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
     state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
     if approach.active[0].object_index < 0.0:
@@ -154,7 +154,7 @@ def step_with_one_object(
     ground = find_textured_ground(objects, 0.0, approach.active, approach.center)
     forces = apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
     landing = land_on_one(finger, shapes, approach, forces, probe.position)
-    load = compute_load(finger, objects, ground, landing.active[0], motion, approach.began)
+    load = compute_load(finger, objects, ground, landing.active[0], motion, approach.is_new)
     effects = sum_effects(scene, finger, objects, state, landing.active, probe, dt)
     outcome = make_outcome_of_one(finger, ground, probe, approach, forces, landing, load)
     return end_contact_tick(finger, probe, approach, forces.result.cause, outcome, effects)
@@ -165,7 +165,7 @@ def step_with_several_objects(
     objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
 ) -> tuple[FingerState, Contact]:
     shapes, motion, approach = strip_materials(objects), ProbeMotion(probe, state.probe, dt), make_no_approach(probe)
-    if state.stuck < STUCK_TICKS or not is_clear(shapes, finger.radius, probe.position):
+    if state.stuck_ticks < STUCK_TICKS or not is_clear(shapes, finger.radius, probe.position):
         state, approach = continue_or_detect_several(scene, finger, objects, shapes, state, motion)
     if approach.active[0].object_index < 0.0:
         return step_without_contact(scene, finger, objects, state, probe, dt, approach.budget)
@@ -178,7 +178,7 @@ def step_with_several_objects(
     effects = sum_effects(scene, finger, objects, state, active, probe, dt)
     if is_alone:
         ground = find_ground(objects, active[0].object_index)
-        load = compute_load(finger, objects, ground, active[0], motion, approach.began)
+        load = compute_load(finger, objects, ground, active[0], motion, approach.is_new)
         outcome = make_outcome_of_one(finger, ground, probe, approach, forces[0], landing, load)
     else:
         outcome = make_outcome_of_several(finger, objects, shapes, motion, approach, forces, settled)

@@ -93,8 +93,8 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
         unused=unused,
         degenerate=int(flat.sum()),
         duplicate=duplicate,
-        open_edges=int((edges.many == 1).sum()),
-        crowded_edges=int((edges.many > 2).sum()),
+        open_edges=int((edges.counts == 1).sum()),
+        crowded_edges=int((edges.counts > 2).sum()),
         winding=winding,
     )
 

@@ -29,12 +29,12 @@ class Edges(NamedTuple):
 
     first    (3 m,)  first side along the same edge
     forward  (3 m,)  True if the vertex index increases along a side
-    many     (3 m,)  at the first side of an edge the number of its sides, else 0
+    counts   (3 m,)  at the first side of an edge the number of its sides, else 0
     """
 
     first: Numbers
     forward: NDArray[np.bool_]
-    many: Numbers
+    counts: Numbers
 
 
 class Pieces(NamedTuple):
@@ -106,7 +106,7 @@ def find_pieces(edges: Edges) -> Pieces:
     sides = len(edges.first)
     parent, turned = np.arange(sides // 3, dtype=np.int32), np.zeros(sides // 3, np.bool_)
     torn = np.zeros(sides // 3, np.bool_)
-    _unite(edges.first, edges.forward, edges.many, parent, turned, torn)
+    _unite(edges.first, edges.forward, edges.counts, parent, turned, torn)
     roots = parent == np.arange(len(parent))
     body = (np.cumsum(roots, dtype=np.int32) - np.int32(1))[parent]
     return Pieces(body, turned, torn[roots])

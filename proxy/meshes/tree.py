@@ -95,7 +95,7 @@ def find_neighbours(triangles: Whole) -> Whole:
     It is -1 for a loose edge: with no other triangle, with several, or with one of inconsistent winding.
     """
     edges = list_edges(triangles)
-    second = np.flatnonzero((edges.first != np.arange(len(edges.first))) & (edges.many[edges.first] == 2))
+    second = np.flatnonzero((edges.first != np.arange(len(edges.first))) & (edges.counts[edges.first] == 2))
     second = second[edges.forward[second] != edges.forward[edges.first[second]]]
     across = np.full(len(edges.first), -1, np.int32)
     across[second], across[edges.first[second]] = edges.first[second] // 3, second // 3

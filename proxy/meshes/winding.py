@@ -44,7 +44,7 @@ def wind(mesh: Arrays, edges: Edges) -> Winding:
     triangles = _reverse(mesh.triangles, turned)
     closed = ~pieces.one_sided
     # An edge without exactly two triangles is a boundary of all pieces that it belongs to.
-    rim = (edges.many[edges.first] != 2).nonzero()[0] // 3
+    rim = (edges.counts[edges.first] != 2).nonzero()[0] // 3
     closed[pieces.body[rim]] = False
     volumes = np.zeros(bodies)
     middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))

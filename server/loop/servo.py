@@ -213,7 +213,6 @@ def run_servo_loop(
         memory = Memory(memory.world, hands)
         store_active(shared.switch, hands, on)
         count_unreachable(shared.switch, schedule.period_ns)
-
         stamp = make_stamp(schedule, pace, woke, wrote, busy)
         map_each(stamp_one, (buffers, statuses, statuses_out), stamp)
         number += 1

@@ -325,7 +325,7 @@ def test_a_mesh_has_the_position_of_mujoco(free: bool, tmp_path: Path) -> None:
     theirs = engine.model.mesh_vert @ engine.data.geom_xmat[0].reshape(3, 3).T + engine.data.geom_xpos[0]
     for vertex in theirs[::5]:
         x = tuple(vertex.tolist())
-        place = find_deepest(placed, x, 1.0, NO_OBJECTS, BUDGET).place
+        place = find_deepest(placed, x, 1.0, NO_OBJECTS, BUDGET).object_index
         gap, point, _, _ = find_closest_within(placed, place, x, BUDGET)
         assert abs(gap) < 1e-8 and np.abs(np.array(point) - vertex).max() < 1e-8  # vertices are stored in 32 bits
 

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.plain
 @entry
 def solve(count, n1, n2, n3, b1, b2, b3):
     solution = solve_half_spaces(count, n1, n2, n3, b1, b2, b3)
-    return solution.push, vec3.weighted_sum(solution.place, n1, n2, n3)
+    return solution.push, vec3.weighted_sum(solution.weights, n1, n2, n3)
 
 
 def unit(rng):

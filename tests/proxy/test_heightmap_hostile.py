@@ -40,8 +40,8 @@ def ask(shape: Any, points: Any, radius: float, results: Any) -> None:
     """Fill `found` (n, 4) with the cost of nearest and limited-gap queries, the gap, and the nearest point's error."""
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
-        results[k, 0] = find_nearest_from(shape, x, x, QUERY_BUDGET).spent
-        results[k, 1] = compute_gap_within(shape, x, radius, QUERY_BUDGET).spent
+        results[k, 0] = find_nearest_from(shape, x, x, QUERY_BUDGET).cost
+        results[k, 1] = compute_gap_within(shape, x, radius, QUERY_BUDGET).cost
         gap, point, normal, _ = closest_or_bound(shape, x)
         results[k, 2] = gap
         off = vec3.sub(vec3.add_scaled(point, gap, normal), x)

@@ -240,11 +240,13 @@ def test_a_tile_ruled_out_by_its_tangent_plane_is_farther() -> None:
             continue
         convex += 1
         foot = find_foot(shape, p, *(at + rng.uniform(-half, half) for at in middle))
-        square = foot.square * rng.uniform(0.3, 1.0)
+        square = foot.squared_distance * rng.uniform(0.3, 1.0)
         if is_farther(p, tile, foot, square):
             ruled_out += 1
             along = np.linspace(-half, half, 7)
-            least = min(find_foot(shape, p, middle[0] + a, middle[1] + b).square for a in along for b in along)
+            least = min(
+                find_foot(shape, p, middle[0] + a, middle[1] + b).squared_distance for a in along for b in along
+            )
             assert least >= square * (1.0 - 1e-9)  # rounding
     assert 50 < ruled_out < convex - 50
 

@@ -122,7 +122,7 @@ def test_the_type_does_not_depend_on_the_objects() -> None:
     turning = SHAPES["box"] | {"motion": {"kind": "turntable", "rate_rad_per_s": 1.0}}
     many = build_scene(scene(*SHAPES.values(), turning, *[SHAPES["box"] | {"motion": {"kind": "driven"}}] * 16))
     assert numba.typeof(few) == numba.typeof(many)
-    assert (few.objects.size, many.objects.size, many.objects.moving) == (2.0, 26.0, 17.0)
+    assert (few.objects.size, many.objects.size, many.objects.movable_count) == (2.0, 26.0, 17.0)
 
 
 @pytest.mark.plain

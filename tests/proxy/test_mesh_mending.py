@@ -138,7 +138,7 @@ def test_a_sheet_gets_the_winding_of_its_majority() -> None:
     wound[:20] = wound[:20][:, ::-1]
     (_, triangles), report = mended(Mesh(mesh.vertices, wound))
     assert report.turned_triangles == 20
-    assert list_edges(triangles).many.max() == 2 and not find_pieces(list_edges(triangles)).turned.any()
+    assert list_edges(triangles).counts.max() == 2 and not find_pieces(list_edges(triangles)).turned.any()
 
 
 def test_inward_winding_is_preserved_only_for_hollows() -> None:

@@ -82,9 +82,9 @@ def test_distance_equals_the_brute_force_minimum(name):
     for x in points:
         expected = distances(np.asarray(vertices), np.asarray(triangles), x).min()
         spot = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
-        assert abs(np.sqrt(spot.square) - expected) <= EQUAL * size
-        assert spot.bound == spot.square
-        gap, point, normal = closest_on_triangle(mesh, float(spot.number), tuple(x.tolist()))
+        assert abs(np.sqrt(spot.squared_distance) - expected) <= EQUAL * size
+        assert spot.bound == spot.squared_distance
+        gap, point, normal = closest_on_triangle(mesh, float(spot.triangle), tuple(x.tolist()))
         assert abs(abs(gap) - expected) <= EQUAL * size
         assert abs(np.linalg.norm(normal) - 1.0) < 1e-12
         assert np.linalg.norm(np.array(point) + gap * np.array(normal) - x) <= EQUAL * size
@@ -101,7 +101,7 @@ def test_random_triangles_at_all_sizes(seed, count, exponent, away):
     spot = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
     # Far away, float32 boxes resolve the distance only to 1e-6 of the mesh size.
     slack = EQUAL * (tree.size + np.linalg.norm(x)) + 1e-6 * tree.size * (away > 100.0)
-    assert abs(np.sqrt(spot.square) - distances(vertices, triangles, x).min()) <= slack
+    assert abs(np.sqrt(spot.squared_distance) - distances(vertices, triangles, x).min()) <= slack
 
 
 def test_sign_of_the_gap_at_faces_edges_and_corners():
@@ -121,7 +121,7 @@ def test_sign_of_the_gap_at_faces_edges_and_corners():
             u, v, t = np.linalg.solve(sides, -a[:, :, None])[:, :, 0].T
             reach = t[(u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12) & (t > 0.0)].max()
             x = tuple((reach * rng.choice([0.3, 0.9, 0.999, 1.001, 1.1, 3.0]) * direction).tolist())
-            number = float(nearest(outward, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).number)
+            number = float(nearest(outward, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).triangle)
             gap, point, normal = closest_on_triangle(outward, number, x)
             assert (gap > 0.0) == (np.linalg.norm(x) > reach)
             assert closest_on_triangle(inward, number, x) == (-gap, point, tuple(-component for component in normal))
@@ -144,16 +144,18 @@ def test_a_limit_and_known_triangles_change_no_answer():
         x = rng.normal(size=3)
         x = tuple((0.06 * x / np.linalg.norm(x)).tolist())
         spot = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0)
-        distance = np.sqrt(spot.square)
-        assert nearest(mesh, x, distance * (1.0 - 1e-9), NO_TRIANGLE, WHOLE, 0.0).number == -1
-        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE, 0.0).square == pytest.approx(spot.square)
-        for known in (float(spot.number), float(rng.integers(0, len(tree.corners)))):
+        distance = np.sqrt(spot.squared_distance)
+        assert nearest(mesh, x, distance * (1.0 - 1e-9), NO_TRIANGLE, WHOLE, 0.0).triangle == -1
+        assert nearest(mesh, x, distance * (1.0 + 1e-9), NO_TRIANGLE, WHOLE, 0.0).squared_distance == pytest.approx(
+            spot.squared_distance
+        )
+        for known in (float(spot.triangle), float(rng.integers(0, len(tree.corners)))):
             limited = nearest(mesh, x, 1e300, (known, -1.0, -1.0), WHOLE, 0.0)
-            assert limited.square == pytest.approx(spot.square, rel=1e-9)
+            assert limited.squared_distance == pytest.approx(spot.squared_distance, rel=1e-9)
     corner = tree.vertices[0] * 1.2
     around = np.flatnonzero((tree.corners == 0).any(axis=1))
     for known in around:  # five or six are equally near
-        assert nearest(mesh, tuple(corner.tolist()), 1.0, (float(known), -1.0, -1.0), WHOLE, 0.0).number == known
+        assert nearest(mesh, tuple(corner.tolist()), 1.0, (float(known), -1.0, -1.0), WHOLE, 0.0).triangle == known
 
 
 def test_an_exhausted_budget_still_gives_a_lower_bound():
@@ -164,9 +166,9 @@ def test_an_exhausted_budget_still_gives_a_lower_bound():
     x = (1e-7, 2e-7, -1e-7)
     true = distances(vertices, triangles, np.array(x)).min()
     spot = nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
-    assert spot.spent <= BUDGET + 8 and spot.bound < spot.square
-    assert 0.0 < np.sqrt(spot.bound) <= true <= np.sqrt(spot.square) + 1e-15
-    assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).spent > 1.5 * BUDGET
+    assert spot.visits <= BUDGET + 8 and spot.bound < spot.squared_distance
+    assert 0.0 < np.sqrt(spot.bound) <= true <= np.sqrt(spot.squared_distance) + 1e-15
+    assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0).visits > 1.5 * BUDGET
 
 
 def test_a_query_stops_early_at_a_triangle_within_reach():
@@ -177,11 +179,11 @@ def test_a_query_stops_early_at_a_triangle_within_reach():
     mesh, x = mesh_of(tree), (1.2e-3, 0.7e-3, -0.9e-3)
     true = distances(vertices, triangles, np.array(x)).min()
     nearest_of_all = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.0)
-    assert np.sqrt(nearest_of_all.square) == pytest.approx(true, rel=1e-12)
+    assert np.sqrt(nearest_of_all.squared_distance) == pytest.approx(true, rel=1e-12)
     some = nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, 0.05)
-    assert some.bound == some.square < 0.05**2 and some.spent < 0.7 * nearest_of_all.spent
-    apart = distances(tree.vertices, tree.corners[[some.number]], np.array(x))
-    assert np.sqrt(some.square) == pytest.approx(float(apart.min()), rel=1e-12)
+    assert some.bound == some.squared_distance < 0.05**2 and some.visits < 0.7 * nearest_of_all.visits
+    apart = distances(tree.vertices, tree.corners[[some.triangle]], np.array(x))
+    assert np.sqrt(some.squared_distance) == pytest.approx(float(apart.min()), rel=1e-12)
     assert nearest(mesh, x, 1e300, NO_TRIANGLE, WHOLE, true * (1.0 - 1e-9)) == nearest_of_all
 
 
@@ -193,7 +195,7 @@ def test_all_queries_of_a_tick_share_one_budget():
         _, _, budget = nearest_facet(mesh, hard, 1e300, NO_TRIANGLE, budget, 0.0)
         if budget == NO_BUDGET:
             break
-        spent = nearest(mesh, hard, 1e300, NO_TRIANGLE, before, 0.0).spent
+        spent = nearest(mesh, hard, 1e300, NO_TRIANGLE, before, 0.0).visits
         assert budget == max(before - spent, 0)
         total += spent
     assert budget == NO_BUDGET and 0 < total < BUDGET + POOR_CANDIDATE_VISITS + 3 * MAX_HOLLOW_EDGES

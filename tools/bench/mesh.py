@@ -137,10 +137,10 @@ def ask(like: Any, values: Array, points: Array, visits: Array) -> None:
     for i in range(len(points)):
         x = (points[i, 0], points[i, 1], points[i, 2])
         near = find_nearest(mesh, x, 1e300, NO_TRIANGLE, BUDGET, 0.0)
-        visits[i, 0], visits[i, 1], visits[i, 2] = near.square, near.spent, 1e300
+        visits[i, 0], visits[i, 1], visits[i, 2] = near.squared_distance, near.visits, 1e300
         if i < CHECKED_POINTS:
-            for k in range(int(triangles.number)):
-                visits[i, 2] = min(visits[i, 2], find_foot_on(read_corners(triangles, k), x).square)
+            for k in range(int(triangles.triangle_count)):
+                visits[i, 2] = min(visits[i, 2], find_foot_on(read_corners(triangles, k), x).squared_distance)
 
 
 def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str, Any]:

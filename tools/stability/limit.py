@@ -141,7 +141,7 @@ def make_wall_and_weight(
     material = Material(LinearNormal(stiffness, damping), None, None, None)
     shape = Plane((0.0, 0.0, 1.0), depth - RADIUS_M)
     wall = Object(  # all fields, since a kernel does not know the defaults of a tuple
-        shape=shape, pose=None, motion=None, material=material, scene_index=0.0, was=None, texture=None
+        shape=shape, pose=None, motion=None, material=material, scene_index=0.0, last_pose=None, texture=None
     )
     weight = ConstantForce((0.0, 0.0, -stiffness * depth), None)
     finger = Finger(RADIUS_M, Coupling(1.0, 0.0, 0.0), 1.0, velocity_time_constant, 0.0, None, None)

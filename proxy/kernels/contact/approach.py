@@ -15,42 +15,43 @@ NO_PREDICTION = Prediction(NO_CONTACT, (0.0, 0.0, 0.0), 0.0, False)
 
 
 STUCK_TICKS = 8
-"""Value of `stuck` from which the proxy restarts at the probe, see `count_stuck_ticks`."""
+"""Value of `stuck_ticks` from which the proxy restarts at the probe, see `count_stuck_ticks`."""
 MOVING_SHARE = 1.0 / 16.0
-"""Increment of `stuck` in a tick in which the proxy moves. It may never come to rest: it may creep by rounding errors,
-or cycle between triangles."""
+"""Increment of `stuck_ticks` in a tick in which the proxy moves. It may never come to rest: it may creep by rounding
+errors, or cycle between triangles."""
 
 
 class Approach(NamedTuple):
     """Constraints of the proxy at the start of a tick, before friction; without contact, the first has no object.
 
-    start        (3,) m  start of the proxy's path in this tick, see `find_first_hit`
-    outside      (3,) m  position where the proxy is known to be outside of all objects
-    center       (3,) m  the proxy, with the roll of the only contact
-    active               constraints at `center`
-    predicted            a Prediction for each contact
-    rolled       rad     roll angle since touch
-    strays               True if the roll is only in the deflection: `center` has not followed it
-    single               True for one contact with a known path over its object: other objects are queried after
-                         friction
-    began                True if the contact starts in this tick
-    bounded              1 if a roll stopped early because the budget was exhausted
-    budget               remaining for the search
-    stuck                count of consecutive ticks without a rest position before this one, see `count_stuck_ticks`
+    start             (3,) m  start of the proxy's path in this tick, see `find_first_hit`
+    clear_center      (3,) m  position where the proxy is known to be outside of all objects
+    center            (3,) m  the proxy, with the roll of the only contact
+    active                    constraints at `center`
+    predicted                 a Prediction for each contact
+    rolled            rad     roll angle since touch
+    center_lacks_roll         True if the roll is only in the deflection: `center` has not followed it
+    is_single                 True for one contact with a known path over its object: other objects are queried after
+                              friction
+    is_new                    True if the contact starts in this tick
+    budget_exhausted          1 if a roll stopped early for lack of budget
+    budget                    remaining for the search
+    stuck_ticks               count of consecutive ticks without a rest position before this one, see
+                              `count_stuck_ticks`
     """
 
     start: Vec3
-    outside: Vec3
+    clear_center: Vec3
     center: Vec3
     active: ActiveSet
     predicted: Any
     rolled: float
-    strays: bool
-    single: bool
-    began: bool
-    bounded: float
+    center_lacks_roll: bool
+    is_single: bool
+    is_new: bool
+    budget_exhausted: float
     budget: int
-    stuck: float
+    stuck_ticks: float
 
 
 @jit
@@ -68,7 +69,7 @@ def count_stuck_ticks(approach: Approach, center: Vec3) -> float:
 
     center  (3,) m  proxy at the end of this tick
     """
-    return approach.stuck + (1.0 if center == approach.outside else MOVING_SHARE)
+    return approach.stuck_ticks + (1.0 if center == approach.clear_center else MOVING_SHARE)
 
 
 @jit

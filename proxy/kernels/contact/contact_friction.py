@@ -46,13 +46,13 @@ class Ground(NamedTuple):
     scene_index  index in the scene file
     material     with the friction at the contact point
     orientation  object to world
-    carried      motion in this tick, see `make_carry`
+    carry        motion in this tick, see `make_carry`
     """
 
     scene_index: float
     material: Material
     orientation: Quaternion
-    carried: Any
+    carry: Any
 
 
 class Prediction(NamedTuple):
@@ -62,13 +62,13 @@ class Prediction(NamedTuple):
                          and `rolled_part` including the roll
     deflection  (3,) m   with the motion of this tick
     twist           rad  rotation about the normal
-    touches              True if the contact starts in this tick: nothing has moved it yet
+    is_new               True if the contact starts in this tick: nothing has moved it yet
     """
 
     contact: ContactState
     deflection: Vec3
     twist: float
-    touches: bool
+    is_new: bool
 
 
 class ProbeMotion(NamedTuple):
@@ -122,13 +122,13 @@ def find_textured_ground(objects: Any, index: float, active: ActiveSet, center: 
 
 @jit
 def compute_load(
-    finger: Finger, objects: Any, ground: Ground, constraint: Constraint, motion: ProbeMotion, touches: bool
+    finger: Finger, objects: Any, ground: Ground, constraint: Constraint, motion: ProbeMotion, is_new: bool
 ) -> NormalForce:
-    """Return the normal force of a constraint; `touches` is True in the first tick of a contact."""
+    """Return the normal force of a constraint; `is_new` is True in the first tick of a contact."""
     probe, last, dt = motion
-    speed = compute_relative_velocity(ground.carried, probe.velocity, last.position, dt)
+    speed = compute_relative_velocity(ground.carry, probe.velocity, last.position, dt)
     speed = add_surface_velocity(
-        finger.form, speed, ground.carried, probe, last, constraint.normal, 0.0 if touches else dt
+        finger.form, speed, ground.carry, probe, last, constraint.normal, 0.0 if is_new else dt
     )
     body = find_object(objects, constraint.object_index)
     depth, direction = apply_relief(body.texture, body, constraint.depth, constraint.normal, probe.position)
@@ -142,7 +142,7 @@ def apply_friction(
     """Compute friction, torsion and rolling resistance of a contact that has this share of the springs."""
     contact, material, probe = predicted.contact, ground.material, motion.probe
     constraint = Constraint(contact.object_index, contact.normal, contact.push)
-    load = compute_load(finger, objects, ground, constraint, motion, predicted.touches).size
+    load = compute_load(finger, objects, ground, constraint, motion, predicted.is_new).size
     round_by = compute_radius_of_curvature(finger.form, finger.radius, probe.orientation, contact.normal)
     area = compute_contact_patch(finger.patch, round_by, material.compliance, load)
     unit = compute_winding_unit(find_spring(material.torsion), area, share)
@@ -173,8 +173,8 @@ def apply_friction(
             normal_force=load,
         ),
     )
-    resistance_input = ResistanceInput(contact.normal, share, contact.bend, predicted.touches)
-    bend, bending_moment = resist(finger.patch, ground.carried, resistance_input, probe, motion.last, area)
+    resistance_input = ResistanceInput(contact.normal, share, contact.bend, predicted.is_new)
+    bend, bending_moment = resist(finger.patch, ground.carry, resistance_input, probe, motion.last, area)
     return ContactForces(result, area, unit, load, bend, bending_moment)
 
 

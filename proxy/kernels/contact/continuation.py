@@ -35,11 +35,11 @@ def adjust_roll_in_hollow(
     strays = not can_follow(body, radius, start, rolled.center)
     if method is None:
         return Roll(center, normal, ZERO, 0.0, rolled.spin, True) if strays else rolled, beyond, strays
-    strays = strays or not rolled.whole or does_slide_round_hollow(body, radius, center, normal, rolled.theta)
+    strays = strays or not rolled.is_complete or does_slide_round_hollow(body, radius, center, normal, rolled.theta)
     if strays:  # the roll winds up the coupling in the tangent plane, and friction decides where the centre moves
         theta, axis = rotations.tilt(turn, normal)
         beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
-        rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.whole)
+        rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.is_complete)
     elif is_hollow(body.shape):
         # Rotating the normal makes a part of the depth tangential: u (1 + depth / (R - r)) in a round hollow.
         tangential_before = vec3.reject(vec3.sub(center, position), normal)
@@ -55,38 +55,38 @@ def continue_contact(
 ) -> Approach:
     """Move the only contact with its object, and roll it by the fingertip's rotation relative to the object."""
     radius, position, last, body = finger.radius, probe.position, state.contacts[0], find_object(objects, index)
-    carried = make_carry(body)
-    old_normal, moved = turn_direction(carried, last.normal), move_point(carried, state.center)
-    turn = compute_relative_rotation(carried, rotations.relative(probe.orientation, state.probe.orientation))
+    carry = make_carry(body)
+    old_normal, moved = turn_direction(carry, last.normal), move_point(carry, state.center)
+    turn = compute_relative_rotation(carry, rotations.relative(probe.orientation, state.probe.orientation))
     rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
     start = OffsetPoint(moved, old_normal)
-    whole = rolled.whole
+    is_complete = rolled.is_complete
     rolled, beyond, strays = adjust_roll_in_hollow(scene.rolling, body, radius, position, start, turn, rolled)
     rolled, index = roll_over_edge(objects, scene.rolling, index, radius, start, rolled, turn)
     center, normal = rolled.center, rolled.normal
-    rolled_part = transport(body.shape, turn_direction(carried, last.rolled_part), old_normal, normal)
-    old_deflection = transport(body.shape, turn_direction(carried, last.deflection), old_normal, normal)
+    rolled_part = transport(body.shape, turn_direction(carry, last.rolled_part), old_normal, normal)
+    old_deflection = transport(body.shape, turn_direction(carry, last.deflection), old_normal, normal)
     to_proxy = vec3.sub(center, position)
     depth = max(vec3.dot(to_proxy, normal), 0.0)
     contact = replace(
         last, "object_index", index, "normal", normal, "push", depth, "share", 1.0, "mode", state.mode,
         "deflection", old_deflection, "rolled_part", vec3.add(rolled_part, rolled.motion),
-        "bend", turn_direction(carried, last.bend),
+        "bend", turn_direction(carry, last.bend),
     )  # fmt: skip
     deflection = vec3.add(vec3.sub(to_proxy, vec3.scale(depth, normal)), beyond)
     return Approach(
         start=state.center,
-        outside=moved,
+        clear_center=moved,
         center=center,
         active=make_single_constraint(index, normal, depth),
         predicted=first_of(state.contacts, Prediction(contact, deflection, rolled.spin, False), NO_PREDICTION),
         rolled=state.rolled + rolled.theta,
-        strays=strays,
-        single=True,
-        began=False,
-        bounded=0.0 if whole else 1.0,
+        center_lacks_roll=strays,
+        is_single=True,
+        is_new=False,
+        budget_exhausted=0.0 if is_complete else 1.0,
         budget=BUDGET,
-        stuck=state.stuck,
+        stuck_ticks=state.stuck_ticks,
     )
 
 

@@ -41,34 +41,51 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, NO_
 from softfinger.proxy.record import FREE, ROLLING
 
 
-class Meeting(NamedTuple):
+class Touch(NamedTuple):
+    """Fingertip where it touches an object.
+
+    center  (3,) m  centre of the fingertip
+    normal  (3,)    of the object
+    is_path_clear   True if no other object obstructs the path to it
+    is_known        False if it is unknown whether a first pose touches anything
+    budget          remaining budget
+    """
+
+    center: Vec3
+    normal: Vec3
+    is_path_clear: bool
+    is_known: bool
+    budget: int
+
+
+class FirstContact(NamedTuple):
     """First contact.
 
-    start    (3,) m  start of the proxy's path in this tick
-    met      (3,) m  proxy in contact with the object that was hit
-    center   (3,) m  the same, or over the probe
-    active           constraint of the object that was hit, if any
-    over             True if `center` is over the probe
-    budget           remaining for the tick, below 0 if it is unknown whether a first pose touches anything
+    start         (3,) m  start of the proxy's path in this tick
+    touch_center  (3,) m  proxy in contact with the object that was hit
+    center        (3,) m  the same, or above the probe
+    active                constraint of the object that was hit, if any
+    is_above_probe        True if `center` is above the probe
+    budget                remaining for the tick, below 0 if it is unknown whether a first pose touches anything
     """
 
     start: Vec3
-    met: Vec3
+    touch_center: Vec3
     center: Vec3
     active: ActiveSet
-    over: bool
+    is_above_probe: bool
     budget: int
 
 
 @jit
-def place_first_proxy(objects: Any, radius: float, position: Vec3, met: Vec3, constraint: Constraint) -> Vec3:
-    """Return the initial proxy (3,) m of a contact that was detected with the proxy at `met`.
+def place_above_probe(objects: Any, radius: float, position: Vec3, touch: Vec3, constraint: Constraint) -> Vec3:
+    """Return the proxy (3,) m above the probe, at the depth along the normal, of a contact detected at `touch` (3,) m.
 
-    It is over the probe, at the depth along the normal; `met` if `follows` is False for that position.
+    If `follows` is False for that position, return `touch`.
     """
     body = find_object(objects, constraint.object_index)
     above_probe = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
-    return above_probe if can_follow(body, radius, OffsetPoint(met, constraint.normal), above_probe) else met
+    return above_probe if can_follow(body, radius, OffsetPoint(touch, constraint.normal), above_probe) else touch
 
 
 @jit
@@ -117,80 +134,90 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
         return False
     touch = find_first_touch(objects, radius, position, QUEUE_SIZE)
     is_known = touch.known if isinstance(objects.search, CreasedSearch) else touch.budget >= 0
-    return is_known and touch.place < 0.0
+    return is_known and touch.object_index < 0.0
 
 
 @jit
-def detect_among_several(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> Meeting:
+def place_at_touch(
+    objects: Any, index: float, radius: float, start: Vec3, end: Vec3, met: Vec3, is_first: bool, budget: int
+) -> Touch:
+    """Return the fingertip in contact with object `index`, which the search hit at `met` (3,) m on the path.
+
+    is_first  True for the first pose, which has no path and may be inside the object
+    """
+    gap, point, normal, budget = find_closest_within(objects, index, met, budget)
+    center = vec3.add_scaled(point, radius, normal)
+    reach = radius + vec3.norm(vec3.sub(end, start))
+    near_mesh = is_mesh_at(objects, index) or is_near_mesh(objects, end, reach)
+    touch, is_path_clear = refine_touch(objects, index, start, end, radius, met, near_mesh, budget)
+    if near_mesh and not is_first:
+        # Other facets may be equally near, or the search did not finish: on this one it might be inside another.
+        if not is_path_clear:
+            return Touch(met, normal, False, True, budget)
+        _, point, normal, budget = find_closest_within(objects, index, touch, budget)
+        return Touch(vec3.add_scaled(point, radius, normal), normal, True, True, budget)
+    # The gap may be a bound, because the search of a height map did not finish, or another triangle is equally near.
+    may_be_inside = is_first or gap < radius * (1.0 - INSIDE_TOLERANCE)
+    is_known = True
+    if may_be_inside and not is_outside(objects, radius, center, center, budget):
+        if is_first:
+            center, is_known = raise_outside(objects, index, radius, center, normal)
+        else:
+            center = met
+    return Touch(center, normal, is_path_clear, is_known, budget)
+
+
+@jit
+def detect_among_several(finger: Finger, objects: Any, state: FingerState, position: Vec3) -> FirstContact:
     """Find the first contact on the path from the last proxy (in free space, the last probe) to the probe.
 
     The complete path relative to each object is swept, so the finger cannot skip a thin object, and a moving thin
     object cannot skip a finger at rest. The first pose has no path: it is in contact if it is inside an object.
     """
-    radius = finger.radius
+    radius, is_first = finger.radius, state.started == 0.0
     start, budget = position, BUDGET // 2
     if isinstance(objects.search, CreasedSearch):  # a path over a height map takes more queries
         budget = 3 * BUDGET // 4
     remaining, nothing = budget, make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
-    if state.started == 0.0:
+    unknown = FirstContact(start, position, position, nothing, False, NO_BUDGET)
+    if is_first:
         index, known, remaining = find_first_touch(objects, radius, position, remaining)
         if not known:
-            return Meeting(start, position, position, nothing, False, NO_BUDGET)
+            return unknown
         met = position
     else:
         start = state.center
         index, met, remaining = find_first_hit(objects, start, position, radius, False, NO_OBJECTS, remaining)
-    active, center, exact = nothing, position, False
+    active, center, is_above_probe = nothing, position, False
     if index >= 0.0:
-        gap, point, normal, remaining = find_closest_within(objects, index, met, remaining)
-        center = vec3.add_scaled(point, radius, normal)
-        reach = radius + vec3.norm(vec3.sub(position, start))
-        near_mesh = is_mesh_at(objects, index) or is_near_mesh(objects, position, reach)
-        touch, exact = refine_touch(objects, index, start, position, radius, met, near_mesh, remaining)
-        if state.started != 0.0 and near_mesh:
-            # Other facets may be equally near, or the search did not finish: on this one it might be inside another.
-            center = met
-            if exact:
-                _, point, normal, remaining = find_closest_within(objects, index, touch, remaining)
-                center = vec3.add_scaled(point, radius, normal)
-        elif (state.started == 0.0 or gap < radius * (1.0 - INSIDE_TOLERANCE)) and not is_outside(
-            objects, radius, center, center, remaining
-        ):  # the gap is a bound, because the search of a height map did not finish, or another triangle is equally near
-            if state.started != 0.0:
-                center = met
-            else:
-                center, known = raise_outside(objects, index, radius, center, normal)
-                if not known:
-                    return Meeting(start, position, position, nothing, False, NO_BUDGET)
-        depth = max(vec3.dot(vec3.sub(center, position), normal), 0.0)
-        active = make_single_constraint(index, normal, depth)
-        ended = state.mode != FREE and depth <= INSIDE_TOLERANCE * radius
-        if ended and is_outside(objects, radius, state.center, position, remaining):
-            active, center = nothing, position  # the contact just released, up to rounding
-    place, over = center, active[0].object_index >= 0.0 and exact
-    if over:
-        place = place_first_proxy(objects, radius, position, center, active[0])
-    if (
-        len(state.contacts) > 1
-        and isinstance(objects.search, CreasedSearch)
-        and state.started != 0.0
-        and active[0].object_index >= 0.0
-    ):
+        touch = place_at_touch(objects, index, radius, start, position, met, is_first, remaining)
+        if not touch.is_known:
+            return unknown
+        remaining = touch.budget
+        depth = max(vec3.dot(vec3.sub(touch.center, position), touch.normal), 0.0)
+        may_be_released = state.mode != FREE and depth <= INSIDE_TOLERANCE * radius
+        # Otherwise this would be the contact just released, up to rounding.
+        if not (may_be_released and is_outside(objects, radius, state.center, position, remaining)):
+            active = make_single_constraint(index, touch.normal, depth)
+            center, is_above_probe = touch.center, touch.is_path_clear
+    proxy = place_above_probe(objects, radius, position, center, active[0]) if is_above_probe else center
+    has_creases = isinstance(objects.search, CreasedSearch)
+    if has_creases and len(state.contacts) > 1 and not is_first and active[0].object_index >= 0.0:
         center = met  # the gap is only a bound if the search of a height map did not finish
     if not has_moving_object(objects):
         start = center
     # Without a height map, the search of the path does not reduce the budget of the rest position: see `BUDGET`.
-    remaining = BUDGET - budget + max(remaining, 0) if isinstance(objects.search, CreasedSearch) else BUDGET
-    return Meeting(start, center, place, active, over, remaining)
+    remaining = BUDGET - budget + max(remaining, 0) if has_creases else BUDGET
+    return FirstContact(start, center, proxy, active, is_above_probe, remaining)
 
 
 @jit
 def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Probe) -> Approach:
     """Detect a first contact, and compute the rest position of its proxy."""
-    meeting = detect_among_several(finger, objects, state, probe.position)
-    center, active = meeting.center, meeting.active
+    first = detect_among_several(finger, objects, state, probe.position)
+    center, active = first.center, first.active
     body = active[0].object_index
-    if body >= 0.0 and meeting.over and is_inside(objects, body):
+    if body >= 0.0 and first.is_above_probe and is_inside(objects, body):
         # The wall may be far away along the normal of the first touch. Nothing is wound up: use the nearest point.
         center, active, _ = settle_on_one(
             objects, body, finger.radius, probe.position, center, (0.0, 0.0, 0.0), active[0].normal
@@ -200,16 +227,16 @@ def detect_contact(finger: Finger, objects: Any, state: FingerState, probe: Prob
         "mode", float(ROLLING),
     )  # fmt: skip
     return Approach(
-        start=meeting.start,
-        outside=meeting.met,
+        start=first.start,
+        clear_center=first.touch_center,
         center=center,
         active=active,
         predicted=first_of(state.contacts, Prediction(contact, (0.0, 0.0, 0.0), 0.0, True), NO_PREDICTION),
         rolled=state.rolled,
-        strays=not meeting.over,
-        single=meeting.over,
-        began=True,
-        bounded=0.0,
-        budget=meeting.budget,
-        stuck=state.stuck,
+        center_lacks_roll=not first.is_above_probe,
+        is_single=first.is_above_probe,
+        is_new=True,
+        budget_exhausted=0.0,
+        budget=first.budget,
+        stuck_ticks=state.stuck_ticks,
     )

@@ -85,12 +85,12 @@ def compute_torque(
 
 @jit
 def add_surface_velocity(
-    form: Any, velocity: Vec3, carried: Any, probe: Probe, last: Probe, normal: Vec3, dt: float
+    form: Any, velocity: Vec3, carry: Any, probe: Probe, last: Probe, normal: Vec3, dt: float
 ) -> Vec3:
     """Return a velocity (3,) m/s with the normal component of the fingertip's surface at the contact.
 
     velocity  (3,) m/s  of the centre; like the result, relative to the object
-    carried             motion of the object, see `make_carry`
+    carry               motion of the object, see `make_carry`
     last                probe at the last tick
     dt        s         time since then; 0 if it has not rotated
 
@@ -98,5 +98,5 @@ def add_surface_velocity(
     """
     if form is None or dt <= 0.0:
         return velocity
-    turn = rotations.log(compute_relative_rotation(carried, rotations.relative(probe.orientation, last.orientation)))
+    turn = rotations.log(compute_relative_rotation(carry, rotations.relative(probe.orientation, last.orientation)))
     return vec3.add_scaled(velocity, -1.0 / dt, vec3.cross(turn, compute_arm(form, 0.0, probe.orientation, normal)))

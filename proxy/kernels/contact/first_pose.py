@@ -28,12 +28,12 @@ FIRST_RISE, RISE_GROWTH = 1e-5, 4.0
 class FirstTouch(NamedTuple):
     """Object touched by the first pose.
 
-    place   flat index of the object, -1 for none
-    known   False if the search did not finish
-    budget  remaining budget, below 0 if it was exhausted
+    object_index  -1 for none
+    known         False if the search did not finish
+    budget        remaining budget, below 0 if it was exhausted
     """
 
-    place: float
+    object_index: float
     known: bool
     budget: int
 

@@ -29,21 +29,21 @@ class Landing(NamedTuple):
 
     center   (3,) m
     active           constraints at `center`
-    bounded          1 if the search budget was exhausted, otherwise 0
+    budget_exhausted 1 if the search budget was exhausted, otherwise 0
     """
 
     center: Vec3
     active: ActiveSet
-    bounded: float
+    budget_exhausted: float
 
 
 @jit
 def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: ContactForces, position: Vec3) -> Landing:
     """Move the proxy with a slip over the only object; it does not move if it sticks."""
     friction, predicted, constraint = forces.result, approach.predicted[0], approach.active[0]
-    if friction.mode != SLIDING and friction.deflection == predicted.deflection and not approach.strays:
+    if friction.mode != SLIDING and friction.deflection == predicted.deflection and not approach.center_lacks_roll:
         return Landing(approach.center, approach.active, 0.0)
-    center, active, bounded = settle_on_one(
+    center, active, budget_exhausted = settle_on_one(
         shapes,
         constraint.object_index,
         finger.radius,
@@ -52,7 +52,7 @@ def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: Contact
         friction.deflection,
         constraint.normal,
     )
-    return Landing(center, active, bounded)
+    return Landing(center, active, budget_exhausted)
 
 
 @jit
@@ -90,7 +90,7 @@ def make_outcome_of_one(
     pressing = vec3.scale(load.size, load.along)
     torque = compute_torque(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
-    reported = ContactOutcome(
+    outcome = ContactOutcome(
         object=ground.scene_index,
         point=find_contact_point(finger.form, finger.radius, probe.orientation, landing.center, normal),
         normal=normal,
@@ -100,18 +100,18 @@ def make_outcome_of_one(
         torque=torque,
     )
     contact = make_contact_state(landing, approach.predicted[0], forces, probe.position)
-    bounded = max(landing.bounded, approach.bounded)
+    budget_exhausted = max(landing.budget_exhausted, approach.budget_exhausted)
     return Outcome(
         center=landing.center,
         contacts=first_of(approach.predicted, contact, NO_CONTACT),
-        reported=first_of(approach.predicted, reported, NO_OUTCOME),
+        outcomes=first_of(approach.predicted, outcome, NO_OUTCOME),
         pressing=pressing,
         normal_force=load.size,
         tangential=tangential,
-        trailing=NO_FORCE,
+        trailing_force=NO_FORCE,
         torque=torque,
         torsion=moment,
         radius=forces.area.radius,
-        late=bounded > 0.0,
-        budget=bounded,
+        is_late=budget_exhausted > 0.0,
+        budget=budget_exhausted,
     )

@@ -18,31 +18,31 @@ from softfinger.proxy.record import CAUSE_NONE, CAUSE_RELEASE, CAUSE_RESTART, CA
 class Outcome(NamedTuple):
     """Contact at the end of a tick.
 
-    center        (3,) m    proxy
-    contacts                ContactState of each contact
-    reported                ContactOutcome of each contact
-    pressing      (3,) N    sum of the normal forces
-    normal_force  N         its magnitude
-    tangential    (3,) N    sum of the friction forces
-    trailing      (3,) N    additional force of a late proxy, see `compute_trailing_force`
-    torque        (3,) N m  about the fingertip's centre
-    torsion       N m       moment about the normal of the first contact
-    radius        m         of its contact patch
-    late                    True if the proxy is not yet at rest
-    budget                  see `Contact.budget`
+    center          (3,) m    proxy
+    contacts                  ContactState of each contact
+    outcomes                  ContactOutcome of each contact
+    pressing        (3,) N    sum of the normal forces
+    normal_force    N         its magnitude
+    tangential      (3,) N    sum of the friction forces
+    trailing_force  (3,) N    additional force of a late proxy, see `compute_trailing_force`
+    torque          (3,) N m  about the fingertip's centre
+    torsion         N m       moment about the normal of the first contact
+    radius          m         of its contact patch
+    is_late                   True if the proxy is not yet at rest
+    budget                    see `Contact.budget`
     """
 
     center: Vec3
     contacts: Any
-    reported: Any
+    outcomes: Any
     pressing: Vec3
     normal_force: float
     tangential: Vec3
-    trailing: Vec3
+    trailing_force: Vec3
     torque: Vec3
     torsion: float
     radius: float
-    late: bool
+    is_late: bool
     budget: float
 
 
@@ -54,9 +54,9 @@ def end_contact_tick(
 
     cause  of the change of mode by friction
     """
-    center, first, budget = outcome.center, outcome.reported[0], outcome.budget
-    stuck = count_stuck_ticks(approach, center) if outcome.late else 0.0
-    if approach.began and cause == CAUSE_NONE:
+    center, first, budget = outcome.center, outcome.outcomes[0], outcome.budget
+    stuck = count_stuck_ticks(approach, center) if outcome.is_late else 0.0
+    if approach.is_new and cause == CAUSE_NONE:
         cause = float(CAUSE_TOUCH)
     if effects.unknown != 0.0:
         budget = float(UNSEARCHED)
@@ -67,7 +67,7 @@ def end_contact_tick(
         center=center,
         contacts=outcome.contacts,
         rolled=approach.rolled,
-        stuck=stuck,
+        stuck_ticks=stuck,
         effects=effects.states,
     )
     # On a curved surface, a proxy displaced by friction is below the tangent plane of its rest position: the depth is
@@ -89,13 +89,13 @@ def end_contact_tick(
         spin=first.spin,
         normal_force=outcome.normal_force,
         tangential_force=vec3.norm(outcome.tangential),
-        force=vec3.add(vec3.add(outcome.pressing, outcome.tangential), vec3.add(effects.force, outcome.trailing)),
+        force=vec3.add(vec3.add(outcome.pressing, outcome.tangential), vec3.add(effects.force, outcome.trailing_force)),
         torque=outcome.torque,
         torsion=outcome.torsion,
         patch_radius=outcome.radius,
         patch_normal=inward,
         patch_stretch=rotations.rotate(to_fingertip, vec3.reject(outcome.contacts[0].deflection, first.normal)),
-        contacts=outcome.reported,
+        contacts=outcome.outcomes,
         budget=budget,
     )
     return state, contact
@@ -111,7 +111,7 @@ def make_free_state(state: FingerState, probe: Probe, effect_states: Any, known:
         center=probe.position,
         contacts=first_of(state.contacts, NO_CONTACT, NO_CONTACT),
         rolled=0.0,
-        stuck=0.0,
+        stuck_ticks=0.0,
         effects=effect_states,
     )
 
@@ -121,7 +121,7 @@ def make_free_contact(state: FingerState, probe: Probe, force: Vec3, budget: flo
     """Return the result in free space; the end of a contact is a release, or a restart if the proxy was stuck."""
     zero, cause = (0.0, 0.0, 0.0), float(CAUSE_NONE)
     if state.mode != FREE:
-        cause = float(CAUSE_RESTART) if state.stuck >= STUCK_TICKS else float(CAUSE_RELEASE)
+        cause = float(CAUSE_RESTART) if state.stuck_ticks >= STUCK_TICKS else float(CAUSE_RELEASE)
     return Contact(
         mode=float(FREE),
         object=-1.0,

@@ -66,9 +66,9 @@ def move_contact(contact: ContactState, objects: Any) -> ContactState:
     """Return the contact moved with its object."""
     if contact.object_index < 0.0:
         return contact
-    carried = find_carry(objects, contact.object_index)
-    normal, deflection = turn_direction(carried, contact.normal), turn_direction(carried, contact.deflection)
-    rolled_part, bend = turn_direction(carried, contact.rolled_part), turn_direction(carried, contact.bend)
+    carry = find_carry(objects, contact.object_index)
+    normal, deflection = turn_direction(carry, contact.normal), turn_direction(carry, contact.deflection)
+    rolled_part, bend = turn_direction(carry, contact.rolled_part), turn_direction(carry, contact.bend)
     return replace(contact, "normal", normal, "deflection", deflection, "rolled_part", rolled_part, "bend", bend)
 
 
@@ -111,10 +111,8 @@ def roll_contact(
     """
     if contact.object_index < 0.0:
         return ContactRoll(ZERO, ZERO, ZERO, 0.0, 0.0)
-    normal, carried = contact.normal, find_carry(objects, contact.object_index)
-    rolled = roll_flat_on(
-        method, objects, contact.object_index, radius, normal, compute_relative_rotation(carried, turn)
-    )
+    normal, carry = contact.normal, find_carry(objects, contact.object_index)
+    rolled = roll_flat_on(method, objects, contact.object_index, radius, normal, compute_relative_rotation(carry, turn))
     k1, k2, along = compute_curvature(objects, contact.object_index, radius, center, normal)
     largest = max(abs(k1), abs(k2)) * contact.push
     # At a product of 1 of depth and curvature, the probe is at the centre of curvature and does not move.
@@ -142,8 +140,8 @@ def predict(contact: ContactState, roll: ContactRoll, tilted: Vec3, objects: Any
     """
     if contact.object_index < 0.0:
         return NO_PREDICTION
-    normal, carried = contact.normal, find_carry(objects, contact.object_index)
-    object_motion = vec3.sub(move_point(carried, shear.reference), shear.reference)
+    normal, carry = contact.normal, find_carry(objects, contact.object_index)
+    object_motion = vec3.sub(move_point(carry, shear.reference), shear.reference)
     shear_motion = vec3.reject(vec3.sub(shear.free, object_motion), normal)
     roll_motion = vec3.sub(roll.probe, vec3.reject(tilted, normal))
     deflection = vec3.add(vec3.sub(contact.deflection, shear_motion), roll_motion)
@@ -178,15 +176,15 @@ def continue_several(
     rolled = vec3.add_scaled(vec3.add_scaled(center, contacts[0].share, one.proxy), contacts[1].share, two.proxy)
     return Approach(
         start=state.center,
-        outside=center,
+        clear_center=center,
         center=vec3.add_scaled(rolled, contacts[2].share, three.proxy),
         active=active,
         predicted=map_each(predict, (contacts, rolls, tilts), shapes, shear),
         rolled=state.rolled + one.theta,
-        strays=True,
-        single=False,
-        began=False,
-        bounded=0.0,
+        center_lacks_roll=True,
+        is_single=False,
+        is_new=False,
+        budget_exhausted=0.0,
         budget=BUDGET,
-        stuck=state.stuck,
+        stuck_ticks=state.stuck_ticks,
     )

@@ -19,13 +19,13 @@ class ResistanceInput(NamedTuple):
     """Contact input of the rolling resistance: see `ContactState` for the names.
 
     bend      moved with the object
-    touches   True at a first touch: nothing has rolled
+    is_new    True at a first touch: nothing has rolled
     """
 
     normal: Vec3
     share: float
     bend: Vec3
-    touches: bool
+    is_new: bool
 
 
 class Resistance(NamedTuple):
@@ -40,21 +40,19 @@ NO_RESISTANCE = Resistance(ZERO, (-0.0, -0.0, -0.0))
 
 
 @jit
-def resist(
-    patch: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
-) -> Resistance:
+def resist(patch: Any, carry: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch) -> Resistance:
     """Return the Resistance after the fingertip's rotation relative to the object since the `last` probe.
 
     Only the rotation about an axis in the tangent plane counts.
     """
     if patch is None:
         return NO_RESISTANCE
-    return resist_by_loss(patch.rolling, carried, bent, probe, last, area)
+    return resist_by_loss(patch.rolling, carry, bent, probe, last, area)
 
 
 @jit
 def resist_by_loss(
-    rolling: Any, carried: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+    rolling: Any, carry: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
 ) -> Resistance:
     """Return `resist` for a patch with `rolling`, a RollingLoss or None.
 
@@ -66,9 +64,9 @@ def resist_by_loss(
     if rolling is None:
         return NO_RESISTANCE
     roll = ZERO
-    if not bent.touches:
+    if not bent.is_new:
         turn = rotations.relative(probe.orientation, last.orientation)
-        theta, axis = rotations.tilt(compute_relative_rotation(carried, turn), bent.normal)
+        theta, axis = rotations.tilt(compute_relative_rotation(carry, turn), bent.normal)
         roll = vec3.scale(theta, axis)
     stiffness = max(rolling.share * area.bending, MIN_STIFFNESS)
     # The energy of the wind-up is constant while load and share change, see `compute_winding_unit`.

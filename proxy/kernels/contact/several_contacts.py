@@ -79,10 +79,11 @@ def is_single(state: FingerState, radius: float) -> bool:
 def make_no_approach(probe: Probe) -> Approach:
     """Return an Approach without a contact."""
     return Approach(
-        start=probe.position, outside=probe.position, center=probe.position,
+        start=probe.position, clear_center=probe.position, center=probe.position,
         active=make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0),
         predicted=(NO_PREDICTION, NO_PREDICTION, NO_PREDICTION),
-        rolled=0.0, strays=False, single=True, began=False, bounded=0.0, budget=BUDGET, stuck=0.0,
+        rolled=0.0, center_lacks_roll=False, is_single=True, is_new=False,
+        budget_exhausted=0.0, budget=BUDGET, stuck_ticks=0.0,
     )  # fmt: skip
 
 
@@ -107,8 +108,8 @@ def is_clear_of_others(
     gap, _, budget = find_deepest_of_others(objects, center, radius * (1.0 + INSIDE_TOLERANCE), index, budget)
     if budget < 0 or gap < min(radius, own_gap) - INSIDE_TOLERANCE * radius:
         return False
-    touches = gap < radius * (1.0 + INSIDE_TOLERANCE) and before != center
-    return not touches or not crosses_seam(objects, radius, before, center, index, budget)
+    is_touching = gap < radius * (1.0 + INSIDE_TOLERANCE) and before != center
+    return not is_touching or not crosses_seam(objects, radius, before, center, index, budget)
 
 
 @jit
@@ -138,11 +139,11 @@ def continue_or_detect_several(
         if single:
             index = state.contacts[0].object_index
             approach = continue_contact(scene, finger, shapes, index, state, motion.probe, motion.dt)
-            if approach.center != approach.outside:
+            if approach.center != approach.clear_center:
                 # Past a seam it rolls on the next object. Facets that share an edge are both touched there, and form
                 # one surface.
                 index, center = approach.active[0].object_index, approach.center
-                before = center if is_mesh_at(shapes, index) else approach.outside
+                before = center if is_mesh_at(shapes, index) else approach.clear_center
                 single = is_clear_of_others(shapes, finger.radius, center, center, before, index, approach.budget)
         if not single:
             approach = continue_several(scene, objects, shapes, finger.radius, state, motion)
@@ -172,8 +173,8 @@ def follow_slip(
     if isinstance(objects.search, FacetedSearch) and is_mesh_at(objects, index):
         center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
         return center, active, 0.0, at_rest
-    center, active, bounded = settle_on_one(objects, index, radius, position, center, deflection, normal)
-    return center, active, bounded, True
+    center, active, budget_exhausted = settle_on_one(objects, index, radius, position, center, deflection, normal)
+    return center, active, budget_exhausted, True
 
 
 @jit
@@ -181,19 +182,23 @@ def land_among_several(
     finger: Finger, objects: Any, approach: Approach, forces: ContactForces, position: Vec3
 ) -> tuple[Landing, bool]:
     """Return the proxy of the only contact after friction, and True if it is clear of all other objects."""
-    center, active, bounded, at_rest = approach.center, approach.active, 0.0, True
+    center, active, budget_exhausted, at_rest = approach.center, approach.active, 0.0, True
     constraint, radius, friction = active[0], finger.radius, forces.result
-    if not approach.single:
-        return Landing(center, active, bounded), False
-    if friction.mode == SLIDING or friction.deflection != approach.predicted[0].deflection or approach.strays:
-        center, active, bounded, at_rest = follow_slip(
+    if not approach.is_single:
+        return Landing(center, active, budget_exhausted), False
+    if (
+        friction.mode == SLIDING
+        or friction.deflection != approach.predicted[0].deflection
+        or approach.center_lacks_roll
+    ):
+        center, active, budget_exhausted, at_rest = follow_slip(
             objects, constraint.object_index, radius, position, center, friction.deflection, constraint.normal
         )
     if not at_rest or (
-        is_mesh_at(objects, constraint.object_index) and not is_safe_step(approach.outside, center, radius)
+        is_mesh_at(objects, constraint.object_index) and not is_safe_step(approach.clear_center, center, radius)
     ):
-        return Landing(center, active, bounded), False
+        return Landing(center, active, budget_exhausted), False
     # A first touch may be over the second of two flush objects, beyond the edge of the one that was hit.
-    before = approach.outside if approach.began else center
+    before = approach.clear_center if approach.is_new else center
     clear = is_clear_of_others(objects, radius, approach.start, center, before, active[0].object_index, approach.budget)
-    return Landing(center, active, bounded), clear
+    return Landing(center, active, budget_exhausted), clear

@@ -50,7 +50,7 @@ class Share(NamedTuple):
     torque      (3,) N m
     torsion     N m       moment about the normal
     radius      m         of the contact patch
-    reported              ContactOutcome
+    outcome               ContactOutcome
     """
 
     pressing: Vec3
@@ -58,7 +58,7 @@ class Share(NamedTuple):
     torque: Vec3
     torsion: float
     radius: float
-    reported: ContactOutcome
+    outcome: ContactOutcome
 
 
 NO_SHARE = Share(ZERO, ZERO, ZERO, 0.0, 0.0, NO_OUTCOME)
@@ -74,12 +74,12 @@ class FrictionShare(NamedTuple):
 
 @jit
 def compute_load_of_constraint(
-    constraint: Constraint, finger: Finger, objects: Any, motion: ProbeMotion, touches: bool
+    constraint: Constraint, finger: Finger, objects: Any, motion: ProbeMotion, is_new: bool
 ) -> NormalForce:
     """Return the normal force of a constraint, zero without one."""
     if constraint.object_index < 0.0:
         return NormalForce(0.0, ZERO)
-    return compute_load(finger, objects, find_ground(objects, constraint.object_index), constraint, motion, touches)
+    return compute_load(finger, objects, find_ground(objects, constraint.object_index), constraint, motion, is_new)
 
 
 @jit
@@ -182,8 +182,8 @@ def make_outcome_of_several(
     settled: Equilibrium,
 ) -> Outcome:  # fmt: skip
     """Sum the wrenches of the contacts, and collect their states."""
-    probe, active, began = motion.probe, settled.active, approach.began
-    loads = map_each(compute_load_of_constraint, (active,), finger, objects, motion, began)
+    probe, active, is_new = motion.probe, settled.active, approach.is_new
+    loads = map_each(compute_load_of_constraint, (active,), finger, objects, motion, is_new)
     load = loads[0].size + loads[1].size + loads[2].size
     friction_load = forces[0].load + forces[1].load + forces[2].load
     scale = load / friction_load if friction_load > load else 1.0
@@ -196,22 +196,22 @@ def make_outcome_of_several(
     one, two, three = shares
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     trailing, budget = NO_FORCE, 0.0
-    if settled.late and not isinstance(shapes.search, SmoothSearch):
+    if settled.is_late and not isinstance(shapes.search, SmoothSearch):
         to_proxy = vec3.sub(settled.center, vec3.add(probe.position, compute_lag(settled.contacts)))
         trailing, budget = compute_trailing_force(shapes, active, to_proxy), float(ON_ITS_WAY)
-    if settled.late and settled.budget < 0:
+    if settled.is_late and settled.budget < 0:
         budget = float(UNSEARCHED)
     return Outcome(
         center=settled.center,
         contacts=settled.contacts,
-        reported=field_of_each(shares, "reported"),
+        outcomes=field_of_each(shares, "outcome"),
         pressing=pressing,
         normal_force=vec3.norm(pressing),
         tangential=vec3.add(vec3.add(one.tangential, two.tangential), three.tangential),
-        trailing=trailing,
+        trailing_force=trailing,
         torque=vec3.add(vec3.add(one.torque, two.torque), three.torque),
         torsion=one.torsion,
         radius=one.radius,
-        late=settled.late,
+        is_late=settled.is_late,
         budget=budget,
     )

@@ -25,14 +25,14 @@ class Equilibrium(NamedTuple):
     center    (3,) m
     active    constraints at `center`
     contacts  of these constraints
-    late      True if the proxy is not yet at rest
+    is_late   True if the proxy is not yet at rest
     budget    remaining budget, below 0 if it was exhausted
     """
 
     center: Vec3
     active: ActiveSet
     contacts: Contacts
-    late: bool
+    is_late: bool
     budget: int
 
 
@@ -87,9 +87,9 @@ def settle_after_friction(
     if lag != ZERO and depth > DEEP_SHARE * radius:
         ease = DEEP_SHARE * radius / depth
         goal, active = vec3.add_scaled(goal, 1.0 - ease, to_proxy), map_each(ease_depth, (active,), ease)
-    if approach.single and has_creases_at(shapes, approach.active[0].object_index):
+    if approach.is_single and has_creases_at(shapes, approach.active[0].object_index):
         budget = budget // 4  # the height map was already searched as the only object
-    rest = settle_among_several(shapes, radius, goal, approach.start, approach.outside, active, budget)
+    rest = settle_among_several(shapes, radius, goal, approach.start, approach.clear_center, active, budget)
     active = find_constraints_at_rest(shapes, radius, goal, rest)
     contacts = after
     if list_objects(active) != list_objects(after):
@@ -101,6 +101,6 @@ def settle_after_friction(
     if displaced != goal:
         active, place = solve_tangent_planes(shapes, radius, displaced, rest.center, active)
         contacts = map_each(move_to_constraint, (contacts, active))
-        if ease < 1.0 and not rest.late and not is_enclosed(active):
+        if ease < 1.0 and not rest.is_late and not is_enclosed(active):
             contacts = map_each(shift_deflection, (contacts,), vec3.sub(rest.center, place))
-    return Equilibrium(rest.center, active, contacts, rest.late, rest.budget)
+    return Equilibrium(rest.center, active, contacts, rest.is_late, rest.budget)

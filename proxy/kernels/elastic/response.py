@@ -16,7 +16,7 @@ Blocks = tuple[tuple[Mat3, Mat3], tuple[Mat3, Mat3]]
 @jit
 def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
     """Return m plus the block of two nodes times `weight`."""
-    at = 9 * (a * int(elastic.number) + b)
+    at = 9 * (a * int(elastic.node_count) + b)
     c = elastic.compliance
     return (
         (m[0][0] + weight * c[at], m[0][1] + weight * c[at + 1], m[0][2] + weight * c[at + 2]),

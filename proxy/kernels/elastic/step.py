@@ -39,9 +39,10 @@ from softfinger.proxy.kernels.elastic.surfaces import (
 )
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
-from softfinger.proxy.kernels.model import Scene, State
+from softfinger.proxy.kernels.model import Scene, State, Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic
 from softfinger.proxy.kernels.numerics import mat3, vec3
+from softfinger.proxy.kernels.numerics.mat3 import Mat3
 from softfinger.proxy.kernels.query.world import place_all
 from softfinger.proxy.kernels.step import step_finger, step_once
 from softfinger.proxy.record import FREE
@@ -113,6 +114,17 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
 
 
 @jit
+def displace_both(compliances: tuple[Mat3, Mat3, Mat3], load_x: Vec3, load_y: Vec3) -> tuple[Vec3, Vec3]:
+    """Return the displacements (3,) m of two spots under their loads (3,) N.
+
+    compliances  of the spot x, between the two, and of y, m/N
+    """
+    of_x, between, of_y = compliances
+    u = vec3.add(mat3.times(of_x, load_x), mat3.times(between, load_y))
+    return u, vec3.add(mat3.times(mat3.transpose(between), load_x), mat3.times(of_y, load_y))
+
+
+@jit
 def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
     gain = share_in_tick(elastic, dt)
@@ -131,20 +143,14 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         after_one, first = step_finger(fingers[0], before_one, shift_pose(body, poses[0], u), scene, objects, dt)
         after_two, second = step_finger(fingers[1], before_two, shift_pose(body, poses[1], v), scene, objects, dt)
         is_loaded = first.mode != FREE or second.mode != FREE
-        x = (
-            find_spot(elastic, objects, fingers[0], before_one, after_one, first, x, dt)
-            if is_loaded
-            else make_empty_spot()
-        )
-        y = (
-            find_spot(elastic, objects, fingers[1], before_two, after_two, second, y, dt)
-            if is_loaded
-            else make_empty_spot()
-        )
+        if is_loaded:
+            x = find_spot(elastic, objects, fingers[0], before_one, after_one, first, x, dt)
+            y = find_spot(elastic, objects, fingers[1], before_two, after_two, second, y, dt)
+        else:
+            x, y = make_empty_spot(), make_empty_spot()
         rows = compute_node_rows(elastic, x, x), compute_node_rows(elastic, x, y), compute_node_rows(elastic, y, y)
-        coupling = read_compliance(x, rows[1])
-        goal_u = vec3.add(mat3.times(read_compliance(x, rows[0]), x.load), mat3.times(coupling, y.load))
-        goal_v = vec3.add(mat3.times(mat3.transpose(coupling), x.load), mat3.times(read_compliance(y, rows[2]), y.load))
+        compliances = read_compliance(x, rows[0]), read_compliance(x, rows[1]), read_compliance(y, rows[2])
+        goal_u, goal_v = displace_both(compliances, x.load, y.load)
         error_u = vec3.sub(vec3.add_scaled(rest_u, gain, goal_u), u)
         error_v = vec3.sub(vec3.add_scaled(rest_v, gain, goal_v), v)
         square = vec3.dot(error_u, error_u) + vec3.dot(error_v, error_v)
@@ -157,10 +163,7 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
             continue
         held_x, added_x = hold_if_reversed(x, error_u)
         held_y, added_y = hold_if_reversed(y, error_v)
-        more_u = vec3.add(mat3.times(read_compliance(x, rows[0]), added_x), mat3.times(coupling, added_y))
-        more_v = vec3.add(
-            mat3.times(mat3.transpose(coupling), added_x), mat3.times(read_compliance(y, rows[2]), added_y)
-        )
+        more_u, more_v = displace_both(compliances, added_x, added_y)
         error_u, error_v = vec3.add_scaled(error_u, gain, more_u), vec3.add_scaled(error_v, gain, more_v)
         (a, b, c, d), _ = linearize_both(elastic, held_x, held_y, rows, gain)
         inverse = invert_both(a, b, c, d)

@@ -160,13 +160,11 @@ def stick_slip_by_law(
     slip_speed, slip_deflection = inputs.slip_speed, inputs.slip_deflection
     dragged, rolled_part = split_deflection(deflection, inputs.rolled_part)
 
-    limit, breaking = -1.0, 0.0
+    limit, breaking = -1.0 if mode == ROLLING else kinetic_limit, 0.0
     if mode == ROLLING:
         cause = find_start_of_sliding(law, inputs, stiffness, torque_stiffness, dragged, rolled_part, static_limit)
         if cause != CAUSE_NONE:
             mode, limit, breaking = float(SLIDING), whole_limit, 1.0
-    else:
-        limit = kinetic_limit
 
     if limit >= 0.0:
         result = slide_by_viscosity(

@@ -12,7 +12,7 @@ class Elastic(NamedTuple):
     compliance  (nodes nodes 9,)  row-major: block a, b is the displacement (3,) of a under unit loads (3,) on b, in the
                                   object frame, m/N times 1 Pa
     nodes       (vertices,)       int64: node at a vertex of the mesh, -1 if it is rigid
-    number                        number of nodes
+    node_count                    number of nodes
     softness    1/Pa              1/E
     damping     s                 time constant of a displacement
     bending     (nodes 6,)        for each node and direction x, y, z of a unit load on it: the largest rotation and the
@@ -22,7 +22,7 @@ class Elastic(NamedTuple):
 
     compliance: ReadOnly
     nodes: ReadOnly
-    number: float
+    node_count: float
     softness: float
     damping: float
     bending: ReadOnly

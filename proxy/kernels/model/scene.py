@@ -28,7 +28,7 @@ class Object(NamedTuple):
     motion       None, or the law of its motion
     material     Material, with the same types of laws for all objects of a scene
     scene_index  index of its entry in the scene file; several shapes may form one object
-    was          Pose at the last tick of an object that can move; None otherwise, and in a Scene (set in each tick)
+    last_pose    Pose at the last tick of an object that can move; None otherwise, and in a Scene (set in each tick)
     texture      Texture or None; its coordinates are in the frame of `pose`
     """
 
@@ -37,7 +37,7 @@ class Object(NamedTuple):
     motion: Any
     material: Material
     scene_index: float
-    was: Any = None
+    last_pose: Any = None
     texture: Any = None
 
 
@@ -115,7 +115,8 @@ class Many(NamedTuple):
 
     entries    Rows of Entry
     size       number of entries
-    movers     int64 rows of entries that can move; `moving` is their number
+    movable_rows   int64 rows of entries that can move
+    movable_count  number of these rows
     search     SmoothSearch, FacetedSearch or CreasedSearch
     materials  Rows of Material without the normal law, None among bare objects
     textures   Rows of Texture, with 0 columns for an object without one; None in a scene without textures
@@ -126,8 +127,8 @@ class Many(NamedTuple):
 
     entries: Any
     size: float
-    movers: ReadOnly
-    moving: float
+    movable_rows: ReadOnly
+    movable_count: float
     search: Any
     materials: Any
     textures: Any
@@ -180,13 +181,13 @@ class Bodies(NamedTuple):
     """Simulation of rigid bodies, and the objects attached to them.
 
     block   ReadOnly  addresses of the simulation (query.bodies)
-    moving  ReadOnly  numbers of the bodies that can move
+    movable  ReadOnly  numbers of the bodies that can move
     riders  ReadOnly  number of the attached body for each object of the scene file, 0 if it is not attached to one
     objects           number of objects in the scene file
     """
 
     block: Any
-    moving: Any
+    movable: Any
     riders: Any
     objects: float
 

@@ -114,7 +114,7 @@ class Triangles(NamedTuple):
     corners    (triangles * 3,)  int32: vertices of a triangle, counter-clockwise seen from outside
     across     (triangles * 3,)  int32: neighbouring triangle at each edge, edge i from corner i to the next; -1 if none
     upward     (vertices * 3,)   normals at the vertices, the mean of the triangles weighted by their angles there
-    number                       number of triangles
+    triangle_count               number of triangles
     center     (3,) m            centre of the bounding box
     size       m                 diagonal of the bounding box
     side                         1 for a closed surface touched from outside, -1 from inside; 0 for an open one, which
@@ -128,7 +128,7 @@ class Triangles(NamedTuple):
     corners: ReadOnly
     across: ReadOnly
     upward: ReadOnly
-    number: float
+    triangle_count: float
     center: Vec3
     size: float
     side: float
@@ -169,4 +169,4 @@ class Facet(NamedTuple):
     """One triangle of a mesh, as a shape."""
 
     mesh: Mesh
-    number: float
+    triangle: float

@@ -8,18 +8,18 @@ from softfinger.proxy.kernels.model.vectors import Quaternion, Vec3
 class World(NamedTuple):
     """State of the world, independent of the fingers.
 
-    started  0 before the first tick, then 1
-    time     s, the sum of all time steps
-    poses    current pose of the only object, None if it cannot move; of several objects the memory of their poses
-             (`query.world`)
-    was      pose of the only object at the last tick, None for several
-    surfaces  tuple of a Surface for each finger on an elastic object, None in other scenes
+    started    0 before the first tick, then 1
+    time       s, the sum of all time steps
+    poses      current pose of the only object, None if it cannot move; of several objects the memory of their poses
+               (`query.world`)
+    last_pose  pose of the only object at the last tick, None for several
+    surfaces   tuple of a Surface for each finger on an elastic object, None in other scenes
     """
 
     started: float
     time: float
     poses: Any
-    was: Any
+    last_pose: Any
     surfaces: Any = None
 
 
@@ -114,7 +114,7 @@ class FingerState(NamedTuple):
     center           the proxy; with several objects the one not displaced by friction
     contacts         tuple of ContactState: one in a scene of one object, otherwise three, the most loaded first
     rolled           roll angle since touch, rad
-    stuck            count of consecutive ticks without a rest position, see `approach.count_stuck_ticks`
+    stuck_ticks      count of consecutive ticks without a rest position, see `approach.count_stuck_ticks`
     effects          states of the effects of the workspace and of every object. They are separate for each finger,
                      including the phase of a vibration, which remains at its start while the finger is out of reach
     """
@@ -125,7 +125,7 @@ class FingerState(NamedTuple):
     center: Vec3
     contacts: Any
     rolled: float
-    stuck: float
+    stuck_ticks: float
     effects: Any
 
 

@@ -104,17 +104,17 @@ class HalfSpaceSolution(NamedTuple):
     """Loads of the constraints, and the displacement of the proxy.
 
     push     (3,) m  depth that the spring of each constraint bears
-    place    (3,) m  weights of the normals; their weighted sum is the displacement from probe to proxy. Equal to
+    weights  (3,) m  of the normals; their weighted sum is the displacement from probe to proxy. Equal to
                      `push` unless pinched
     """
 
     push: Vec3
-    place: Vec3
+    weights: Vec3
 
 
 @jit
 def _weights_between(c: float, first: float, second: float, b1: float, b2: float) -> tuple[float, float]:
-    """Return the weights of two normals in `place`: halfway between walls that face each other and leave no room."""
+    """Return the weights of two normals: halfway between walls that face each other and leave no room."""
     if c < FACING_COSINE and b1 + b2 > 0.0:
         return 0.5 * b1, 0.5 * b2
     return first, second
@@ -163,8 +163,8 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
         # The normals are coplanar, sum nu_i n_i = 0; the demands b_i - t can be satisfied if sum nu_i (b_i - t) = 0.
         v1, v2, v3 = sqrt(1.0 - c.c23 * c.c23), sqrt(1.0 - c.c13 * c.c13), sqrt(1.0 - c.c12 * c.c12)
         t = (v1 * b1 + v2 * b2 + v3 * b3) / (v1 + v2 + v3)
-        place, _ = _solve(count, c, b1 - t, b2 - t, b3 - t)
-        return HalfSpaceSolution((place[0] + t, place[1] + t, place[2] + t), place)
+        weights, _ = _solve(count, c, b1 - t, b2 - t, b3 - t)
+        return HalfSpaceSolution((weights[0] + t, weights[1] + t, weights[2] + t), weights)
     one, two = _weights_between(true.c12, push[0], push[1], b1, b2)
     three = push[2]
     if count == 3:

@@ -135,7 +135,7 @@ def write_motion(bodies: Bodies, tick: int, motion: Any) -> None:
     twist, centers, roots = float64_at(block[VELOCITY]), float64_at(block[TREE_CENTER]), int32_at(block[TREE_ROOT])
     motion[0] = tick
     for i in range(block[MOVING]):
-        body, at = bodies.moving[i], 1 + MOTION_SIZE * i
+        body, at = bodies.movable[i], 1 + MOTION_SIZE * i
         x, q = read_body_pose(block, float(body), POSITION)
         root, v = 3 * roots[body], 6 * body
         rate = (twist[v], twist[v + 1], twist[v + 2])
@@ -160,7 +160,7 @@ def step_bodies(bodies: Any) -> int:
         x, q = float64_at(block[POSITION]), float64_at(block[ORIENTATION])
         last_x, last_q = float64_at(block[LAST_POSITION]), float64_at(block[LAST_ORIENTATION])
         for i in range(block[MOVING]):
-            body = bodies.moving[i]
+            body = bodies.movable[i]
             for k in range(3):
                 last_x[3 * body + k] = x[3 * body + k]
             for k in range(4):

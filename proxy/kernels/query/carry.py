@@ -20,8 +20,8 @@ class Carry(NamedTuple):
     """
 
     moves: float
-    was: Pose
-    now: Pose
+    last: Pose
+    current: Pose
 
 
 @jit
@@ -29,7 +29,7 @@ def make_carry(body: Any) -> Any:
     """Return the motion of an object in this tick: a Carry, or None if it cannot move."""
     if body.motion is None:
         return None
-    return Carry(can_move(body.motion), pose_values(body.was), pose_values(body.pose))
+    return Carry(can_move(body.motion), pose_values(body.last_pose), pose_values(body.pose))
 
 
 @jit
@@ -43,40 +43,40 @@ def has_moving_object(objects: Any) -> bool:
     """Return whether any object can move."""
     if isinstance(objects, Single):
         return can_move(objects.body.motion) > 0.0
-    return objects.moving > 0.0
+    return objects.movable_count > 0.0
 
 
 @jit
-def move_point(carried: Any, x: Vec3) -> Vec3:
+def move_point(carry: Any, x: Vec3) -> Vec3:
     """Return the current position (3,) m of a point that moves with the object, in the world frame."""
-    if carried is None or carried.moves == 0.0:
+    if carry is None or carry.moves == 0.0:
         return x
-    return out_of(carried.now, into(carried.was, x))
+    return out_of(carry.current, into(carry.last, x))
 
 
 @jit
-def turn_direction(carried: Any, v: Vec3) -> Vec3:
+def turn_direction(carry: Any, v: Vec3) -> Vec3:
     """Return the current direction (3,) of a vector that turns with the object, in the world frame."""
-    if carried is None or carried.moves == 0.0:
+    if carry is None or carry.moves == 0.0:
         return v
-    return turn_out_of(carried.now, turn_into(carried.was, v))
+    return turn_out_of(carry.current, turn_into(carry.last, v))
 
 
 @jit
-def compute_relative_velocity(carried: Any, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
+def compute_relative_velocity(carry: Any, velocity: Vec3, position: Vec3, dt: float) -> Vec3:
     """Return `velocity` (3,) m/s relative to the object at `position` (3,) m of the last tick.
 
     With dt = 0 the object has no velocity.
     """
-    if carried is None or carried.moves == 0.0 or dt <= 0.0:
+    if carry is None or carry.moves == 0.0 or dt <= 0.0:
         return velocity
-    return vec3.add_scaled(velocity, -1.0 / dt, vec3.sub(move_point(carried, position), position))
+    return vec3.add_scaled(velocity, -1.0 / dt, vec3.sub(move_point(carry, position), position))
 
 
 @jit
-def compute_relative_rotation(carried: Any, turn: Quaternion) -> Quaternion:
+def compute_relative_rotation(carry: Any, turn: Quaternion) -> Quaternion:
     """Return the fingertip's rotation `turn` relative to the rotation of the object in this tick, with w >= 0."""
-    if carried is None or carried.moves == 0.0:
+    if carry is None or carry.moves == 0.0:
         return turn
-    objects_turn = rotations.relative(carried.now.orientation, carried.was.orientation)
+    objects_turn = rotations.relative(carry.current.orientation, carry.last.orientation)
     return rotations.relative(turn, objects_turn)

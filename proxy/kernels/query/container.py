@@ -53,14 +53,14 @@ def find_object(objects: Any, index: float) -> Any:
         return replace(body, "shape", Facet(body.shape, index)) if isinstance(body.shape, Mesh) else body
     row, facet = extract_row(index), extract_facet(index)
     entry = objects.entries[row]
-    pose, was = find_poses(objects.poses, entry, row)
+    pose, last_pose = find_poses(objects.poses, entry, row)
     return Object(
         shape=make_shape(objects.tip, replace(entry.shape, "facet", facet), pose),
         pose=pose,
         motion=entry.motion,
         material=read_material(objects.materials, entry.normal, row),
         scene_index=entry.scene_index,
-        was=was,
+        last_pose=last_pose,
         texture=None if objects.textures is None else objects.textures[row],
     )
 

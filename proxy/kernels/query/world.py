@@ -24,10 +24,10 @@ def advance(objects: Any, world: World, dt: float) -> World:
     if isinstance(objects, Single):
         body = objects.body
         pose = select_moving_pose(body.motion, compute_pose(body.motion, body.pose, time))
-        was = memory if world.started != 0.0 else pose  # in the first tick, the object counts as not having moved
-        return World(started=1.0, time=time, poses=pose, was=was, surfaces=world.surfaces)
-    for i in range(int(objects.moving)):
-        row = objects.movers[i]
+        last_pose = memory if world.started != 0.0 else pose  # in the first tick, the object counts as not having moved
+        return World(started=1.0, time=time, poses=pose, last_pose=last_pose, surfaces=world.surfaces)
+    for i in range(int(objects.movable_count)):
+        row = objects.movable_rows[i]
         entry, at = objects.entries[row], POSE_MEMORY_SIZE * row
         motion, rest = entry.motion, entry.pose
         pose = compute_pose(motion, rest, time)
@@ -40,16 +40,16 @@ def advance(objects: Any, world: World, dt: float) -> World:
         write_pose(memory, at + 7, before)
         write_pose(memory, at, pose)
         memory[at + TIME_OFFSET] = time
-    return World(started=1.0, time=time, poses=world.poses, was=None, surfaces=world.surfaces)
+    return World(started=1.0, time=time, poses=world.poses, last_pose=None, surfaces=world.surfaces)
 
 
 @jit
 def place_all(objects: Any, world: World) -> Any:
-    """Return all objects with their poses of this tick and the last: `poses` and `was` of the World."""
+    """Return all objects with their poses of this tick and the last: `poses` and `last_pose` of the World."""
     if isinstance(objects, Many):
         return replace(objects, "poses", world.poses)
     pose = objects.body.pose if world.poses is None else world.poses
-    return replace(objects, "body", replace(objects.body, "pose", pose, "was", world.was))
+    return replace(objects, "body", replace(objects.body, "pose", pose, "last_pose", world.last_pose))
 
 
 @jit

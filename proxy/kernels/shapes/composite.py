@@ -24,19 +24,19 @@ fingertip by more than rounding."""
 class NearestObject(NamedTuple):
     """Object nearest to a point.
 
-    gap     m  signed distance; only a lower bound if the budget was exhausted
-    place      index of the object, -1 for none
-    budget     remaining budget, below 0 if a mesh or a height map exhausted it
+    gap           m  signed distance; only a lower bound if the budget was exhausted
+    object_index     -1 for none
+    budget           remaining budget, below 0 if a mesh or a height map exhausted it
     """
 
     gap: float
-    place: float
+    object_index: float
     budget: int
 
 
 @by_type_with_default
 def nearest_of_shape(shape: Any, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
-    """Return `query.objects.find_deepest` of one shape, in its frame; the place counts from its first object."""
+    """Return `query.objects.find_deepest` of one shape, in its frame; the index counts from its first object."""
     gap, _, _ = closest(shape, x)
     return NearestObject(gap, 0.0, budget)
 

@@ -63,9 +63,9 @@ class CuttingPlanes(NamedTuple):
     push         m  depth of each constraint
     """
 
-    one: CuttingPlane
-    two: CuttingPlane
-    three: CuttingPlane
+    first: CuttingPlane
+    second: CuttingPlane
+    third: CuttingPlane
     center: Vec3
     push: Vec3
 
@@ -75,14 +75,14 @@ class Rest(NamedTuple):
 
     center  (3,) m  the proxy
     active          constraints that support it
-    late            True before the rest position is reached: the proxy is on its path, or did not move because no
+    is_late         True before the rest position is reached: the proxy is on its path, or did not move because no
                     better point outside was found
     budget          remaining budget, below 0 if it was exhausted
     """
 
     center: Vec3
     active: ActiveSet
-    late: bool
+    is_late: bool
     budget: int
 
 
@@ -112,7 +112,7 @@ def orient_normal(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3
 @jit
 def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlanes:
     """Return the planes with their solution: the point nearest to the probe that is in front of all by `lift` m."""
-    one, two, three = planes.one, planes.two, planes.three
+    one, two, three = planes.first, planes.second, planes.third
     if one.object_index < 0.0:
         return CuttingPlanes(one, two, three, probe, (0.0, 0.0, 0.0))
     count = 1
@@ -127,7 +127,7 @@ def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlan
         b3 = three.offset + lift - vec3.dot(n3, probe)
     solution = solve_half_spaces(count, one.normal, n2, n3, b1, b2, b3)
     return CuttingPlanes(
-        one, two, three, vec3.add(probe, vec3.weighted_sum(solution.place, one.normal, n2, n3)), solution.push
+        one, two, three, vec3.add(probe, vec3.weighted_sum(solution.weights, one.normal, n2, n3)), solution.push
     )
 
 
@@ -143,7 +143,7 @@ def add_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: 
 
     Of four planes, an old one is dropped: the one that the solution of the other three satisfies, or violates least.
     """
-    one, two, three = planes.one, planes.two, planes.three
+    one, two, three = planes.first, planes.second, planes.third
     nowhere, nothing = probe, (0.0, 0.0, 0.0)
     if one.object_index < 0.0:
         return solve_planes(CuttingPlanes(plane, two, three, nowhere, nothing), probe, lift)
@@ -198,13 +198,13 @@ def find_planes(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Cutt
 
 @jit
 def list_bodies(planes: CuttingPlanes) -> Vec3:
-    return planes.one.object_index, planes.two.object_index, planes.three.object_index
+    return planes.first.object_index, planes.second.object_index, planes.third.object_index
 
 
 @jit
 def make_constraints(planes: CuttingPlanes) -> ActiveSet:
     """Return the solved planes as an active set."""
-    one, two, three, push = planes.one, planes.two, planes.three, planes.push
+    one, two, three, push = planes.first, planes.second, planes.third, planes.push
     n1 = one.normal
     n2 = two.normal if two.object_index >= 0.0 else n1
     n3 = three.normal if three.object_index >= 0.0 else n2
@@ -263,7 +263,7 @@ def step_towards(
         plane = find_supporting_plane(objects, at, radius, anchor, center if nearest else anchor)
         if gap > radius * (1.0 - LIFT_DEPTH) and (added >= LIFT_AFTER or 2 * budget < budget_at_start):
             lift = 2.0 * (radius - gap)
-        one, two, three = planes.one, planes.two, planes.three
+        one, two, three = planes.first, planes.second, planes.third
         if at == one.object_index:
             one = plane
         elif at == two.object_index:
@@ -274,7 +274,7 @@ def step_towards(
             planes = add_plane(planes, plane, radius, probe, lift)
             continue
         planes = solve_planes(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
-    active, late = make_constraints(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
+    active, is_late = make_constraints(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
     budget = max(budget, 0) + reserve
     if is_clear:
         return Rest(center, active, clipped, budget)
@@ -287,11 +287,11 @@ def step_towards(
         path = vec3.scale(0.5, path)
         gap, _, budget = find_deepest(objects, vec3.add(anchor, path), radius, list_bodies(planes), budget)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
-            return Rest(vec3.add(anchor, path), active, True, NO_BUDGET if late else budget)
+            return Rest(vec3.add(anchor, path), active, True, NO_BUDGET if is_late else budget)
     # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
     gap, _, budget = find_deepest(objects, anchor, radius, list_bodies(planes), budget)
     if budget < 0 or gap >= radius * (1.0 - INSIDE_TOLERANCE) or not is_enclosed(active):
-        return Rest(anchor, active, True, NO_BUDGET if late else budget)
+        return Rest(anchor, active, True, NO_BUDGET if is_late else budget)
     return Rest(center, active, False, budget)
 
 
@@ -303,9 +303,9 @@ def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
         planes = find_planes(objects, radius, stand.center, list_objects(stand.active))
         before = stand.center
         stand = step_towards(objects, radius, probe, before, planes, nearest, stand.budget)
-        if stand.budget < 0 or (not stand.late and is_touching_all(objects, stand.active, radius, stand.center)):
+        if stand.budget < 0 or (not stand.is_late and is_touching_all(objects, stand.active, radius, stand.center)):
             break
-        if not stand.late or vec3.norm(vec3.sub(stand.center, before)) <= REST_STEP * radius:
+        if not stand.is_late or vec3.norm(vec3.sub(stand.center, before)) <= REST_STEP * radius:
             if not nearest:
                 break
             nearest = False

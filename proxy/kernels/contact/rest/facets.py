@@ -69,7 +69,7 @@ def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Res
     two = move_constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))
     active = one, two, move_constraint_over_edge(objects, active[2], center, (one, two, active[2]))
     depth = vec3.sub(center, probe)
-    if not rest.late and vec3.dot(depth, depth) <= (DEEP_SHARE * radius) ** 2:
+    if not rest.is_late and vec3.dot(depth, depth) <= (DEEP_SHARE * radius) ** 2:
         active, _ = solve_tangent_planes(objects, radius, probe, center, active)
     return active
 

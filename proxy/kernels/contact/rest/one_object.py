@@ -41,8 +41,8 @@ def settle_on_one(
     returns             proxy (3,) m, its active set, and 1 if the search exhausted its budget, otherwise 0
     """
     body = find_object(objects, index)
-    center, normal, bounded = rest_on(body.shape, body.pose, radius, probe, center, deflection, normal)
-    return center, make_active_set(index, normal, vec3.sub(center, probe)), bounded
+    center, normal, budget_exhausted = rest_on(body.shape, body.pose, radius, probe, center, deflection, normal)
+    return center, make_active_set(index, normal, vec3.sub(center, probe)), budget_exhausted
 
 
 @rest_on.of(AnyShape)

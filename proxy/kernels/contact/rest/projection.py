@@ -29,6 +29,18 @@ def choose_linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float,
     return vec3.add_scaled(vec3.add_scaled(base, p, n), q, m) if inside else center
 
 
+@jit
+def find_half_space(
+    objects: Any, index: float, at: Vec3, radius: float, base: Vec3, normal: Vec3, budget: int
+) -> tuple[Vec3, float, int]:
+    """Return normal and bound (m) of the tangent plane of an object at `at` (3,) m, relative to `base`.
+
+    Also returns the remaining budget.
+    """
+    point, normal, budget = find_constraint(objects, index, at, radius, normal, budget)
+    return normal, vec3.dot(normal, vec3.sub(point, base)) + radius, budget
+
+
 @outlined
 def project_until_rest(
     objects: Any, radius: float, base: Vec3, center: Vec3, active: ActiveSet, rounds: int, budget: int
@@ -42,8 +54,7 @@ def project_until_rest(
 
     Also returns the distance, m, that the proxy moved in the last round, and the remaining budget.
     """
-    square = 1e300
-    tolerance = (SETTLED_STEP * radius) ** 2
+    square, tolerance = 1e300, (SETTLED_STEP * radius) ** 2
     one, two, three = active
     n1, n2, n3 = one.normal, two.normal, three.normal
     push = (one.depth, two.depth, three.depth)
@@ -61,29 +72,26 @@ def project_until_rest(
     p1, p2, p3 = 0.0, 0.0, 0.0
     for turn in range(rounds):
         at = choose_linearisation_point(inside1, center, base, p2, n2, p3, n3)
-        point, n1, budget = find_constraint(objects, one.object_index, at, radius, n1, budget)
-        b1 = vec3.dot(n1, vec3.sub(point, base)) + radius
+        n1, b1, budget = find_half_space(objects, one.object_index, at, radius, base, n1, budget)
         b2, b3 = b1, b1
         if two.object_index < 0.0:
             n2 = n1
         else:
             at = choose_linearisation_point(inside2, center, base, p1, n1, p3, n3)
-            point, n2, budget = find_constraint(objects, two.object_index, at, radius, n2, budget)
-            b2 = vec3.dot(n2, vec3.sub(point, base)) + radius
+            n2, b2, budget = find_half_space(objects, two.object_index, at, radius, base, n2, budget)
         if three.object_index < 0.0:
             n3 = n1
         else:
             at = choose_linearisation_point(inside3, center, base, p1, n1, p2, n2)
-            point, n3, budget = find_constraint(objects, three.object_index, at, radius, n3, budget)
-            b3 = vec3.dot(n3, vec3.sub(point, base)) + radius
+            n3, b3, budget = find_half_space(objects, three.object_index, at, radius, base, n3, budget)
         if hollow and turn == 0 and rounds > 1:  # displacements by single constraints are a good start
             p1 = max(b1, 0.0)
             p2 = 0.0 if two.object_index < 0.0 else max(b2, 0.0)
             p3 = 0.0 if three.object_index < 0.0 else max(b3, 0.0)
             continue
-        push, place = solve_half_spaces(count_constraints(active), n1, n2, n3, b1, b2, b3)
-        p1, p2, p3 = place
-        last, center = center, vec3.add(base, vec3.weighted_sum(place, n1, n2, n3))
+        push, weights = solve_half_spaces(count_constraints(active), n1, n2, n3, b1, b2, b3)
+        p1, p2, p3 = weights
+        last, center = center, vec3.add(base, vec3.weighted_sum(weights, n1, n2, n3))
         step = vec3.sub(center, last)
         square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
         if square <= tolerance:

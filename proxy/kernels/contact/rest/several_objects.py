@@ -80,7 +80,7 @@ def settle_in_steps(
             rest = settle_for(objects, radius, target, start, center, constraints, budget)
             if not is_safe_step(center, rest.center, radius):  # it may have crossed a thin part
                 rest = Rest(center, active, True, rest.budget)
-        if not rest.late:
+        if not rest.is_late:
             break
         depth = vec3.sub(probe, center)
         target = vec3.add_scaled(center, min(0.5 * MAX_STRIDE * radius / vec3.norm(depth), 0.5), depth)
@@ -124,10 +124,10 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
         gap, _, budget = find_deepest(objects, center, radius, list_objects(support), budget)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             return Rest(center, sort_by_load(objects, support), False, budget)
-    center, support, late, budget = settle_by_planes(objects, radius, probe, anchor, active, budget)
+    center, support, is_late, budget = settle_by_planes(objects, radius, probe, anchor, active, budget)
     if support[0].object_index < 0.0:
         support = make_single_constraint(active[0].object_index, active[0].normal, 0.0)
-    return Rest(center, sort_by_load(objects, support), late, budget)
+    return Rest(center, sort_by_load(objects, support), is_late, budget)
 
 
 @jit
@@ -179,17 +179,17 @@ def settle_for(
                 if count_constraints(active) == 3:
                     active = drop_weakest(active)
                 active = add_constraint(active, at, normal)
-    late = not is_clear
+    is_late = not is_clear
     if not is_clear:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
         gap, _, remaining = find_deepest(objects, last_center, radius, list_objects(last_active), remaining)
-        late = gap >= radius * (1.0 - INSIDE_TOLERANCE) or remaining < 0 or not is_enclosed(active)
-        if late:
+        is_late = gap >= radius * (1.0 - INSIDE_TOLERANCE) or remaining < 0 or not is_enclosed(active)
+        if is_late:
             center = last_center
             _, active, _, remaining = project_until_rest(objects, radius, probe, last_center, last_active, 1, remaining)
     if is_creased:
         active = merge_support_points(active)
-    return Rest(center, sort_by_load(objects, active), late, remaining)
+    return Rest(center, sort_by_load(objects, active), is_late, remaining)
 
 
 @jit

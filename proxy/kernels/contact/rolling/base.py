@@ -25,7 +25,7 @@ class Roll(NamedTuple):
     motion   (3,)  m    path of the centre, unrolled into the tangent plane at its end
     theta          rad  roll angle; of a ball |motion| / r
     spin           rad  rotation about the normal along the path
-    whole               False if the budget was exhausted before the end of the path: only the angles are valid
+    is_complete         False if the budget was exhausted before the end of the path: only the angles are valid
     """
 
     center: Vec3
@@ -33,7 +33,7 @@ class Roll(NamedTuple):
     motion: Vec3
     theta: float
     spin: float
-    whole: bool
+    is_complete: bool
 
 
 @by_type

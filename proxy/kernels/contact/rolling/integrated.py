@@ -129,7 +129,7 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
     A sub-step is accepted if its error is at most tolerance x radius, otherwise repeated with a shorter one, much
     shorter at a jump of the curvature. The number of trials is bounded: after half of them, a sub-step has at least the
     remaining time divided by the remaining trials, and at this length it is accepted with any error. On a shape whose
-    queries have a budget, the integration may end early (`Roll.whole`).
+    queries have a budget, the integration may end early (`Roll.is_complete`).
     """
     n, motion, spin, tilted, remaining, h = normal, (0.0, 0.0, 0.0), 0.0, 0.0, 1.0, 1.0
     allowed, budget = tolerance * radius, BUDGET_OF_A_ROLL

@@ -24,7 +24,7 @@ def roll_on(method: Any, body: Any, radius: float, center: Vec3, normal: Vec3, t
         turn_out_of(pose, local.motion),
         local.theta,
         local.spin,
-        local.whole,
+        local.is_complete,
     )
 
 

@@ -61,30 +61,30 @@ MIN_STEP_FACTOR: Final = 0.25
 
 
 class SupportPoints(NamedTuple):
-    """Surface points (3,) m that touch the fingertip; `many` is their number."""
+    """Surface points (3,) m that touch the fingertip; `point_count` is their number."""
 
-    many: int
-    one: Vec3
-    two: Vec3
-    three: Vec3
+    point_count: int
+    first: Vec3
+    second: Vec3
+    third: Vec3
 
 
 @jit
 def is_support_point(feet: SupportPoints, point: Vec3, within: float) -> bool:
     """Return True if `point` is within a distance (m) of one of the support points."""
-    if vec3.norm(vec3.sub(point, feet.one)) <= within:
+    if vec3.norm(vec3.sub(point, feet.first)) <= within:
         return True
-    if feet.many > 1 and vec3.norm(vec3.sub(point, feet.two)) <= within:
+    if feet.point_count > 1 and vec3.norm(vec3.sub(point, feet.second)) <= within:
         return True
-    return feet.many > 2 and vec3.norm(vec3.sub(point, feet.three)) <= within
+    return feet.point_count > 2 and vec3.norm(vec3.sub(point, feet.third)) <= within
 
 
 @jit
 def with_support_point(feet: SupportPoints, point: Vec3) -> SupportPoints:
     """Add a support point; of three, replace the last."""
-    if feet.many == 1:
-        return SupportPoints(2, feet.one, point, point)
-    return SupportPoints(3, feet.one, feet.two, point)
+    if feet.point_count == 1:
+        return SupportPoints(2, feet.first, point, point)
+    return SupportPoints(3, feet.first, feet.second, point)
 
 
 @jit
@@ -111,11 +111,11 @@ def solve_support_points(
     feet: SupportPoints, radius: float, goal: Vec3, n1: Vec3, n2: Vec3, n3: Vec3
 ) -> tuple[Vec3, Vec3]:
     """Return push (3,) m and centre (3,) m closest to `goal` on the tangent planes of two or three support points."""
-    b1 = vec3.dot(n1, vec3.sub(feet.one, goal)) + radius
-    b2 = vec3.dot(n2, vec3.sub(feet.two, goal)) + radius
-    b3 = vec3.dot(n3, vec3.sub(feet.three, goal)) + radius
-    solution = solve_half_spaces(feet.many, n1, n2, n3, b1, b2, b3)
-    return vec3.weighted_sum(solution.push, n1, n2, n3), vec3.add(goal, vec3.weighted_sum(solution.place, n1, n2, n3))
+    b1 = vec3.dot(n1, vec3.sub(feet.first, goal)) + radius
+    b2 = vec3.dot(n2, vec3.sub(feet.second, goal)) + radius
+    b3 = vec3.dot(n3, vec3.sub(feet.third, goal)) + radius
+    solution = solve_half_spaces(feet.point_count, n1, n2, n3, b1, b2, b3)
+    return vec3.weighted_sum(solution.push, n1, n2, n3), vec3.add(goal, vec3.weighted_sum(solution.weights, n1, n2, n3))
 
 
 @outlined
@@ -128,27 +128,27 @@ def rest_on_support_points(
     returns  proxy (3,) m, normal (3,), and 1 if the budget was exhausted before a position with room was found
     """
     rest, up, slides = center, normal, lag != (0.0, 0.0, 0.0)
-    budget, bounded = REST_BUDGET, 0.0
+    budget, budget_exhausted = REST_BUDGET, 0.0
     feet = SupportPoints(1, vec3.add_scaled(center, -radius, normal), center, center)
     for turn in range(MAX_CREASE_ROUNDS):
-        _, p1, n1, _, spent = find_foot_from(shape, center, feet.one)
-        budget -= spent
+        _, p1, n1, _, cost = find_foot_from(shape, center, feet.first)
+        budget -= cost
         p2, n2, p3, n3 = p1, n1, p1, n1
-        if feet.many > 1:
-            _, p2, n2, _, spent = find_foot_from(shape, center, feet.two)
-            budget -= spent
+        if feet.point_count > 1:
+            _, p2, n2, _, cost = find_foot_from(shape, center, feet.second)
+            budget -= cost
             p3, n3 = p2, n2
-        if feet.many > 2:
-            _, p3, n3, _, spent = find_foot_from(shape, center, feet.three)
-            budget -= spent
-        feet = SupportPoints(feet.many, p1, p2, p3)
+        if feet.point_count > 2:
+            _, p3, n3, _, cost = find_foot_from(shape, center, feet.third)
+            budget -= cost
+        feet = SupportPoints(feet.point_count, p1, p2, p3)
         clear = True
         if turn > 0:
-            gap, nearest_point, nearest_normal, _, spent = find_nearest_from(shape, center, p1, budget)
-            budget -= spent
+            gap, nearest_point, nearest_normal, _, cost = find_nearest_from(shape, center, p1, budget)
+            budget -= cost
             clear = gap >= radius * (1.0 - INSIDE_TOLERANCE)
             if budget <= 0 and not clear:
-                bounded = 1.0
+                budget_exhausted = 1.0
                 if vec3.norm(vec3.sub(rest, nearest_point)) < radius * (
                     1.0 - SAME_POINT_DISTANCE
                 ):  # the start was inside: move up and out
@@ -157,10 +157,10 @@ def rest_on_support_points(
             if not clear and not is_support_point(feet, nearest_point, SAME_POINT_DISTANCE * radius):
                 feet = with_support_point(feet, nearest_point)
                 n3 = nearest_normal
-                if feet.many == 2:
+                if feet.point_count == 2:
                     n2 = nearest_normal
         goal = vec3.add(probe, vec3.reject(lag, up))
-        if feet.many == 1:
+        if feet.point_count == 1:
             push, target = n1, step_on_one_point(shape, radius, goal, p1, n1)
         else:
             push, target = solve_support_points(feet, radius, goal, n1, n2, n3)
@@ -168,9 +168,9 @@ def rest_on_support_points(
             rest = center
             _, up = direction(push, n1)
         target = vec3.add(rest, clamp_length(vec3.sub(target, rest), MAX_STRIDE * radius))
-        if feet.many == 1:
-            _, p1, n1, _, spent = find_foot_from(shape, target, p1)
-            budget -= spent
+        if feet.point_count == 1:
+            _, p1, n1, _, cost = find_foot_from(shape, target, p1)
+            budget -= cost
             landed = vec3.add_scaled(p1, radius, n1)
             if vec3.norm(vec3.sub(landed, rest)) <= radius:
                 target = landed
@@ -178,7 +178,7 @@ def rest_on_support_points(
         if turn > 0 and clear and (step <= SETTLED_STEP * radius or (slides and turn >= FIRST_SLIDING_ROUND)):
             break
         center = target
-    return rest, up, bounded
+    return rest, up, budget_exhausted
 
 
 @follows.of(Heightmap)
@@ -216,8 +216,8 @@ def meets_heightmap(
         return NO_HIT, 0.0, budget
     near = compute_gap_within(shape, start, radius + length, budget // 2)
     remaining, rest = (
-        compute_remaining_budget(budget // 2, near.whole, near.spent),
-        compute_remaining_budget(budget, True, near.spent),
+        compute_remaining_budget(budget // 2, near.is_complete, near.cost),
+        compute_remaining_budget(budget, True, near.cost),
     )
     clearance, touching, share = near.gap - radius, TOUCHING_CLEARANCE * radius, 0.0
     if clearance >= length:
@@ -233,8 +233,8 @@ def meets_heightmap(
             shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, remaining
         )
         remaining, rest = (
-            compute_remaining_budget(remaining, near.whole, near.spent),
-            compute_remaining_budget(rest, True, near.spent),
+            compute_remaining_budget(remaining, near.is_complete, near.cost),
+            compute_remaining_budget(rest, True, near.cost),
         )
         clearance = near.gap - radius
         if remaining >= 0 and clearance <= touching:
@@ -243,14 +243,14 @@ def meets_heightmap(
         return share, 0.0, rest
     # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
     near = compute_gap_within(shape, end, radius, min(rest, END_BUDGET))
-    return (share if near.gap - radius < begun else NO_HIT), 0.0, compute_remaining_budget(rest, True, near.spent)
+    return (share if near.gap - radius < begun else NO_HIT), 0.0, compute_remaining_budget(rest, True, near.cost)
 
 
 @rest_on.of(Heightmap)
 def rest_on_heightmap(
     shape: Heightmap, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    rest, up, bounded = rest_on_support_points(
+    rest, up, budget_exhausted = rest_on_support_points(
         shape, radius, into(pose, probe), into(pose, center), turn_into(pose, deflection), turn_into(pose, normal)
     )
-    return out_of(pose, rest), turn_out_of(pose, up), bounded
+    return out_of(pose, rest), turn_out_of(pose, up), budget_exhausted

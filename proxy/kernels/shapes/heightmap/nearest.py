@@ -67,48 +67,48 @@ LIMIT_MARGIN: Final = 1.0 + 1e-9
 class MapSearch(NamedTuple):
     """Nearest foot point, or the best found so far if the budget was exhausted.
 
-    bound   lower bound of the distance, in pitches
-    whole   True if the budget was sufficient
-    spent   cost of the search
+    bound        lower bound of the distance, in pitches
+    is_complete  True if the budget was sufficient
+    cost         of the search
     """
 
     foot: MapFoot
     bound: float
-    whole: bool
-    spent: int
+    is_complete: bool
+    cost: int
 
 
 class TouchedPoint(NamedTuple):
     """Gap (m), point (3,) m and normal (3,) as of `closest`, and the cost.
 
-    whole   True if the budget was sufficient; otherwise gap is a lower bound, and point the nearest known
-    spent   cost of the search
+    is_complete  True if the budget was sufficient; otherwise gap is a lower bound, and point the nearest known
+    cost         of the search
     """
 
     gap: float
     point: Vec3
     normal: Vec3
-    whole: bool
-    spent: int
+    is_complete: bool
+    cost: int
 
 
 class Gap(NamedTuple):
     """Gap, and the cost of finding it.
 
-    gap    m  a lower bound unless `whole`
-    whole     True if the budget was sufficient
-    spent     cost of the search
+    gap          m  a lower bound unless `is_complete`
+    is_complete     True if the budget was sufficient
+    cost            of the search
     """
 
     gap: float
-    whole: bool
-    spent: int
+    is_complete: bool
+    cost: int
 
 
 @jit
-def compute_remaining_budget(budget: int, whole: bool, spent: int) -> int:
+def compute_remaining_budget(budget: int, is_complete: bool, cost: int) -> int:
     """Return the remaining budget after a query, below 0 if this query or an earlier one exhausted it."""
-    return NO_BUDGET if budget < 0 or not whole else max(budget - spent, 0)
+    return NO_BUDGET if budget < 0 or not is_complete else max(budget - cost, 0)
 
 
 @jit
@@ -116,7 +116,7 @@ def find_best_quarter(shape: Heightmap, p: Vec3, start: MapFoot, i: int, j: int)
     """Return the closest of `start` and the middles of the cell's quarters, from which to descend to its foot point."""
     for number in range(4):
         candidate = find_foot(shape, p, i + 0.25 + 0.5 * (number & 1), j + 0.25 + 0.5 * (number >> 1))
-        if candidate.square < start.square:
+        if candidate.squared_distance < start.squared_distance:
             start = candidate
     return start
 
@@ -126,17 +126,19 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
     """Return the nearest foot point, or `best` if none is closer, and a lower bound of the distance."""
     top = int(shape.levels) - 1
     level, i, j = top, 0, 0
-    spent, unsearched, reach = 0, NO_DISTANCE, sqrt(best.square)
+    cost, unsearched, reach = 0, NO_DISTANCE, sqrt(best.squared_distance)
     for _ in range(max(budget, 0) + 4 * MAX_LEVELS):
-        spent += 1
+        cost += 1
         if i < count_tiles(shape.columns, level) and j < count_tiles(shape.rows, level):
             tile = find_tile(shape, p, level, i, j)
             square, offset = compute_squared_distance(tile), MapPoint(0.0, 0.0)
-            asks = square < EQUAL_SQUARE_SHARE * best.square and not (tile.convex and contains_foot(tile, best))
+            asks = square < EQUAL_SQUARE_SHARE * best.squared_distance and not (
+                tile.convex and contains_foot(tile, best)
+            )
             if asks:
                 square, offset = to_facet(tile)
             if asks and square < (reach + tile.thick) * (reach + tile.thick) * EQUAL_SQUARE_SHARE:
-                if spent >= budget:
+                if cost >= budget:
                     unsearched = min(unsearched, max(sqrt(square) - tile.thick, 0.0))
                 elif level > 0:
                     level -= 1
@@ -145,17 +147,17 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
                     continue
                 else:
                     start = find_foot(shape, p, p[0] + offset.s, p[1] + offset.t)
-                    spent += HEIGHT_COST
-                    if not is_farther(p, tile, start, best.square):
+                    cost += HEIGHT_COST
+                    if not is_farther(p, tile, start, best.squared_distance):
                         if not tile.convex:
                             start = find_best_quarter(shape, p, start, i, j)
-                            spent += 4 * HEIGHT_COST
+                            cost += 4 * HEIGHT_COST
                         foot, looks = descend(shape, p, MapPoint(start.s, start.t), MAX_DESCENT)
-                        spent += HEIGHT_COST * looks
-                        if foot.square < best.square:
+                        cost += HEIGHT_COST * looks
+                        if foot.squared_distance < best.squared_distance:
                             best, looks = descend(shape, p, MapPoint(foot.s, foot.t), NO_DISTANCE)
-                            spent += HEIGHT_COST * looks
-                            reach = sqrt(best.square)
+                            cost += HEIGHT_COST * looks
+                            reach = sqrt(best.squared_distance)
         # Next of the four tiles, ordered from the closest one; after the fourth, up one level.
         while level < top:
             near_i, near_j = choose_nearer_half(p[0], i >> 1, level + 1), choose_nearer_half(p[1], j >> 1, level + 1)
@@ -168,15 +170,15 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
             level, i, j = level + 1, i >> 1, j >> 1
         if level == top:
             break
-    return MapSearch(best, min(unsearched, reach), unsearched >= reach, spent)
+    return MapSearch(best, min(unsearched, reach), unsearched >= reach, cost)
 
 
 @jit
 def touch_at(shape: Heightmap, x: Vec3, result: MapSearch) -> TouchedPoint:
     gap, point, normal = is_touching(shape, x, result.foot)
-    if not result.whole and gap > 0.0 and is_below(shape, x):
+    if not result.is_complete and gap > 0.0 and is_below(shape, x):
         gap, normal = -gap, vec3.scale(-1.0, normal)
-    return TouchedPoint(min(gap, result.bound * shape.pitch), point, normal, result.whole, result.spent)
+    return TouchedPoint(min(gap, result.bound * shape.pitch), point, normal, result.is_complete, result.cost)
 
 
 @outlined
@@ -192,11 +194,11 @@ def find_nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> To
     """Return the nearest point; no search is needed if the foot point found from `start` is known to be the nearest."""
     p, at = to_pitches(shape, x), to_pitches(shape, start)
     foot, looks = descend(shape, p, MapPoint(at[0], at[1]), NO_DISTANCE)
-    spent = HEIGHT_COST * looks + NEIGHBOUR_COST
-    result = MapSearch(foot, NO_DISTANCE, True, spent)
+    cost = HEIGHT_COST * looks + NEIGHBOUR_COST
+    result = MapSearch(foot, NO_DISTANCE, True, cost)
     if not is_convex_around(shape, p, foot):
-        result = search(shape, p, foot, budget - spent)
-        result = MapSearch(result.foot, result.bound, result.whole, result.spent + spent)
+        result = search(shape, p, foot, budget - cost)
+        result = MapSearch(result.foot, result.bound, result.is_complete, result.cost + cost)
     return touch_at(shape, x, result)
 
 
@@ -207,23 +209,27 @@ def compute_gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> 
     Without budget, it is the lower bound from the bounding box of the map, -FAR inside of the box.
     """
     p, most = to_pitches(shape, x), reach / shape.pitch * LIMIT_MARGIN
-    whole = find_tile(shape, p, int(shape.levels) - 1, 0, 0)
-    if whole.w > 0.0 and compute_squared_distance(whole) > most * most:
+    is_complete = find_tile(shape, p, int(shape.levels) - 1, 0, 0)
+    if is_complete.w > 0.0 and compute_squared_distance(is_complete) > most * most:
         return Gap(NO_DISTANCE, True, 1)
     if budget <= 0:
-        return Gap(sqrt(compute_squared_distance(whole)) * shape.pitch if whole.w > 0.0 else -NO_DISTANCE, False, 1)
+        return Gap(
+            sqrt(compute_squared_distance(is_complete)) * shape.pitch if is_complete.w > 0.0 else -NO_DISTANCE, False, 1
+        )
     foot, looks = descend(shape, p, MapPoint(p[0], p[1]), NO_DISTANCE)
-    spent = HEIGHT_COST * looks + NEIGHBOUR_COST
-    result = MapSearch(foot, NO_DISTANCE, True, spent)
+    cost = HEIGHT_COST * looks + NEIGHBOUR_COST
+    result = MapSearch(foot, NO_DISTANCE, True, cost)
     if not is_convex_around(shape, p, foot):
-        if foot.square > most * most and not is_below(shape, x):
+        if foot.squared_distance > most * most and not is_below(shape, x):
             foot = MapFoot(-NO_DISTANCE, -NO_DISTANCE, foot.height, most * most)
-        result = search(shape, p, foot, budget - spent)
-        result = MapSearch(result.foot, result.bound, result.whole, result.spent + spent + HEIGHT_COST)
+        result = search(shape, p, foot, budget - cost)
+        result = MapSearch(result.foot, result.bound, result.is_complete, result.cost + cost + HEIGHT_COST)
         if result.foot.s == -NO_DISTANCE:  # no foot point within the limit
-            return Gap(NO_DISTANCE if result.whole else result.bound * shape.pitch, result.whole, result.spent)
+            return Gap(
+                NO_DISTANCE if result.is_complete else result.bound * shape.pitch, result.is_complete, result.cost
+            )
     near = touch_at(shape, x, result)
-    return Gap(near.gap, near.whole, near.spent)
+    return Gap(near.gap, near.is_complete, near.cost)
 
 
 @outlined
@@ -245,7 +251,7 @@ def find_point_above(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
 @jit
 def make_consistent(x: Vec3, near: TouchedPoint) -> tuple[float, Vec3, Vec3]:
     """Return consistent gap, point and normal: if the gap is a bound, the point is moved to that distance."""
-    if near.whole or near.gap < 0.0:
+    if near.is_complete or near.gap < 0.0:
         return near.gap, near.point, near.normal
     _, up = direction(vec3.sub(x, near.point), near.normal)
     return near.gap, vec3.add_scaled(x, -near.gap, up), up
@@ -261,7 +267,7 @@ def closest_or_bound_of_heightmap(shape: Heightmap, x: Vec3) -> tuple[float, Vec
 def closest_within_on_heightmap(shape: Heightmap, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     near = find_nearest_from(shape, x, x, max(budget, 0))
     gap, point, normal = make_consistent(x, near)
-    return gap, point, normal, compute_remaining_budget(budget, near.whole, near.spent)
+    return gap, point, normal, compute_remaining_budget(budget, near.is_complete, near.cost)
 
 
 @outlined
@@ -276,7 +282,7 @@ def find_closer_foot_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -
     if not is_convex_around(shape, p, foot):
         candidate, looks = descend(shape, p, MapPoint(at[0], at[1]), NO_DISTANCE)
         budget -= HEIGHT_COST * looks
-        if candidate.square < EQUAL_SQUARE_SHARE * foot.square:
+        if candidate.squared_distance < EQUAL_SQUARE_SHARE * foot.squared_distance:
             foot = candidate
     gap, point, normal = is_touching(shape, x, foot)
     return gap, point, normal, budget
@@ -300,10 +306,10 @@ def constraint_at_support_point(
     if budget < 0:
         return start, normal, budget
     near = find_foot_from(shape, center, start)
-    return near.point, near.normal, budget - near.spent
+    return near.point, near.normal, budget - near.cost
 
 
 @nearest_of_shape.of(Heightmap)
 def gap_over_heightmap(shape: Heightmap, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
     near = compute_gap_within(shape, x, within, budget)
-    return NearestObject(near.gap, 0.0, compute_remaining_budget(budget, near.whole, near.spent))
+    return NearestObject(near.gap, 0.0, compute_remaining_budget(budget, near.is_complete, near.cost))

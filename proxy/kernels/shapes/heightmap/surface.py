@@ -65,7 +65,7 @@ class MapFoot(NamedTuple):
     s: float
     t: float
     height: Height
-    square: float
+    squared_distance: float
 
 
 @jit
@@ -185,12 +185,12 @@ def descend(shape: Heightmap, p: Vec3, start: MapPoint, reach: float) -> tuple[M
         looks += 1
         if size > UNCHECKED_STEP:
             for _ in range(MAX_REDUCTIONS):
-                if next_foot.square < foot.square:
+                if next_foot.squared_distance < foot.squared_distance:
                     break
                 ds, dt = 0.25 * ds, 0.25 * dt
                 next_foot = find_foot(shape, p, foot.s + ds, foot.t + dt)
                 looks += 1
-            if not next_foot.square < foot.square:
+            if not next_foot.squared_distance < foot.squared_distance:
                 break
         foot = next_foot
         if size <= CONVERGED_STEP:

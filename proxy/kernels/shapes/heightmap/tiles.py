@@ -169,7 +169,7 @@ def is_convex_around(shape: Heightmap, p: Vec3, foot: MapFoot) -> bool:
 
     The foot point is then the nearest point.
     """
-    around = find_tiles_around(shape, p, sqrt(foot.square), 1)
+    around = find_tiles_around(shape, p, sqrt(foot.squared_distance), 1)
     for j in range(around.top, around.bottom + 1):
         for i in range(around.left, around.right + 1):
             if not find_tile(shape, p, around.level, i, j).convex:
@@ -206,4 +206,4 @@ def is_farther(p: Vec3, tile: Tile, place: MapFoot, square: float) -> bool:
     falls = find_least_along(gs, place.s - tile.middle_s, tile.half) + find_least_along(
         gt, place.t - tile.middle_t, tile.half
     )
-    return place.square + 2.0 * falls >= EQUAL_SQUARE_SHARE * square
+    return place.squared_distance + 2.0 * falls >= EQUAL_SQUARE_SHARE * square

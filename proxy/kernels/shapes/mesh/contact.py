@@ -57,15 +57,15 @@ def find_nearest_facet(
     crosses the surface.
     """
     result = find_nearest(mesh, x, within, known, max(budget, 0), enough)
-    if result.bound < result.square:
-        return sqrt(result.bound), float(result.number), NO_BUDGET
-    remaining = NO_BUDGET if budget < 0 else max(budget - result.spent, 0)
-    if result.number < 0:
+    if result.bound < result.squared_distance:
+        return sqrt(result.bound), float(result.triangle), NO_BUDGET
+    remaining = NO_BUDGET if budget < 0 else max(budget - result.visits, 0)
+    if result.triangle < 0:
         return 1e300, -1.0, remaining
-    gap = sqrt(result.square)
+    gap = sqrt(result.squared_distance)
     if within >= NO_SEARCH_LIMIT:
-        gap, _, _ = closest_on_triangle(mesh, float(result.number), x)
-    return gap, float(result.number), remaining
+        gap, _, _ = closest_on_triangle(mesh, float(result.triangle), x)
+    return gap, float(result.triangle), remaining
 
 
 @jit
@@ -79,8 +79,8 @@ def find_last_outside(mesh: Mesh, start: Vec3, path: Vec3, radius: float, budget
         return 0.0, budget
     for _ in range(MAX_TOUCH_QUERIES):
         x = vec3.add_scaled(start, moved / length, path)
-        gap, number, budget = find_nearest_facet(mesh, x, radius + length, NO_TRIANGLE, budget, 0.0)
-        if number < 0.0 or gap - radius <= 1e-9 * radius:
+        gap, triangle, budget = find_nearest_facet(mesh, x, radius + length, NO_TRIANGLE, budget, 0.0)
+        if triangle < 0.0 or gap - radius <= 1e-9 * radius:
             break
         moved = min(moved + gap - radius, length)
     return moved / length, budget
@@ -100,18 +100,18 @@ def travel_to_facet(
     if length <= MAX_STRIDE * radius:
         if leaves:
             return NO_HIT, 0.0, budget
-        gap, number, budget = find_nearest_facet(shape, end, radius, NO_TRIANGLE, budget, 0.0)
-        if number < 0.0 or gap >= radius:
+        gap, triangle, budget = find_nearest_facet(shape, end, radius, NO_TRIANGLE, budget, 0.0)
+        if triangle < 0.0 or gap >= radius:
             return NO_HIT, 0.0, budget
         share, remaining = find_last_outside(shape, start, path, radius, budget)
-        return share, number, remaining
-    moved, outside, number = 0.0, 0.0, -1.0
+        return share, triangle, remaining
+    moved, outside, triangle = 0.0, 0.0, -1.0
     for _ in range(MAX_PATH_QUERIES):
         moved = min(moved, length)
-        gap, number, budget = find_nearest_facet(
+        gap, triangle, budget = find_nearest_facet(
             shape, vec3.add_scaled(start, moved / length, path), radius + length - moved, NO_TRIANGLE, budget, 0.0
         )
-        if number < 0.0 or (moved == length and gap >= radius):
+        if triangle < 0.0 or (moved == length and gap >= radius):
             return NO_HIT, 0.0, budget
         if budget < 0:
             break
@@ -120,21 +120,21 @@ def travel_to_facet(
             share, budget = find_last_outside(
                 shape, before, vec3.scale((moved - outside) / length, path), radius, budget
             )
-            return (outside + share * (moved - outside)) / length, number, budget
+            return (outside + share * (moved - outside)) / length, triangle, budget
         outside = moved
         moved += max(gap - (1.0 - MAX_STRIDE) * radius, (1.0 - MAX_STRIDE) * radius)
-    return outside / length, number, budget
+    return outside / length, triangle, budget
 
 
 @closest.of(Facet)
 def closest_on_facet(shape: Facet, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    return closest_on_triangle(shape.mesh, shape.number, x)
+    return closest_on_triangle(shape.mesh, shape.triangle, x)
 
 
 @curvature.of(Facet)
 def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     return offset_curvature_on_triangle(
-        shape.mesh, shape.number, radius, vec3.add_scaled(point, radius, normal), normal
+        shape.mesh, shape.triangle, radius, vec3.add_scaled(point, radius, normal), normal
     )
 
 
@@ -142,8 +142,8 @@ def curvature_of_facet(shape: Facet, radius: float, point: Vec3, normal: Vec3) -
 def closest_or_bound_of_mesh(shape: Mesh, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     """Search the entire mesh, for an effect that attracts to the surface."""
     result = find_nearest(shape, x, NO_SEARCH_LIMIT, NO_TRIANGLE, QUEUE_SIZE, 0.0)
-    gap, point, normal = closest_on_triangle(shape, float(max(result.number, 0)), x)
-    return gap, point, normal, 1.0 if result.bound < result.square else 0.0
+    gap, point, normal = closest_on_triangle(shape, float(max(result.triangle, 0)), x)
+    return gap, point, normal, 1.0 if result.bound < result.squared_distance else 0.0
 
 
 @curvature.of(Mesh)
@@ -154,13 +154,13 @@ def curvature_of_mesh(shape: Mesh, radius: float, point: Vec3, normal: Vec3) -> 
 @nearest_of_shape.of(Mesh)
 def compute_gap_of_nearest_facet(shape: Mesh, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
     enough = ENOUGH_SHARE * within if within < NO_LIMIT_M else 0.0
-    gap, number, remaining = find_nearest_facet(shape, x, within, known, budget, enough)
-    return NearestObject(gap, number, remaining)
+    gap, triangle, remaining = find_nearest_facet(shape, x, within, known, budget, enough)
+    return NearestObject(gap, triangle, remaining)
 
 
 @neighbour_of.of(Facet)
 def neighbour_of_facet(shape: Facet, x: Vec3) -> float:
-    return nearer_neighbour(shape.mesh, shape.number, x) - shape.number
+    return nearer_neighbour(shape.mesh, shape.triangle, x) - shape.triangle
 
 
 @shade_normal.of(Facet)
@@ -173,5 +173,5 @@ def shade_facet(shape: Facet, pose: Any, normal: Vec3, position: Vec3) -> Vec3:
     if triangles.shade == 0.0:
         return normal
     return turn_out_of(
-        pose, compute_shaded_normal(shape.mesh, shape.number, into(pose, position), turn_into(pose, normal))
+        pose, compute_shaded_normal(shape.mesh, shape.triangle, into(pose, position), turn_into(pose, normal))
     )

@@ -49,16 +49,16 @@ equally near."""
 class NearestTriangle(NamedTuple):
     """Nearest triangle.
 
-    number        of the triangle, -1 if none is within the limit; the nearest known one if the budget was exhausted
-    square  m^2   squared distance
-    bound   m^2   lower bound of the squared distance: `square`, or less if the budget was exhausted
-    spent         nodes and triangles visited
+    triangle               index, -1 if none is within the limit; the nearest known one if the budget was exhausted
+    squared_distance  m^2
+    bound             m^2  lower bound of `squared_distance`: equal to it, or less if the budget was exhausted
+    visits                 number of nodes and triangles visited
     """
 
-    number: int
-    square: float
+    triangle: int
+    squared_distance: float
     bound: float
-    spent: int
+    visits: int
 
 
 @jit
@@ -88,19 +88,19 @@ def find_middle(mesh: Triangles, node: int, lane: int) -> Vec3:
 class Candidate(NamedTuple):
     """Candidate for the nearest triangle.
 
-    number        of the triangle, -1 if none was found below a limit
-    square  m^2   squared distance
-    spent         nodes and triangles visited
+    triangle               index, -1 if none was found below a limit
+    squared_distance  m^2
+    visits                 number of nodes and triangles visited
     """
 
-    number: int
-    square: float
-    spent: int
+    triangle: int
+    squared_distance: float
+    visits: int
 
 
 @jit
 def descend_tree(
-    whole: Mesh, node: int, near: Vec3, x: Vec3, limit: float, bounds: Any, waiting: Any, begin: int
+    shape: Mesh, node: int, near: Vec3, x: Vec3, limit: float, bounds: Any, waiting: Any, begin: int
 ) -> Candidate:
     """Descend greedily from a node of the tree to a triangle, and from there over edges to closer ones.
 
@@ -108,13 +108,13 @@ def descend_tree(
     limit                 m^2  boxes farther away are ignored
     bounds, waiting            scratch for `sift`; of `bounds` from `begin`
     """
-    mesh, spent = whole.row[0], 0
+    mesh, visits = shape.row[0], 0
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     while True:
-        spent += 1
+        visits += 1
         many = sift(mesh.nodes, node, point, round_up(limit), bounds, waiting, begin)
         if many == 0:
-            return Candidate(-1, limit, spent)
+            return Candidate(-1, limit, visits)
         lane, closest = 0, 1e300
         for i in range(many):
             apart = vec3.sub(near, find_middle(mesh, node, int(waiting[i]) - begin))
@@ -124,16 +124,16 @@ def descend_tree(
         if first < 0:
             break
         node = first + lane
-    number = ~first + lane
-    square = find_foot_on(read_corners(mesh, number), x).square
+    triangle = ~first + lane
+    square = find_foot_on(read_corners(mesh, triangle), x).squared_distance
     for _ in range(MAX_CLIMB_EDGES):
-        spent += 1
-        beyond = int(nearer_neighbour(whole, float(number), x))
-        if beyond == number:
+        visits += 1
+        beyond = int(nearer_neighbour(shape, float(triangle), x))
+        if beyond == triangle:
             break
-        number = beyond
-        square = find_foot_on(read_corners(mesh, number), x).square
-    return Candidate(number, square, spent)
+        triangle = beyond
+        square = find_foot_on(read_corners(mesh, triangle), x).squared_distance
+    return Candidate(triangle, square, visits)
 
 
 @jit
@@ -147,69 +147,82 @@ def find_lowest(bounds: Any, waiting: Any, at: int, end: int) -> int:
 
 
 @jit
+def choose_start(mesh: Triangles, x: Vec3, found: Candidate, known: Candidate, guess: int) -> Candidate:
+    """Return the start of a walk: `found`, else `known`, else the triangle `guess`, which may be beyond the limit."""
+    if found.triangle >= 0:
+        return found
+    if known.triangle >= 0:
+        return Candidate(known.triangle, known.squared_distance, found.visits)
+    if guess < 0:
+        return found
+    foot = find_foot_on(read_corners(mesh, guess), x)
+    return Candidate(guess, foot.squared_distance, found.visits + 1)
+
+
+@jit
 def walk_downhill(mesh: Triangles, begun: Candidate, x: Vec3) -> Candidate:
     """Move to the closest of the three neighbours as long as one is closer.
 
     In a hollow the nearest point of a triangle is in its interior, and does not show which edge to cross.
     """
-    number, square, spent = begun
-    for _ in range(MAX_HOLLOW_EDGES if number >= 0 else 0):
+    triangle, square, visits = begun
+    for _ in range(MAX_HOLLOW_EDGES if triangle >= 0 else 0):
         nearer = -1
         for k in range(3):
-            neighbour = int(mesh.across[3 * number + k])
+            neighbour = int(mesh.across[3 * triangle + k])
             if neighbour >= 0:
-                apart = find_foot_on(read_corners(mesh, neighbour), x).square
-                spent += 1
+                apart = find_foot_on(read_corners(mesh, neighbour), x).squared_distance
+                visits += 1
                 if apart < square:
                     nearer, square = neighbour, apart
         if nearer < 0:
             break
-        number = nearer
-    return Candidate(number, square, spent)
+        triangle = nearer
+    return Candidate(triangle, square, visits)
 
 
 @jit
 def find_first_candidate(
-    whole: Mesh, near: Vec3, x: Vec3, limit: float, known: Vec3, bounds: Any, waiting: Any
+    shape: Mesh, near: Vec3, x: Vec3, limit: float, known: Vec3, bounds: Any, waiting: Any
 ) -> tuple[Candidate, int]:
     """Return the closest of the `known` triangles within `limit` (m), and the last triangle tested, -1 for none.
 
     Without known triangles, both are the result of `descend_tree`.
     """
-    mesh, number, square, spent, last = whole.row[0], -1, limit * limit, 0, -1
+    mesh, triangle, square, visits, last = shape.row[0], -1, limit * limit, 0, -1
     for k in known:
-        if 0.0 <= k < mesh.number:  # `known` may contain triangles of other meshes
+        if 0.0 <= k < mesh.triangle_count:  # `known` may contain triangles of other meshes
             last = int(k)
             foot = find_foot_on(read_corners(mesh, last), x)
-            spent += 1
-            if foot.square < square:
-                number, square = last, foot.square
+            visits += 1
+            if foot.squared_distance < square:
+                triangle, square = last, foot.squared_distance
     if last < 0:
-        last, apart, spent = descend_tree(whole, 0, near, x, square, bounds, waiting, 0)
+        last, apart, visits = descend_tree(shape, 0, near, x, square, bounds, waiting, 0)
         if apart < square:
-            number, square = last, apart
-    return Candidate(number, square, spent), last
+            triangle, square = last, apart
+    return Candidate(triangle, square, visits), last
 
 
 @outlined
-def find_nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough: float) -> NearestTriangle:
+def find_nearest(shape: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, enough: float) -> NearestTriangle:
     """Return the triangle nearest to `x` (3,) m within `limit` (m).
 
-    known   (3,)  numbers of up to three triangles near x, -1 for none: tested first, and preferred to equally near ones
+    known   (3,)  indices of up to three triangles near x, -1 for none: tested first, and preferred to equally near ones
     budget        nodes and triangles to visit, at most ROOM
     enough  m     distance below which a triangle is accepted if the search takes long; 0 for the exact nearest
     """
-    mesh = whole.row[0]
+    mesh = shape.row[0]
     near = to_search_frame(mesh, x)
     if isnan(near[0] + near[1] + near[2]):  # all boxes would count as near, also the empty ones
         return NearestTriangle(-1, limit * limit, limit * limit, 0)
     point = (np.float32(near[0]), np.float32(near[1]), np.float32(near[2]))
     bounds, waiting, firsts = room_for_bounds(), room_for_lanes(), room_for_nodes()
     most = min(budget, QUEUE_SIZE)
-    (number, square, spent), guess = find_first_candidate(whole, near, x, limit, known, bounds, waiting)
-    if guess < 0 and spent == 1:
-        return NearestTriangle(-1, square, square, spent)
-    best = square if number < 0 else square * (1.0 - REPLACE_SHARE)
+    (triangle, square, visits), guess = find_first_candidate(shape, near, x, limit, known, bounds, waiting)
+    if guess < 0 and visits == 1:
+        return NearestTriangle(-1, square, square, visits)
+    best = square if triangle < 0 else square * (1.0 - REPLACE_SHARE)
     top = round_up(best)
     firsts[0] = mesh.first[0]
     end = sift(mesh.nodes, 0, point, top, bounds, waiting, 0)
@@ -217,41 +230,38 @@ def find_nearest(whole: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, e
     while at < end:
         if at == level:
             level = end
-            if spent + end >= POOR_CANDIDATE_VISITS and spent + end < most:
+            if visits + end >= POOR_CANDIDATE_VISITS and visits + end < most:
                 place = find_lowest(bounds, waiting, at, end)
                 first, lane = int(firsts[place // LANES]), place % LANES
                 down = Candidate(~first + lane, square, 0)
                 if first >= 0:
                     free, begin = slice_from(waiting, end), nodes * LANES
-                    down = descend_tree(whole, first + lane, near, x, best, bounds, free, begin)
-                if down.number < 0 and number >= 0:
-                    down = Candidate(number, best, down.spent)
-                elif down.number < 0 and guess >= 0:  # the walk may begin beyond the limit
-                    down = Candidate(guess, find_foot_on(read_corners(mesh, guess), x).square, down.spent + 1)
-                down = walk_downhill(mesh, down, x)
-                spent += down.spent
-                if down.square < best:
-                    number, square, best = down.number, down.square, down.square
+                    down = descend_tree(shape, first + lane, near, x, best, bounds, free, begin)
+                start = choose_start(mesh, x, down, Candidate(triangle, best, 0), guess)
+                down = walk_downhill(mesh, start, x)
+                visits += down.visits
+                if down.squared_distance < best:
+                    triangle, square, best = down.triangle, down.squared_distance, down.squared_distance
                     top = round_up(best)
                 if square < enough * enough:
-                    return NearestTriangle(number, square, square, spent + end)
+                    return NearestTriangle(triangle, square, square, visits + end)
         place = int(waiting[at])
         if bounds[place] < top:
             first, lane = int(firsts[place // LANES]), place % LANES
             if first < 0:
                 foot = find_foot_on(read_corners(mesh, ~first + lane), x)
-                if foot.square < best:
-                    number, square, best = ~first + lane, foot.square, foot.square
+                if foot.squared_distance < best:
+                    triangle, square, best = ~first + lane, foot.squared_distance, foot.squared_distance
                     top = round_up(best)
-            elif spent + end >= most:
+            elif visits + end >= most:
                 lowest = min(square, float(bounds[find_lowest(bounds, waiting, at, end)]))
                 if guess < 0:
-                    guess, _, _ = descend_tree(whole, 0, near, x, 1e300, bounds, waiting, 0)
-                return NearestTriangle(guess if number < 0 else number, square, lowest, spent + end)
+                    guess, _, _ = descend_tree(shape, 0, near, x, 1e300, bounds, waiting, 0)
+                return NearestTriangle(guess if triangle < 0 else triangle, square, lowest, visits + end)
             else:
                 firsts[nodes] = mesh.first[first + lane]
                 begin = nodes * LANES
                 end += sift(mesh.nodes, first + lane, point, top, bounds, slice_from(waiting, end), begin)
                 nodes += 1
         at += 1
-    return NearestTriangle(number, square, square, spent + end)
+    return NearestTriangle(triangle, square, square, visits + end)

@@ -32,27 +32,27 @@ class Corners(NamedTuple):
 class Foot(NamedTuple):
     """Nearest point of a triangle.
 
-    point    (3,) m
-    square   m^2     squared distance
-    feature          number of the edge or corner that it is on, otherwise FACE_FEATURE
-    weights  (3,)    barycentric coordinates
+    point             (3,)  m
+    squared_distance        m^2
+    feature                 number of the edge or corner that it is on, otherwise FACE_FEATURE
+    weights           (3,)  barycentric coordinates
     """
 
     point: Vec3
-    square: float
+    squared_distance: float
     feature: int
     weights: Vec3
 
 
 @jit
-def read_vertex(mesh: Triangles, number: int) -> Vec3:
-    at = 3 * number
+def read_vertex(mesh: Triangles, vertex: int) -> Vec3:
+    at = 3 * vertex
     return (mesh.vertices[at], mesh.vertices[at + 1], mesh.vertices[at + 2])
 
 
 @jit
-def read_corners(mesh: Triangles, number: int) -> Corners:
-    at = 3 * number
+def read_corners(mesh: Triangles, triangle: int) -> Corners:
+    at = 3 * triangle
     return Corners(
         read_vertex(mesh, int(mesh.corners[at])),
         read_vertex(mesh, int(mesh.corners[at + 1])),
@@ -104,11 +104,11 @@ def find_foot_on(corners: Corners, x: Vec3) -> Foot:
         return find_foot(corners, x, 2, (1.0 - share, 0.0, share))
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 >= d3 and d5 >= d6:
-        whole = (d4 - d3) + (d5 - d6)
-        share = (d4 - d3) / whole if whole > 0.0 else 0.0
+        total = (d4 - d3) + (d5 - d6)
+        share = (d4 - d3) / total if total > 0.0 else 0.0
         return find_foot(corners, x, 1, (0.0, 1.0 - share, share))
-    whole = 1.0 / (va + vb + vc)
-    v, w = vb * whole, vc * whole
+    scale = 1.0 / (va + vb + vc)
+    v, w = vb * scale, vc * scale
     return find_foot(corners, x, FACE_FEATURE, (1.0 - v - w, v, w))
 
 
@@ -121,7 +121,7 @@ def compute_face_normal(corners: Corners) -> Vec3:
 
 
 @jit
-def compute_pseudonormal(mesh: Triangles, number: int, corners: Corners, feature: int) -> Vec3:
+def compute_pseudonormal(mesh: Triangles, triangle: int, corners: Corners, feature: int) -> Vec3:
     """Return the pseudonormal (3,), not of unit length, of the feature that the nearest point is on.
 
     It distinguishes outside from inside: at an edge the sum of the normals of both faces, at a corner that of all,
@@ -130,11 +130,11 @@ def compute_pseudonormal(mesh: Triangles, number: int, corners: Corners, feature
     """
     normal = compute_face_normal(corners)
     if feature < 3:
-        neighbour = int(mesh.across[3 * number + feature])
+        neighbour = int(mesh.across[3 * triangle + feature])
         if neighbour >= 0:
             normal = vec3.add(normal, compute_face_normal(read_corners(mesh, neighbour)))
     elif feature < FACE_FEATURE:
-        at = 3 * int(mesh.corners[3 * number + feature - 3])
+        at = 3 * int(mesh.corners[3 * triangle + feature - 3])
         normal = (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2])
     return normal
 
@@ -145,33 +145,37 @@ def is_nearer(foot: Foot, square: float) -> bool:
 
     On an edge or a corner, it has to be closer by more than rounding: otherwise two triangles could alternate.
     """
-    return foot.square <= square if foot.feature == FACE_FEATURE else foot.square < square * (1.0 - SAME_DISTANCE_SHARE)
+    return (
+        foot.squared_distance <= square
+        if foot.feature == FACE_FEATURE
+        else foot.squared_distance < square * (1.0 - SAME_DISTANCE_SHARE)
+    )
 
 
 @jit
-def nearer_round_corner(mesh: Triangles, number: int, at: int, x: Vec3, square: float) -> int:
+def nearer_round_corner(mesh: Triangles, start: int, at: int, x: Vec3, square: float) -> int:
     """Return the closest of the triangles round a corner if it is closer to `x` than the corner, otherwise -1.
 
-    at      corner of the triangle `number`
+    at      corner of the triangle `start`
     square  m^2  squared distance of the corner
 
     Visits the triangles connected by edges, up to CORNER_TRIANGLES_MAX in each direction, without a descent: for most
     of them the corner is the nearest point, so their distances do not show where a closer one is.
     """
-    vertex, nearest = mesh.corners[3 * number + at], -1
+    vertex, nearest = mesh.corners[3 * start + at], -1
     for turn in (0, 2):  # across the edge that starts at the corner, and across the one that ends there
-        triangle, corner = number, at
+        triangle, corner = start, at
         for _ in range(CORNER_TRIANGLES_MAX):
             triangle = int(mesh.across[3 * triangle + (corner + turn) % 3])
-            if triangle < 0 or triangle == number:
+            if triangle < 0 or triangle == start:
                 break
             corner = 0
             while corner < 2 and mesh.corners[3 * triangle + corner] != vertex:
                 corner += 1
             foot = find_foot_on(read_corners(mesh, triangle), x)
             if is_nearer(foot, square):
-                nearest, square = triangle, foot.square
-        if triangle == number:
+                nearest, square = triangle, foot.squared_distance
+        if triangle == start:
             break
     return nearest
 
@@ -183,37 +187,37 @@ def find_near_corner(corners: Corners, foot: Foot) -> int:
         return foot.feature - 3
     for i in range(3):
         apart = vec3.sub(foot.point, corners[i])
-        if vec3.dot(apart, apart) <= CORNER_SHARE * foot.square:
+        if vec3.dot(apart, apart) <= CORNER_SHARE * foot.squared_distance:
             return i
     return -1
 
 
 @outlined
-def nearer_neighbour(whole: Mesh, number: float, x: Vec3) -> float:
+def nearer_neighbour(shape: Mesh, triangle: float, x: Vec3) -> float:
     """Return the triangle across the edge or round the corner nearest to `x`, if it is closer; otherwise this one."""
-    mesh, k = whole.row[0], int(number)
+    mesh, k = shape.row[0], int(triangle)
     corners = read_corners(mesh, k)
     foot = find_foot_on(corners, x)
     if foot.feature == FACE_FEATURE:
-        return number
+        return triangle
     if foot.feature < 3:
         across = int(mesh.across[3 * k + foot.feature])
-        if across >= 0 and is_nearer(find_foot_on(read_corners(mesh, across), x), foot.square):
+        if across >= 0 and is_nearer(find_foot_on(read_corners(mesh, across), x), foot.squared_distance):
             return float(across)
     corner = find_near_corner(corners, foot)
-    nearer = nearer_round_corner(mesh, k, corner, x, foot.square) if corner >= 0 else -1
-    return number if nearer < 0 else float(nearer)
+    nearer = nearer_round_corner(mesh, k, corner, x, foot.squared_distance) if corner >= 0 else -1
+    return triangle if nearer < 0 else float(nearer)
 
 
 @outlined
 def offset_curvature_on_triangle(
-    whole: Mesh, number: float, radius: float, x: Vec3, normal: Vec3
+    shape: Mesh, triangle: float, radius: float, x: Vec3, normal: Vec3
 ) -> tuple[float, float, Vec3]:
     """Return both curvatures of the surface on which a centre at `x` (3,) m moves, 1/m, and the tangent of the first.
 
     It is a plane over the face, a cylinder round an edge, and a sphere round a corner, with the fingertip's radius.
     """
-    mesh, k = whole.row[0], int(number)
+    mesh, k = shape.row[0], int(triangle)
     corners = read_corners(mesh, k)
     feature = find_foot_on(corners, x).feature
     if feature == FACE_FEATURE:
@@ -226,12 +230,12 @@ def offset_curvature_on_triangle(
 
 
 @outlined
-def compute_shaded_normal(whole: Mesh, number: float, x: Vec3, normal: Vec3) -> Vec3:
+def compute_shaded_normal(shape: Mesh, triangle: float, x: Vec3, normal: Vec3) -> Vec3:
     """Return the unit normal (3,) interpolated from the vertices at the point of a triangle nearest to `x` (3,) m.
 
     It is on the side of `normal`, and equal to it if the vertices' normals cancel.
     """
-    mesh, k = whole.row[0], int(number)
+    mesh, k = shape.row[0], int(triangle)
     foot = find_foot_on(read_corners(mesh, k), x)
     total = (0.0, 0.0, 0.0)
     for i in range(3):
@@ -242,12 +246,12 @@ def compute_shaded_normal(whole: Mesh, number: float, x: Vec3, normal: Vec3) -> 
 
 
 @outlined
-def closest_on_triangle(whole: Mesh, number: float, x: Vec3) -> tuple[float, Vec3, Vec3]:
+def closest_on_triangle(shape: Mesh, triangle: float, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Return the signed gap (m) of `x` (3,) m from a triangle, the nearest point (3,) m and the unit normal (3,) there.
 
     The normal points to the side of the fingertip; on an open mesh, to the side of x.
     """
-    mesh, k = whole.row[0], int(number)
+    mesh, k = shape.row[0], int(triangle)
     corners = read_corners(mesh, k)
     foot = find_foot_on(corners, x)
     normal = compute_face_normal(corners)
