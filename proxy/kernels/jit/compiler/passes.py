@@ -11,11 +11,14 @@ from types import CodeType
 from typing import Any, ClassVar, Final
 
 from numba import types
-from numba.core import ir
+from numba.core import ir, postproc
 from numba.core.compiler import DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.errors import NumbaWarning, TypingError, WarningsFixer  # type: ignore[attr-defined]
+from numba.core.interpreter import Interpreter, peep_hole_delete_with_exit
 from numba.core.ir_utils import build_definitions, compute_cfg_from_blocks, simplify_CFG
+from numba.core.postproc import PostProcessor
+from numba.core.transforms import canonicalize_cfg
 from numba.core.typed_passes import (
     AnnotateTypes,
     InlineOverloads,
@@ -30,6 +33,7 @@ from numba.core.untyped_passes import (
     DeadBranchPrune,
     FindLiterallyCalls,
     FixupArgs,
+    GenericRewrites,
     InlineClosureLikes,
     InlineInlinables,
     IRProcessing,
@@ -37,6 +41,7 @@ from numba.core.untyped_passes import (
     LiteralUnroll,
     ReconstructSSA,
     RewriteSemanticConstants,
+    TranslateByteCode,
     WithLifting,
 )
 
@@ -60,6 +65,9 @@ counts."""
 UNUSED_STRAIGHT_PASSES: Final = (IRProcessing, DeadBranchPrune, ReconstructSSA, PreLowerStripPhis)
 """Passes without effect in a kernel that `is_straight`."""
 
+POSTPROCESSED_PASSES: Final = (IRProcessing, GenericRewrites, ReconstructSSA, PreLowerStripPhis)
+"""Passes that end with numba's PostProcessor, and compile no other function."""
+
 SCALARS: Final = (types.Number, types.Boolean)
 
 
@@ -72,6 +80,14 @@ def is_straight(code: Any) -> bool:
     return len(names) == len(set(names))
 
 
+class BriefPostProcessor(PostProcessor):  # type: ignore[misc]
+    """Post-processor without the lifetimes of variables: a kernel is no generator, and deletes no variables."""
+
+    def run(self, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+        self.func_ir.blocks = canonicalize_cfg(self.func_ir.blocks)
+        self.func_ir.generator_info = None
+
+
 class UncheckedPasses(PassManager):  # type: ignore[misc]
     """Pass manager that neither times nor checks the passes, and skips those without effect."""
 
@@ -80,7 +96,12 @@ class UncheckedPasses(PassManager):  # type: ignore[misc]
             return
         each.analysis = self._analysis
         each.run_initialization(state)
-        each.run_pass(state)
+        brief = isinstance(each, POSTPROCESSED_PASSES)
+        postproc.PostProcessor = BriefPostProcessor if brief else PostProcessor  # under numba's global lock
+        try:
+            each.run_pass(state)
+        finally:
+            postproc.PostProcessor = PostProcessor
         each.run_finalizer(state)
 
 
@@ -88,6 +109,24 @@ def class_of(kind: Any) -> type | None:
     """Return the class of the values of a numba type, None for None."""
     # A named tuple with fields of one type is a NamedUniTuple, not a NamedTuple: compare its class.
     return None if isinstance(kind, types.NoneType) else getattr(kind, "instance_class", None) or type(kind)
+
+
+class KernelInterpreter(Interpreter):  # type: ignore[misc]
+    """Translator of bytecode without the search for `with`, which no kernel contains."""
+
+    def post_process(self, peepholes: Any, code: Any) -> Any:
+        return super().post_process([each for each in peepholes if each is not peep_hole_delete_with_exit], code)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class KernelTranslation(TranslateByteCode):  # type: ignore[misc]
+    """Pass that translates the bytecode of a kernel."""
+
+    _name = "softfinger_translation"
+
+    def run_pass(self, state: Any) -> bool:
+        state.func_ir = KernelInterpreter(state.func_id).interpret(state.bc)
+        return True
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -259,7 +298,11 @@ class KernelTypeInference(NopythonTypeInference):  # type: ignore[misc]
         return True
 
 
-REPLACED_PASSES: Final = {NativeLowering: InlinedLowering, NopythonTypeInference: KernelTypeInference}
+REPLACED_PASSES: Final = {
+    TranslateByteCode: KernelTranslation,
+    NativeLowering: InlinedLowering,
+    NopythonTypeInference: KernelTypeInference,
+}
 
 
 def add_static_conditions(passes: PassManager) -> None:
