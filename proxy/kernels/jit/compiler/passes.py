@@ -15,7 +15,7 @@ from numba.core import ir, postproc
 from numba.core.compiler import DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, PassManager, register_pass
 from numba.core.errors import NumbaWarning, TypingError, WarningsFixer  # type: ignore[attr-defined]
-from numba.core.interpreter import Interpreter, peep_hole_delete_with_exit
+from numba.core.interpreter import Interpreter, peep_hole_delete_with_exit, peep_hole_fuse_dict_add_updates
 from numba.core.ir_utils import build_definitions, compute_cfg_from_blocks, simplify_CFG
 from numba.core.postproc import PostProcessor
 from numba.core.transforms import canonicalize_cfg
@@ -112,10 +112,11 @@ def class_of(kind: Any) -> type | None:
 
 
 class KernelInterpreter(Interpreter):  # type: ignore[misc]
-    """Translator of bytecode without the search for `with`, which no kernel contains."""
+    """Translator of bytecode without the corrections of `with` and dict displays, which no kernel contains."""
 
     def post_process(self, peepholes: Any, code: Any) -> Any:
-        return super().post_process([each for each in peepholes if each is not peep_hole_delete_with_exit], code)
+        unused = peep_hole_delete_with_exit, peep_hole_fuse_dict_add_updates
+        return super().post_process([each for each in peepholes if each not in unused], code)
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
