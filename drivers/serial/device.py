@@ -21,8 +21,8 @@ from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE
 from softfinger.drivers.kinematics.subspace import rows as rows
 from softfinger.drivers.serial import exchange, frames, packets
 from softfinger.drivers.serial.block import AT, CHUNK, TEXT
-from softfinger.drivers.serial.line import check as check
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
+from softfinger.drivers.serial.port import check as check
 from softfinger.drivers.serial.port import close_port, count_unsent, open_port
 
 log: Final = logging.getLogger(__name__)

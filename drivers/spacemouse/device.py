@@ -40,8 +40,8 @@ from softfinger.drivers.spacemouse.puck import (
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import PUCKS
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.hidraw import open_path
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, read_now
+from softfinger.drivers.system.nodes import open_path
 from softfinger.drivers.wrench_log import LOG, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at

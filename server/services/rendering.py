@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import apply_overrides
 from softfinger.config.schema.pairing import pair_devices
 from softfinger.drivers.base import Device
-from softfinger.drivers.simulated.lead import RequestedPose, hold, lead_hand
+from softfinger.drivers.simulated.hand import RequestedPose, hold, lead_hand
 from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import describe_model_change
