@@ -13,7 +13,7 @@ from softfinger.drivers.system import libusb as system_libusb
 from softfinger.drivers.system.claims import Claim, find_claim, list_claims, matches_device
 from softfinger.drivers.system.diagnosis import LIBRARY_DRIVERS, diagnose, find_makers_library
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.tools.doctor.check import STATES, Check, State
+from softfinger.tools.doctor.machine import STATES, Check, State
 
 OVER_USB: Final = ("falcon", "forcedimension")
 OVER_HID: Final = ("hid", "spacemouse")
