@@ -1,6 +1,7 @@
 """`forward`: telemetry to more subscribers, to other machines by key, or to Lab Streaming Layer; and commands back.
 
 Telemetry of a gateway that also forwards commands is in a second process: its subscribers cannot delay commands.
+`keys` creates CURVE key pairs, with which a daemon and its clients on other machines authenticate each other.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from softfinger.server import keys, signals
 from softfinger.server.gateway.addresses import Addresses, find_addresses
 from softfinger.server.gateway.forward import CommandPath, ForwardedServer, Forwarder, describe
 from softfinger.server.gateway.lsl import Outlets
-from softfinger.server.keys import ClientKeys
+from softfinger.server.keys import ClientKeys, make_pair
 from softfinger.server.progress import show_counter
 from softfinger.server.socket_process.allowed import AllowedKeys
 from softfinger.server.socket_process.peer_socket import KeyLock
@@ -82,7 +83,7 @@ class TelemetryProcess:
 log: Final = logging.getLogger(__name__)
 
 
-def run(args: argparse.Namespace) -> int:
+def run_forward(args: argparse.Namespace) -> int:
     """Forward until a signal; returns 0, or the exit code of the signal."""
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: add --to, --commands-to or --lsl")
@@ -157,3 +158,14 @@ def bind(endpoint: str, flag: str, stack: ExitStack) -> BoundSocket:
     bound = listen(endpoint, flag, public=True)
     stack.enter_context(bound.files)
     return bound
+
+
+def run_keys(args: argparse.Namespace) -> int:
+    """Create CURVE key pairs, with which a daemon and its clients on other machines authenticate each other."""
+    pairs = {name: make_pair(args.folder, name) for name in args.names}
+    if args.json:
+        print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in pairs.items()}))
+    else:
+        for public, secret in pairs.values():
+            print(f"{public}: public key: copy it to the other side\n{secret}: secret key: do not share it")
+    return 0
