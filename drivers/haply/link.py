@@ -7,16 +7,14 @@ limited. There is no compression, and the maximum length of a message is `MESSAG
 from __future__ import annotations
 
 import fcntl
-import io
-import re
 import select
 import socket
 import struct
 import sys
 import termios
 import time
-from http.client import HTTPException, HTTPResponse
-from typing import Any, Final, cast
+from http.client import HTTPConnection, HTTPException
+from typing import Any, Final
 
 import msgspec
 
@@ -34,7 +32,6 @@ SEND_BUFFER: Final = 8192
 
 The default queues about 26 000 bytes. The size of the service's receive buffer cannot be limited.
 """
-_LENGTH: Final = re.compile(rb"\r\ncontent-length: *(\d{1,9})\r\n", re.IGNORECASE)
 
 
 def check_remaining_time(until: float) -> float:
@@ -64,46 +61,22 @@ def connect(port: int, until: float) -> socket.socket:
 
 def request(port: int, method: str, path: str, body: Any, until: float) -> tuple[int, bytes]:
     """Send a request, with `body` as JSON unless None; return status and body. Raises DeviceError or a subclass."""
-    content = b"" if body is None else msgspec.json.encode(body)
-    head = (
-        f"{method} {path} HTTP/1.1\r\nHost: {HOST}:{port}\r\nConnection: close\r\n"
-        f"Content-Type: application/json\r\nContent-Length: {len(content)}\r\n\r\n"
-    )
-    received = bytearray()
+    connection = HTTPConnection(HOST, port)
+    connection.sock = connect(port, until)
+    headers = {"Connection": "close", "Content-Type": "application/json"}
     try:
-        with connect(port, until) as connection:
-            connection.sendall(head.encode() + content)
-            while not _is_complete(received):
-                connection.settimeout(check_remaining_time(until))
-                part = connection.recv(CHUNK)
-                if not part:
-                    break
-                received += part
-                if len(received) > MESSAGE_MAX:
-                    raise DeviceError(f"{method} {path}: the service's answer has more than {MESSAGE_MAX} bytes")
-        response = HTTPResponse(cast(socket.socket, _Response(bytes(received))), method=method)
-        response.begin()
-        return response.status, response.read()
+        connection.request(method, path, None if body is None else msgspec.json.encode(body), headers)
+        response = connection.getresponse()
+        answer = response.read(MESSAGE_MAX + 1)
     except TimeoutError:
         raise DeviceTimeout(f"{method} {path}: the Inverse Service does not answer in time") from None
     except (OSError, HTTPException) as error:
         raise DeviceError(f"{method} {path}: the service's answer cannot be read: {error!r}") from error
-
-
-class _Response:
-    """Response in memory, with the interface that `HTTPResponse` reads."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-
-    def makefile(self, _mode: str) -> io.BytesIO:
-        return io.BytesIO(self._data)
-
-
-def _is_complete(received: bytearray) -> bool:
-    head, separator, body = received.partition(b"\r\n\r\n")
-    length = _LENGTH.search(head + b"\r\n") if separator else None
-    return length is not None and len(body) >= int(length[1])
+    finally:
+        connection.close()
+    if len(answer) > MESSAGE_MAX:
+        raise DeviceError(f"{method} {path}: the service's answer has more than {MESSAGE_MAX} bytes")
+    return response.status, answer
 
 
 def _describe_old_service(port: int) -> str:
