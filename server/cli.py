@@ -36,7 +36,8 @@ DESCRIPTORS_MIN: Final = 64
 class Verb(NamedTuple):
     """Module of softfinger with `run(args) -> exit code`, or `run_<verb>` if it has several, and the verb's help text.
 
-    `options.py` in the folder of the module defines `configure_<verb>(parser)`; it imports neither numpy nor numba.
+    `configure_<verb>(parser)` is in `options.py` of `server/verbs` or `tools/bench` for modules there, otherwise of
+    `server` or `tools`. These files import neither numpy nor numba.
     """
 
     module: str
@@ -243,6 +244,8 @@ def make_parser() -> Parser:
 
 def add_options(verb: str, parser: Parser) -> None:
     folder = VERBS[verb].module.rpartition(".")[0]
+    if folder not in ("server.verbs", "tools.bench"):
+        folder = folder.partition(".")[0]
     getattr(importlib.import_module(f"softfinger.{folder}.options"), f"configure_{verb}")(parser)
 
 

@@ -22,10 +22,10 @@ from softfinger.config.schema import find_unit
 from softfinger.config.validate import examine
 from softfinger.server.offline.figures import make_figure, save
 from softfinger.tools.measure import show, show_and_draw
+from softfinger.tools.options import FLAGS
 from softfinger.tools.stability import bodies, bodies_table, extremes, runs
 from softfinger.tools.stability.limit import WallCase, compile_search, find_limits
 from softfinger.tools.stability.maps import MAPS, VARIANTS, draw_maps, list_cases
-from softfinger.tools.stability.options import FLAGS
 from softfinger.tools.stability.predicted import compute_spectral_radius
 from softfinger.tools.sweep import run_cases
 
