@@ -2,16 +2,17 @@
 
 A writer never waits. If a `Ring` is full, the loop drops the record and counts it. A reader of a `Broadcast` copies
 rows and then checks whether the writer has overwritten them; a reader that is a full ring behind skips to the middle of
-the ring and counts the rows missed.
+the ring and counts the rows missed. Readers sleep on an eventfd.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from softfinger.proxy.kernels.jit.atomics import (
@@ -22,7 +23,7 @@ from softfinger.proxy.kernels.jit.atomics import (
     store_release,
 )
 from softfinger.proxy.kernels.jit.decorators import entry, jit
-from softfinger.proxy.kernels.jit.memory import copy_numbers
+from softfinger.proxy.kernels.jit.memory import address_of, copy_numbers
 
 _CACHE_LINE = 8
 """Number of int64 in a cache line; producer and consumer write to different ones."""
@@ -219,3 +220,29 @@ def read_rows(broadcast: Broadcast, position: ReadPosition, out: NDArray[np.floa
         if load_relaxed(broadcast.head, 0) - first < capacity:
             position.next[0] = first + count
             return int(count)
+
+
+_POLLIN: Final = 1
+
+_poll: Any = types.ExternalFunction("poll", types.int32(types.int64, types.uint64, types.int32))
+_read: Any = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
+_eventfd_write: Any = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
+
+
+@jit
+def wake_eventfd(fd: int) -> None:
+    """Wake the thread or process that sleeps on an eventfd."""
+    _eventfd_write(fd, 1)
+
+
+@jit
+def reset_eventfd(fd: int, word: NDArray[np.int64]) -> None:
+    """Reset an eventfd after a signal; waits without one. `word` (1,) is scratch."""
+    _read(fd, address_of(word, 0), 8)
+
+
+@jit
+def wait_eventfd(fd: int, timeout_ms: int, word: NDArray[np.int64]) -> bool:
+    """Sleep until an eventfd is signalled; return False on a timeout or a signal. `word` (1,) is scratch."""
+    word[0] = _POLLIN << 32 | fd  # a pollfd is one int64: the file in the low half, the requested events above it
+    return bool(_poll(address_of(word, 0), 1, timeout_ms) > 0)

@@ -11,7 +11,6 @@ import threading
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from softfinger.drivers.base import END, Device
@@ -44,7 +43,7 @@ from softfinger.server.loop.clock import (
 from softfinger.server.loop.force_switch import apply_switch, count_unreachable, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.inputs.ramp import ParameterRamp, advance, set_now, set_target
-from softfinger.server.loop.rings import Ring, push
+from softfinger.server.loop.rings import Ring, push, wake_eventfd
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, run_tick
 
@@ -62,9 +61,6 @@ def move_bodies(bodies: Any, tick: int, start_ns: int, motion: Slot, scratch: An
         check_budget(bodies, read_clock_ns(timespec) - start_ns)
         write_motion(bodies, tick, scratch)
         store(motion, scratch)
-
-
-_eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
 
 
 class Schedule(NamedTuple):
@@ -170,7 +166,7 @@ def publish_record(shared: SharedMemory, row: NDArray[np.float64], ticks: int) -
     """Append a tick's records to the ring and wake the reader; `ticks` includes this tick."""
     push(shared.ring, row)
     store_release(shared.progress, 0, ticks)
-    _eventfd_write(shared.wake_fd, 1)
+    wake_eventfd(shared.wake_fd)
 
 
 @jit

@@ -27,13 +27,15 @@ from softfinger.server.loop.rings import (
     make_read_position,
     make_ring,
     read_rows,
+    reset_eventfd,
     take,
+    wait_eventfd,
     wait_for_eventfd,
+    wake_eventfd,
     write_row,
 )
 from softfinger.server.progress import report_compilation
 from softfinger.server.wire.native.memory import make_memory, remove, wake_readers, wake_readers_from_python
-from softfinger.server.wire.native.system import reset_eventfd, wait_eventfd, wake_eventfd
 
 log: Final = logging.getLogger(__name__)
 
