@@ -70,11 +70,6 @@ MODELS: Final = {
 """Models by `dhdGetSystemType`."""
 
 
-def find_model(kind: int) -> Model:
-    """Return the model for a number of `dhdGetSystemType`; an unnamed one with the lowest limits if it is unknown."""
-    return MODELS.get(kind) or Model("", f"device of unknown type {kind}", UNKNOWN)
-
-
 VENDOR: Final = 0x1451
 PRODUCTS: Final = {0x0402: "omega.x haptic device", 0x0301: "omega.x", 0x040C: "lambda"}
 """Names of known product numbers; every device of the vendor is listed."""
@@ -112,7 +107,8 @@ def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
             failed = failed or _open_error(call, number)
             continue
         try:
-            model, serial = find_model(call.dhdGetSystemType(device)), read_serial(call, device)
+            kind, serial = call.dhdGetSystemType(device), read_serial(call, device)
+            model = MODELS.get(kind) or Model("", f"device of unknown type {kind}", UNKNOWN)
             if options.serial in (None, serial) and options.model in (None, model.name):
                 return device, model
         except BaseException:

@@ -62,10 +62,11 @@ def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
 
 
 class OpenInterface(NamedTuple):
-    """Device in hidapi, and a file descriptor that is locked against other programs."""
+    """Device in hidapi, a file descriptor that is locked against other programs, and the report descriptor."""
 
     device: HidApi
     lock_fd: int
+    descriptor: bytes
 
 
 def list_attached(vendor: int, product: int) -> dict[str, str]:
@@ -82,31 +83,13 @@ def list_attached(vendor: int, product: int) -> dict[str, str]:
     }
 
 
-def open_usb(path: str, options: Options) -> OpenInterface:
-    """Open the interface at hidapi's `path`, and claim it for this process.
-
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
-    than the rig.
-    """
-    interface, descriptor = _open(path, options)
-    try:
-        check_reports(descriptor, path, options.reports)
-    except BaseException:
-        _close(interface)
-        raise
-    return interface
-
-
 def with_reports_of(paths: list[str], options: Options) -> list[str]:
-    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each.
-
-    Raises the errors of `open_usb`, except for other reports.
-    """
+    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each."""
     matching = []
     for path in paths:
-        interface, descriptor = _open(path, options)
+        interface = open_usb(path, options)
         _close(interface)
-        if has_reports(descriptor, options.reports):
+        if has_reports(interface.descriptor, options.reports):
             matching.append(path)
     return matching
 
@@ -116,8 +99,11 @@ def _close(interface: OpenInterface) -> None:
     os.close(interface.lock_fd)
 
 
-def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
-    """Return the opened interface at `path`, and its report descriptor."""
+def open_usb(path: str, options: Options) -> OpenInterface:
+    """Open the interface at hidapi's `path`, and claim it for this process.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device.
+    """
     vendor, product = options.vendor_id, options.product_id
     device_entry = _find_device(path)
     if device_entry is None:
@@ -144,7 +130,7 @@ def _open(path: str, options: Options) -> tuple[OpenInterface, bytes]:
         device.close()
         os.close(lock_fd)
         raise
-    return OpenInterface(device, lock_fd), descriptor
+    return OpenInterface(device, lock_fd, descriptor)
 
 
 def _find_device(path: str) -> SystemDevice | None:
@@ -189,6 +175,11 @@ def open_link(options: Options) -> ReportLink:
     path = options.path or find_device(options)
     if not path.startswith("/"):
         opened = open_usb(path, options)
+        try:
+            check_reports(opened.descriptor, path, options.reports)
+        except BaseException:
+            _close(opened)
+            raise
         return link_by_threads(opened.device, options, opened.lock_fd)
     fd = open_path(path, options.vendor_id, options.product_id)
     try:
@@ -213,7 +204,7 @@ def find_device(options: Options) -> str:
     """Return the path of the only device with the rig's ids and reports: its node, or else hidapi's path on the bus.
 
     Raises DeviceNotFound if there is none or more than one. If it has to read the reports of several interfaces of one
-    device, it also raises the errors of `usb.open_usb`.
+    device, it also raises the errors of `open_usb`.
     """
     nodes_found = list(discovery.iter_hidraw_nodes())
     usb_ids = (options.vendor_id, options.product_id)

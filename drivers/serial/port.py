@@ -176,12 +176,6 @@ def has_rate(options: Options) -> bool:
     return options.vendor_id is None or options.vendor_id in CHIPS
 
 
-def count_frame_bytes(options: Options) -> tuple[int, int]:
-    """Return the length of a frame to the board, and of one from it."""
-    spec = options.frames
-    return (FRAME_BYTES, FRAME_BYTES) if spec is None else (spec.output.bytes, spec.input.bytes)
-
-
 def check(options: Options, rate_hz: float, where: str) -> None:
     """Raise ConfigError if the line is too slow for a frame in each direction per tick.
 
@@ -196,7 +190,8 @@ def check(options: Options, rate_hz: float, where: str) -> None:
     """
     if not has_rate(options):
         return
-    out, into = count_frame_bytes(options)
+    spec = options.frames
+    out, into = (FRAME_BYTES, FRAME_BYTES) if spec is None else (spec.output.bytes, spec.input.bytes)
     carries, needs = options.baud / BITS_PER_BYTE, max(out, into) * rate_hz
     if needs <= carries:
         return
