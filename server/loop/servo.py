@@ -42,7 +42,7 @@ from softfinger.server.loop.clock import (
 )
 from softfinger.server.loop.force_switch import apply_switch, count_unreachable, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
-from softfinger.server.loop.inputs.ramp import ParameterRamp, advance, set_now, set_target
+from softfinger.server.loop.ramp import ParameterRamp, advance, set_now, set_target
 from softfinger.server.loop.rings import Ring, push, wake_eventfd
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, run_tick
