@@ -12,6 +12,7 @@ from typing import Final
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_faults, load_rig, load_scene
+from softfinger.config.schema import Faults
 from softfinger.drivers import base
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KERNEL_FOLDER
 from softfinger.proxy.scene import explain
@@ -69,8 +70,7 @@ def run(args: argparse.Namespace) -> int:
         if args.watcher:
             watchers = start_watchers(daemon)
         if faults is not None:
-            starts = ", ".join(f"{fault.kind} from tick {fault.window(rate)[0]} on" for fault in faults.fault)
-            log.warning("faults are injected, from %s: %s", args.inject, starts)
+            log.warning("faults are injected, from %s: %s", args.inject, format_faults(faults, rate))
         announce(daemon, args.scene, suggest_view=page is None and args.rig is None)
         start_s = time.monotonic()
         with name_warmup(args.scene), report_compilation("kernels of the scene"):
@@ -109,6 +109,10 @@ def announce(daemon: Daemon, scene_name: str, suggest_view: bool) -> None:
     if daemon.metrics_endpoint is not None:
         log.info("metrics on %s/metrics", daemon.metrics_endpoint)
     log.info("to see it, in another terminal: %s; to stop it: Ctrl-C", monitor_command(telemetry))
+
+
+def format_faults(faults: Faults, rate_hz: float) -> str:
+    return ", ".join(f"{fault.kind} from tick {fault.window(rate_hz)[0]} on" for fault in faults.fault)
 
 
 def report_settings(settings: list[Setting]) -> None:
