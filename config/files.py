@@ -76,21 +76,6 @@ def write_new_file(path: str | Path) -> Iterator[IO[bytes]]:
         part.unlink(missing_ok=True)
 
 
-def open_output(path: str | Path, buffering: int = -1) -> IO[bytes]:
-    """Open a file for writing over time, truncated if it exists; its contents can be read before it is closed."""
-    flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
-    fd = os.open(follow_links(path), flags, 0o666)
-    try:
-        mode = os.fstat(fd).st_mode
-        if not stat.S_ISCHR(mode):  # such as /dev/null
-            _check_kind(mode, "written to")
-            os.ftruncate(fd, 0)
-    except BaseException:
-        os.close(fd)
-        raise
-    return open(fd, "wb", buffering)
-
-
 def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[bytes]:
     """Create a file for data that must not be lost: unbuffered, and new; raises OSError if the file exists.
 

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from softfinger.config import schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
-from softfinger.config.mjcf_files import check_flexes, check_place, resolve_files
+from softfinger.config.mjcf_files import check_flexes, check_place, complete, resolve_files
 from softfinger.config.mjcf_size import check_files, read_text
-from softfinger.config.urdf import complete
 
 if TYPE_CHECKING:
     import mujoco

@@ -71,7 +71,8 @@ def convert_geoms(world: schema.World) -> Iterator[ConvertedGeom]:
         if not geom.contype and not geom.conaffinity and geom.id not in paired:
             yield ConvertedGeom(name, None, "does not collide (contype and conaffinity are 0, and it is in no <pair>)")
             continue
-        material = _choose_material(world, geom)
+        rules = (rule.material for rule in reversed(world.geom) if _matches_rule(rule, geom))
+        material = next(rules, world.material)
         if material is None:
             yield ConvertedGeom(
                 name, None, "has no material: add [world.material], or a [[world.geom]] that matches it"
@@ -113,10 +114,6 @@ def _matches_rule(rule: GeomMaterial, geom: Any) -> bool:
     return all(required is None or required == actual for required, actual in keys)
 
 
-def _choose_material(world: schema.World, geom: Any) -> schema.Material | None:
-    return next((rule.material for rule in reversed(world.geom) if _matches_rule(rule, geom)), world.material)
-
-
 def _make_object(
     name: str, geom: int, world: schema.World, material: schema.Material, model: Any, data: Any
 ) -> ConvertedGeom:
@@ -129,7 +126,7 @@ def _make_object(
         place["motion"] = schema.Body(body=model.body(body).name or str(body))
     else:
         pose = _on((data.xpos[body], data.xquat[body]), pose)
-    place["position_m"], place["orientation_wxyz"] = map(_list_numbers, pose)
+    place["position_m"], place["orientation_wxyz"] = (tuple(map(float, part)) for part in pose)
     match model.geom_type[geom]:
         case kinds.mjGEOM_PLANE:
             return ConvertedGeom(name, schema.Plane(**place), "without an end" if x or y else "")
@@ -209,10 +206,6 @@ def can_move(model: Any, body: int) -> bool:
             return True
         at = int(model.body_parentid[at])
     return False
-
-
-def _list_numbers(values: Any) -> Any:
-    return tuple(float(value) for value in values)
 
 
 def _on(outer: Any, inner: Any) -> Any:

@@ -16,8 +16,17 @@ from msgspec import UNSET, Struct, inspect
 
 from softfinger.config.materials import Library
 from softfinger.config.scalars import Fault, FaultCollector, check_literal, check_number, check_text
-from softfinger.config.typeinfo import describe_struct, list_given_types, unwrap
-from softfinger.config.words import describe_allowed, describe_missing, format_choice, format_value, join_key, suggest
+from softfinger.config.words import (
+    describe_allowed,
+    describe_missing,
+    describe_struct,
+    format_choice,
+    format_value,
+    join_key,
+    list_given_types,
+    suggest,
+    unwrap,
+)
 
 UNKNOWN_SHOWN: Final = 8
 """Unknown keys named per table. Fewer than a message lists, so that the message also shows how many more there are."""

@@ -1,4 +1,4 @@
-"""Wording of fields and values in error messages and reference tables."""
+"""Types of fields (`msgspec.inspect`), and wording of fields and values in error messages and reference tables."""
 
 from __future__ import annotations
 
@@ -6,12 +6,43 @@ import difflib
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from functools import lru_cache
+from typing import Any, Final
 
-from msgspec import inspect
+from msgspec import Struct, inspect
 
 from softfinger.config.fields import find_unit
-from softfinger.config.typeinfo import list_given_types, unwrap
+
+
+@lru_cache(maxsize=32)
+def describe_struct(struct_type: type[Struct]) -> inspect.StructType:
+    """Return tag, fields and ranges of a struct; raises TypeError for another type."""
+    info = inspect.type_info(struct_type)
+    if not isinstance(info, inspect.StructType):
+        raise TypeError(f"{struct_type!r} is not a msgspec Struct")
+    return info
+
+
+def unwrap(info: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:
+    """Return the bare type and the further contents of its Meta: description, examples, reason."""
+    extra: dict[str, Any] = {}
+    while isinstance(info, inspect.Metadata):
+        extra |= (info.extra_json_schema or {}) | (info.extra or {})
+        info = info.type
+    return info, extra
+
+
+def list_given_types(info: inspect.Type) -> list[inspect.Type]:
+    """Return the types of a field that is given: the members of a union without None, or the type itself.
+
+    If the base class of the structs in a union has a list `added`, the structs in that list are members, too.
+    """
+    members = info.types if isinstance(info, inspect.UnionType) else (info,)
+    present = [member for member in members if not isinstance(member, inspect.NoneType)]
+    if isinstance(info, inspect.UnionType) and isinstance(present[0], inspect.StructType):
+        present += [describe_struct(kind) for kind in getattr(present[0].cls, "added", ())]
+    return present
+
 
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _INDEX: Final = re.compile(r"\[\d+\]")

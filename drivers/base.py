@@ -155,6 +155,28 @@ def make_info(
     )
 
 
+def make_unlimited_info(
+    name: str, actuated_dof: int, low_m: Iterable[float], high_m: Iterable[float], own_clock: bool = False
+) -> DeviceInfo:
+    """Return the capabilities of a device that displays no force: wide limits, so that the rig's guard limits.
+
+    low_m, high_m  (3,) m  corners of the workspace
+    """
+    (x0, y0, z0), (x1, y1, z1) = map(float, low_m), map(float, high_m)
+    return DeviceInfo(
+        name=name,
+        sensed_dof=6,
+        actuated_dof=actuated_dof,
+        force_max_n=1e3,
+        torque_max_nm=TORQUE_MAX_NM,
+        stiffness_max_n_per_m=1e6,
+        damping_max_ns_per_m=1e3,
+        workspace_min_m=(x0, y0, z0),
+        workspace_max_m=(x1, y1, z1),
+        own_clock=own_clock,
+    )
+
+
 def list_names(devices: Iterable[Device]) -> str:
     return ", ".join(device.info.name for device in devices)
 

@@ -16,6 +16,7 @@ constants. They are part of the source, which the kernel cache is keyed by, so t
 from __future__ import annotations
 
 import ctypes
+import logging
 import time
 from dataclasses import dataclass
 from functools import cache
@@ -28,6 +29,8 @@ from softfinger.drivers.base import Device, DeviceIO
 from softfinger.drivers.system.makers_library import find_address as address_of
 
 CALL_PERIOD_S: Final = 1e-4
+
+log: Final = logging.getLogger(__name__)
 
 Layout = TypeVar("Layout", bound=tuple[int, ...])
 
@@ -149,6 +152,15 @@ class BlockDevice(Device):
 
     def zero_failure(self) -> str:
         return self._zero_failure
+
+    def _report_zero_failure(self, failure: str, problem: str = "zero force has not reached it") -> None:
+        """Store why the zero of this stop failed, and log the first of successive failures; empty: it did not fail.
+
+        The loop, the daemon and `close` each stop the device.
+        """
+        if failure and not self._zero_failure:
+            log.error("%s: %s: %s", self.info.name, problem, failure)
+        self._zero_failure = failure
 
     def _call_until_done(self, function: Any, wait_s: float) -> bool:
         """Call a C function with the handle until it returns a true value; return False after `wait_s`."""

@@ -2,7 +2,7 @@
 
 A tick never waits: it reads everything received, uses the latest sample, and sends one packet. During a silence longer
 than `quiet` it sends no force: computed for an old position, the force may push the arm in the wrong direction. It
-wakes the board every `kick`, and reports a failure after `timeout_after`. After a pause of the loop (`pause`) it
+wakes the board every `kick`, and reports a failure after `timeout_after`. After a pause of the loop (`samples`) it
 discards queued samples and waits for a current one. WITHHELD reports that zero replaced the force, so that the guard
 fades the force in again. HELD reports that a force was not sent, because the device keeps the previous one.
 
@@ -31,8 +31,7 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
-from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, shift_sample_time
-from softfinger.drivers.samples import copy_sample, is_finite, is_zero
+from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS, copy_sample, is_finite, is_zero, shift_sample_time
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, poll_fd, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type

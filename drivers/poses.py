@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from softfinger.config.arrays import Array
-from softfinger.config.arrays.npz import open_npz
+from softfinger.config.arrays.grids import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
 from softfinger.config.words import suggest

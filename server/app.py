@@ -19,20 +19,16 @@ from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
-from softfinger.server.services.blackbox import BlackBoxes
 from softfinger.server.services.command_handlers import DaemonInterface
 from softfinger.server.services.commands import CommandService
-from softfinger.server.services.deformation import Deformation
 from softfinger.server.services.description import describe_daemon
-from softfinger.server.services.hotplug import Hotplug, HotplugWatch
 from softfinger.server.services.notify import ServiceNotifier
-from softfinger.server.services.recordings import Recordings
-from softfinger.server.services.records import RecordService, Sink
+from softfinger.server.services.recordings import BlackBoxes, Recordings
+from softfinger.server.services.records import RecordService, Sink, TelemetryService
 from softfinger.server.services.rendering import Rendering
+from softfinger.server.services.scene_topics import Deformation, WorldState
 from softfinger.server.services.supervisor import Supervisor
-from softfinger.server.services.telemetry import TelemetryService
-from softfinger.server.services.watches import DeviceWarnings, SwapWatch
-from softfinger.server.services.world import WorldState
+from softfinger.server.services.watches import DeviceWarnings, Hotplug, HotplugWatch, SwapWatch
 from softfinger.server.socket_process.setup import StateInfo
 from softfinger.server.states import DaemonState, States, Trigger
 from softfinger.server.wire.endpoint import listen

@@ -34,9 +34,10 @@ DESCRIPTORS_MIN: Final = 64
 
 
 class Verb(NamedTuple):
-    """Module of softfinger with `run(args) -> exit code`, and the help text of the verb.
+    """Module of softfinger with `run(args) -> exit code`, or `run_<verb>` if it has several, and the verb's help text.
 
-    `options.py` in the folder of the module defines `configure_<verb>(parser)`; it imports neither numpy nor numba.
+    `configure_<verb>(parser)` is in `options.py` of `server/verbs` or `tools/bench` for modules there, otherwise of
+    `server` or `tools`. These files import neither numpy nor numba.
     """
 
     module: str
@@ -49,16 +50,14 @@ VERBS: Final = {
     "monitor": Verb("server.verbs.monitor", "show a live dashboard of a running daemon"),
     "view": Verb("server.verbs.view", "open a browser page of a daemon or a recording; the mouse can move the hand"),
     "record": Verb("server.verbs.record", "record a running daemon to a file: all telemetry, or only poses"),
-    "info": Verb("server.recording.verbs.info", "summarise a recording"),
-    "export": Verb("server.recording.verbs.export", "convert a recording to CSV, Parquet or npz"),
-    "import": Verb("server.recording.verbs.tables", "convert a table of poses from another program"),
-    "replay": Verb("server.recording.verbs.replay", "recompute the forces of a recording and compare them"),
+    "info": Verb("server.recording.verb", "summarise a recording"),
+    "export": Verb("server.recording.verb", "convert a recording to CSV, Parquet or npz"),
+    "import": Verb("server.recording.verb", "convert a table of poses from another program"),
+    "replay": Verb("server.recording.replay", "recompute the forces of a recording and compare them"),
     "ctl": Verb("server.verbs.ctl", "send a command to a running daemon: parameters, scene, force, marks"),
-    "forward": Verb(
-        "server.gateway.verbs.forward", "forward telemetry and commands to other machines, with encryption"
-    ),
+    "forward": Verb("server.gateway.verb", "forward telemetry and commands to other machines, with encryption"),
     "bridge": Verb("server.bridges.verb", "show a daemon or a recording in Foxglove or Rerun"),
-    "keys": Verb("server.gateway.verbs.keys", "create CURVE key pairs for daemons and clients"),
+    "keys": Verb("server.gateway.verb", "create CURVE key pairs for daemons and clients"),
     "devices": Verb("tools.devices", "list attached devices and the reasons why one cannot be opened"),
     "doctor": Verb("tools.doctor.verb", "check this machine, or write a report on an attached device"),
     "report": Verb("tools.report", "write an archive for a bug report"),
@@ -69,7 +68,7 @@ VERBS: Final = {
     "experiments": Verb("server.verbs.shipped", "list the shipped experiments"),
     "materials": Verb("server.verbs.materials", "list the shipped materials and fingertips with their sources"),
     "experiment": Verb("server.experiment.verb", "run an experiment: trials, answers, a folder of results"),
-    "figure": Verb("server.experiment.figure_verb", "fit and plot the results of an experiment"),
+    "figure": Verb("server.experiment.verb", "fit and plot the results of an experiment"),
     "check": Verb("server.verbs.check", "validate scene, rig and experiment files"),
     "schema": Verb("server.verbs.schema", "print the JSON Schema of the file formats and of telemetry"),
     "install": Verb("server.install.verb", "install or remove udev rules, limits, service, man page and completion"),
@@ -136,7 +135,8 @@ def run_verb(words: list[str]) -> int:
     logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it reports its font cache
     progress.set_enabled(not args.quiet)
     preparation.display = progress.show_progress
-    run = importlib.import_module(f"softfinger.{VERBS[args.verb].module}").run
+    module = importlib.import_module(f"softfinger.{VERBS[args.verb].module}")
+    run = getattr(module, f"run_{args.verb}", None) or module.run
     signals.mark_imported()
     if not gc.isenabled():  # imported objects are never garbage: exclude them from collections
         gc.freeze()
@@ -244,6 +244,8 @@ def make_parser() -> Parser:
 
 def add_options(verb: str, parser: Parser) -> None:
     folder = VERBS[verb].module.rpartition(".")[0]
+    if folder not in ("server.verbs", "tools.bench"):
+        folder = folder.partition(".")[0]
     getattr(importlib.import_module(f"softfinger.{folder}.options"), f"configure_{verb}")(parser)
 
 

@@ -44,7 +44,7 @@ from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.device import open_device as open_falcon
 from softfinger.drivers.forcedimension import device as forcedimension
-from softfinger.drivers.forcedimension.block import AT as FD
+from softfinger.drivers.forcedimension.exchange import AT as FD
 from softfinger.drivers.hid.device import HidDevice
 from softfinger.drivers.openhaptics.device import open_device as open_touch
 from softfinger.drivers.openhaptics.options import Options as TouchOptions

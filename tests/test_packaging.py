@@ -181,7 +181,7 @@ def test_a_driver_of_another_package_passes_the_contract_of_the_wheel(installed:
 COMPILES = """
 import numpy as np
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
-from softfinger.server.loop.shared.ring import make_ring, take
+from softfinger.server.loop.rings import make_ring, take
 take(make_ring(4, 2), np.empty((1, 2)))
 print(CACHE_DIR.name, len(take.stats.cache_misses))
 """

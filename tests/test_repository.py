@@ -12,7 +12,7 @@ import yaml
 
 from softfinger.config.load import load_rig
 from softfinger.server.cli import make_parser
-from softfinger.server.install.unit import RTPRIO
+from softfinger.server.install.texts import RTPRIO
 from softfinger.server.verbs.options import RIG
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -27,10 +27,10 @@ from softfinger.config.errors import ConfigError, HapticError
 from softfinger.server.arguments import add_flag
 from softfinger.server.verbs.schema import format_grid
 from softfinger.tools.accuracy import report
+from softfinger.tools.options import POINTS
 from softfinger.tools.patches_figure import draw_patches
 from softfinger.tools.stability import bodies, bodies_table
 from softfinger.tools.stability.maps import MAPS
-from softfinger.tools.stability.options import POINTS
 
 BLOCK: Final = re.compile(r"(<!-- study: (?P<name>[a-z-]+) -->\n).*?(<!-- end -->)", re.S)
 DRIFT_STEPS: Final = 10_000_000

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import io
 import re
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final, cast
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
 from softfinger.config import limits
-from softfinger.config.arrays.npz import open_npz
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import open_input, read_input
+
+
+def open_npz(file: IO[bytes]) -> NpzFile:
+    """Open an npz file; each array is read on access. Raises ValueError, or NumPy's error, for other files."""
+    if not zipfile.is_zipfile(file):  # numpy would take it for a pickle and explain how to load one
+        raise ValueError("is not an archive of arrays written by numpy.savez")
+    file.seek(0)
+    return cast(NpzFile, np.load(file, allow_pickle=False))
+
 
 Grid = NDArray[np.float64]
 

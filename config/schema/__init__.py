@@ -12,14 +12,11 @@ from softfinger.config.fields import *
 from softfinger.config.schema.addresses import *
 from softfinger.config.schema.contact import *
 from softfinger.config.schema.effects import *
-from softfinger.config.schema.elastic import *
 from softfinger.config.schema.faults import *
 from softfinger.config.schema.guard import *
 from softfinger.config.schema.materials import *
-from softfinger.config.schema.motions import *
-from softfinger.config.schema.patch import *
+from softfinger.config.schema.object_parts import *
 from softfinger.config.schema.rig import *
 from softfinger.config.schema.scene import *
 from softfinger.config.schema.shapes import *
-from softfinger.config.schema.textures import *
 from softfinger.config.schema.world import *

@@ -9,11 +9,10 @@ import msgspec
 
 from softfinger.config import limits
 from softfinger.config.fields import Complaint, Table, is_usable, sized
-from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Probe, Rolling
+from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Patch, Probe, Rolling
 from softfinger.config.schema.effects import Effect
 from softfinger.config.schema.materials import Material
-from softfinger.config.schema.motions import Body
-from softfinger.config.schema.patch import Patch
+from softfinger.config.schema.object_parts import Body
 from softfinger.config.schema.shapes import Mesh, Object
 from softfinger.config.schema.world import World
 

@@ -25,10 +25,8 @@ from softfinger.config.fields import (
     within,
 )
 from softfinger.config.schema.effects import ObjectEffect
-from softfinger.config.schema.elastic import Elastic
 from softfinger.config.schema.materials import Material
-from softfinger.config.schema.motions import Motion
-from softfinger.config.schema.textures import Texture
+from softfinger.config.schema.object_parts import Elastic, Motion, Texture
 
 WRAP_TOLERANCE = 1e-3
 """Tolerated mismatch of a texture around a cylinder, as a fraction of its width; sizes are written with few digits."""

@@ -11,9 +11,10 @@ from typing import Any, ClassVar, Final
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.falcon import delta, exchange, firmware, packets, usb
+from softfinger.drivers.falcon import exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
+from softfinger.drivers.falcon.reply import HOME
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import find_address
 
@@ -90,7 +91,7 @@ class Falcon(BlockDevice):
         numbers(AT.centre, 3)[:] = options.centre_m
         gain = options.counts_per_nm or COUNTS_PER_NM
         numbers(AT.gain, 1)[:] = -gain if options.motors_reversed else gain
-        numbers(AT.position, 3)[:] = delta.HOME
+        numbers(AT.position, 3)[:] = HOME
         numbers(AT.sample + 3, 1)[:] = 1.0  # it senses no rotation
         at = self._block.handle
         word[AT.in_done] = word[AT.out_done] = 1  # not submitted

@@ -28,8 +28,7 @@ from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import packets
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.reply import compute_command, convert_reply, process_byte
-from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS, shift_sample_time
-from softfinger.drivers.samples import copy_sample, is_finite, is_zero
+from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS, copy_sample, is_finite, is_zero, shift_sample_time
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32

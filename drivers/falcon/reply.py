@@ -1,20 +1,45 @@
-"""Conversion of the Falcon's replies to samples, and of forces to motor counts.
+"""Dimensions of the Falcon's delta, and conversion of its replies to samples and of forces to motor counts.
 
 The world has x to the right, y away from the user, z up; the device x to the right, y up, z towards the user.
+
+Source: the dimensions of libnifalcon; `kinematics.delta` has the equations.
 """
 
 from __future__ import annotations
 
-from math import nan
+from math import cos, nan, pi, sin
+from typing import Final
 
 from softfinger.drivers.base import FORCE_OFF, OK, SAMPLE_BUTTONS, SAMPLE_TIME
-from softfinger.drivers.falcon import delta, packets
+from softfinger.drivers.falcon import packets
 from softfinger.drivers.falcon.block import AT
-from softfinger.drivers.kinematics.delta import compute_torques, forward
+from softfinger.drivers.kinematics.delta import Delta, compute_torques, forward
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
+
+RAD_PER_COUNT: Final = 0.01425 / 0.110 * 2.0 * pi / 1280.0
+"""Leg angle per encoder count: ratio of drum to leg radius, counts per turn of the motor."""
+THETA_ZERO: Final = 35.0 * pi / 180.0
+"""Leg angle (rad) at encoder count 0."""
+
+_LEGS: Final = (105.0 * pi / 180.0, -15.0 * pi / 180.0, -135.0 * pi / 180.0)
+HOME: Final = (0.0, 0.0, 0.11)
+"""m: initial value of a search without a last solution; within every leg's reach."""
+FALCON: Final = Delta(
+    arm=0.060,
+    rod=0.1025,
+    end=0.01443,
+    joints=0.0225,
+    shift=-0.025,
+    base=0.0400,
+    offset=-0.02309,
+    cos=(cos(_LEGS[0]), cos(_LEGS[1]), cos(_LEGS[2])),
+    sin=(sin(_LEGS[0]), sin(_LEGS[1]), sin(_LEGS[2])),
+    home=HOME,
+    origin=(0.0, 0.0, 0.0),
+)
 
 
 @jit
@@ -67,18 +92,18 @@ def convert_reply(handle: int) -> int:
         word[AT.counts + k] = counts[k]
     at = float64_at(handle + 8 * AT.position)
     angle = (
-        delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[0],
-        delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[1],
-        delta.THETA_ZERO + delta.RAD_PER_COUNT * counts[2],
+        THETA_ZERO + RAD_PER_COUNT * counts[0],
+        THETA_ZERO + RAD_PER_COUNT * counts[1],
+        THETA_ZERO + RAD_PER_COUNT * counts[2],
     )
-    p, converged = forward(delta.FALCON, angle, (at[0], at[1], at[2]))
+    p, converged = forward(FALCON, angle, (at[0], at[1], at[2]))
     last_sample = float64_at(handle + 8 * AT.sample)
     if converged:
         centre = float64_at(handle + 8 * AT.centre)
         knob_position = _to_world(vec3.sub(p, (centre[0], centre[1], centre[2])))
     else:
         word[AT.unreached] += 1
-        p, knob_position = delta.HOME, (nan, nan, nan)
+        p, knob_position = HOME, (nan, nan, nan)
     for k in range(3):
         at[k], last_sample[k] = p[k], knob_position[k]
     last_sample[SAMPLE_TIME] = (word[AT.sampled_at] - word[AT.opened_at]) * 1e-9
@@ -92,7 +117,7 @@ def compute_motor_counts(gain: float, knob_position: Vec3, force: Vec3) -> tuple
 
     If a count exceeds the maximum, all three are scaled down, so that the force keeps its direction.
     """
-    torque, exists = compute_torques(delta.FALCON, knob_position, force)
+    torque, exists = compute_torques(FALCON, knob_position, force)
     counts = vec3.scale(gain, torque)
     largest = max(abs(counts[0]), max(abs(counts[1]), abs(counts[2])))
     is_limited = not exists

@@ -23,7 +23,7 @@ from softfinger.drivers import open_devices
 from softfinger.drivers.base import DeviceInfo, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.forcedimension import exchange, library, selection
-from softfinger.drivers.forcedimension.block import AT
+from softfinger.drivers.forcedimension.exchange import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
 from softfinger.drivers.system.discovery import SystemDevice
 

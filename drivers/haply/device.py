@@ -5,7 +5,6 @@ A shutdown sends a zero, waits for its answer, then closes the connection.
 
 from __future__ import annotations
 
-import logging
 import os
 import time
 from typing import Any, Final
@@ -20,8 +19,6 @@ from softfinger.drivers.haply.options import Options, rows
 from softfinger.drivers.system.discovery import SystemDevice
 
 __all__ = ["HaplyDevice", "Options", "identify", "open_device", "rows"]
-
-log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
 """Maximum wait of a stop for the service's answer to a zero."""
@@ -68,15 +65,12 @@ class HaplyDevice(BlockDevice):
         if word[AT.stops_answered] == word[AT.stops_requested]:
             word[AT.stops_requested] += 1
             os.eventfd_write(int(word[AT.wake]), 1)
-        was_logged = bool(self._zero_failure)
-        until = time.monotonic() + (0.0 if was_logged else STOP_WAIT_S)
+        until = time.monotonic() + (0.0 if self._zero_failure else STOP_WAIT_S)
         while (
             self._thread.is_running and word[AT.stops_answered] < word[AT.stops_requested] and time.monotonic() < until
         ):
             time.sleep(POLL_S)
-        self._zero_failure = self._explain_unconfirmed()
-        if self._zero_failure and not was_logged:
-            log.error("%s: zero force is not confirmed: %s", self.info.name, self._zero_failure)
+        self._report_zero_failure(self._explain_unconfirmed(), "zero force is not confirmed")
 
     def close(self) -> None:
         self.stop()

@@ -27,8 +27,7 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block, counter, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
-from softfinger.drivers.pause import RESUME_NS, shift_sample_time
-from softfinger.drivers.samples import copy_sample, is_finite, is_zero, store_pose
+from softfinger.drivers.samples import RESUME_NS, copy_sample, is_finite, is_zero, shift_sample_time, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at

@@ -1,4 +1,4 @@
-"""WebSocket to the service that never blocks.
+"""Connections to the service on this machine: HTTP requests, and a WebSocket that never blocks.
 
 `websockets` implements the protocol without a socket (sans I/O), so that one thread does everything and every wait is
 limited. There is no compression, and the maximum length of a message is `MESSAGE_MAX`.
@@ -13,11 +13,80 @@ import struct
 import sys
 import termios
 import time
+from http.client import HTTPConnection, HTTPException
 from typing import Any, Final
 
-from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.haply.dial import CHUNK, HOST, MESSAGE_MAX, check_remaining_time, connect
+import msgspec
+
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceTimeout
 from softfinger.drivers.haply.messages import Malformed, shorten
+from softfinger.drivers.haply.options import OLD_FORMAT_PORT
+
+HOST: Final = "localhost"
+START: Final = "sudo systemctl start haply-inverse-service, or open the Haply Hub"
+MESSAGE_MAX: Final = 262_144
+"""Maximum bytes of a message; an inventory has about 2000 per device."""
+CHUNK: Final = 65536
+SEND_BUFFER: Final = 8192
+"""Bytes of the system's send buffer (doubled by Linux): few messages queue here if the service does not read.
+
+The default queues about 26 000 bytes. The size of the service's receive buffer cannot be limited.
+"""
+
+
+def check_remaining_time(until: float) -> float:
+    """Return the time (s) until `until` (monotonic clock); raises DeviceTimeout if it has passed."""
+    remaining_s = until - time.monotonic()
+    if remaining_s <= 0.0:
+        raise DeviceTimeout(f"the Inverse Service does not answer in time: restart it ({START})")
+    return remaining_s
+
+
+def connect(port: int, until: float) -> socket.socket:
+    """Connect to the service. Raises DeviceNotFound, DeviceTimeout, DeviceError."""
+    try:
+        connection = socket.create_connection((HOST, port), timeout=check_remaining_time(until))
+    except ConnectionRefusedError:
+        raise DeviceNotFound(
+            f"no Inverse Service on port {port} of this machine{_describe_old_service(port)}: {START}"
+        ) from None
+    except TimeoutError:
+        raise DeviceTimeout(f"the Inverse Service on port {port} takes no connection: restart it ({START})") from None
+    except OSError as error:
+        raise DeviceError(f"the Inverse Service on port {port} cannot be reached: {error}") from error
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+    return connection
+
+
+def request(port: int, method: str, path: str, body: Any, until: float) -> tuple[int, bytes]:
+    """Send a request, with `body` as JSON unless None; return status and body. Raises DeviceError or a subclass."""
+    connection = HTTPConnection(HOST, port)
+    connection.sock = connect(port, until)
+    headers = {"Connection": "close", "Content-Type": "application/json"}
+    try:
+        connection.request(method, path, None if body is None else msgspec.json.encode(body), headers)
+        response = connection.getresponse()
+        answer = response.read(MESSAGE_MAX + 1)
+    except TimeoutError:
+        raise DeviceTimeout(f"{method} {path}: the Inverse Service does not answer in time") from None
+    except (OSError, HTTPException) as error:
+        raise DeviceError(f"{method} {path}: the service's answer cannot be read: {error!r}") from error
+    finally:
+        connection.close()
+    if len(answer) > MESSAGE_MAX:
+        raise DeviceError(f"{method} {path}: the service's answer has more than {MESSAGE_MAX} bytes")
+    return response.status, answer
+
+
+def _describe_old_service(port: int) -> str:
+    """Return an addition to the message if a service of the old format runs."""
+    try:
+        socket.create_connection((HOST, OLD_FORMAT_PORT), timeout=0.2).close()
+    except OSError:
+        return ""
+    return f", but one on port {OLD_FORMAT_PORT}: a service of 3.0, which this driver does not speak: update it"
+
 
 CLOSE_TIMEOUT_S: Final = 0.2
 """Time for the service to read the last message and close the connection."""

@@ -16,8 +16,7 @@ import msgspec
 from msgspec import Struct
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DeviceTimeout
-from softfinger.drivers.haply.dial import START, request
-from softfinger.drivers.haply.link import WebSocketLink, import_websockets
+from softfinger.drivers.haply.link import START, WebSocketLink, import_websockets, request
 from softfinger.drivers.haply.messages import (
     GRIPS,
     GROUPS,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import logging
 import os
 import time
 from typing import Final
@@ -25,8 +24,6 @@ from softfinger.drivers.hid.report_threads import ReportThreads
 from softfinger.drivers.kinematics.mechanism import SINGULAR_POSE
 from softfinger.drivers.kinematics.options import Chain
 from softfinger.drivers.kinematics.subspace import rows as rows
-
-log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
 """Maximum wait of a stop for a write in progress. A slower one hangs in the kernel."""
@@ -81,22 +78,15 @@ class HidDevice(BlockDevice):
         # Repeated calls wait only once for the full time for a write in progress.
         wait_s = STOP_WAIT_S - (0.0 if self.threads is None else self.threads.hang_duration_s())
         until = time.monotonic() + wait_s
-        was_logged, self._zero_failure = bool(self._zero_failure), ""
         if self.threads is not None:
             self.threads.disarm(self._zero)
         is_silent = self._call_until_done(exchange.silence, wait_s)
         if is_silent and self.threads is not None:
             is_silent = self.threads.flush(self.counts()["written"], until)
         if not is_silent:
-            self._log_missing_zero(was_logged)
-        elif self._block.word[BOARD.has_force]:
-            self._zero_failure = "its node accepts no report"
-
-    def _log_missing_zero(self, was_logged: bool) -> None:
-        """Log that no zero was sent, once: the loop, the daemon and `close` each stop the device."""
-        self._zero_failure = self.reason() or f"writes have been pending for {STOP_WAIT_S:g} s"
-        if not was_logged:
-            log.error("%s: zero force has not reached it: %s", self.info.name, self._zero_failure)
+            self._report_zero_failure(self.reason() or f"writes have been pending for {STOP_WAIT_S:g} s")
+        else:
+            self._zero_failure = "its node accepts no report" if self._block.word[BOARD.has_force] else ""
 
     def close(self) -> None:
         self.stop()

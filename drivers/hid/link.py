@@ -1,4 +1,12 @@
-"""Selection of the path of reports: the node, or two threads between hidapi and the exchange."""
+"""Selection and opening of a device, by its node or on the USB bus, and the path of its reports.
+
+The loop exchanges reports with the node, or with two threads that use hidapi. On the USB bus without a node, hidapi's
+libusb backend detaches the interface from the system's HID driver and attaches it again when closed. Its errors have no
+cause, so the node on the bus is opened and locked first, which reports one.
+
+The ids of a device do not identify it: boards with other programs share the ids of one vendor, and one board may have
+several interfaces under its ids. So its report descriptor is compared with the reports of the rig.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +15,139 @@ import os
 import struct
 from typing import Any, Final, NamedTuple
 
-from softfinger.config.errors import DeviceError, DeviceNotFound
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
 from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
-from softfinger.drivers.hid import exchange, usb
-from softfinger.drivers.hid.descriptor import check_reports, has_reports
-from softfinger.drivers.hid.options import Options
+from softfinger.drivers.hid import exchange
+from softfinger.drivers.hid.options import Options, Reports
 from softfinger.drivers.hid.report_threads import HidApi, ReportThreads
 from softfinger.drivers.system import discovery
-from softfinger.drivers.system.hidraw import import_hidapi, open_path, read_ids
+from softfinger.drivers.system.claims import read_report_lengths
+from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
+from softfinger.drivers.system.discovery import SystemDevice
+from softfinger.drivers.system.nodes import import_hidapi, open_locked, open_path, read_ids
+from softfinger.drivers.system.rules import explain_permission
+
+
+def parse_report_lengths(reports: Reports) -> ReportLengths:
+    return ReportLengths({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
+
+
+def has_reports(descriptor: bytes, reports: Reports) -> bool:
+    """Return True if a descriptor announces the reports of a rig; also True for an unknown descriptor."""
+    try:
+        return not descriptor or parse_descriptor(descriptor).includes(parse_report_lengths(reports))
+    except ValueError:
+        return True  # opening reports the damage
+
+
+def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
+    """Raise DeviceError, with both lists, if the device at `path` announces other reports than the rig describes."""
+    try:
+        announced = parse_descriptor(descriptor)
+    except ValueError as error:
+        raise DeviceError(f"{path}: its report descriptor is damaged: {error}") from error
+    expected = parse_report_lengths(reports)
+    if announced.includes(expected):
+        return
+    matching_names = [name for name, lengths in read_report_lengths().items() if announced.includes(lengths)]
+    hint = (
+        f'set reports to "{matching_names[0]}", which has these reports'
+        if matching_names
+        else "correct [device.reports]"
+    )
+    raise DeviceError(
+        f"{path} has different reports from the rig: the device reports {announced}; the rig describes {expected}: "
+        f"{hint} (descriptor {descriptor.hex()})"
+    )
+
+
+class OpenInterface(NamedTuple):
+    """Device in hidapi, a file descriptor that is locked against other programs, and the report descriptor."""
+
+    device: HidApi
+    lock_fd: int
+    descriptor: bytes
+
+
+def list_attached(vendor: int, product: int) -> dict[str, str]:
+    """Return the serial numbers of HID interfaces with these ids, by hidapi's path.
+
+    A path such as 1-2.3:1.0 contains bus, ports and interface.
+    """
+    matching: list[dict[str, Any]] = import_hidapi("hid").enumerate(vendor, product)
+    serials = {os.fsdecode(entry["path"]): entry["serial_number"] or "" for entry in matching}
+    # hidapi needs permission to open a device for its serial number; the system's table is readable by all users
+    return {
+        path: device_entry.serial if (device_entry := _find_device(path)) else serial
+        for path, serial in serials.items()
+    }
+
+
+def with_reports_of(paths: list[str], options: Options) -> list[str]:
+    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each."""
+    matching = []
+    for path in paths:
+        interface = open_usb(path, options)
+        _close(interface)
+        if has_reports(interface.descriptor, options.reports):
+            matching.append(path)
+    return matching
+
+
+def _close(interface: OpenInterface) -> None:
+    interface.device.close()
+    os.close(interface.lock_fd)
+
+
+def open_usb(path: str, options: Options) -> OpenInterface:
+    """Open the interface at hidapi's `path`, and claim it for this process.
+
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device.
+    """
+    vendor, product = options.vendor_id, options.product_id
+    device_entry = _find_device(path)
+    if device_entry is None:
+        raise DeviceNotFound(f"there is no USB device at {path}: plug it in, or remove `path`")
+    if (device_entry.vendor, device_entry.product) != (vendor, product):
+        raise DeviceError(
+            f"{path} is the device {device_entry.ids}, but the rig is for {read_ids(vendor, product)}: "
+            "set path to the right one, or remove it"
+        )
+    lock_fd = open_locked(device_entry.node, explain_permission(vendor, product))
+    device: Any = import_hidapi("hid").device()
+    try:
+        try:
+            device.open_path(os.fsencode(path))
+        except OSError as error:
+            raise _open_error(path, device_entry.node) from error
+        try:
+            descriptor = bytes(device.get_report_descriptor())
+        except OSError as error:
+            raise DeviceError(
+                f"{path} does not return its report descriptor: unplug it and plug it in again"
+            ) from error
+    except BaseException:
+        device.close()
+        os.close(lock_fd)
+        raise
+    return OpenInterface(device, lock_fd, descriptor)
+
+
+def _find_device(path: str) -> SystemDevice | None:
+    """Return the device of an interface: hidapi's path starts with the system's name for it."""
+    return discovery.read_device(str(discovery.USB / path.partition(":")[0]))
+
+
+def _open_error(path: str, node: str) -> DeviceError:
+    """Return the error for an unopened interface: hidapi gives no cause, so find the process that has claimed it."""
+    program = discovery.find_holder(node)
+    if program is not None and program.pid != os.getpid():
+        return DeviceBusy(f"{path} ({node}) is used by {program}: end that process first")
+    return DeviceError(
+        f"{path} ({node}) cannot be claimed through hidapi: another program may use it: end it, or unplug the "
+        "device and plug it in again"
+    )
+
 
 # Requests for ioctl, from <linux/hidraw.h>.
 _GET_DESCRIPTOR_SIZE: Final = 0x80044801
@@ -41,7 +174,12 @@ def open_link(options: Options) -> ReportLink:
     """
     path = options.path or find_device(options)
     if not path.startswith("/"):
-        opened = usb.open_usb(path, options)
+        opened = open_usb(path, options)
+        try:
+            check_reports(opened.descriptor, path, options.reports)
+        except BaseException:
+            _close(opened)
+            raise
         return link_by_threads(opened.device, options, opened.lock_fd)
     fd = open_path(path, options.vendor_id, options.product_id)
     try:
@@ -66,14 +204,14 @@ def find_device(options: Options) -> str:
     """Return the path of the only device with the rig's ids and reports: its node, or else hidapi's path on the bus.
 
     Raises DeviceNotFound if there is none or more than one. If it has to read the reports of several interfaces of one
-    device, it also raises the errors of `usb.open_usb`.
+    device, it also raises the errors of `open_usb`.
     """
     nodes_found = list(discovery.iter_hidraw_nodes())
     usb_ids = (options.vendor_id, options.product_id)
     nodes = {node.node: node for node in nodes_found if (node.vendor, node.product) == usb_ids}
     # In a container, the system's table may list nodes that the container cannot access.
     if options.through != "node" and not any(map(os.path.exists, nodes)):
-        interfaces = usb.list_attached(*usb_ids)
+        interfaces = list_attached(*usb_ids)
         if interfaces:
             return _choose_on_bus(options, interfaces)
     if nodes:
@@ -102,7 +240,7 @@ def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
         _choose(options, {name: interfaces[device_paths[0]] for name, device_paths in paths_by_device.items()})
     ]
     if len(paths) > 1:
-        paths = usb.with_reports_of(paths, options) or paths
+        paths = with_reports_of(paths, options) or paths
     return paths[0]
 
 

@@ -22,7 +22,7 @@ from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.openhaptics import exchange, library
 from softfinger.drivers.openhaptics.block import AT
-from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN, WORKSPACE_MM
+from softfinger.drivers.openhaptics.library import MODELS, UNKNOWN, WORKSPACE_MM
 from softfinger.drivers.openhaptics.options import Options
 from softfinger.drivers.openhaptics.scheduler import Scheduler, get_scheduler, wait_until
 from softfinger.drivers.system import discovery, rules

@@ -1,6 +1,9 @@
-"""The maker's library: places to search, used functions with their full prototypes, and texts of its errors.
+"""The maker's library: places to search, used functions with their prototypes, texts of its errors, device limits.
 
 libHD is part of OpenHaptics. It is proprietary and not shipped; nothing here needs it until a device is opened.
+
+Limits: from CHAI3D's driver for the name. It lacks the Touch X, which is assumed to have the limits of its predecessor,
+the Desktop. The device itself may report a lower force (`HD_NOMINAL_MAX_FORCE`); the lower one applies.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from ctypes import POINTER, c_char_p, c_double, c_int, c_int32, c_ubyte, c_uint3
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from softfinger.drivers.base import ModelLimits
 from softfinger.drivers.system import makers_library
 from softfinger.drivers.system.makers_library import MakersLibrary
 
@@ -167,3 +171,23 @@ def format_error(library: ctypes.CDLL, code: int, internal: int) -> str:
     known_text = ERRORS.get(code)
     detail = f", '{words}'" if words else ""
     return f"{known_text or 'an error that is not known'} (error 0x{code:04x}{detail}, device code {internal})"
+
+
+TOUCH: Final = ModelLimits(3.3, 0.0, 400.0, 4.0)
+DESKTOP: Final = ModelLimits(7.9, 0.0, 1000.0, 5.0)
+
+MODELS: Final = {
+    "Touch": TOUCH,
+    "Touch X": DESKTOP,
+    "PHANTOM Omni": ModelLimits(3.3, 0.0, 700.0, 5.0),
+    "PHANTOM Desktop": DESKTOP,
+    "PHANTOM Premium 1.5 6DOF": ModelLimits(8.5, 0.188, 800.0, 5.0),
+    "PHANTOM Premium 3.0 6DOF": ModelLimits(22.0, 0.188, 1000.0, 5.0),
+}
+"""Limits by `HD_DEVICE_MODEL_TYPE`."""
+
+UNKNOWN: Final = TOUCH
+"""Limits for unlisted names: the lowest of all, without torque."""
+
+WORKSPACE_MM: Final = ((-80.0, -60.0, -35.0), (80.0, 60.0, 35.0))
+"""Workspace of a Touch according to its maker, library's frame: for devices that report no usable one."""

@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.files import is_same_file
 from softfinger.config.schema import doc
 from softfinger.drivers import wrench_log
-from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, TORQUE_MAX_NM, DeviceInfo
+from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, make_unlimited_info
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import close_loop, resample
@@ -37,11 +37,6 @@ class Fields(NamedTuple):
 
 
 AT: Final = lay_out(Fields, after=LOG)
-
-# A recording displays no force, so its limits are wide: the rig's guard limits.
-FORCE_MAX_N: Final = 1e3
-STIFFNESS_MAX_N_PER_M: Final = 1e6
-DAMPING_MAX_NS_PER_M: Final = 1e3
 
 
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -97,18 +92,7 @@ class Replay(LoggedDevice):
         block.word[AT.length], block.word[AT.loop] = len(self.samples), options.loop
         block.numbers(AT.period, 1)[:] = 1.0 / rate_hz
         low, high = self.samples[:, :3].min(axis=0), self.samples[:, :3].max(axis=0)
-        self.info = DeviceInfo(
-            name=f"replay {Path(options.recording).stem}",
-            sensed_dof=6,
-            actuated_dof=6,
-            force_max_n=FORCE_MAX_N,
-            torque_max_nm=TORQUE_MAX_NM,
-            stiffness_max_n_per_m=STIFFNESS_MAX_N_PER_M,
-            damping_max_ns_per_m=DAMPING_MAX_NS_PER_M,
-            workspace_min_m=(float(low[0]), float(low[1]), float(low[2])),
-            workspace_max_m=(float(high[0]), float(high[1]), float(high[2])),
-            own_clock=True,
-        )
+        self.info = make_unlimited_info(f"replay {Path(options.recording).stem}", 6, low, high, own_clock=True)
 
     @property
     def reads(self) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import logging
 import os
 import time
 from typing import Final
@@ -21,11 +20,9 @@ from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE
 from softfinger.drivers.kinematics.subspace import rows as rows
 from softfinger.drivers.serial import exchange, frames, packets
 from softfinger.drivers.serial.block import AT, CHUNK, TEXT
-from softfinger.drivers.serial.line import check as check
 from softfinger.drivers.serial.options import Frames, Options, OutputFrame
+from softfinger.drivers.serial.port import check as check
 from softfinger.drivers.serial.port import close_port, count_unsent, open_port
-
-log: Final = logging.getLogger(__name__)
 
 STOP_WAIT_S: Final = 1.0
 """Time for a port to send the zero of a stop."""
@@ -157,10 +154,7 @@ class SerialDevice(BlockDevice):
         if self._block.word[BOARD.fd] < 0:
             return
         # Repeated calls wait only once for the full time for a port that sends nothing.
-        was_logged = bool(self._zero_failure)
-        self._zero_failure = self._stop(STOP_AGAIN_S if was_logged else STOP_WAIT_S)
-        if self._zero_failure and not was_logged:
-            log.error("%s: zero force has not reached it: %s", self.info.name, self._zero_failure)
+        self._report_zero_failure(self._stop(STOP_AGAIN_S if self._zero_failure else STOP_WAIT_S))
 
     def _stop(self, wait_s: float) -> str:
         """Return why no zero was sent in this time; empty if it was."""

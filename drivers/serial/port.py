@@ -1,4 +1,4 @@
-"""Serial port of a device: found by its USB ids, opened exclusively, and set to raw bytes."""
+"""Serial port of a device: found by its USB ids, opened exclusively, set to raw bytes; check of the line's speed."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import struct
 import sys
 import termios
 import time
-from typing import Final
+from typing import Final, get_args
 
-from softfinger.config.errors import DeviceError, DeviceNotFound
-from softfinger.drivers.serial.options import Options
+from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
+from softfinger.drivers.serial.frames import FRAME_BYTES
+from softfinger.drivers.serial.options import Baud, Options
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import explain_ambiguity, is_inverse3
-from softfinger.drivers.system.hidraw import read_ids
-from softfinger.drivers.system.nodes import open_locked
+from softfinger.drivers.system.nodes import open_locked, read_ids
 from softfinger.drivers.system.rules import explain_permission
 
 SERIAL_STRUCT_BYTES: Final = 72
@@ -156,3 +156,52 @@ def set_raw(fd: int, baud: int) -> None:
         (flags,) = struct.unpack_from("i", timer, FLAGS_AT)
         struct.pack_into("i", timer, FLAGS_AT, flags | ASYNC_LOW_LATENCY)
         fcntl.ioctl(fd, termios.TIOCSSERIAL, bytes(timer))
+
+
+BITS_PER_BYTE: Final = 10
+"""8N1: a start bit, eight data bits, no parity, a stop bit."""
+CHIPS: Final = {0x0403: "FTDI", 0x10C4: "Silicon Labs", 0x1A86: "WCH", 0x067B: "Prolific"}
+"""USB vendors of chips that connect a UART."""
+
+
+def has_rate(options: Options) -> bool:
+    """Return True if the baud rate limits a rig's port; False for a board with USB, which ignores it.
+
+    Such boards have ports named ttyACM. Other names starting with tty are lines; for the remaining ones the USB vendor
+    decides. Without a vendor the port counts as a line.
+    """
+    name = os.path.basename(os.path.realpath(options.path)) if options.path else ""
+    if name.startswith("tty"):
+        return not name.startswith("ttyACM")
+    return options.vendor_id is None or options.vendor_id in CHIPS
+
+
+def check(options: Options, rate_hz: float, where: str) -> None:
+    """Raise ConfigError if the line is too slow for a frame in each direction per tick.
+
+    Parameters
+    ----------
+    options
+        of the rig
+    rate_hz
+        ticks per second
+    where
+        file and table of the options, prefix of the message
+    """
+    if not has_rate(options):
+        return
+    spec = options.frames
+    out, into = (FRAME_BYTES, FRAME_BYTES) if spec is None else (spec.output.bytes, spec.input.bytes)
+    carries, needs = options.baud / BITS_PER_BYTE, max(out, into) * rate_hz
+    if needs <= carries:
+        return
+    enough = [baud for baud in get_args(Baud) if baud / BITS_PER_BYTE >= needs]
+    faster = f"set baud to {enough[0]} or more, here and in the firmware, " if enough else ""
+    raise ConfigError(
+        f"{where}.baud = {options.baud}: the line carries {carries:g} bytes/s each way, as a byte takes "
+        f"{BITS_PER_BYTE} bits (8N1: a start bit, eight of data, a stop bit); a tick sends {out} bytes and receives "
+        f"{into}, so servo.rate_hz = {rate_hz:g} needs {out * rate_hz:g} bytes/s to the board and {into * rate_hz:g} "
+        f"from it, and forces would queue and arrive late: {faster}lower servo.rate_hz, and the rate of a board that "
+        f"streams, to {int(carries / max(out, into))} Hz, or shorten the frames; a board with its own USB ignores "
+        'baud: name its port, path = "/dev/ttyACMN"'
+    )

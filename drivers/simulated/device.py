@@ -14,13 +14,12 @@ from typing import Annotated, Any, Final, NamedTuple
 from msgspec.structs import replace
 from numba import carray
 
-from softfinger.config.devices import load_presets
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, make_info
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
 from softfinger.drivers.samples import store_pose
 from softfinger.drivers.simulated import hand as led_hand
-from softfinger.drivers.simulated.options import Options, make_simulation
+from softfinger.drivers.simulated.options import Options, load_presets, make_simulation
 from softfinger.drivers.simulated.plant import (
     DELAY_LINE_SIZE,
     Handle,

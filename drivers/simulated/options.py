@@ -6,15 +6,17 @@ Separate from the device, because a study without a clock needs these but no C f
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from math import pi
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.arrays import Array
-from softfinger.config.devices import Preset, load_presets
 from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import close_loop, resample
@@ -29,6 +31,32 @@ from softfinger.drivers.simulated.plant import (
     make_rest_state,
 )
 from softfinger.drivers.spacemouse.puck import Options as PuckOptions
+
+PRESETS_FILE: Final = Path(__file__).resolve().with_name("presets.toml")
+
+
+class Preset(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters of one simulated device; docs/devices/simulated.md gives each number and its source."""
+
+    name: str
+    sensed_dof: int
+    mass_kg: tuple[float, float, float]
+    damping_ns_per_m: tuple[float, float, float]
+    friction_n: tuple[float, float, float]
+    lag_s: float
+    force_max_n: float
+    delay_ticks: int
+    resolution_m: float
+    stiffness_max_n_per_m: float
+    damping_max_ns_per_m: float
+    workspace_radius_m: float
+
+
+@lru_cache(maxsize=1)
+def load_presets() -> dict[str, Preset]:
+    """Return all presets by name; the file is read when a simulated device is first opened."""
+    return msgspec.toml.decode(PRESETS_FILE.read_bytes(), type=dict[str, Preset])
+
 
 RECORDING: Final = "press-roll-spin-drag"
 """Default motion of the hand."""

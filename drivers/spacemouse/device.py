@@ -22,11 +22,9 @@ from softfinger.drivers.base import (
     SAMPLE_GRIPPER,
     SAMPLE_TIME,
     STALE,
-    TORQUE_MAX_NM,
-    DeviceInfo,
+    make_unlimited_info,
 )
 from softfinger.drivers.block import Block, counter, lay_out, numbers, raw_bytes, word
-from softfinger.drivers.replay.device import DAMPING_MAX_NS_PER_M, FORCE_MAX_N, STIFFNESS_MAX_N_PER_M
 from softfinger.drivers.samples import store_pose
 from softfinger.drivers.spacemouse.puck import (
     BUTTONS,
@@ -40,8 +38,8 @@ from softfinger.drivers.spacemouse.puck import (
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import PUCKS
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.hidraw import open_path
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, read_now
+from softfinger.drivers.system.nodes import open_path
 from softfinger.drivers.wrench_log import LOG, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at, uint8_at
@@ -207,20 +205,7 @@ class SpaceMouse(LoggedDevice):
     def __init__(self, options: Options, fd: int, rate_hz: float, name: str = "puck") -> None:
         super().__init__(Block(LOG, AT), 0, rate_hz, None)
         self._puck = Puck(options, fd, self._block)
-        x0, y0, z0 = (float(a) for a in options.workspace_min_m)
-        x1, y1, z1 = (float(a) for a in options.workspace_max_m)
-        # It displays no force, so its limits are wide: the rig's guard limits the force in telemetry.
-        self.info = DeviceInfo(
-            name=f"spacemouse {name}",
-            sensed_dof=6,
-            actuated_dof=0,
-            force_max_n=FORCE_MAX_N,
-            torque_max_nm=TORQUE_MAX_NM,
-            stiffness_max_n_per_m=STIFFNESS_MAX_N_PER_M,
-            damping_max_ns_per_m=DAMPING_MAX_NS_PER_M,
-            workspace_min_m=(x0, y0, z0),
-            workspace_max_m=(x1, y1, z1),
-        )
+        self.info = make_unlimited_info(f"spacemouse {name}", 0, options.workspace_min_m, options.workspace_max_m)
 
     def close(self) -> None:
         """Close the node. May be called repeatedly, but not while the loop reads."""

@@ -112,12 +112,12 @@ def diagnose_requirements(
         except HapticError as error:
             return Diagnosis("library", str(error), library.REMEDY)
     if claim.driver == "haply" and answers is None:
-        from softfinger.drivers.haply import dial, opening
+        from softfinger.drivers.haply import link, opening
 
         try:
             opening.identify(options.get("port", opening.PORT), options.get("version"))
         except HapticError as error:
-            return Diagnosis("service", str(error), dial.START)
+            return Diagnosis("service", str(error), link.START)
     loaded = answers is not None and answers.get("firmware", False)
     if claim.driver == "falcon" and not loaded and not os.path.isfile(firmware := options.get("firmware", "")):
         is_named = f"'{firmware}' is not a file" if firmware else "no rig sets one (--rig)"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import limits, schema
-from softfinger.config.arrays.npz import open_npz
+from softfinger.config.arrays.grids import open_npz
 from softfinger.config.files import read_input, write_new_file
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.meshes.reading import Arrays

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import AddressInUse, ConfigError
-from softfinger.server.bridges.options import FOXGLOVE_PORT
+from softfinger.server.options import FOXGLOVE_PORT
 from softfinger.server.recording.writer import Bytes, Times
 
 BACKLOG: Final = 8192

@@ -13,7 +13,7 @@ from softfinger.config.schema import Scene
 from softfinger.server import keys, signals
 from softfinger.server.bridges import foxglove, rerun
 from softfinger.server.gateway.addresses import find_addresses
-from softfinger.server.recording.verbs import live
+from softfinger.server.recording import live
 from softfinger.server.recording.writer import Topics, parse_scene
 
 log: Final = logging.getLogger(__name__)

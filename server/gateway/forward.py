@@ -1,24 +1,160 @@
-"""Main loop of the gateway: a single thread for all sockets of a process."""
+"""Main loop of the gateway, a single thread for all sockets of a process, and its two directions.
+
+Telemetry: every message of a server is received once and passed to all consumers. Commands: a connection to the server
+for each client, so that limits apply to each separately.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.gateway.lsl import Outlets
-from softfinger.server.gateway.requests import Commanders
-from softfinger.server.gateway.streams import QUEUE, Stream
 from softfinger.server.keys import ClientKeys
 from softfinger.server.socket_process.peer_socket import KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.socket_process.readers import Readers
+from softfinger.server.socket_process.setup import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.wire.endpoint import BoundSocket
+from softfinger.server.wire.protocol import CONTACT, FINGERS, MAX_BYTES
+
+QUEUE: Final = 8192
+"""Messages queued for a slow subscriber, 8 s at 1 kHz; beyond that, libzmq drops new messages for it."""
+MESSAGES_PER_TURN: Final = 256
+
+_TICKING: Final = (CONTACT.encode(), FINGERS.encode())
+
+
+class _Tick(msgspec.Struct):
+    """Part of a message that is needed to count missing ticks."""
+
+    tick: int
+    every: int
+
+
+class Stream:
+    """Subscription to a server, with counts of its messages.
+
+    Subscribers' topics are not passed on: for the server, the gateway is a single subscriber.
+    """
+
+    def __init__(self, context: zmq.Context[Any], endpoint: str, keys: ClientKeys | None) -> None:
+        self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
+        self.socket.linger, self.socket.rcvhwm, self.socket.maxmsgsize = 0, QUEUE, MAX_BYTES
+        self.socket.ipv6 = "[" in endpoint
+        if keys is not None:
+            keys.apply_to(self.socket)
+        self.socket.subscribe(b"")
+        self.socket.connect(endpoint)
+        self.consumers: list[Callable[[bytes, bytes], None]] = []
+        """Functions called with each message."""
+        self.messages = self.size = self.lost = 0
+        """Number and bytes of messages so far, and number of missing ticks."""
+        self._decode = msgspec.msgpack.Decoder(_Tick).decode
+        self._ticks: dict[bytes, int] = {}
+
+    def take(self) -> None:
+        for _ in range(MESSAGES_PER_TURN):
+            try:
+                frames = self.socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            if len(frames) != 2:
+                continue
+            for consumer in self.consumers:
+                consumer(*frames)
+            self.messages += 1
+            self.size += len(frames[0]) + len(frames[1])
+            if frames[0].startswith(_TICKING):
+                self._count(*frames)
+
+    def _count(self, topic: bytes, body: bytes) -> None:
+        try:
+            message = self._decode(body)
+        except msgspec.MsgspecError:
+            return
+        before, self._ticks[topic] = self._ticks.get(topic), message.tick
+        if before is not None and message.tick > before:
+            self.lost += (message.tick - before - 1) // max(message.every, 1)
+
+
+CLIENTS_MAX: Final = 16
+"""Largest number of clients, half of the server's limit; a further one replaces the client that was silent longest."""
+WAITING_MAX: Final = 64
+"""Queued requests of a client, or answers to it; further ones are dropped."""
+
+
+class Commanders:
+    """Clients that command a server through the gateway."""
+
+    def __init__(
+        self, gate: SocketContext, endpoint: str, keys: ClientKeys | None, bound: BoundSocket, lock: KeyLock | None
+    ) -> None:
+        options = {"maxmsgsize": REQUEST_MAX, "sndhwm": WAITING_MAX, "rcvhwm": WAITING_MAX, "router_mandatory": 1}
+        self.peers: Final = PeerSocket(gate, zmq.ROUTER, bound, lock, options)
+        self.requests = self.answers = self.dropped = 0
+        self._context, self._endpoint, self._keys = gate.context, endpoint, keys
+        self._upstream: OrderedDict[bytes, zmq.Socket[bytes]] = OrderedDict()
+        """Connection to the server for each client, by its identity; ordered by the last request."""
+
+    @property
+    def sockets(self) -> list[zmq.Socket[bytes]]:
+        return list(self._upstream.values())
+
+    def take(self) -> bool:
+        """Forward a request; return True if that opened or closed a connection to the server."""
+        try:
+            client, *frames = self.peers.socket.recv_multipart(zmq.NOBLOCK)
+        except zmq.Again:
+            return False
+        self.requests += 1
+        is_known = client in self._upstream
+        try:
+            upstream = self._upstream[client] if is_known else self._connect(client)
+            self._upstream.move_to_end(client)
+            upstream.send_multipart(frames, zmq.NOBLOCK)
+        except zmq.ZMQError:  # too many are queued, or no file descriptor is left
+            self.dropped += 1
+        return not is_known
+
+    def _connect(self, client: bytes) -> zmq.Socket[bytes]:
+        while len(self._upstream) >= CLIENTS_MAX:
+            self._upstream.popitem(last=False)[1].close()
+        upstream: zmq.Socket[bytes] = self._context.socket(zmq.DEALER)
+        upstream.linger, upstream.sndhwm, upstream.rcvhwm, upstream.maxmsgsize = 0, WAITING_MAX, WAITING_MAX, ANSWER_MAX
+        upstream.ipv6 = "[" in self._endpoint
+        if self._keys is not None:
+            self._keys.apply_to(upstream)
+        upstream.connect(self._endpoint)
+        self._upstream[client] = upstream
+        return upstream
+
+    def answer(self, upstream: zmq.Socket[bytes]) -> None:
+        for client, socket in self._upstream.items():
+            if socket is upstream:
+                with contextlib.suppress(zmq.Again):
+                    frames = upstream.recv_multipart(zmq.NOBLOCK)
+                    try:
+                        self.peers.socket.send_multipart([client, *frames], zmq.NOBLOCK)
+                        self.answers += 1
+                    except zmq.ZMQError:  # it has disconnected, or does not read
+                        self.dropped += 1
+                return
+
+    def close(self) -> None:
+        for socket in self._upstream.values():
+            socket.close()
+        self._upstream.clear()
+
 
 KEY_CHECK_S: Final = 1.0
 """Interval of the check of the folders of keys and of the count of connections."""

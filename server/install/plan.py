@@ -16,8 +16,7 @@ from softfinger.config.schema import Rig, Scene
 from softfinger.config.sources import find, list_shipped
 from softfinger.drivers.system.rules import GROUP, find_program_command, make_udev_rules
 from softfinger.server.install.ledger import File
-from softfinger.server.install.manual import make_manual
-from softfinger.server.install.unit import RTPRIO, make_unit
+from softfinger.server.install.texts import RTPRIO, make_manual, make_unit
 
 ACCOUNT: Final = f"""\
 # The account of the service; its group may open the devices and has the limits.

@@ -26,7 +26,7 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.record import AT
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import POSE_JUMPED, POSE_REFUSED, Guard
-from softfinger.server.loop.inputs.poses import check_pose, make_pose_memory
+from softfinger.server.loop.poses import check_pose, make_pose_memory
 from softfinger.server.loop.tick import FingerMemory, continue_from_wrench, record_wrench, reset_contact, reset_guard
 
 POSE_REJECTED: Final = POSE_REFUSED | POSE_JUMPED
@@ -50,7 +50,7 @@ class DeviceBuffers(NamedTuple):
     wrench         wrench to write
     record         its finger's part of the tick's record
     ignored_ticks  (2,)   number of successive ticks in which it ignored the wrench, and the largest number allowed
-    pose_memory    memory of its poses (server.loop.inputs.poses)
+    pose_memory    memory of its poses (server.loop.poses)
     pose_fault     (1,)   the guard's bit for an implausible pose in this tick, otherwise 0
     failed         (1,)   1 if it failed in this tick, otherwise 0
     """

@@ -1,23 +1,25 @@
 """Servo loop: one nopython function, from the reads of the devices to their writes, run by `servo_thread.py`.
 
 It takes no GIL, allocates nothing and never waits for another thread. It shares with Python: a stop flag, the switch of
-the force, a slot of parameters, a ring of records, and an eventfd that notifies the reader of a record.
+the force, a slot of parameters, a ring of records, and an eventfd that notifies the reader of a record. `Handover` is
+used to replace a loop by the next one.
 """
 
 from __future__ import annotations
 
+import threading
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from softfinger.drivers.base import END
+from softfinger.drivers.base import END, Device
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import unpack
-from softfinger.proxy.kernels.jit.seqlock import Slot, refresh
+from softfinger.proxy.kernels.jit.seqlock import Slot, refresh, store
 from softfinger.proxy.kernels.jit.tuples import field_of_each, map_each, unzip
+from softfinger.proxy.kernels.query.bodies import NO_FAULT, check_budget, step_bodies, write_motion
 from softfinger.server.loop.all_devices import (
     DeviceBuffers,
     Io,
@@ -29,7 +31,6 @@ from softfinger.server.loop.all_devices import (
     write_one,
     write_zero_to,
 )
-from softfinger.server.loop.bodies import move_bodies
 from softfinger.server.loop.clock import (
     NS_PER_S,
     Pace,
@@ -41,12 +42,25 @@ from softfinger.server.loop.clock import (
 )
 from softfinger.server.loop.force_switch import apply_switch, count_unreachable, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
-from softfinger.server.loop.inputs.ramp import ParameterRamp, advance, set_now, set_target
-from softfinger.server.loop.shared.ring import Ring, push
+from softfinger.server.loop.ramp import ParameterRamp, advance, set_now, set_target
+from softfinger.server.loop.rings import Ring, push, wake_eventfd
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, run_tick
 
-_eventfd_write = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
+
+@jit
+def move_bodies(bodies: Any, tick: int, start_ns: int, motion: Slot, scratch: Any, timespec: Any) -> None:
+    """Call `step_bodies` and `check_budget`, and publish the motion; on a fault, the last published motion remains.
+
+    start_ns  start of the step
+    scratch   array of `write_motion`
+    """
+    if bodies is None:
+        return
+    if step_bodies(bodies) == NO_FAULT:
+        check_budget(bodies, read_clock_ns(timespec) - start_ns)
+        write_motion(bodies, tick, scratch)
+        store(motion, scratch)
 
 
 class Schedule(NamedTuple):
@@ -152,7 +166,7 @@ def publish_record(shared: SharedMemory, row: NDArray[np.float64], ticks: int) -
     """Append a tick's records to the ring and wake the reader; `ticks` includes this tick."""
     push(shared.ring, row)
     store_release(shared.progress, 0, ticks)
-    _eventfd_write(shared.wake_fd, 1)
+    wake_eventfd(shared.wake_fd)
 
 
 @jit
@@ -227,3 +241,30 @@ def run_servo_loop(
 
     write_last_zeros(ios, buffers)
     return ending, status, finger
+
+
+class Loop(NamedTuple):
+    """Loop of a servo: an open device for each finger, the tuning it is compiled for, and its memory."""
+
+    devices: tuple[Device, ...]
+    tuning: Tuning
+    shared: SharedMemory
+    arguments: tuple[Any, ...]
+
+
+class Handover:
+    """Synchronization between the servo thread and the thread that replaces its loop.
+
+    keeps_devices  the devices do not change and remain armed at zero; otherwise the old ones are stopped and the
+                   new ones armed
+    loop_ended     the old loop has returned
+    loop_ready     the replacing thread has set `loop` or `error`
+    loop_started   the new loop starts, with tick `first`
+    """
+
+    def __init__(self, keeps_devices: bool) -> None:
+        self.keeps_devices = keeps_devices
+        self.loop_ended, self.loop_ready, self.loop_started = threading.Event(), threading.Event(), threading.Event()
+        self.loop: Loop | None = None
+        self.error: BaseException | None = None
+        self.first = 0

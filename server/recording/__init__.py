@@ -1,4 +1,4 @@
-"""Recordings of runs as MCAP files: their format, writing during a run, reading, summary and comparison.
+"""Recordings of runs as MCAP files: format, writing during a run, reading, summary, comparison, and their verbs.
 
-Contains no sockets and no devices: ticks and events arrive as records and maps.
+Contains no devices: ticks and events arrive as records and maps, in `live` from the wire.
 """

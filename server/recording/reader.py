@@ -10,7 +10,7 @@ import io
 import json
 import os
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
@@ -210,7 +210,8 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
                 elif isinstance(record, Metadata) and notes < METADATA_MAX:
                     notes += 1
                     try:
-                        yield Note(record.name, _decode_value(record.metadata))
+                        table = record.metadata
+                        yield Note(record.name, json.loads(table[JSON]) if set(table) == {JSON} else dict(table))
                     except ValueError as error:
                         damage.append(f"metadata '{record.name[:40]}' is damaged: {error}")
                 elif isinstance(record, Footer) and record.summary_start:
@@ -246,10 +247,6 @@ def _read_summary(file: IO[bytes]) -> list[Any]:
         return []
     finally:
         file.seek(position)
-
-
-def _decode_value(table: Mapping[str, str]) -> Any:
-    return json.loads(table[JSON]) if set(table) == {JSON} else dict(table)
 
 
 _HEAD: Final = struct.Struct("<BQ")

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.arrays import Array
-from softfinger.config.arrays.npz import open_npz
+from softfinger.config.arrays.grids import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input, write_new_file
 from softfinger.drivers.poses import LINE_MAX

@@ -15,7 +15,7 @@ from softfinger.config.load import add_objects_of_world, apply_overrides, build,
 from softfinger.config.overrides import find_value, to_indexed_key
 from softfinger.config.sources import list_shipped
 from softfinger.config.words import format_value, suggest
-from softfinger.drivers.simulated.lead import RequestedPose, find_hand
+from softfinger.drivers.simulated.hand import RequestedPose, find_hand
 from softfinger.proxy.pictures import Filed, make_picture
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.services.compilation import SceneChanges, SceneRequest

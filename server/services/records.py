@@ -1,4 +1,7 @@
-"""Distribution of records from the relay to their consumers in Python: one thread passes each batch to every sink."""
+"""Distribution of records from the relay to their consumers in Python: one thread passes each batch to every sink.
+
+Telemetry is the first of them; it also publishes start and end of the run.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, SafetyStop
+from softfinger.drivers.base import list_names
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.base import Worker
 from softfinger.server.wire.native.relay import Tap
+from softfinger.server.wire.publisher import Publisher
 
 log: Final = logging.getLogger(__name__)
 
@@ -103,3 +108,28 @@ class RecordService(Worker):
     def _release(self) -> None:
         if not self._servo.is_running and not self._thread.is_alive():  # a reader that did not end in time still reads
             self._servo.close()
+
+
+class TelemetryService:
+    """Service of an open publisher; its `sink` is vital, because without it rendering cannot be monitored."""
+
+    def __init__(self, publisher: Publisher, servo: ServoThread) -> None:
+        self._publisher, self._servo = publisher, servo
+        self._announced = False
+        self.sink = Sink(
+            "publisher",
+            publisher.observe,
+            lambda error: SafetyStop(f"telemetry cannot be published: {error}"),
+        )
+
+    def start(self) -> None:
+        self._publisher.attach(self._servo.records)
+        self._publisher.event("lifecycle", "started", device=list_names(self._servo.devices))
+        self._announced = True
+
+    def stop(self) -> None:
+        shutdown.complete_all_steps(self._publish_stopped, self._publisher.close)
+
+    def _publish_stopped(self) -> None:
+        if self._announced:
+            self._publisher.event("lifecycle", "stopped", ticks=self._servo.ticks)

@@ -16,14 +16,14 @@ from softfinger.config.errors import ConfigError, HapticError, SafetyStop
 from softfinger.config.load import apply_overrides
 from softfinger.config.schema.pairing import pair_devices
 from softfinger.drivers.base import Device
-from softfinger.drivers.simulated.lead import RequestedPose, hold, lead_hand
+from softfinger.drivers.simulated.hand import RequestedPose, hold, lead_hand
 from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import describe_model_change
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.force_switch import MAX_OFF_S
-from softfinger.server.loop.handover import Loop
+from softfinger.server.loop.servo import Loop
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene

@@ -24,11 +24,10 @@ import zmq
 
 from softfinger.server.socket_process.brake import Brake, takes_force_off
 from softfinger.server.socket_process.channel import Channel, Message
-from softfinger.server.socket_process.clients import REQUESTS_PER_TURN, Clients
+from softfinger.server.socket_process.clients import REQUESTS_PER_TURN, Clients, RequestQueue
 from softfinger.server.socket_process.messages import Messages, RowReader
 from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
 from softfinger.server.socket_process.readers import Readers
-from softfinger.server.socket_process.request_queue import RequestQueue
 from softfinger.server.socket_process.setup import (
     PERIOD_S,
     REQUESTS_PERIOD_S,

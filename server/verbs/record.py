@@ -26,14 +26,8 @@ from softfinger.proxy.record import AT
 from softfinger.server import keys, signals
 from softfinger.server.arguments import parse_files_by_finger
 from softfinger.server.gateway.addresses import Addresses, find_addresses
+from softfinger.server.recording.live import RecordingJob, TickBatcher, receive_full_tick, record_live, record_until_end
 from softfinger.server.recording.poses_file import POSE, PosesFile, open_poses_file
-from softfinger.server.recording.verbs.live import (
-    RecordingJob,
-    TickBatcher,
-    receive_full_tick,
-    record_live,
-    record_until_end,
-)
 from softfinger.server.wire.client import Subscription, subscribe
 from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, ProtocolError, find_finger
 

@@ -15,8 +15,7 @@ from msgspec import inspect
 
 from softfinger.config.materials import FINGERTIPS, MATERIALS
 from softfinger.config.schema import DeviceConfig, Rig, Scene, find_unit
-from softfinger.config.typeinfo import describe_struct, list_given_types, unwrap
-from softfinger.config.words import describe_allowed, format_toml
+from softfinger.config.words import describe_allowed, describe_struct, format_toml, list_given_types, unwrap
 from softfinger.proxy.record import FIELDS
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.verbs.options import SCHEMAS

@@ -32,8 +32,7 @@ def run(args: argparse.Namespace) -> int:
     if not 0 <= args.port < 65536:
         raise ConfigError(f"--port {args.port} is not a port: must be 0 to 65535")
     _check_host(args.host)
-    from softfinger.server.viewer.door.opening import open_browser
-    from softfinger.server.viewer.door.process import log_address
+    from softfinger.server.viewer.door.process import log_address, open_browser
     from softfinger.server.viewer.live import LivePage
     from softfinger.server.viewer.playback import RecordedPage, load
     from softfinger.server.viewer.prompt import ParticipantPage

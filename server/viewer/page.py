@@ -30,8 +30,7 @@ from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.camera import Camera, place_camera
 from softfinger.server.viewer.nodes.fingers import FingerNodes
 from softfinger.server.viewer.nodes.glyphs import PoseTuple
-from softfinger.server.viewer.nodes.looks import Looks
-from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
+from softfinger.server.viewer.nodes.looks import COLOURS, Looks, VisibleState
 from softfinger.server.viewer.plots import Plots
 from softfinger.server.viewer.scripts import add_theme
 

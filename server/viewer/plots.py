@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT
-from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
+from softfinger.server.viewer.nodes.looks import COLOURS, VisibleState, classify_contact
 
 POINTS: Final = 250
 POINT_PERIOD_S: Final = 0.04

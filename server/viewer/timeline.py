@@ -11,7 +11,7 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.proxy.record import AT, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES
-from softfinger.server.viewer.nodes.states import COLOURS, STATE_TICKS, VisibleState, classify_contact
+from softfinger.server.viewer.nodes.looks import COLOURS, STATE_TICKS, VisibleState, classify_contact
 from softfinger.server.wire.events import RecordEvents
 
 COLUMNS: Final = 600

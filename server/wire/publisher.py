@@ -9,6 +9,7 @@ import logging
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from operator import itemgetter
 from typing import Any, Final
 
 import msgspec
@@ -247,7 +248,7 @@ class Publisher(Closeable):
             events = [
                 event for source, rows in zip(self._events, fingers, strict=True) for event in source.observe(rows)
             ]
-            for event in sorted(events, key=_read_tick):
+            for event in sorted(events, key=itemgetter("tick")):
                 self._send(EVENT, event)
             figures = self.figures
             drops += figures.missed
@@ -301,8 +302,3 @@ class Publisher(Closeable):
         if topic == HEALTH:
             self._health_body = body
         self._link.send(Kind.RETAINED if topic in (HEALTH, *SCENE_TOPICS) else Kind.MESSAGE, topic.encode(), body)
-
-
-def _read_tick(event: dict[str, Any]) -> int:
-    tick: int = event["tick"]
-    return tick

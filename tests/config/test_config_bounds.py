@@ -12,8 +12,7 @@ from helpers.waits import ends_within
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import FaultyConfig, load_rig, load_scene
-from softfinger.config.sources import read_toml
-from softfinger.config.toml import DEPTH_MAX, PARTS_MAX, parse_toml
+from softfinger.config.sources import DEPTH_MAX, PARTS_MAX, parse_toml, read_toml
 from softfinger.server.verbs.check import examine_file
 
 pytestmark = pytest.mark.plain

@@ -35,7 +35,7 @@ from softfinger.server.recording.results import read_results, write_blocks
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.summary import summarize
 from softfinger.tools.doctor import report
-from softfinger.tools.sweep_results import open_rows
+from softfinger.tools.sweep import open_rows
 
 pytestmark = pytest.mark.plain
 

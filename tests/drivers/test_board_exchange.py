@@ -25,7 +25,7 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import BOARD, WAIT_MS, BoardTimes
-from softfinger.drivers.pause import RESUME_NS, RESUME_WAIT_NS
+from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS
 
 pytestmark = BY_CALL
 

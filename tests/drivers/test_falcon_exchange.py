@@ -10,10 +10,10 @@ import pytest
 from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, by_call
 
 from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
-from softfinger.drivers.falcon import delta, exchange, packets
+from softfinger.drivers.falcon import exchange, packets
 from softfinger.drivers.falcon.block import AT
-from softfinger.drivers.falcon.reply import compute_command
-from softfinger.drivers.pause import RESUME_WAIT_NS
+from softfinger.drivers.falcon.reply import HOME, compute_command
+from softfinger.drivers.samples import RESUME_WAIT_NS
 
 pytestmark = BY_CALL
 
@@ -74,7 +74,7 @@ class Usb(FarEnd):
         word[AT.opened_at] = START_NS - 2000 * MS
         self.block.numbers(AT.centre, 3)[:] = (0.0, 0.0, 0.11)
         self.block.numbers(AT.gain, 1)[:] = 10000.0
-        self.block.numbers(AT.position, 3)[:] = delta.HOME
+        self.block.numbers(AT.position, 3)[:] = HOME
         self.incoming: list[bytes | None] = []
         self.ends, self.answers, self.blocked, self.stubborn, self.error = BROKEN, True, False, False, 0
         self.interrupted = False

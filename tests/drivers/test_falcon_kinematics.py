@@ -10,10 +10,9 @@ from emulators import falcon as other
 from helpers.examples import Cases
 
 from softfinger.config.load import build, load_rig
-from softfinger.drivers.falcon import delta
 from softfinger.drivers.falcon.device import Options
 from softfinger.drivers.falcon.options import COUNTS_PER_NM
-from softfinger.drivers.falcon.reply import compute_motor_counts
+from softfinger.drivers.falcon.reply import FALCON, HOME, RAD_PER_COUNT, THETA_ZERO, compute_motor_counts
 from softfinger.drivers.kinematics.delta import compute_leg_angles, compute_torques, forward
 
 pytestmark = pytest.mark.plain
@@ -23,7 +22,7 @@ SEED = 7
 
 
 def angles(*counts: float) -> tuple[float, float, float]:
-    a, b, c = (delta.THETA_ZERO + delta.RAD_PER_COUNT * n for n in counts)
+    a, b, c = (THETA_ZERO + RAD_PER_COUNT * n for n in counts)
     return a, b, c
 
 
@@ -32,7 +31,7 @@ def places(number: int) -> np.ndarray:
     rng = np.random.default_rng(SEED)
     direction = rng.normal(size=(number, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    return direction * RADIUS_M * np.cbrt(rng.random((number, 1))) + delta.HOME
+    return direction * RADIUS_M * np.cbrt(rng.random((number, 1))) + HOME
 
 
 @pytest.mark.parametrize(
@@ -46,7 +45,7 @@ def places(number: int) -> np.ndarray:
     ],
 )
 def test_published_positions(counts: tuple[int, int, int], place_mm: tuple[float, float, float]) -> None:
-    place, converged = forward(delta.FALCON, angles(*counts), delta.HOME)
+    place, converged = forward(FALCON, angles(*counts), HOME)
     assert converged
     np.testing.assert_allclose(1e3 * np.array(place), place_mm, rtol=0, atol=5.001e-4)  # half of the last digit
 
@@ -56,7 +55,7 @@ def test_published_torques() -> None:
         ((1.0, 0.0, 0.0), (15.488, -52.725, 37.237), 1e-3),
         ((0.0, 0.0, 1.0), (24.18, 24.18, 24.18), 1e-2),
     ):
-        torque, able = compute_torques(delta.FALCON, delta.HOME, force)
+        torque, able = compute_torques(FALCON, HOME, force)
         assert able
         np.testing.assert_allclose(1e3 * np.array(torque), torque_mnm, rtol=0, atol=0.5001 * digit)
 
@@ -67,9 +66,9 @@ def test_forward_inverts_inverse_over_the_workspace(cases: Cases) -> None:
     near = np.random.default_rng(SEED + 1).uniform(-1e-3, 1e-3, (count, 3))
     worst = 0.0
     for place, off in zip(places(count).tolist(), near.tolist(), strict=True):
-        theta, _ = compute_leg_angles(delta.FALCON, tuple(place))
-        start = delta.HOME if off[0] > 0.0 else (place[0] + off[0], place[1] + off[1], place[2] + off[2])
-        position, converged = forward(delta.FALCON, theta, start)
+        theta, _ = compute_leg_angles(FALCON, tuple(place))
+        start = HOME if off[0] > 0.0 else (place[0] + off[0], place[1] + off[1], place[2] + off[2])
+        position, converged = forward(FALCON, theta, start)
         assert converged, place
         worst = max(worst, math.dist(place, position))
     assert worst < 1e-9
@@ -77,9 +76,9 @@ def test_forward_inverts_inverse_over_the_workspace(cases: Cases) -> None:
 
 def test_a_failed_search_restarts_at_the_centre() -> None:
     for place in places(100):
-        theta, _ = compute_leg_angles(delta.FALCON, tuple(place))
+        theta, _ = compute_leg_angles(FALCON, tuple(place))
         for last in ((math.nan, 0.0, 0.11), (0.5, -0.5, -0.4)):
-            position, converged = forward(delta.FALCON, theta, last)
+            position, converged = forward(FALCON, theta, last)
             assert converged and math.dist(place, position) < 1e-9
 
 
@@ -88,29 +87,29 @@ def test_torques_do_the_work_of_the_force() -> None:
     h = 1e-6
     for place in places(300):
         force, motion = rng.normal(size=3), rng.normal(size=3)
-        torque, able = compute_torques(delta.FALCON, tuple(place), tuple(force))
+        torque, able = compute_torques(FALCON, tuple(place), tuple(force))
         assert able
-        ahead, _ = compute_leg_angles(delta.FALCON, tuple(place + h * motion))
-        behind, _ = compute_leg_angles(delta.FALCON, tuple(place - h * motion))
+        ahead, _ = compute_leg_angles(FALCON, tuple(place + h * motion))
+        behind, _ = compute_leg_angles(FALCON, tuple(place - h * motion))
         turned = (np.array(ahead) - np.array(behind)) / (2 * h)
         assert np.dot(torque, turned) == pytest.approx(force @ motion, abs=1e-6)  # as the differences above
 
 
 def test_two_derivations_of_the_legs_agree() -> None:
     for place in places(300):
-        theta, _ = compute_leg_angles(delta.FALCON, tuple(place))
+        theta, _ = compute_leg_angles(FALCON, tuple(place))
         theirs = [other.leg_angle(leg, tuple(place)) for leg in other.LEGS]
         np.testing.assert_allclose(theta, theirs, rtol=0, atol=1e-12)  # acos near 1 loses four digits
 
 
 @pytest.mark.parametrize("counts", [(32767, -32768, 0), (-3000, -3000, -3000), (2500, 2500, 2500), (math.nan, 0, 0)])
 def test_counts_without_a_position_are_not_found(counts: tuple[float, float, float]) -> None:
-    assert not forward(delta.FALCON, angles(*counts), delta.HOME)[1]
+    assert not forward(FALCON, angles(*counts), HOME)[1]
 
 
 def test_no_force_out_of_reach() -> None:
     for place in ((0.2, 0.0, 0.11), (0.0, 0.0, 0.4), (math.nan, 0.0, 0.11), (0.0, 0.0, -0.1)):
-        torque, able = compute_torques(delta.FALCON, place, (0.0, 0.0, 1.0))
+        torque, able = compute_torques(FALCON, place, (0.0, 0.0, 1.0))
         assert not able
         assert torque == (0.0, 0.0, 0.0)
         assert compute_motor_counts(10000.0, place, (0.0, 0.0, 1.0)) == ((0, 0, 0), True)
@@ -134,18 +133,18 @@ def test_motors_turn_as_in_recorded_packets() -> None:
     options = build(Options, load_rig("falcon").device.options, "falcon [device]")
     gain = -COUNTS_PER_NM if options.motors_reversed else COUNTS_PER_NM
     for force, recorded in RECORDED.items():
-        counts, _ = compute_motor_counts(gain, delta.HOME, force)
+        counts, _ = compute_motor_counts(gain, HOME, force)
         assert np.sign(counts).tolist() == np.sign(recorded).tolist(), force
 
 
 def test_counts_are_scaled_together() -> None:
     force = (3.0, -2.0, 60.0)
-    wanted = 10000.0 * np.array(compute_torques(delta.FALCON, delta.HOME, force)[0])
-    counts, cut = compute_motor_counts(10000.0, delta.HOME, force)
+    wanted = 10000.0 * np.array(compute_torques(FALCON, HOME, force)[0])
+    counts, cut = compute_motor_counts(10000.0, HOME, force)
     assert cut
     assert max(map(abs, counts)) == 4095
     np.testing.assert_allclose(counts, wanted * 4095 / np.abs(wanted).max(), atol=0.5)  # whole counts
-    few, cut = compute_motor_counts(10000.0, delta.HOME, (0.0, 0.0, 1.0))
+    few, cut = compute_motor_counts(10000.0, HOME, (0.0, 0.0, 1.0))
     assert not cut
     assert few == (242, 242, 242)
-    assert compute_motor_counts(-10000.0, delta.HOME, (0.0, 0.0, 1.0))[0] == (-242, -242, -242)
+    assert compute_motor_counts(-10000.0, HOME, (0.0, 0.0, 1.0))[0] == (-242, -242, -242)

@@ -10,8 +10,9 @@ from helpers.examples import Cases
 
 from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.block import Block
-from softfinger.drivers.falcon import delta, packets, reply
+from softfinger.drivers.falcon import packets, reply
 from softfinger.drivers.falcon.block import AT
+from softfinger.drivers.falcon.reply import FALCON, HOME, RAD_PER_COUNT, THETA_ZERO
 from softfinger.drivers.kinematics.delta import compute_leg_angles
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
@@ -40,7 +41,7 @@ def test_published_packets(motors: tuple[int, int, int], state: int, wire: str) 
 def blank() -> np.ndarray:
     word = Block(AT).word
     real = word.view(np.float64)
-    real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = delta.HOME
+    real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = HOME
     return word
 
 
@@ -107,8 +108,8 @@ def test_any_counts_give_a_matching_position_or_none(cases: Cases) -> None:
     for row in rng.integers(-32768, 32768, (count, 3)).tolist() + rng.integers(-1500, 1500, (count, 3)).tolist():
         assert answer(word, (row[0], row[1], row[2]), packets.HOMED) == OK
         if np.isfinite(sample[:3]).all():
-            theta, _ = compute_leg_angles(delta.FALCON, (sample[0], sample[2], 0.11 - sample[1]))
-            wanted = delta.THETA_ZERO + delta.RAD_PER_COUNT * np.array(row)
+            theta, _ = compute_leg_angles(FALCON, (sample[0], sample[2], 0.11 - sample[1]))
+            wanted = THETA_ZERO + RAD_PER_COUNT * np.array(row)
             np.testing.assert_allclose(theta, wanted, atol=1e-11)  # the position is rounded to 1e-17 m of 0.1 m
         else:
             assert np.isnan(sample[:3]).all()

@@ -30,7 +30,7 @@ from softfinger.config.schema import DeviceConfig
 from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, TIMEOUT, WITHHELD
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension import exchange, library
-from softfinger.drivers.forcedimension.models import MODELS
+from softfinger.drivers.forcedimension.selection import MODELS
 from softfinger.drivers.system.claims import Claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import SystemDevice

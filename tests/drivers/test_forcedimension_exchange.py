@@ -22,7 +22,7 @@ from helpers.plain_by_call import (
 
 from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.forcedimension import exchange
-from softfinger.drivers.forcedimension.block import AT, STATUS_WORDS
+from softfinger.drivers.forcedimension.exchange import AT, STATUS_WORDS
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
 
 pytestmark = BY_CALL

@@ -12,8 +12,14 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.drivers import registry
 from softfinger.drivers.simulated.device import Options, SimulatedDevice, open_device
-from softfinger.drivers.simulated.hand import SPEED_MAX_M_PER_S, TURN_MAX_RAD_PER_S
-from softfinger.drivers.simulated.lead import NoSimulatedHand, RequestedPose, hold, lead_hand
+from softfinger.drivers.simulated.hand import (
+    SPEED_MAX_M_PER_S,
+    TURN_MAX_RAD_PER_S,
+    NoSimulatedHand,
+    RequestedPose,
+    hold,
+    lead_hand,
+)
 from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.server.driver_contract import DeviceCaller
 

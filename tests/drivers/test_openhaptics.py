@@ -26,7 +26,7 @@ from softfinger.drivers import open_devices
 from softfinger.drivers.base import OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import device as openhaptics
 from softfinger.drivers.openhaptics import exchange, library
-from softfinger.drivers.openhaptics.models import MODELS, UNKNOWN
+from softfinger.drivers.openhaptics.library import MODELS, UNKNOWN
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import diagnose

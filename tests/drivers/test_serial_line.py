@@ -14,7 +14,7 @@ from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.sources import find, list_shipped
 from softfinger.drivers import registry
-from softfinger.drivers.serial import line
+from softfinger.drivers.serial import port
 from softfinger.server.cli import main
 
 pytestmark = pytest.mark.plain
@@ -50,7 +50,7 @@ def test_shipped_rigs_fit(rig: str) -> None:
 )  # fmt: skip
 def test_frames_are_compared_with_the_line_rate(changes: dict[str, object], rate_hz: float, says: str) -> None:
     with pytest.raises(ConfigError, match=says) if says else nullcontext():
-        line.check(rig_options("hapkit", **changes), rate_hz, "rig")
+        port.check(rig_options("hapkit", **changes), rate_hz, "rig")
 
 
 def test_check_and_run_reject_a_slow_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

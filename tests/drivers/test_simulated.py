@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softfinger.config.devices import load_presets
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig
 from softfinger.config.schema import Rig
@@ -17,6 +16,7 @@ from softfinger.drivers.base import END, OK, WITHHELD
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated.device import Options, SimulatedDevice, open_device
+from softfinger.drivers.simulated.options import load_presets
 from softfinger.drivers.simulated.plant import compute_goal
 from softfinger.server.driver_contract import DeviceCaller
 

@@ -151,12 +151,12 @@ def _serial_described(_: Path, data: bytes) -> None:
 
 def _falcon(_: Path, data: bytes) -> None:
     from softfinger.drivers.block import Block
-    from softfinger.drivers.falcon import delta, reply
+    from softfinger.drivers.falcon import reply
     from softfinger.drivers.falcon.block import AT
 
     block = Block(AT)
     real = block.word.view(np.float64)
-    real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = delta.HOME
+    real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = reply.HOME
     for byte in data:
         if reply.process_byte(block.handle, byte):
             reply.convert_reply(block.handle)
@@ -176,7 +176,7 @@ def _spacemouse(_: Path, data: bytes) -> None:
 def _frames(_: Path, data: bytes) -> None:
     """Numbers that a vendor's library returns as a pose: twelve from Force Dimension, a matrix from libHD."""
     from softfinger.drivers.block import Block
-    from softfinger.drivers.forcedimension import block as dhd
+    from softfinger.drivers.forcedimension import exchange as dhd
     from softfinger.drivers.forcedimension import exchange as forcedimension
     from softfinger.drivers.openhaptics import block as hd
     from softfinger.drivers.openhaptics import exchange as openhaptics

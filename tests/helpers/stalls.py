@@ -26,8 +26,8 @@ from _pytest.runner import runtestprotocol
 TURNS = 3
 STALL_S = 0.01
 """Time between two wake-ups: ten ticks, a third of the shortest pause after which a driver withholds the force
-(drivers/pause.py). A sleeper sleeps for 4 ms of it, and a scheduling round of a test's four programs takes about 5 ms.
-Every stall of 10 ms falls into one such interval."""
+(drivers/samples.py). A sleeper sleeps for 4 ms of it, and a scheduling round of a test's four programs takes about 5
+ms. Every stall of 10 ms falls into one such interval."""
 
 REST_S = 0.5
 """Time for which a machine must be free of stalls before a test is repeated."""

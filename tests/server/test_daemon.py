@@ -25,7 +25,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.realtime import raise_priority
-from softfinger.server.loop.shared.rings import Rings
+from softfinger.server.loop.rings import Rings
 from softfinger.server.services import base
 from softfinger.server.services.records import Sink
 from softfinger.tools.pages.hazards import compute_starvation_time_s

@@ -12,7 +12,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from softfinger.proxy.elastic.deformed import Deformed
 from softfinger.proxy.record import AT, ROLLING
-from softfinger.server.services.deformation import Deformation
+from softfinger.server.services.scene_topics import Deformation
 from softfinger.server.wire.protocol import DEFORMATION, decode
 
 pytestmark = pytest.mark.real_time

@@ -27,7 +27,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
-from softfinger.server.gateway.requests import CLIENTS_MAX, Commanders
+from softfinger.server.gateway.forward import CLIENTS_MAX, Commanders
 from softfinger.server.keys import ClientKeys, client_keys, make_pair
 from softfinger.server.socket_process.peer_socket import SocketContext
 from softfinger.server.socket_process.readers import SUBSCRIPTIONS_PER_S

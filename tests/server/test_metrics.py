@@ -27,7 +27,7 @@ from softfinger.server.metrics.counts import (
     STATUSES,
     MetricsCollector,
 )
-from softfinger.server.metrics.dashboard import make_dashboard
+from softfinger.server.metrics.service import make_dashboard
 from softfinger.server.recording.recorder import RecorderState
 from softfinger.server.recording.summary import summarize
 from softfinger.server.socket_process.setup import Figures

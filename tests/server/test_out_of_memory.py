@@ -26,7 +26,7 @@ from test_process_faults import read_events, stop_daemon
 from test_signals import END_S, START_S, ZERO, pressing
 from websockets.exceptions import WebSocketException
 
-from softfinger.drivers.pause import RESUME_NS
+from softfinger.drivers.samples import RESUME_NS
 from softfinger.server.wire.client import subscribe
 from softfinger.tools.bench.soak import connect_to_page
 

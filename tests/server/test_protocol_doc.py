@@ -21,7 +21,7 @@ from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
-from softfinger.server.services.hotplug import make_event_fields
+from softfinger.server.services.watches import make_event_fields
 from softfinger.server.socket_process.clients import BURST, BURST_S, WAITING_MAX
 from softfinger.server.socket_process.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
 from softfinger.server.socket_process.process import QUIET_S

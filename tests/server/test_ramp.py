@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.scene import build_scene
 from softfinger.server.driver_contract import run_for
-from softfinger.server.loop.inputs import ramp
+from softfinger.server.loop import ramp
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 

@@ -5,8 +5,14 @@ from __future__ import annotations
 import msgpack
 import pytest
 
-from softfinger.server.socket_process.clients import BUSY_MESSAGE, encode_busy
-from softfinger.server.socket_process.request_queue import CLIENTS_MAX, QUEUED_BYTES_MAX, QUEUED_MAX, RequestQueue
+from softfinger.server.socket_process.clients import (
+    BUSY_MESSAGE,
+    CLIENTS_MAX,
+    QUEUED_BYTES_MAX,
+    QUEUED_MAX,
+    RequestQueue,
+    encode_busy,
+)
 
 pytestmark = pytest.mark.plain
 

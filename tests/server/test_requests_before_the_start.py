@@ -19,9 +19,8 @@ from helpers.waits import WAIT_S, eventually
 from softfinger.config.load import load_rig
 from softfinger.server.app import Daemon
 from softfinger.server.loop.switch_fields import STOPS_RECEIVED
-from softfinger.server.socket_process.clients import BUSY_MESSAGE
+from softfinger.server.socket_process.clients import BUSY_MESSAGE, QUEUED_MAX
 from softfinger.server.socket_process.process import UNANSWERED_MAX
-from softfinger.server.socket_process.request_queue import QUEUED_MAX
 from softfinger.server.wire.client_requests import encode_request
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.link import RequestHandlers

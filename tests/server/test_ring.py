@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.kernels.jit.decorators import entry
-from softfinger.server.loop.shared.ring import make_ring, push, take
+from softfinger.server.loop.rings import make_ring, push, take
 
 WIDTH = 16
 

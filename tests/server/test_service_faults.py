@@ -18,8 +18,8 @@ from softfinger.server.metrics.service import MetricsService
 from softfinger.server.recording.recorder import RecorderState
 from softfinger.server.services import recordings
 from softfinger.server.services.commands import CommandService
-from softfinger.server.services.hotplug import HotplugWatch
-from softfinger.server.services.world import WorldState
+from softfinger.server.services.scene_topics import WorldState
+from softfinger.server.services.watches import HotplugWatch
 from softfinger.server.socket_process.setup import Figures
 from softfinger.server.states import DaemonState
 from softfinger.server.wire.events import RecordEvents

@@ -11,7 +11,7 @@ import pytest
 from softfinger.drivers.base import OK, SAMPLE_SIZE, STALE
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
-from softfinger.server.loop.inputs.poses import check_pose, make_pose_memory
+from softfinger.server.loop.poses import check_pose, make_pose_memory
 from softfinger.server.loop.tick import POSITION_MAX_M, has_pose
 
 pytestmark = pytest.mark.plain

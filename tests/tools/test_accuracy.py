@@ -22,8 +22,8 @@ from softfinger.server.cli import main, make_parser
 from softfinger.server.loop.clock import make_stopwatch
 from softfinger.tools.accuracy import cases, front, montana, paper, verb
 from softfinger.tools.accuracy.classical import MAX_STEP_SHARE, Steps, roll_classical
-from softfinger.tools.accuracy.options import METHODS, MOTIONS, SURFACES
 from softfinger.tools.accuracy.reference import roll_path
+from softfinger.tools.options import METHODS, MOTIONS, SURFACES
 
 R = cases.RADIUS_M
 W, SPIN = 2.0, 0.5

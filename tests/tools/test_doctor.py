@@ -23,7 +23,7 @@ from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.server.loop import realtime
 from softfinger.tools.doctor import attached, loop, machine
-from softfinger.tools.doctor.check import STATES, Check, grade
+from softfinger.tools.doctor.machine import STATES, Check, grade
 
 pytestmark = pytest.mark.real_time
 

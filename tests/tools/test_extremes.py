@@ -8,7 +8,7 @@ import pytest
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.cli import main
 from softfinger.server.loop.guard import NOT_FINITE, POSE_REFUSED, guard_wrench
-from softfinger.tools.stability import extremes, hostile, wrenches
+from softfinger.tools.stability import extremes, runs, wrenches
 
 pytestmark = pytest.mark.plain
 CASES = list(extremes.iter_cases())
@@ -31,7 +31,7 @@ def test_extreme_ends_in_a_bounded_force_and_a_defined_state(case):
 
 @pytest.mark.scaled
 def test_garbage_breaks_no_rule(cases):
-    for row in hostile.try_hostile(cases(400, 60_000)):
+    for row in runs.try_hostile(cases(400, 60_000)):
         assert row["broken"] == 0
         # A quarter of the samples have at least one corrupted number, with 1 - (7/8)^7 = 61 %; half of these numbers
         # are invalid.
@@ -122,5 +122,5 @@ def test_a_guard_that_lost_a_part_does_not_pass(broken, monkeypatch):
     assert any(wrong for *_, wrong in wrenches.try_wrenches())
     failing = [extremes.ExtremeResult("wrench", "", 1, 0.0, "-", "", wrong) for *_, wrong in wrenches.try_wrenches()]
     monkeypatch.setattr(extremes, "try_extremes", lambda: failing)
-    monkeypatch.setattr(hostile, "try_hostile", lambda *_: [])
+    monkeypatch.setattr(runs, "try_hostile", lambda *_: [])
     assert main(["stability", "--extremes"]) == 1

@@ -11,8 +11,8 @@ import numpy as np
 from softfinger.drivers.quaternions import conjugate, exp, multiply
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.shapes import closest
-from softfinger.tools.accuracy.options import MOTIONS, Motion
 from softfinger.tools.measure import Array
+from softfinger.tools.options import MOTIONS, Motion
 
 RADIUS_M: Final = 0.01
 """Radius of the fingertip in every case; curvature ratios are set by the size of the surface."""

@@ -23,10 +23,10 @@ from softfinger.tools.accuracy.cases import RADIUS_M, TOLERANCE, Sweep, has_meth
 from softfinger.tools.accuracy.figures import FIGURES, draw_fronts
 from softfinger.tools.accuracy.front import find_fronts, fit_orders, list_recommendations
 from softfinger.tools.accuracy.measure import DRIFT_BLOCK, DriftCase, run_block, run_drift_block
-from softfinger.tools.accuracy.options import DRIFT_STEPS, METHODS, REPORT, SURFACES
 from softfinger.tools.accuracy.paper import measure_speed, run_experiment
 from softfinger.tools.accuracy.report import print_report, write_report
 from softfinger.tools.measure import show
+from softfinger.tools.options import DRIFT_STEPS, METHODS, REPORT, SURFACES
 from softfinger.tools.sweep import run_cases
 
 RATES_HZ: Final = (4.0, 8.0, 16.0, 32.0, 64.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)

@@ -13,7 +13,7 @@ from softfinger.drivers.system import libusb as system_libusb
 from softfinger.drivers.system.claims import Claim, find_claim, list_claims, matches_device
 from softfinger.drivers.system.diagnosis import LIBRARY_DRIVERS, diagnose, find_makers_library
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.tools.doctor.check import STATES, Check, State
+from softfinger.tools.doctor.machine import STATES, Check, State
 
 OVER_USB: Final = ("falcon", "forcedimension")
 OVER_HID: Final = ("hid", "spacemouse")
@@ -73,13 +73,13 @@ def check_maker_library(rig: Rig, driver: str) -> Check:
 
 def check_inverse_service(rig: Rig) -> Check:
     """Check Haply's service, which owns the devices: query its list, without sending anything to a device."""
-    from softfinger.drivers.haply import dial, opening
+    from softfinger.drivers.haply import link, opening
 
     options = find_single_device(rig).options
     try:
         reply = opening.identify(options.get("port", opening.PORT), options.get("version"))
     except HapticError as error:
-        return Check("Inverse Service", "bad", str(error), "running", dial.START)
+        return Check("Inverse Service", "bad", str(error), "running", link.START)
     state: State = "good" if reply["devices"] else "bad"
     observation = f"version {reply['service']}, lists {', '.join(reply['devices'] + reply['grips']) or 'no device'}"
     return Check("Inverse Service", state, observation, "running, with a device", "plug the device in and switch it on")

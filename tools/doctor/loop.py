@@ -23,7 +23,7 @@ from softfinger.server.offline.cost import measure as step_cost
 from softfinger.server.progress import report_compilation, show_progress
 from softfinger.server.wire.publisher import Publisher
 from softfinger.tools.bench import loop
-from softfinger.tools.doctor.check import STATES, Check, grade
+from softfinger.tools.doctor.machine import STATES, Check, grade
 
 MISSED_FAIR: Final = 1e-4
 """Fraction of missed ticks: one in ten seconds at 1 kHz. A missed tick extends the force by one period."""

@@ -14,7 +14,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.doctor import attached, loop, machine, report
-from softfinger.tools.doctor.check import STATES, Check, format_lines
+from softfinger.tools.doctor.machine import STATES, Check, format_lines
 from softfinger.tools.exchange import check_seconds
 from softfinger.tools.measure import show
 

@@ -25,7 +25,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.server.offline import feel_figure, library_texts
 from softfinger.server.offline.figures import draw_legends_below, make_figure, save
 from softfinger.tools.measure import Array
-from softfinger.tools.pages import moving, sketches, states
+from softfinger.tools.pages import sketches, states
 
 RADIUS_M: Final = 0.01
 STIFFNESS_N_PER_M: Final = 1000.0
@@ -153,7 +153,7 @@ def draw_bodies(axes: Any) -> None:
     hands = {name: resample(load_poses(f"lift-{name}"), 1000.0)[800:2600] for name in ("thumb", "index")}
     block = 10
     for name, torsion in (("with torsion", True), ("without torsion", False)):
-        engine = moving.make_lift(torsion)
+        engine = sketches.make_lift(torsion)
         states = []
         for first in range(0, len(hands["thumb"]), block):
             engine.run({finger: poses[first : first + block] for finger, poses in hands.items()})
@@ -206,7 +206,7 @@ def main(argv: list[str] | None = None) -> int:
     for name, drawing in FIGURES.items():
         draw(drawing, folder / f"model-{name}.svg")
     draw((states.draw, ("",)), folder / "states.svg")
-    moving.draw(folder / "lift-a-box.svg")
+    sketches.draw(folder / "lift-a-box.svg")
     return 0
 
 

@@ -46,7 +46,7 @@ from softfinger.server.loop.tick import Memory, Tuning, begin, run_tick
 from softfinger.server.offline.closed_loop import NULL_RECORD
 from softfinger.server.progress import show_progress
 from softfinger.tools.measure import Array
-from softfinger.tools.stability.options import CaseOptions
+from softfinger.tools.options import CaseOptions
 from softfinger.tools.stability.predicted import LinearLoop, compute_passive_limit, find_linear_limit
 
 RADIUS_M: Final = 0.01

@@ -14,8 +14,8 @@ import numpy as np
 
 from softfinger.server.offline.figures import make_figure, save
 from softfinger.tools.measure import Array
+from softfinger.tools.options import POINTS
 from softfinger.tools.stability.limit import WallCase
-from softfinger.tools.stability.options import POINTS
 from softfinger.tools.stability.predicted import compute_passive_limit, find_linear_limit
 
 LINE_POINTS: Final = 80

@@ -22,10 +22,10 @@ from softfinger.config.schema import find_unit
 from softfinger.config.validate import examine
 from softfinger.server.offline.figures import make_figure, save
 from softfinger.tools.measure import show, show_and_draw
-from softfinger.tools.stability import bodies, bodies_table, extremes, hostile, runs
+from softfinger.tools.options import FLAGS
+from softfinger.tools.stability import bodies, bodies_table, extremes, runs
 from softfinger.tools.stability.limit import WallCase, compile_search, find_limits
 from softfinger.tools.stability.maps import MAPS, VARIANTS, draw_maps, list_cases
-from softfinger.tools.stability.options import FLAGS
 from softfinger.tools.stability.predicted import compute_spectral_radius
 from softfinger.tools.sweep import run_cases
 
@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
 
 def run_extremes(args: argparse.Namespace) -> int:
     """Run every extreme and some garbage; returns exit code 1 if a condition failed."""
-    results, hostile_rows = extremes.try_extremes(), hostile.try_hostile(args.garbage, args.seed)
+    results, hostile_rows = extremes.try_extremes(), runs.try_hostile(args.garbage, args.seed)
     result = {"extremes": [row._asdict() for row in results], "hostile": hostile_rows}
-    show(result, args.json, [extremes.format_table(results), hostile.format_hostile_table(hostile_rows)])
+    show(result, args.json, [extremes.format_table(results), runs.format_hostile_table(hostile_rows)])
     return int(any(row.wrong for row in results) or any(row["broken"] for row in hostile_rows))
 
 

@@ -1,24 +1,34 @@
-"""Page process of `run --view`, and the commands that show a daemon's telemetry."""
+"""Page process of `run --view`, commands that show a daemon's telemetry, and opening of a browser.
+
+The secret address is passed to the browser in a file, because all users of a machine can read the arguments of a
+program.
+"""
 
 from __future__ import annotations
 
+import html
 import logging
+import os
+import secrets
 import shlex
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.schema import find_runtime_folder
 from softfinger.server.viewer.roles import Role
 from softfinger.server.wire import DEFAULT_ENDPOINT
+from softfinger.server.wire.endpoint import make_runtime_folder
 
 log: Final = logging.getLogger(__name__)
 
@@ -189,3 +199,34 @@ class PageProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+REDIRECT_HTML: Final = """<!doctype html>
+<meta charset="utf-8"><meta name="referrer" content="no-referrer">
+<meta http-equiv="refresh" content="0; url={address}">
+<title>softfinger</title>
+<a href="{address}">the page</a>
+"""
+
+
+@contextmanager
+def open_browser(address: str) -> Iterator[None]:
+    """Open a browser at a secret address by a file that exists during the block, so that the browser can reload it.
+
+    The file is in this user's runtime folder, mode 600, and redirects to the address.
+    """
+    try:
+        make_runtime_folder()
+        path = find_runtime_folder() / f"page-{secrets.token_hex(8)}.html"
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    except (ConfigError, OSError) as error:
+        log.warning("no browser was opened: %s; open the address of the page", error)
+        yield
+        return
+    try:
+        with os.fdopen(file, "w") as out:
+            out.write(REDIRECT_HTML.format(address=html.escape(address, quote=True)))
+        webbrowser.open(path.as_uri())
+        yield
+    finally:
+        path.unlink(missing_ok=True)

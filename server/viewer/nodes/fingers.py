@@ -25,8 +25,21 @@ from softfinger.server.viewer.nodes.glyphs import (
     rotate,
     rotate_z_to,
 )
-from softfinger.server.viewer.nodes.looks import CM, CONE, GHOST, NORMAL, PLUMB, SKIN, TORSION, Colour, Looks
-from softfinger.server.viewer.nodes.states import COLOURS, STATE_TICKS, VisibleState, classify_contact
+from softfinger.server.viewer.nodes.looks import (
+    CM,
+    COLOURS,
+    CONE,
+    GHOST,
+    NORMAL,
+    PLUMB,
+    SKIN,
+    STATE_TICKS,
+    TORSION,
+    Colour,
+    Looks,
+    VisibleState,
+    classify_contact,
+)
 
 MIN_SEPARATION_M: Final = 2e-5
 """Proxy and probe closer than this are drawn as one."""

@@ -21,12 +21,21 @@ from numpy.typing import NDArray
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop.shared.broadcast import Broadcast, make_read_position, read_rows, write_row
-from softfinger.server.loop.shared.ring import Feed, make_ring, take
-from softfinger.server.loop.shared.rings import wait_for_eventfd
+from softfinger.server.loop.rings import (
+    Broadcast,
+    Feed,
+    make_read_position,
+    make_ring,
+    read_rows,
+    reset_eventfd,
+    take,
+    wait_eventfd,
+    wait_for_eventfd,
+    wake_eventfd,
+    write_row,
+)
 from softfinger.server.progress import report_compilation
 from softfinger.server.wire.native.memory import make_memory, remove, wake_readers, wake_readers_from_python
-from softfinger.server.wire.native.system import reset_eventfd, wait_eventfd, wake_eventfd
 
 log: Final = logging.getLogger(__name__)
 

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from test_trial_order import make_tables
 
+from softfinger.server.experiment.answers import CHOICES, parse_answer, read_keyboard
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.observer import SimulatedObserver
-from softfinger.server.experiment.terminal import CHOICES, parse_answer, read_keyboard
 from softfinger.server.wire.commands import Prompt
 
 pytestmark = pytest.mark.plain

@@ -16,7 +16,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.server.cli import main
 from softfinger.server.install.ledger import File, Ledger
 from softfinger.server.install.plan import SYSTEM, find_private_folder, find_user_paths
-from softfinger.server.install.system_commands import list_cleanup_commands, run_all
+from softfinger.server.install.verb import list_cleanup_commands, run_all
 
 UNIT = "etc/systemd/system/softfinger.service"
 RULES = "etc/udev/rules.d/70-softfinger.rules"

@@ -18,9 +18,8 @@ from softfinger.config.schema import DeviceConfig
 from softfinger.drivers.system.claims import list_claims
 from softfinger.drivers.system.rules import explain_permission, install_command, make_udev_rules
 from softfinger.server.cli import VERBS, format_completion, main, make_parser
-from softfinger.server.install.manual import make_manual
 from softfinger.server.install.plan import LIMITS
-from softfinger.server.install.unit import make_unit
+from softfinger.server.install.texts import make_manual, make_unit
 
 OWN = DeviceConfig(driver="hid", options={"vendor_id": 0xCAFE, "product_id": 0x0042})
 

@@ -22,11 +22,11 @@ from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import load_finger_poses, run_ticks, simulate
+from softfinger.server.options import TOLERANCE
 from softfinger.server.recording.compare import ReplayComparison, compare, compare_run
+from softfinger.server.recording.replay import READ_FIELDS, _select_recorded
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
-from softfinger.server.recording.verbs.options import TOLERANCE
-from softfinger.server.recording.verbs.replay import READ_FIELDS, _select_recorded
 from softfinger.server.recording.writer import RecordingFile
 
 STIFFNESS = "object.0.material.stiffness_n_per_m"

@@ -21,8 +21,15 @@ from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes import glyphs
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingertip import make_finger, nail
-from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, PLUMB, TORSION, Looks
-from softfinger.server.viewer.nodes.states import COLOURS, VisibleState, classify_contact
+from softfinger.server.viewer.nodes.looks import (
+    ARROW_MAX_CM,
+    COLOURS,
+    PLUMB,
+    TORSION,
+    Looks,
+    VisibleState,
+    classify_contact,
+)
 from softfinger.server.viewer.plots import LINES
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING, SLIDING
-from softfinger.server.viewer.nodes.states import COLOURS, VisibleState
+from softfinger.server.viewer.nodes.looks import COLOURS, VisibleState
 from softfinger.server.viewer.timeline import (
     COLUMNS,
     Events,

@@ -13,7 +13,7 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.arrays import Array
-from softfinger.config.arrays.npz import open_npz
+from softfinger.config.arrays.grids import open_npz
 from softfinger.config.errors import ConfigError, Different, RecordingError
 from softfinger.config.files import open_input, read_input
 from softfinger.config.load import build, load_rig, load_scene

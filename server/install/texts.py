@@ -1,8 +1,13 @@
-"""systemd unit of the daemon, as a system service with a separate account, or as a user service."""
+"""Texts that are installed: systemd unit of the daemon, and man page from the options of all verbs.
+
+The daemon is a system service with a separate account, or a user service.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import argparse
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
 from typing import Final
 
 from softfinger.drivers.system.rules import GROUP
@@ -99,3 +104,56 @@ def _quote(word: str) -> str:
     """Quote an argument for systemd, and escape specifiers and escape characters."""
     plain = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     return plain if plain and not any(letter in plain for letter in " \t;'\"\\") else f'"{plain}"'
+
+
+LAST_SECTIONS: Final = r"""
+.SH FILES
+.TP
+.I ~/.cache/softfinger
+compiled kernels; SOFTFINGER_CACHE_DIR sets another folder
+.TP
+.I /etc/softfinger/installed.json
+what `softfinger install \-\-system` has written; without \-\-system: ~/.local/state/softfinger/installed.json
+.SH SEE ALSO
+https://github.com/softfinger/softfinger
+"""
+
+
+def make_manual(parser: argparse.ArgumentParser) -> str:
+    """Return the text of softfinger.1 in man(7) macros, from the program's parser with the options of all verbs."""
+    lines = [
+        f'.TH SOFTFINGER 1 "" "softfinger {version("softfinger")}" "User Commands"',
+        *(".SH NAME", rf"softfinger \- {_escape('real-time haptic rendering server')}"),
+        *(".SH SYNOPSIS", ".B softfinger", '.RI [ options "] " verb " [" options ]'),
+        *(".SH DESCRIPTION", _escape(parser.description or "")),
+        *(".SH OPTIONS", *_iter_options(parser)),
+        ".SH VERBS",
+    ]
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, verb in action.choices.items():
+                lines += [f".SS softfinger {_escape(name)}", _escape(verb.description or ""), *_iter_options(verb)]
+    lines += [".SH EXIT STATUS", _escape(" ".join((parser.epilog or "").split()).removeprefix("Exit codes: "))]
+    return "\n".join(lines) + LAST_SECTIONS
+
+
+def _iter_options(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Yield each argument as a tagged paragraph, and the verbs below a verb in the same form."""
+    formatter = parser._get_formatter()
+    for action in parser._actions:
+        if action.help is argparse.SUPPRESS:
+            continue
+        if isinstance(action, argparse._SubParsersAction):
+            if parser.prog != "softfinger":
+                for name, verb in action.choices.items():
+                    yield from (".TP", f".B {_escape(name)}", _escape(verb.description or verb.format_usage()))
+                    yield from (".RS", *_iter_options(verb), ".RE")
+            continue
+        yield from (".TP", f".B {_escape(formatter._format_action_invocation(action))}")
+        yield _escape(formatter._expand_help(action) if action.help else "")
+
+
+def _escape(text: str) -> str:
+    """Escape text for roff."""
+    plain = " ".join(text.split()).replace("\\", r"\e").replace("-", r"\-")
+    return rf"\&{plain}" if plain.startswith((".", "'")) else plain

@@ -1,31 +1,89 @@
-"""`forward`: telemetry to more subscribers, to other machines by key, or to Lab Streaming Layer; and commands back."""
+"""`forward`: telemetry to more subscribers, to other machines by key, or to Lab Streaming Layer; and commands back.
+
+Telemetry of a gateway that also forwards commands is in a second process: its subscribers cannot delay commands.
+`keys` creates CURVE key pairs, with which a daemon and its clients on other machines authenticate each other.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 import logging
+import subprocess
+import sys
 import threading
+import time
 from contextlib import ExitStack
-from typing import Final
+from typing import Any, Final
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.schema import is_public
 from softfinger.server import keys, signals
 from softfinger.server.gateway.addresses import Addresses, find_addresses
 from softfinger.server.gateway.forward import CommandPath, ForwardedServer, Forwarder, describe
 from softfinger.server.gateway.lsl import Outlets
-from softfinger.server.gateway.telemetry_process import TelemetryProcess
-from softfinger.server.keys import ClientKeys
+from softfinger.server.keys import ClientKeys, make_pair
 from softfinger.server.progress import show_counter
 from softfinger.server.socket_process.allowed import AllowedKeys
 from softfinger.server.socket_process.peer_socket import KeyLock
 from softfinger.server.wire.endpoint import BoundSocket, listen
 
+RESTART_S: Final = 1.0
+"""Shortest time from one start of the process to the next."""
+EXIT_TIMEOUT_S: Final = 5.0
+"""Time for the process to end by itself; libzmq may block it for longer."""
+
+
+class TelemetryProcess:
+    """`softfinger forward` without the options of commands; started again if it ends.
+
+    After a flood of topics, libzmq blocks the thread of the socket for 20 to 50 s (docs/decisions/0006).
+    """
+
+    def __init__(self, args: argparse.Namespace, origin: Addresses) -> None:
+        values = {
+            "--from": origin.telemetry, "--commands-from": origin.commands, "--to": args.to, "--keys": args.keys,
+            "--readers": args.readers, "--server-key": args.server_key,
+        }  # fmt: skip
+        flags = {"--until-eof": True, "--json": True, "--lsl": args.lsl, "--quiet": args.quiet}
+        words = [flag for flag, is_set in flags.items() if is_set]
+        words += [word for option, value in values.items() if value is not None for word in (option, value)]
+        self._command: Final = [sys.executable, "-m", "softfinger.server.cli", "forward", *words]
+        self._process = self._start()
+        self.exit_code = 0
+        """Exit code after such an error, which the process has printed: wrong options, or an endpoint in use."""
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        self._started_s = time.monotonic()
+        # In a separate session: Ctrl-C reaches the gateway, which then closes the standard input of this process.
+        return subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+
+    def keep_running(self) -> bool:
+        """Start the process again if it has ended. Return False after an error that a new start would repeat."""
+        code = self._process.poll()
+        if code in (ConfigError.exit_code, AddressInUse.exit_code):
+            self.exit_code = code
+        elif code is not None and time.monotonic() - self._started_s > RESTART_S:
+            log.warning("the process that forwards telemetry ended with code %d and was restarted", code)
+            self._process.communicate()
+            self._process = self._start()
+        return self.exit_code == 0
+
+    def end(self) -> dict[str, Any]:
+        """End the process, and return its statistics, if it has printed any; may be called repeatedly."""
+        try:
+            printed, _ = self._process.communicate(timeout=EXIT_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            printed, _ = self._process.communicate()
+        statistics: dict[str, Any] = json.loads(printed or "{}")
+        return statistics
+
+
 log: Final = logging.getLogger(__name__)
 
 
-def run(args: argparse.Namespace) -> int:
+def run_forward(args: argparse.Namespace) -> int:
     """Forward until a signal; returns 0, or the exit code of the signal."""
     if not (args.to or args.commands_to or args.lsl):
         raise ConfigError("nothing to do: add --to, --commands-to or --lsl")
@@ -100,3 +158,14 @@ def bind(endpoint: str, flag: str, stack: ExitStack) -> BoundSocket:
     bound = listen(endpoint, flag, public=True)
     stack.enter_context(bound.files)
     return bound
+
+
+def run_keys(args: argparse.Namespace) -> int:
+    """Create CURVE key pairs, with which a daemon and its clients on other machines authenticate each other."""
+    pairs = {name: make_pair(args.folder, name) for name in args.names}
+    if args.json:
+        print(json.dumps({name: {"public": str(p), "secret": str(s)} for name, (p, s) in pairs.items()}))
+    else:
+        for public, secret in pairs.values():
+            print(f"{public}: public key: copy it to the other side\n{secret}: secret key: do not share it")
+    return 0

@@ -1,4 +1,4 @@
-"""`softfinger info`: print a summary of a recording."""
+"""`softfinger info`, `export` and `import`: summary of a recording, and its conversion from and to other files."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from softfinger.config.errors import ConfigError
+from softfinger.drivers.poses import find_recording
+from softfinger.server.arguments import check_distinct
+from softfinger.server.recording.export import export
 from softfinger.server.recording.summary import format_extent, summarize
+from softfinger.server.recording.tables import make_layout, read_table, write_poses
 
 
-def run(args: argparse.Namespace) -> int:
+def run_info(args: argparse.Namespace) -> int:
     info = summarize(args.recording)
     print(json.dumps(info) if args.json else "\n".join(_format_lines(info)))
     return 0
@@ -59,3 +64,23 @@ def _format_finger_parts(finger: dict[str, Any]) -> Iterator[str]:
         yield "no forces"
     if "position_min_m" in finger:
         yield format_extent(finger["position_min_m"], finger["position_max_m"])
+
+
+def run_export(args: argparse.Namespace) -> int:
+    recording = find_recording(args.recording)
+    check_distinct("--out", args.out, [recording])
+    count = export(recording, args.out, args.finger)
+    print(f"{args.out}: {count} ticks")
+    return 0
+
+
+def run_import(args: argparse.Namespace) -> int:
+    layout = make_layout(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
+    if args.out.suffix.lower() != ".csv":
+        raise ConfigError(f"--out {args.out}: poses are written as .csv")
+    check_distinct("--out", args.out, [args.table])
+    poses = read_table(args.table, layout)
+    write_poses(args.out, poses)
+    extent = format_extent(poses.position.min(axis=0), poses.position.max(axis=0))
+    print(f"{args.out}: {len(poses.t)} poses over {poses.t[-1]:.6g} s; {extent}")
+    return 0
