@@ -13,8 +13,8 @@ from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.falcon import exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
+from softfinger.drivers.falcon.conversion import HOME
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
-from softfinger.drivers.falcon.reply import HOME
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.drivers.system.makers_library import find_address
 

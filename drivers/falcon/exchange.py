@@ -27,7 +27,7 @@ from numba import types
 from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import packets
 from softfinger.drivers.falcon.block import AT, IN_BYTES
-from softfinger.drivers.falcon.reply import compute_command, convert_reply, process_byte
+from softfinger.drivers.falcon.conversion import compute_command, convert_reply, process_byte
 from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS, copy_sample, is_finite, is_zero, shift_sample_time
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit

@@ -12,6 +12,7 @@ import socket
 import struct
 import sys
 import termios
+import threading
 import time
 from http.client import HTTPConnection, HTTPException
 from typing import Any, Final
@@ -64,6 +65,9 @@ def request(port: int, method: str, path: str, body: Any, until: float) -> tuple
     connection = HTTPConnection(HOST, port)
     connection.sock = connect(port, until)
     headers = {"Connection": "close", "Content-Type": "application/json"}
+    # The timeout of the socket limits single reads: a program that sends byte by byte could continue for ever.
+    deadline = threading.Timer(until - time.monotonic(), connection.sock.shutdown, (socket.SHUT_RDWR,))
+    deadline.start()
     try:
         connection.request(method, path, None if body is None else msgspec.json.encode(body), headers)
         response = connection.getresponse()
@@ -71,8 +75,10 @@ def request(port: int, method: str, path: str, body: Any, until: float) -> tuple
     except TimeoutError:
         raise DeviceTimeout(f"{method} {path}: the Inverse Service does not answer in time") from None
     except (OSError, HTTPException) as error:
+        check_remaining_time(until)
         raise DeviceError(f"{method} {path}: the service's answer cannot be read: {error!r}") from error
     finally:
+        deadline.cancel()
         connection.close()
     if len(answer) > MESSAGE_MAX:
         raise DeviceError(f"{method} {path}: the service's answer has more than {MESSAGE_MAX} bytes")

@@ -12,7 +12,7 @@ from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, b
 from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import exchange, packets
 from softfinger.drivers.falcon.block import AT
-from softfinger.drivers.falcon.reply import HOME, compute_command
+from softfinger.drivers.falcon.conversion import HOME, compute_command
 from softfinger.drivers.samples import RESUME_WAIT_NS
 
 pytestmark = BY_CALL

@@ -10,9 +10,9 @@ from emulators import falcon as other
 from helpers.examples import Cases
 
 from softfinger.config.load import build, load_rig
+from softfinger.drivers.falcon.conversion import FALCON, HOME, RAD_PER_COUNT, THETA_ZERO, compute_motor_counts
 from softfinger.drivers.falcon.device import Options
 from softfinger.drivers.falcon.options import COUNTS_PER_NM
-from softfinger.drivers.falcon.reply import FALCON, HOME, RAD_PER_COUNT, THETA_ZERO, compute_motor_counts
 from softfinger.drivers.kinematics.delta import compute_leg_angles, compute_torques, forward
 
 pytestmark = pytest.mark.plain

@@ -10,9 +10,9 @@ from helpers.examples import Cases
 
 from softfinger.drivers.base import FORCE_OFF, OK
 from softfinger.drivers.block import Block
-from softfinger.drivers.falcon import packets, reply
+from softfinger.drivers.falcon import conversion, packets
 from softfinger.drivers.falcon.block import AT
-from softfinger.drivers.falcon.reply import FALCON, HOME, RAD_PER_COUNT, THETA_ZERO
+from softfinger.drivers.falcon.conversion import FALCON, HOME, RAD_PER_COUNT, THETA_ZERO
 from softfinger.drivers.kinematics.delta import compute_leg_angles
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
@@ -49,7 +49,7 @@ def blank() -> np.ndarray:
 def _stream(handle: int, data: np.ndarray, out: np.ndarray) -> int:
     came = 0
     for byte in data:
-        if reply.process_byte(handle, byte):
+        if conversion.process_byte(handle, byte):
             counts, _ = packets.decode(uint8_at(handle + 8 * AT.newest))
             for k in range(3):
                 out[came, k] = counts[k]
@@ -97,7 +97,7 @@ def test_the_filler_byte_may_have_any_value(filler: int) -> None:
 
 def answer(word: np.ndarray, counts: tuple[int, int, int], state: int) -> int:
     word.view(np.uint8)[8 * AT.newest : 8 * AT.newest + 16] = np.frombuffer(packet(counts, state), np.uint8)
-    return reply.convert_reply(word.ctypes.data)
+    return conversion.convert_reply(word.ctypes.data)
 
 
 @pytest.mark.scaled

@@ -151,15 +151,15 @@ def _serial_described(_: Path, data: bytes) -> None:
 
 def _falcon(_: Path, data: bytes) -> None:
     from softfinger.drivers.block import Block
-    from softfinger.drivers.falcon import reply
+    from softfinger.drivers.falcon import conversion
     from softfinger.drivers.falcon.block import AT
 
     block = Block(AT)
     real = block.word.view(np.float64)
-    real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = reply.HOME
+    real[AT.position : AT.position + 3] = real[AT.centre : AT.centre + 3] = conversion.HOME
     for byte in data:
-        if reply.process_byte(block.handle, byte):
-            reply.convert_reply(block.handle)
+        if conversion.process_byte(block.handle, byte):
+            conversion.convert_reply(block.handle)
             place = real[AT.sample : AT.sample + 3].tolist()
             assert all(map(isnan, place)) or hypot(*place) < 1.0, place
 
