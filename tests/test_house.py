@@ -9,6 +9,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import mutants
 import pytest
 
 pytestmark = pytest.mark.plain
@@ -70,12 +71,11 @@ def test_each_reason_for_less_coverage_is_of_a_file() -> None:
 
 
 def test_each_planted_mistake_can_be_made() -> None:
-    for mutant in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
-        assert mutant.keys() == {"file", "old", "new", "mistake", "tests"} and mutant["tests"], mutant
-        text = (ROOT / mutant["file"]).read_text("utf-8")
-        assert text.count(mutant["old"]) == 1, mutant["mistake"]
-        compile(text.replace(mutant["old"], mutant["new"]), mutant["file"], "exec")
-        for test in mutant["tests"]:
+    for mutant in mutants.read():
+        text = (ROOT / mutant.file).read_text("utf-8")
+        assert text.count(mutant.old) == 1 and mutant.tests, mutant
+        compile(text.replace(mutant.old, mutant.new), mutant.file, "exec")
+        for test in mutant.tests:
             file, _, function = test.partition("[")[0].partition("::")
             assert f"def {function.rpartition('::')[2]}" in (ROOT / file).read_text("utf-8"), test
 
