@@ -1,4 +1,4 @@
-"""Rules of the repository: docstrings of packages, maps that match the code, planted mistakes."""
+"""Rules of the repository: docstrings of packages, maps that match the code, planted mistakes, names of users."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import mutants
 import pytest
+from references import contract
 
 pytestmark = pytest.mark.plain
 ROOT = Path(__file__).resolve().parents[1]
@@ -105,3 +106,10 @@ def test_names_in_the_glossary_exist() -> None:
             assert any(path.exists() for path in places), place
         elif not place.startswith("["):
             assert re.search(rf"\b{place.rpartition('.')[2]}\b", sources), place
+
+
+def test_no_name_that_users_depend_on_disappears() -> None:
+    names = contract.names()
+    for kind, tables in tomllib.loads((ROOT / "tests" / "references" / "contract.toml").read_text("utf-8")).items():
+        listed = {first + ending for first, endings in tables.items() for ending in endings}
+        assert listed - set(names[kind]) == set()

@@ -1,4 +1,4 @@
-"""Moment about the normal: its limits, and the proxy with a rotational degree of freedom.
+"""Moment about the normal: its limits, and the proxy with a rotational degree of freedom. One type of law per scene.
 
 The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, k_z = 0.05 N m/rad, mu_t = 4 mm, 1 kHz.
 """
@@ -9,13 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory
+from conftest import SceneFactory, merged, paper_mapping
 from helpers.examples import Cases, examples
 from hypothesis import given
 from references.hand import drive, pressed
-from references.laws import Array, handling
+from references.laws import SPEED, Array, handling
 
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build
+from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
+from softfinger.proxy.kernels import model
+from softfinger.proxy.laws import compile_friction_laws, compile_normal_laws, compile_torsion_laws
 
 pytestmark = pytest.mark.plain
 
@@ -146,3 +151,36 @@ def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases
     # While the proxy sticks, the wind-up follows the flicker, so their difference is constant.
     anchor = spin - flicker[199:]
     assert np.ptp(anchor) < 1e-12
+
+
+HERTZ, TORSION = model.PowerNormal(1000.0 * 0.001**-0.5, 1.5, 0.0), model.Torsion(0.05, 0.004)
+
+
+def objects_of(*materials: dict[str, Any]) -> Scene:
+    """Return a scene of the paper's plane, and of planes with these changes of its material."""
+    mapping = paper_mapping()
+    (table,) = mapping["object"]
+    others = [merged(table, {"name": f"object {n}", "material": changes}) for n, changes in enumerate(materials)]
+    return build(Scene, mapping | {"object": [table, *others]}, "test scene")
+
+
+def directed(static: float, kinetic: float, speed: float, viscous: float) -> model.AnisotropicFriction:
+    law = model.SpeedFriction(static, kinetic, model.Stribeck(speed), viscous)
+    return model.AnisotropicFriction(law, (1.0, 0.0, 0.0), 1.0, 1.0, 1.0, 1.0)
+
+
+def test_objects_of_a_scene_share_one_law() -> None:
+    assert compile_normal_laws(objects_of({"normal": {"exponent": 1.5, "damping_s_per_m": 0.5}})) == [
+        model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 0.0), 0.0),
+        model.HuntCrossley(HERTZ, 0.5),
+    ]
+    rich = {"static": 0.4, "kinetic": 0.3, "direction_x": [1.0, 0.0, 0.0], **SPEED}
+    laws = [directed(0.6, 0.5, 0.0, 0.0), directed(0.4, 0.3, 0.05, 0.5), directed(0.0, 0.0, 0.0, 0.0)]
+    assert compile_friction_laws(objects_of({"friction": rich}, {"friction": None})) == laws
+    assert compile_torsion_laws(objects_of({"torsion": PROXY}, {"torsion": None})) == [
+        model.SoftFingerProxy(TORSION, 1.0),
+        model.SoftFingerProxy(TORSION, 0.75),
+        model.SoftFingerProxy(model.Torsion(1.0, 0.0), 1.0),
+    ]
+    with pytest.raises(ConfigError, match="use limit_surface for all objects with torsion, or for none"):
+        objects_of({"torsion": {"model": "limit_surface"}})
