@@ -124,8 +124,7 @@ def test_a_box_is_lifted_and_hangs_by_the_torsion_of_two_fingers(tmp_path: Path)
 
 
 def test_without_torsion_it_swings_as_a_pendulum(tmp_path: Path) -> None:
-    """Released at 90 degrees, 8 mm off its centre, the box swings about the contacts with the period of a pendulum. The
-    reference is the elliptic integral."""
+    """Released at 90 degrees, 8 mm off its centre, it has the period of a pendulum: an elliptic integral."""
     material = {name: part for name, part in RUBBER.items() if name != "torsion"}
     engine, arm = held_by_two(box(tmp_path, gravity=0.0), material), 0.008
     hand_path = pinch(2000, 3.0, offset=arm)

@@ -308,11 +308,8 @@ def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, tmp_path: Path) -> None:
-    """Touch, stick, slide and release over faces, edges and corners give the forces of the shape box.
-
-    The tolerance is that of float32 vertices, 1e-9 m, times 1000 N/m. No tick's path enters and leaves an edge, which
-    is a touch of the shape and none of the mesh.
-    """
+    """The tolerance is that of float32 vertices, 1e-9 m, times 1000 N/m. No tick's path enters and leaves an edge,
+    which is a touch of the shape and none of the mesh."""
     half = (0.02, 0.0175, 0.015)
     box = {"name": "it", "shape": "box", "size_m": [2.0 * h for h in half], "material": GRIP}
     mesh = {"name": "it", "shape": "mesh", "file": write_part(tmp_path, *bar(*half)), "material": GRIP}

@@ -103,8 +103,6 @@ CALLED: dict[str, tuple[set[str], set[str] | None]] = {
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CALLED)
 def test_costly_functions_are_called_by_the_parts_that_need_them(name: str) -> None:
-    """atan2 is called only with rolling and torsion, sin with an oscillation or a turntable, pow with a nonlinear
-    normal force."""
     called = {call.removeprefix("llvm.").removesuffix(".f64") for call in compiled(name).calls}
     least, most = CALLED[name]
     assert least <= called and (most is None or called <= most)

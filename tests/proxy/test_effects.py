@@ -167,8 +167,7 @@ def test_boundary_pushes_inward(effect: Any, x: model.Vec3, v: model.Vec3) -> No
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.5])
 def test_magnet_vanishes_at_its_range_without_a_step(exponent: float) -> None:
-    """The pull is F (1 - gap / range)^n towards the surface and F in contact, continuous at its range and at the
-    surface."""
+    """The pull is F (1 - gap / range)^n towards the surface, and F in contact."""
     effect = model.Magnet(2.0, 0.02, exponent)
     normal = (0.6, 0.0, 0.8)
     for gap in [0.0, 0.004, 0.01, 0.019]:
@@ -425,8 +424,7 @@ def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> No
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("sideways", "depth"), [(0.002, 0.001), (0.001, 0.002)])
 def test_viscosity_uses_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
-    """The hand rests in a corner between a viscous floor at rest and a sliding wall. There is no viscous force,
-    whichever carries the larger load."""
+    """In a corner of a viscous floor at rest and a sliding wall: no viscous force, whichever has the larger load."""
     spring = {"stiffness_n_per_m": 1000.0}
     floor = {"name": "floor", "shape": "plane", "effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}

@@ -115,10 +115,7 @@ def test_the_recorded_velocity_is_that_of_the_probe() -> None:
 
 
 def groove(folder: Path, compliance: float) -> Any:
-    """Return a scene with walls at 45 degrees along y, and one compliance (m/N) of all patches under all loads.
-
-    So the body moves as a rigid one on a spring.
-    """
+    """Return walls at 45 degrees along y with one compliance (m/N) of all patches: a rigid body on a spring."""
     vertices = np.array([(x, y, abs(x)) for x in (-0.02, 0.0, 0.02) for y in (-0.02, 0.02)])
     triangles = np.array([(0, 2, 3), (0, 3, 1), (2, 4, 5), (2, 5, 3)], np.int32)
     lines = ["v {} {} {}".format(*row) for row in vertices]

@@ -182,8 +182,7 @@ def test_rolling_follows_the_shape_operators_of_both_bodies(name: str, method: A
 
 
 def test_a_spheroid_rolls_on_its_equator_like_a_wheel() -> None:
-    """A spheroid rolled about its axis by theta moves the contact by a theta at constant height. A hand that follows
-    gets the normal force and no tangential force or torque."""
+    """Rolled by theta, the contact moves by a theta at constant height, without tangential force and torque."""
     a, theta = 0.008, np.linspace(0.0, 3.0, 300)
     x = np.stack([a * theta, 0.0 * theta, 0.0 * theta + a - 1e-3], axis=1)
     q = np.stack([np.cos(theta / 2), 0.0 * theta, np.sin(theta / 2), 0.0 * theta], axis=1)

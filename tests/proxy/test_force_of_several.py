@@ -172,11 +172,8 @@ def test_sticking_contacts_fix_the_proxy_at_any_depth(name: str, cases: Cases) -
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", SCENES)
 def test_the_force_is_continuous(name: str) -> None:
-    """With equal static and kinetic friction, the force changes per tick by at most K times the motion.
-
-    The motion is that of the hand and the roll, about 1.5 mm deep. On a sphere of 20 mm the factor is up to 1 / (1 - d
-    / (R + r)) = 1.1 at depth d.
-    """
+    """With equal static and kinetic friction, the force changes per tick by at most K times the motion of hand and
+    roll. On a sphere of 20 mm, at depth d, the factor is up to 1 / (1 - d / (R + r)) = 1.1."""
     poses = closed_path(name, 3, 0.05)
     records = engine(name, 0.6, 0.6).run(poses)
     assert (records["contacts1.object"] >= 0).any()

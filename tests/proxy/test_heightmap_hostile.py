@@ -66,8 +66,7 @@ def is_safe(running: Engine, shape: Any, points: Array, smooth: bool) -> Array:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MADE)
 def test_it_is_touched_safely(tmp_path: Path, name: str) -> None:
-    """Dragged, pressed and thrown from outside: finite, outside of the map, with a force of at most K times the depth.
-    Holds with and without friction."""
+    """Dragged, pressed and thrown, with and without friction: finite, outside, a force of at most K times the depth."""
     pitch, heights = MADE[name]()
     shape, met = compile_heightmap(heights, pitch), False
     for smooth in (True, False):

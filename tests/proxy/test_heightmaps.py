@@ -133,10 +133,8 @@ def test_the_surface_interpolates_every_pixel(name: str) -> None:
 
 
 def test_the_spline_converges_as_a_cubic_does() -> None:
-    """Halving the pitch divides the error by 16 in value, by 8 in slope and by 4 in second derivatives.
-
-    Away from the rim, where the natural spline is of second order; its influence decreases by 3.7 per pixel.
-    """
+    """Halving the pitch divides errors by 16, of slopes by 8, of second derivatives by 4: away from the rim, where the
+    natural spline is of second order and its influence decreases by 3.7 per pixel."""
     x, y = NOISE.uniform(-0.01, 0.01, (2, 2000))
     a, b = x / 0.008, y / 0.006
     exact = 0.002 * np.column_stack([
@@ -154,8 +152,7 @@ def test_the_spline_converges_as_a_cubic_does() -> None:
 
 
 def test_planes_are_exact_and_paraboloids_away_from_the_rim() -> None:
-    """A cubic spline reproduces both. The zero curvature at the rim is exact for a plane; its influence vanishes within
-    30 pixels."""
+    """The zero curvature at the rim is exact for a plane; its influence vanishes within 30 pixels."""
     x, y = NOISE.uniform(-0.02, 0.02, (2, 200))
     plane = heights_of(compile_heightmap(sampled(41, 41, 1e-3, lambda x, y: 0.3 * x - 0.2 * y + 1e-3), 1e-3), x, y)
     np.testing.assert_allclose(plane[:, 0], 0.3 * x - 0.2 * y + 1e-3, atol=1e-16)
@@ -180,8 +177,7 @@ def test_map_is_level_beyond_the_rim_with_continuous_curvature() -> None:
 
 @pytest.mark.parametrize("radius", [0.02, -0.03])
 def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
-    """The curvature is 1 / (R + r) in all directions, for a fingertip on a cap and in a bowl, to second order in the
-    pitch."""
+    """1 / (R + r) in all directions, on a cap and in a bowl, to second order in the pitch."""
 
     def cap(x: Array, y: Array) -> Array:
         return math.copysign(1.0, radius) * (np.sqrt(radius**2 - x * x - y * y) - abs(radius))
@@ -201,8 +197,7 @@ def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MAPS)
 def test_the_nearest_point_is_the_closest_of_all(name: str) -> None:
-    """No point of a grid of 3 x 3 per pixel is closer; the gap has the sign of the height, and the normal is that of
-    the surface."""
+    """No point of a grid of 3 x 3 per pixel is closer; the gap has the sign of the height."""
     pitch, heights = MAPS[name]
     shape, rng = compile_heightmap(heights, pitch), np.random.default_rng(3)
     surface = everywhere(shape, 3)

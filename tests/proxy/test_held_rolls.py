@@ -53,11 +53,8 @@ def test_a_heavy_body_rolls_on_soft_fingertips_and_comes_to_rest_slowly(tmp_path
 
 @pytest.mark.scaled
 def test_a_held_and_rolled_body_does_not_creep(tmp_path: Path, cases: Cases) -> None:
-    """A body grasped 8 mm off its middle, under its weight, does not move after the fingers have rolled by 0.03 rad.
-
-    Dampers reduce the swing by a factor of ten every 0.25 s; the remainder is rounding. A tick rounds positions of 0.1
-    m to 1e-17 m, ten thousand ticks to 1e-13 m. After 3 s, 1e-11 m is a safe bound; an encoder's step is 1e-6 m.
-    """
+    """Grasped 8 mm off its middle, after a roll of 0.03 rad. Dampers reduce the swing tenfold every 0.25 s; the
+    remainder is rounding of 0.1 m, 1e-17 m a tick. An encoder's step is 1e-6 m."""
     engine = held_by_two(box(tmp_path))
     path = pinch(100, 3.0, offset=0.008)
     engine.run(path)

@@ -108,8 +108,7 @@ def test_proxy_is_never_inside_any_object(draws, count):
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_force_is_within_the_friction_cone_and_never_pulls(draws, count):
-    """The normal force is not negative, the tangential force at most mu_s times it, and the torsional moment within its
-    limit."""
+    """The torsional moment is within its limit, too."""
     records = visit(engine("ball"), visits(0.06 * draws[0, :3], draws[:count]))
     normal = records["contact.normal_force"]
     assert (normal >= 0.0).all()
@@ -195,12 +194,8 @@ def cycle(at, goals, turns, ticks=8):
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(draws, count):
-    """While pressing, rolling, dragging, spinning and returning, the work of the hand is at least the energy stored in
-    the springs.
-
-    Exact for any time step if the motion of each tick is multiplied by the wrench at its end: on a plane the springs'
-    energy is convex, and slip is towards the probe.
-    """
+    """The work of the hand is at least the energy stored in the springs: exact for any time step if the motion of each
+    tick is multiplied by the wrench at its end, since the springs' energy is convex and slip is towards the probe."""
     running = engine("floor", "springs")
     running.reset()
     goals = np.array([0.0, 0.0, R - 0.001]) + draws[:count, :3] * [0.004, 0.004, 0.002]
@@ -213,13 +208,10 @@ def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(draws, count):
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(draws, count):
-    """The same on a ball, up to the rotation of the normal within a tick.
-
-    The proxy moves by l = |slip| + r |turn| per tick, the normal rotates by up to l / D with D the sum of the radii,
-    and a tangent displacement deviates from the surface by l^2 / D. The wrench at the end of the tick belongs to the
-    previous normal: the balance has an error of up to the force times l^2 / D, the moment times the turn times l / D,
-    and K / 2 times (l^2 / D)^2. All are at least of second order in the motion of a tick.
-    """
+    """The same on a ball, up to the rotation of the normal within a tick: the proxy moves by l = |slip| + r |turn|, the
+    normal rotates by up to l / D with D the sum of the radii, and a tangent displacement deviates from the surface by
+    l^2 / D. The balance has an error of up to the force times l^2 / D, the moment times the turn times l / D, and K / 2
+    times (l^2 / D)^2."""
     running, reach = engine("ball", "springs"), R + 0.02
     running.reset()
     outward = np.array([0.0, 0.0, reach]) + draws[:count, :3] * [0.004, 0.004, 0.0]

@@ -16,11 +16,8 @@ from softfinger.proxy.record import AT
 
 @pytest.mark.plain
 def test_a_crease_pushes_with_both_sides(tmp_path):
-    """Pressed 1 mm into a right angle, each side bears 1/sqrt(2) N and rubs with mu times that in a drag.
-
-    This includes the edges between triangles. In a turn about the groove both sides resist like a V-block: r mu (f1 +
-    f2), with f1 + f2 = 2 F / (1 + mu^2).
-    """
+    """Pressed 1 mm into a right angle, each side bears 1/sqrt(2) N and rubs with mu times that, also on edges between
+    triangles. In a turn both resist like a V-block: r mu (f1 + f2), with f1 + f2 = 2 F / (1 + mu^2)."""
     running = engine(make_object("groove", "mesh", file=write_part(tmp_path, *valley(3, 0.1, 0.1))))
     top = R * np.sqrt(2.0)
     press = np.linspace((0.0, -0.05, top + 1e-3), (0.0, -0.05, top - 1e-3), 50)
@@ -58,11 +55,8 @@ def errors_of_ball(tmp_path, frequency, shading="none"):
 
 
 def test_a_faceted_sphere_converges_to_the_sphere(tmp_path):
-    """Four times finer facets reduce the errors of force, contact point and direction at least threefold.
-
-    The error of a facet's normal is of first order, that of its depth of second. With shading, the coarse mesh's force
-    has the direction of the sphere's, without steps.
-    """
+    """The error of a facet's normal is of first order, that of its depth of second: four times finer facets reduce all
+    at least threefold. With shading, the coarse mesh's force has the direction of the sphere's, without steps."""
     coarse, fine = errors_of_ball(tmp_path, 16), errors_of_ball(tmp_path, 64)
     assert all(after < before / 3.0 for before, after in zip(coarse[:3], fine[:3], strict=True))
     shaded = errors_of_ball(tmp_path, 16, "normals")
@@ -124,12 +118,8 @@ def test_a_moving_mesh_carries_and_presses(tmp_path, cases):
 @pytest.mark.plain
 @pytest.mark.scaled
 def test_a_mesh_of_a_box_equals_the_box(tmp_path, cases):
-    """Pressed, dragged and turned over faces, edges and corners, a mesh gives the forces of the shape box.
-
-    On a face they agree to rounding. Round an edge the proxy lags by the remainder of two projections per tick, below 5
-    % of its step of 0.1 mm. If friction displaces the proxy, its position is on a chord, above the edge by e^2 / 2 r,
-    as is the contact point.
-    """
+    """On a face they agree to rounding. Round an edge the proxy lags by the remainder of two projections per tick,
+    below 5 % of its step of 0.1 mm; displaced by friction it is on a chord, above the edge by e^2 / 2 r."""
     ticks = 4000
     points = wander(1, ticks, 0.034)
     points[:, 2] = 0.0295 + 0.1 * points[:, 2]
@@ -177,13 +167,9 @@ def turned(running: Engine, speed: float) -> Array:
 
 @pytest.mark.parametrize("speed", [0.004, 0.02])
 def test_a_shaded_mesh_turns_the_force_like_a_sphere(balls: dict[str, Engine], speed: float) -> None:
-    """The force turns per tick by at most 1.18 times v dt / (R + r), the turn of the sphere's normal.
-
-    A shaded facet's normal turns as far as the sphere's, but only while the contact point is on the facet: round edges
-    both are constant. On a facet the contact point moves as fast as the probe and meets the sphere's normals at a
-    radius of R instead of R + r - d, so it turns (R + r - d) / R = 1.18 times as fast. Triangles of unequal size add
-    five per cent. In numbers: 0.08 mN per N at 4 mm/s, 0.4 at 20.
-    """
+    """At most 1.18 times v dt / (R + r), the turn of the sphere's normal: on a facet the contact point moves as fast as
+    the probe and meets the sphere's normals at a radius of R instead of R + r - d. Round edges both are constant.
+    Triangles of unequal size add five per cent. In numbers: 0.08 mN per N at 4 mm/s, 0.4 at 20."""
     own = speed * DT / (BALL + R)
     steps = turned(balls["normals"], speed)
     assert steps.max() < 1.05 * (BALL + R - DEPTH) / BALL * own

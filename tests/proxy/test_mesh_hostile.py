@@ -45,8 +45,7 @@ def largest_query(running, points):
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", hostile_meshes.MADE)
 def test_it_is_touched_safely(tmp_path, name):
-    """Pressed, dragged and lifted at random, the proxy is outside of every triangle in every tick. Without friction the
-    force is at most the stiffness times the distance from probe to proxy; friction displaces the proxy and adds at most
+    """Without friction the force is at most the stiffness times the distance from probe to proxy; friction adds at most
     its cone for each of three patches. No query exceeds its budget."""
     made = hostile_meshes.MADE[name]()
     smooth, rough = smooth_and_rough(tmp_path, made)
@@ -70,11 +69,8 @@ def test_it_is_touched_safely(tmp_path, name):
 @pytest.mark.scaled
 @pytest.mark.parametrize("room", [1e-6, 0.01, 0.3])
 def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
-    """In a hollow ball wider than the fingertip by a fraction `room`, the proxy stays outside of the triangles for any
-    motion, is in contact whenever the hand is beyond the wall, and the force is at most that of the depth.
-
-    If it fits exactly, no search can decide on contact: `contact.budget` is set in every tick, and there is no force.
-    """
+    """The hollow is wider than the fingertip by a fraction `room`. If it fits exactly, no search can decide on contact:
+    `contact.budget` is set in every tick, and there is no force."""
     made = hostile_meshes.socket(R * (1.0 + room))
     smooth, rough = smooth_and_rough(tmp_path, made, inside=True)
     path = np.concatenate([np.zeros((20, 3)), wander(6, 1000, 2.0 * R)])

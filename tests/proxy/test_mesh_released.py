@@ -116,8 +116,7 @@ SLIDES = ("tube", "needles")
     "kind", [k if k == "lattice" else pytest.param(k, marks=pytest.mark.exhaustive) for k in KINDS]
 )
 def test_two_proxies_are_blocked_by_triangles_they_touch(kind: str, moves: bool, tmp_path: Path, cases: Cases) -> None:
-    """Two fingers follow separate strokes in the frame of a moving mesh, or opposite strokes through a fixed one; each
-    is blocked only by triangles it touches."""
+    """On separate strokes in the frame of a moving mesh, or on opposite strokes through a fixed one."""
     mesh, count = KINDS[kind], cases(3, 25)
     file, coarse = meshes.write_ply(tmp_path / "part.ply", mesh), cases(2, 1)
     part = make_object("part", "mesh", file=str(file), material=SLIPPERY, **({"motion": SWAY} if moves else {}))
@@ -152,9 +151,8 @@ def crumpled() -> meshes.Mesh:
 
 
 def test_a_stuck_proxy_restarts_at_the_probe(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
-    """Where no search finishes within a tick, a proxy rests, and restarts once the probe is in free space; a force at
-    the end of a stroke is explained by touched triangles. Strokes 61 and 95 once ended with the probe 0.3 m from the
-    mesh and a proxy that moved by 0.8 um per tick, or in a cycle of three places."""
+    """Where no search finishes within a tick, a proxy rests, and restarts once the probe is in free space. Strokes 61
+    and 95 once ended 0.3 m from the mesh with a proxy that moved by 0.8 um per tick, or in a cycle of three places."""
     file, radius = write_part(tmp_path, *crumpled), 0.002
     running = engine(make_object("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
     corners = np.ascontiguousarray(crumpled.vertices[crumpled.triangles])
@@ -220,8 +218,7 @@ def test_a_magnet_with_an_unknown_gap_is_flagged(crumpled: meshes.Mesh, tmp_path
 @pytest.mark.plain
 @pytest.mark.parametrize("speed", [0.3, 3.0])
 def test_a_thin_wall_that_sweeps_over_the_hand_touches_it(speed: float, tmp_path: Path) -> None:
-    """A box thinner than its travel per tick sweeps over a resting hand that presses into a mesh: it moves the proxy as
-    it does on the equivalent plane."""
+    """A box thinner than its travel per tick moves the proxy of a hand that presses into a mesh as on a plane."""
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.moved(meshes.sheet(0.2, 0.2, 8, 8), (-0.1, -0.1, 0.0)))
     wall = make_object(
         "wall", "box", size_m=[2e-4, 0.1, 0.1], position_m=[0.01, 0.0, 0.0], material=SLIPPERY,
@@ -259,9 +256,8 @@ def test_a_plate_is_a_plane_at_any_depth(radius: float, tmp_path: Path, cases: C
 
 
 def test_a_plate_is_a_plane_next_to_a_vertex(tmp_path: Path, cases: Cases) -> None:
-    """The fingertip lands within 0.1 um of a vertex, two facets away from its previous tick. Deeper than the radius, a
-    search that starts on a facet next to the vertex moves away from it facet by facet, and the tilted plane of a facet
-    that the fingertip has passed lifts it off the others by less than a gap can show."""
+    """The fingertip lands within 0.1 um of a vertex. Deeper than the radius, a search that starts on a facet next to it
+    moves away facet by facet, and the tilted plane of a passed facet lifts it by less than a gap can show."""
     radius, pitch, rng = 0.01, 0.2 / 78, np.random.default_rng(5)
     file = meshes.write_ply(tmp_path / "plate.ply", meshes.sheet(0.2, 0.2, 78, 78))
     running = engine(make_object("plate", "mesh", file=str(file), material=SLIPPERY), fingertip={"radius_m": radius})
@@ -282,8 +278,7 @@ def test_a_plate_is_a_plane_next_to_a_vertex(tmp_path: Path, cases: Cases) -> No
 @pytest.mark.plain
 @pytest.mark.parametrize("kind", ["thread", pytest.param("cup", marks=pytest.mark.exhaustive)])
 def test_contacts_sum_to_the_force_unless_the_proxy_is_flagged(kind: str, tmp_path: Path, cases: Cases) -> None:
-    """From deep inside, a proxy moves around obstacles for some ticks: `contact.budget` is 2 and no contacts explain
-    its force. In all other ticks the force is the sum of `contacts`."""
+    """From deep inside, a proxy moves around obstacles for some ticks: `contact.budget` is 2."""
     mesh, radius = KINDS[kind], 0.001
     file = meshes.write_ply(tmp_path / "part.ply", mesh)
     running = engine(make_object("part", "mesh", file=str(file)), fingertip={"radius_m": radius})

@@ -80,11 +80,8 @@ def test_rolling_over_an_edge_deflects_nothing(tmp_path, half_angle, method):
 @pytest.mark.parametrize("method", ["midpoint", "montana_rk4", "montana_rk45", "rotation_vector"])
 @pytest.mark.parametrize("half_angle", [2e-4, 0.01, 0.1])
 def test_rolling_with_spin_over_an_edge_has_second_order(tmp_path, half_angle, method):
-    """Oblique to the edge, with a rotation about the normal as large as the roll.
-
-    The midpoint rule does not see the edge if it arrives in the second half of a tick. Its error is r w_n w_y (1 - t)^2
-    / 2 for the arrival at t, so at most r w_n w_y / 8.
-    """
+    """Oblique, with a rotation about the normal as large as the roll. The midpoint rule does not see an edge in the
+    second half of a tick: an error of r w_n w_y (1 - t)^2 / 2 for the arrival at t, at most r w_n w_y / 8."""
     w = TICK_RAD * np.array([0.5, 0.8, 1.0])
     allowed = R * np.linalg.norm(w) * w[1] / 8.0 + third_order(half_angle, w)
     for phase in (0.2, 0.5, 0.9):

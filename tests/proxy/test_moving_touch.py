@@ -186,12 +186,8 @@ def conjugate(q: Array) -> Array:
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", ["ball", "block", "hollow"])
 def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
-    """For equal relative poses, a moved object and a moved finger give the same contact in the object's frame.
-
-    Mode, cause, force and torque agree to rounding, with friction, rolling and damping. Steps are up to 10 mm per tick,
-    and the coupling's damping multiplies their rounding by 2 N s/m / DT. Forces above 1 N, up to 70 N, have a relative
-    tolerance.
-    """
+    """In the object's frame, to rounding, with friction, rolling and damping. Steps are up to 10 mm per tick, and the
+    coupling's damping multiplies their rounding by 2 N s/m / DT. Forces above 1 N have a relative tolerance."""
     still, driver = pair(name)
 
     @examples(25, 300)

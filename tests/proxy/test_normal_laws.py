@@ -157,8 +157,7 @@ def rendered_speed(running: Engine, speed: float, dt: float) -> float:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["Hertz", "Hunt-Crossley", "Hunt-Crossley, Hertz"])
 def test_an_impact_matches_an_independent_integration(name: str) -> None:
-    """The speed of a mass after impact equals DOP853's to first order in the time step, and to second order after
-    extrapolation."""
+    """The speed after impact is that of DOP853, of first order in the time step and of second after extrapolation."""
     speed = 0.2
     wanted = leaving_speed(LAWS[name], speed)
     coarse, fine = (rendered_speed(engine(name), speed, dt) for dt in (4e-5, 2e-5))
@@ -284,10 +283,8 @@ def test_each_wall_of_a_corner_has_a_separate_law() -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("share", "grows"), [(0.8, False), (1.2, True)])
 def test_stability_depends_on_the_slope_at_the_force(share: float, grows: bool) -> None:
-    """A perturbation of a weight on Hertz's wall decays if K(f) is below 2 b / T and grows above, as on a linear wall.
-
-    K T / 2 = b is the bound of Colgate and Schenkel and, for a slow loop, the limit of Gil et al.
-    """
+    """A perturbation of a weight on Hertz's wall decays if K(f) is below 2 b / T: the bound of Colgate and Schenkel,
+    and the limit of Gil et al. for a slow loop."""
     mass, damping, period, weight = 0.2, 2.0, 0.001, 5.0
     # For Hertz's law K(f) = 1.5 K (f / (K d))^(1/3); solved for K.
     wanted = share * 2.0 * damping / period

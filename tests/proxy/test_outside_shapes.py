@@ -102,8 +102,7 @@ def test_a_tag_is_registered_once(cone: ModuleType) -> None:
 
 @pytest.mark.plain
 def test_cone_agrees_with_sampled_points(cone: ModuleType) -> None:
-    """The gap is the distance to the closest of many points of the flank; the point is on the flank, along the
-    normal."""
+    """The gap is the distance to the closest of many points of the flank."""
     rng = np.random.default_rng(1)
     s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
     spacing = 1e-4
@@ -134,11 +133,7 @@ def test_curvature_of_cone_is_the_rotation_of_its_normal(cone: ModuleType) -> No
 
 @pytest.mark.plain
 def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None:
-    """Along a straight line of the flank, touching, pressing, rolling, spinning and sliding give the records of the
-    tangent plane.
-
-    The normal curvature along the line is zero, so the plane is the closed form of every column.
-    """
+    """Along a straight line of the flank the normal curvature is zero: the plane is the closed form of every column."""
     s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
     normal, along, across = np.array([c, 0.0, s]), np.array([s, 0.0, -c]), np.array([0.0, 1.0, 0.0])
     tick = np.arange(401)  # one change at a time: simultaneous roll and spin would leave the straight line
@@ -293,8 +288,7 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
 
 @pytest.mark.exhaustive
 def test_an_outlined_kernel_is_linked_to_a_cached_caller(tmp_path: Path, balls_file: Path) -> None:
-    """A process that loads the caller from disk calls the query it was compiled with; editing the query compiles both
-    again."""
+    """A caller loaded from disk calls the query it was compiled with; editing the query compiles both again."""
     file = tmp_path / "softfinger_beads.py"
     shutil.copy(OUTSIDE / file.name, file)
     assert touched(tmp_path, balls_file) == "0.1 0"

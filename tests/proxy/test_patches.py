@@ -288,8 +288,7 @@ def test_a_roll_may_end_a_tick_just_behind_a_seam(edge, heading, behind, onward)
 
 
 def test_object_indices_follow_the_scene_file():
-    """Object indices match the scene file if a plane is listed between nine spheres; kernels process eight or more in a
-    row."""
+    """A plane between nine spheres; kernels process eight or more in a row."""
     ball = {"shape": "sphere", "radius_m": 0.005, "material": material()}
     objects = [ball | {"name": f"ball {i}", "position_m": [0.03 * i, 0.0, 0.05]} for i in range(9)]
     running = engine(*objects[:4], wall("floor", (0, 0, 1)), *objects[4:])
@@ -335,8 +334,7 @@ def test_each_wall_winds_its_share_of_the_torsional_spring(law):
 
 
 def test_a_wound_spin_is_projected_onto_the_normal_of_the_next_wall():
-    """A spin wound on one wall is projected onto the normal of the next: half of it at 60 degrees between the normals;
-    the first wall retains the full angle."""
+    """Half of it at 60 degrees between the normals; the first wall retains the full angle."""
     normals = np.array([[0.5, 0.0, 0.75**0.5], [-0.5, 0.0, 0.75**0.5]])
     running = engine(*groove(angle=np.pi / 6.0, stuff=[material(None, STRONG)] * 2), rolling=None)
     on_one, on_both = (np.linalg.solve(normals[:, [0, 2]], gaps) for gaps in ([R - 0.001, R + 0.001], [R - 0.001] * 2))
@@ -352,8 +350,7 @@ def test_a_wound_spin_is_projected_onto_the_normal_of_the_next_wall():
 
 
 def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
-    """The moment against rolling is 3/16 alpha r (f1 + f2) phi while the load shifts between walls, and so does its
-    stored energy."""
+    """The moment 3/16 alpha r (f1 + f2) phi and its stored energy are constant while the load shifts between walls."""
     running = engine(*groove(stuff=[material(None)] * 2), rolling=None, **SOFT)
     turn = turning(1, 0.02, 20)
     in_groove(running, np.tile(IN_GROOVE, (20, 1)), turn)
@@ -500,12 +497,8 @@ def test_three_jaws_centre_the_finger():
 
 
 def test_three_jaws_resist_a_twist_and_a_tilt():
-    """Spun about their axis, each jaw rubs with mu_d K t at r; tilted, each winds by the component of the tilt about
-    its normal.
-
-    Each has a third of the springs: k_z about a normal n, K r^2 across. The mean of n n^T is 1/2 in the plane of the
-    jaws.
-    """
+    """Spun about their axis, each jaw rubs with mu_d K t at r; tilted, it winds by the tilt about its normal. Each has
+    a third of the springs: k_z about a normal n, K r^2 across. The mean of n n^T is 1/2 in the plane of the jaws."""
     running, angle = jaws(), 0.01
     closed = running.run(poses(np.zeros((500, 3))))
     np.testing.assert_allclose(closed["force"][-1], 0.0, atol=1e-11)

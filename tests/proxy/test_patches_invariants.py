@@ -204,12 +204,9 @@ def test_order_of_bodies_changes_nothing(kind, draws, count):
 @examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_force_is_continuous(kind, draws, count):
-    """From tick to tick the force changes by no more than stiffness times motion, also if the contact changes object.
-
-    A step s changes the depth in a wall by at most s / sin(half the angle between two walls). Normal forces change by K
-    times that. Friction changes with its springs, with mu times the normal forces and with the shares transferred, each
-    no more than the normal force.
-    """
+    """From tick to tick, by no more than stiffness times motion, also if the contact changes object. A step s changes
+    the depth in a wall by at most s / sin(half the angle between two walls), and normal forces by K times that.
+    Friction changes with its springs, with mu times the normal forces and with the shares transferred."""
     poses = handling(kind, draws, count)
     records = visit(make_engine(kind, even=True), poses)
     travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(

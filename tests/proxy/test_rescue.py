@@ -97,14 +97,10 @@ os._exit(0)
 
 
 def test_the_caller_continues_after_an_error(tmp_path: Path) -> None:
-    """A hundred errors in a row return MuJoCo's message, and the caller's values from before each jump are unchanged.
-
-    After a reset the same data advances, and Python's call of MuJoCo still raises. Of four simultaneous threads, two of
-    which fail in each call, each jumps to its own call. A thread that steps by address outside of `call_rescued`
-    sleeps, and the program runs to its end.
-
-    One process compiles the handler, another with a different thread key loads it.
-    """
+    """A hundred errors in a row return MuJoCo's message and leave the caller's values. After a reset the data advances,
+    and Python's call still raises. Of four threads, two of which fail in each call, each jumps to its own call; a
+    thread outside of `call_rescued` sleeps. One process compiles the handler, another with another thread key loads
+    it."""
     cache, total = str(tmp_path / "kernels"), 0.5 * sum(range(100))
     first = output_of(ERRORS, "0", SOFTFINGER_CACHE_DIR=cache)
     assert first == "3 1.5 invalid integrator True"

@@ -38,13 +38,10 @@ def along(where: list[dict[str, Any]], which: dict[str, Any], place: tuple[Array
 
 @pytest.mark.scaled
 def test_rolling_on_a_moving_sphere_winds_nothing(cases: Any) -> None:
-    """W = (R w_o + r w_f) / (R + r) turns the normal n of a roll without slip, and the tangential force is zero.
-
-    The finger's centre is at (R + r) n from the sphere's, and the probe is on the normal, DEPTH below the proxy. W and
-    the rates are constant, so n = exp(W t) n_0 exactly. If anything turns by a in a tick, the error for a single object
-    is of third order in a, since the rotations of object and finger do not commute. Among several objects it is of
-    second order in the roll in the tangent plane, because the depth is applied at the start and at the end of the tick.
-    """
+    """W = (R w_o + r w_f) / (R + r) turns the normal of a roll without slip: n = exp(W t) n_0, with the probe on it,
+    DEPTH below the proxy. If anything turns by a in a tick, the error is of third order in a for a single object, since
+    the rotations do not commute, and of second order in the roll among several, whose depth is applied at both ends of
+    a tick."""
     random = np.random.default_rng(3)
     for _ in range(cases(2, 40)):
         n0, speed = random.normal(size=3), random.uniform(-0.05, 0.05, 3)
@@ -69,11 +66,7 @@ def test_rolling_on_a_moving_sphere_winds_nothing(cases: Any) -> None:
 
 @pytest.mark.scaled
 def test_moving_with_a_corner_as_one_body_winds_nothing(cases: Any) -> None:
-    """Two walls and a sphere on a common carrier; the finger, pressed into all three, moves and turns with them.
-
-    Nothing rolls, drags or spins: the force is that of the depth, rotated. Positions of 0.1 m round to 1e-17 m, times
-    K.
-    """
+    """Two walls and a sphere on a common carrier. Positions of 0.1 m round to 1e-17 m, times K."""
     random = np.random.default_rng(4)
     wall = {"shape": "plane", "material": GRIP}
     over = np.sqrt((R + RADIUS) ** 2 - 2.0 * R**2)  # the sphere is below the finger that touches both walls

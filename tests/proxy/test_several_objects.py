@@ -50,8 +50,7 @@ def test_groove_is_the_nearest_point_to_the_probe(angle):
 
 
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
-    """The reported contact switches to another wall only if that wall bears clearly more load. A difference of 1 nm in
-    depth causes no switch, twice the load does, and equal depths do not switch back."""
+    """A difference of 1 nm in depth causes no switch, twice the load does, and equal depths do not switch back."""
     floor, left_wall = 0, 1
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
     begin = straight_path((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)

@@ -409,8 +409,7 @@ SAMPLED = 400
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", THIN)
 def test_no_path_crosses_a_thin_object(name: str) -> None:
-    """A path that takes the fingertip clearly inside a thin object is stopped, at a point outside of it. Start and end
-    are outside; the path may be nearly parallel to the object."""
+    """A path that takes the fingertip clearly inside is stopped outside; it may be nearly parallel to the object."""
     (shape, within), rng, radius, stopped = THIN[name], np.random.default_rng(8), 0.002, 0
     for _ in range(400):
         through = within(rng)

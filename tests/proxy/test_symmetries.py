@@ -172,10 +172,7 @@ def test_a_scene_ten_times_as_large(seed, folder):
 
 @pytest.mark.parametrize("seed", range(100))
 def test_a_new_order_of_loads_is_no_jump(seed, folder):
-    """When another contact becomes the one with the largest load, the force changes as in the ticks around.
-
-    Torsion that begins to slip in the same tick bends the force, too, by less than 1 mN.
-    """
+    """The force changes as in the ticks around; torsion that slips in the same tick bends it by less than 1 mN."""
     friction = {"static": 1.0, "kinetic": 1.0}
     records = record(*draw(seed, folder, SYMMETRIC, (6.0, 6.0), friction=friction))
     order = records[:, [AT.contacts0_object, AT.contacts1_object, AT.contacts2_object]]

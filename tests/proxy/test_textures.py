@@ -151,8 +151,7 @@ def gauss(begin: Array, end: Array, pitch: float) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_work_on_a_closed_path_over_a_frictionless_texture_is_zero(scene: Make, seed: int) -> None:
-    """The path follows the edges of a box, into and out of the object. The force is a polynomial in each cell, so the
-    quadrature is exact."""
+    """Along the edges of a box, into and out of the object, where the force is a polynomial in each cell: exact."""
     rng = np.random.default_rng(seed)
     count = 15  # odd: the spline's pieces end at integer cells from the centre
     engine = Engine(scene(rng.uniform(size=(count, count))))
@@ -299,8 +298,7 @@ def test_texture_moves_with_a_moving_object(scene: Make) -> None:
 
 
 def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
-    """A textured floor, a bare wall and another textured wall, pressed at once, give the sum of their separate
-    forces."""
+    """A textured floor, a bare wall and another textured wall give the sum of their separate forces."""
     grid = OBLIQUE.samples()
     stuff = {"material": {"stiffness_n_per_m": 2.0 * K}}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]} | stuff
@@ -456,8 +454,7 @@ def test_texture_stays_between_its_minimum_and_maximum(
 
 
 def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> None:
-    """The number and type of a scene's parameters do not depend on the array, and `tune` replaces it without
-    compiling."""
+    """The type of a scene does not depend on the array, and `tune` replaces it without compiling."""
     small, large = (build_scene(scene(np.random.default_rng(0).uniform(size=shape))) for shape in ((2, 2), (300, 200)))
     assert len(flatten(small)) == len(flatten(large)) and numba.typeof(small) == numba.typeof(large)
     first, second = scene(OBLIQUE.samples(), extent(OBLIQUE)), scene(-OBLIQUE.samples(), extent(OBLIQUE))
@@ -487,8 +484,7 @@ def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], messa
 
 
 def test_files_are_relative_to_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The documented array and scene, saved in one folder, load from another working directory, and the summary of
-    `check` has their values."""
+    """The documented array and scene load from another working directory; the summary of `check` has their values."""
     page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")
     blocks = [dedent(match[0]) for match in re.finditer(r"(?:^    .*\n|^\n(?=    ))+", page, re.MULTILINE)]
     program, table = blocks[:2]

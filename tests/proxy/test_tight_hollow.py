@@ -48,11 +48,8 @@ def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: 
 def test_a_roll_in_a_hollow_slides_to_the_limit_of_the_cone(
     plane_scene: SceneFactory, clearance: float, ticks: int
 ) -> None:
-    """After a roll of 1 rad about x, deflection, normal force, torque and cause match the closed form.
-
-    A tick turns the contact by up to 0.2 rad, and the friction limit uses the normal force before the slip, an error of
-    mu tan a times that turn.
-    """
+    """A tick turns the contact by up to 0.2 rad, and the friction limit uses the normal force before the slip: an error
+    of mu tan a times that turn."""
     records = rolled(plane_scene, R + clearance, True, 1.0, ticks)
     h, d = clearance, clearance + DEPTH
     a = equilibrium_angle(h, d, MU_D)

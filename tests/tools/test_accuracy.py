@@ -149,11 +149,8 @@ def test_classical_method_on_a_torus() -> None:
 
 
 def test_errors_on_the_plane_are_the_closed_forms(result: dict[str, Any]) -> None:
-    """At a constant rate, the ZXZ angles of a step miss its roll and its spin by the amounts of half-angle formulas.
-
-    The straight path is too short or too long by the same amount in each step, so the end has the largest error.
-    Methods that use the logarithm are exact.
-    """
+    """At a constant rate, ZXZ angles miss roll and spin of a step by half-angle formulas; the end has the largest
+    error."""
     for row in rows(result, surface="plane", motion="constant"):
         half, count = W * row["step_s"] / 2, row["steps"]
         across, along = np.sin(half) * ROLL_RATE / W, np.sin(half) * SPIN_RATE / W

@@ -26,10 +26,8 @@ SHARPEST_M = {"ball": 0.05, "cylinder": 0.03, "torus": 0.02}
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
-    """Halving the edges divides the error of the force and of the contact point's distance from the surface by four,
-    since the height of a facet is quadratic in its size. So it does for the rolled angle over many edges, where errors
-    of direction cancel. The error of the force's direction is halved, and small from the start with shading. The
-    winding of a rolling hand's path over a facet, which the next edge takes back, is halved as well."""
+    """Halving the edges divides errors of the force, of the point's distance and of the rolled angle by four, since the
+    height of a facet is quadratic in its size; those of the direction and of the winding over a facet by two."""
     rows = list(converge(name, FINENESS))
     result = fit_orders(rows)
     assert result["force_n"] > 1.8 and result["point_m"] > 1.8
@@ -57,9 +55,8 @@ def test_rolling_over_edges_does_not_depend_on_the_tick(name: str) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", CASES)
 def test_paths_go_askew_over_edges(name: str) -> None:
-    """Each path passes at least four facets with different normals, even on coarse meshes: a path on a single facet
-    cannot show errors at edges. Its angles sum up to that of the path, r d(theta) = |dc|, with c on the surface grown
-    by r."""
+    """A path passes at least four facets, since errors at edges show only there. Its angles sum up to r d(theta) =
+    |dc|, with c on the surface grown by r."""
     vertices, triangles = CASES[name].triangles(FINENESS[1])
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     normals = np.cross(b - a, c - a)
