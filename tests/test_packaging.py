@@ -282,8 +282,7 @@ def imported(path: Path) -> Iterator[str]:
 
 
 def test_kernels_import_only_numerics_and_each_other() -> None:
-    """The compiler's files in `jit/` may import the standard library: it runs at import or in numba's typing, never in
-    a tick. So does `kernel_table.py` with functools."""
+    """The compiler's files in `jit/` run at import or in numba's typing, never in a tick."""
     kernels = ROOT / "proxy" / "kernels"
     files = sorted(kernels.rglob("*.py"))
     assert files

@@ -145,8 +145,7 @@ def test_without_torsion_it_swings_as_a_pendulum(tmp_path: Path) -> None:
     "model_of_torsion", [pytest.param("independent", marks=pytest.mark.exhaustive), "limit_surface"]
 )
 def test_it_slips_at_the_limit_of_friction(model_of_torsion: str, tmp_path: Path) -> None:
-    """Pulled with 60 % of the cone and twisted, it slips at the torsional limit, or at the limit surface's remainder.
-    Pulled without a twist, it slips at the cone. To 1 %."""
+    """Twisted under 60 % of the cone, it slips at the torsional limit or the limit surface's remainder. To 1 %."""
     press, static, length = 2.0, 0.8, 0.004
     step = 2  # ticks: at the rates below a step is at most 0.4 % of the limit
     material = RUBBER | {

@@ -51,8 +51,7 @@ def make_engine(folder: Path, kind: str) -> Engine:
 
 
 def visit(random: np.random.Generator, above: bool) -> Array:
-    """Poses (n, 7) to 4 to 7 mm from the body's middle, with some drag and roll, and away within 40 degrees. If
-    `above`, the path starts on the side of +z."""
+    """Poses (n, 7) to 4 to 7 mm from the body's middle, with drag and roll, and away; if `above`, from +z."""
     start = random.normal(size=3)
     if above:
         start[2] = abs(start[2]) + 2.0

@@ -48,8 +48,7 @@ def test_a_demand_met_by_another_wall_gets_no_weight():
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 2e-6, 1e-5, 3e-5, 1e-4, 2e-3])
 def test_nearly_parallel_walls_push_as_one(angle):
-    """For tiny differences of normals and demands, the weights add up to the greater demand. The sideways part of the
-    second demand adds at most the difference of the demands."""
+    """The sideways part of the second demand adds at most the difference of the demands."""
     up, tilted = (0.0, 0.0, 1.0), (float(np.sin(angle)), 0.0, float(np.cos(angle)))
     for more in (0.0, 1e-18, -1e-18, 1e-12, -1e-12, 1e-9, -1e-9):
         for normals, demands in (((up, tilted, up), (0.04, 0.04 + more)), ((tilted, up, up), (0.04 + more, 0.04))):

@@ -232,8 +232,7 @@ def test_a_contact_that_sticks_is_a_spring_to_the_stuck_point(shape: str, deep: 
 
 @pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "midpoint"])
 def test_a_roll_at_a_fixed_position_turns_the_normal(method: str) -> None:
-    """On a sphere of 20 mm, 3 mm deep, a roll of 0.03 rad moves the centre by 0.3 mm and turns the normal by 0.01 rad.
-    The force is K (c - x), and the torque r times its tangential part."""
+    """A roll of 0.03 rad, 3 mm deep: the force is K (c - x), and the torque r times its tangential part."""
     it = {"name": "it", **SHAPES["sphere"], "material": STICKY}
     top, deep, turn = BALL + R, 3e-3, 0.03
     down = line((0.0, 0.0, top + 1e-3), (0.0, 0.0, top - deep))

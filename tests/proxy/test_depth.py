@@ -65,8 +65,7 @@ def random_poses(rng: np.random.Generator, ticks: int) -> Array:
 def test_the_depth_is_never_negative(
     shape: str, count: int, cases: Cases, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The depth is never negative, zero without contact, and positive with a force on a single object. The cases
-    include a second object, friction that displaces the proxy far from the probe, and ticks of a release."""
+    """With a second object, and with friction that displaces the proxy far from the probe."""
     monkeypatch.chdir(tmp_path)
     write_ply(Path("ball.ply"), icosphere(1, 0.012))
     np.save("hills.npy", np.random.default_rng(1).uniform(0.0, 0.005, (9, 9)))

@@ -159,8 +159,7 @@ CASES = [
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(("name", "method", "ticks", "order"), CASES)
 def test_rolling_follows_the_shape_operators_of_both_bodies(name: str, method: Any, ticks: int, order: int) -> None:
-    """A roll of 1.5 rad matches (W_o + W_f) p' = w x n, integrated to the eighth order. Methods with step control reach
-    their tolerance, methods with fixed steps converge with their order."""
+    """(W_o + W_f) p' = w x n, integrated to the eighth order, in a roll of 1.5 rad."""
     rng, shape = np.random.default_rng(3), SHAPES[name]
     for _ in range(2):
         _, foot, _ = closest(shape, tuple(rng.normal(0.0, 0.04, 3)))
@@ -197,8 +196,7 @@ def test_a_spheroid_rolls_on_its_equator_like_a_wheel() -> None:
 
 
 def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
-    """A roll about axis b at a fixed position moves the contact by the arc of the ellipse, an elliptic integral. The
-    normal force follows the support height, and its moment is the derivative of the springs' energy."""
+    """About axis b, an elliptic integral. The force's moment is the derivative of the springs' energy."""
     a, _, c = AXES
     theta = np.linspace(0.0, 1.2, 601)
     x = np.tile([0.0, 0.0, 0.0075], (601, 1))

@@ -62,8 +62,7 @@ def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside:
 
 @pytest.mark.parametrize("sense", [1, -1])
 def test_stick_slip_gains_energy_between_two_depths(sense: int) -> None:
-    """A path along the sphere at one depth and back at another gains K a (1 - cos theta) times the difference. The sign
-    depends on the direction."""
+    """There and back at two depths: K a (1 - cos theta) times their difference, with the sign of the direction."""
     stiffness, shallow, deep, angle = 300.0, 0.0005, 0.004, 0.45
     effect = {"kind": "stick_slip", "stiffness_n_per_m": stiffness, "force_max_n": 5.0}
     running = Engine(scene({"material": {"stiffness_n_per_m": K_N}, "effect": [effect]}))

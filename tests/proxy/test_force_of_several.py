@@ -103,8 +103,7 @@ def gap(entry: Mapping[str, Any], points: Array) -> Array:
 
 
 def check_statics(name: str, records: Any, probe: Array, static: float, at_rest: Array) -> None:
-    """Check that the proxy is outside of all objects and all contact forces are within their cones. In ticks that are
-    `at_rest` the forces add up to K (c - x)."""
+    """Proxy outside, forces in their cones; in ticks that are `at_rest` they add up to K (c - x)."""
     center, touching = records["proxy.position"], records["contact.mode"] > 0
     assert touching.mean() > 0.5
     for entry in SCENES[name]:

@@ -355,8 +355,7 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
     "name", [pytest.param(map_name, marks=pytest.mark.exhaustive if map_name == "noise" else ()) for map_name in MAPS]
 )
 def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """With friction, torsion and rolling, deep and shallow, also over the rim: 300 ticks on each map except the noise,
-    and 25 000 on all in `make test-all`."""
+    """With friction, torsion and rolling, deep and shallow, also over the rim."""
     pitch, heights = MAPS[name]
     half, over = 0.5 * pitch * min(heights.shape), np.ptp(heights)
     poses = stroke(6, cases(600, 25_000), 1.2 * half, R - 0.6 * over - 2e-4, R + over)[:: cases(2, 1)]
@@ -372,8 +371,6 @@ def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[i
 
 
 def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
-    """Pressed without friction into a groove narrower than the fingertip, it rests on both walls and is pushed by
-    both."""
     pitch = 2e-4
     heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
     groove = engine(part(tmp_path, heights, pitch, material=SMOOTH), rolling=None)
@@ -403,8 +400,7 @@ def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
 
 @pytest.mark.scaled
 def test_height_maps_next_to_a_wall(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """With a wall as second object, a level map agrees with a plane to 1e-11 m, the tolerance of resting on two
-    objects."""
+    """A level map agrees with a plane to 1e-11 m, the tolerance of resting on two objects."""
     grip: dict[str, Any] = {"material": {"torsion": None}}
     wall = make_object("wall", "plane", orientation_wxyz=[math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0], **grip)
     poses = stroke(8, 2000, 0.012, 0.0085, 0.0115)[: cases(100, 2000)]

@@ -27,10 +27,7 @@ HALF = np.array([0.02, 0.015, 0.01])
 
 
 def numbers(rows, columns):
-    """Return a strategy for arrays (rows, columns) in [-1, 1), with 0 the simplest.
-
-    A single draw for all numbers: one draw per number would take longer than the test.
-    """
+    """Arrays (rows, columns) in [-1, 1), 0 the simplest; a draw for each number would take longer than the test."""
     count = rows * columns
     return st.binary(min_size=2 * count, max_size=2 * count).map(
         lambda data: np.frombuffer(data, np.int16).reshape(rows, columns) / 32768.0
@@ -80,8 +77,7 @@ def gaps(x):
 
 
 def visits(start, draws):
-    """Return poses (n + 1, 7): `start`, then a point within 60 mm for each row (n, 6), each rotated by up to 0.1
-    rad."""
+    """Poses (n + 1, 7): `start`, then a point within 60 mm for each row (n, 6), turned by up to 0.1 rad."""
     orientations, _ = walk(np.vstack([np.zeros(3), 0.1 * draws[:, 3:]]), len(draws) + 1)
     return np.hstack([np.vstack([start, 0.06 * draws[:, :3]]), orientations])
 
@@ -177,8 +173,7 @@ def test_closed_cycle_of_a_frictionless_contact_creates_no_energy(kind):
 
 
 def cycle(at, goals, turns, ticks=8):
-    """Return poses (n, 7) from `at` (3,) to each goal (3,), rotating by the given vectors in `ticks` ticks each, and
-    back to the first pose."""
+    """Poses (n, 7) from `at` (3,) to each goal (3,), rotating by these vectors in `ticks` ticks each, and back."""
     x, q, shares = at, np.array([1.0, 0.0, 0.0, 0.0]), np.arange(1, ticks + 1)[:, None] / ticks
     poses = [np.concatenate([x, q])[None]]
     for goal, turned in [*zip(goals, turns, strict=True), (at, None)]:
@@ -266,8 +261,7 @@ def as_matrices(quaternions, out):
 
 @entry
 def walk_by(turns, steps, out):
-    """Compute orientations (n, 4) from successive rotation vectors (n, 3), and `relative` of each to the previous
-    one."""
+    """Orientations (n, 4) from rotation vectors (n, 3), and `relative` of each to the one before."""
     q = (1.0, 0.0, 0.0, 0.0)
     for i in range(turns.shape[0]):
         before = q
@@ -288,8 +282,7 @@ ULP = np.finfo(float).eps
 
 
 def assert_rotations(matrices):
-    """Assert R^T R = 1 and det R = +1: an entry has some ten operations on numbers up to 2, each accurate to half an
-    ulp."""
+    """R^T R = 1 and det R = +1: an entry has ten operations on numbers up to 2, each to half an ulp."""
     assert np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() <= 16 * ULP
     assert np.abs(np.linalg.det(matrices) - 1.0).max() <= 24 * ULP
 

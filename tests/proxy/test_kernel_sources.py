@@ -25,8 +25,7 @@ KERNEL = re.compile(
 
 
 def hashed_with(file: str, module: str) -> bool:
-    """Return True if an edit of a module invalidates the cached kernels of a file. That holds for modules in the hashed
-    kernel folders, and in the file's folder."""
+    """Return True if an edit of a module invalidates the cached kernels of a file."""
     path = module.removeprefix(OURS).replace(".", "/")
     return f"{path}/".startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS)) or (
         not file.startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS))

@@ -133,8 +133,7 @@ def test_more_objects_than_have_an_index_are_refused() -> None:
 
 
 def test_other_objects_do_not_recompile_the_step(tmp_path: Path) -> None:
-    """A second scene with the same laws reuses the compiled step; only a new shape is compiled. The scenes have a body
-    that is never touched, so that their step is also that of tests/server/test_world.py."""
+    """Only a new shape is compiled. A body never touched makes the step that of tests/server/test_world.py."""
     poses, world = over_the_top(200), key_world(tmp_path)
     first = Engine(scene(SHAPES["sphere"], FAR, world=world))
     expected = first.run(poses)

@@ -26,8 +26,7 @@ def test_two_fingers_on_one_mesh_are_independent(tmp_path, cases):
 
 
 def test_meshes_and_shapes_in_one_scene(tmp_path, cases):
-    """With a mesh box on a plane, a mesh sphere and a sphere, the proxy is outside of all of them. The median
-    difference from the forces of the equivalent shapes is below 30 mN."""
+    """A mesh box on a plane, a mesh sphere, a sphere; forces as of the equivalent shapes, median to 30 mN."""
     box, ball = bar(0.03, 0.03, 0.02), meshes.moved(meshes.geodesic(cases(10, 24), 0.03), (0.075, 0.0, 0.01))
     floor = make_object("floor", "plane", position_m=[0.0, 0.0, -0.02], material=SMOOTH)
     sphere = make_object("other", "sphere", radius_m=0.02, position_m=[0.0, 0.06, 0.0], material=SMOOTH)

@@ -64,8 +64,7 @@ def test_a_faceted_sphere_converges_to_the_sphere(tmp_path):
 
 
 def test_an_open_cavity_equals_a_hollow_sphere(tmp_path):
-    """A sphere with a hole smaller than the fingertip gives the same bits with and without `inside`. Away from the hole
-    the forces are those of the hollow sphere."""
+    """A hole smaller than the fingertip; away from it the forces are those of the hollow sphere."""
     ball = meshes.geodesic(16, 0.03)
     lower = ball.vertices[ball.triangles].mean(axis=1)[:, 2] < 0.0295
     file = write_part(tmp_path, ball.vertices, ball.triangles[lower])
@@ -151,8 +150,7 @@ def balls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Engine]:
 
 
 def turned(running: Engine, speed: float) -> Array:
-    """Turn of the force per tick, rad, which equals N per N. The hand presses down, then drags at a speed (m/s) of the
-    proxy along a great circle, oblique to the triangles."""
+    """Turn of the force per tick, rad, in a drag at `speed` m/s of the proxy, oblique to the triangles."""
     angles = np.concatenate([np.zeros(PRESSED), np.arange(round(WAY / (speed * DT))) * speed * DT / (BALL + R)])
     heights = np.full(len(angles), BALL + R - DEPTH)
     heights[:PRESSED] = np.linspace(BALL + R + 0.1 * DEPTH, BALL + R - DEPTH, PRESSED)
@@ -179,8 +177,7 @@ def test_a_shaded_mesh_turns_the_force_like_a_sphere(balls: dict[str, Engine], s
 
 @pytest.mark.parametrize("speed", [0.004, 0.02])
 def test_an_unshaded_mesh_turns_the_force_at_its_edges(balls: dict[str, Engine], speed: float) -> None:
-    """The normal turns only round edges, (R + r - d) / (r - d) = 6.6 times as fast as on the sphere. There the probe is
-    at r - d from the edge. It is also more than four times as fast as on the shaded mesh."""
+    """Round an edge the probe is r - d away: the normal turns (R + r - d) / (r - d) = 6.6 times as fast."""
     steps, shaded = turned(balls["none"], speed), turned(balls["normals"], speed)
     travel = speed * DT * (BALL + R - DEPTH) / (BALL + R)
     # The maximum is for a path straight over an edge; a chord differs from its arc by the square of the angle.

@@ -91,8 +91,7 @@ def test_a_fingertip_in_the_centre_of_a_socket(tmp_path, cases, room):
 
 @pytest.mark.parametrize("room", [0.1, 0.3])
 def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
-    """Without friction the proxy moves to the side of the hand from any other side, though all triangles are equally
-    close, and the search finishes."""
+    """Without friction, though all triangles are equally close, and the search finishes."""
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
     for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 100)]):
         reach = R * (room + 0.2)
@@ -103,8 +102,7 @@ def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
 
 @pytest.mark.parametrize("name", ["star", "messy", "crossing"])
 def test_a_delayed_proxy_does_not_let_the_force_jump(tmp_path, name):
-    """A hand moves quickly, up to six radii deep, while the proxy moves around the object: the force changes by at most
-    the stiffness times the motion of probe and proxy."""
+    """Up to six radii deep: at most the stiffness times the motion of probe and proxy."""
     made = hostile_meshes.MADE[name]()
     smooth, _ = smooth_and_rough(tmp_path, made)
     start = np.abs(made.vertices).max() + 2.0 * R

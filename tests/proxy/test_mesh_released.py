@@ -58,8 +58,7 @@ def feet(corners: Array, x: Array) -> Array:
 
 
 def unexplained(corners: Array, radius: float, proxy: Array, probe: Array) -> float:
-    """Return the share, 0 to 1, of the direction from probe to proxy that no sum of normals of touched triangles
-    explains."""
+    """Share, 0 to 1, of the direction from probe to proxy that no sum of touched normals explains."""
     apart = proxy - feet(corners, proxy)
     far = np.linalg.norm(apart, axis=1)
     touched = apart[far < radius * (1.0 + 1e-4)] / far[far < radius * (1.0 + 1e-4)][:, None]
@@ -170,8 +169,7 @@ def test_a_stuck_proxy_restarts_at_the_probe(crumpled: meshes.Mesh, tmp_path: Pa
 
 
 def test_a_first_touch_is_resolved_or_flagged(crumpled: meshes.Mesh, tmp_path: Path, cases: Cases) -> None:
-    """A fingertip that starts in contact is outside after a tick, or `contact.budget` is nonzero and it is free;
-    without contact (to GRAZE) there is no force."""
+    """Outside after a tick, or `contact.budget` is nonzero and it is free; no force without contact."""
     file, radius = write_part(tmp_path, *crumpled), 0.002
     running = engine(make_object("part", "mesh", file=file, material=SLIPPERY), fingertip={"radius_m": radius})
     rng, balls = np.random.default_rng(2), balls_of(*crumpled)

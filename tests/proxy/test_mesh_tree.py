@@ -167,8 +167,7 @@ def test_an_exhausted_budget_still_gives_a_lower_bound():
 
 
 def test_a_query_stops_early_at_a_triangle_within_reach():
-    """With a reach, a query stops early at any triangle within it; if there is none, the result is the usual one. The
-    query point is near the centre of a sphere, where many triangles are almost equally near."""
+    """Near the centre of a sphere many triangles are almost equally near."""
     vertices, triangles = meshes.geodesic(60, 0.05)
     tree = build_tree(vertices, triangles)
     mesh, x = mesh_of(tree), (1.2e-3, 0.7e-3, -0.9e-3)

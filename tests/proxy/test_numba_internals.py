@@ -274,8 +274,7 @@ def shared(x: float, n: int) -> Any:
 
 @pytest.mark.parametrize("function", [straight, branched, looped, nested, renamed, shared])
 def test_types_and_results_are_those_of_numba(empty_cache: None, function: Any) -> None:
-    """`TypeInferer`, `storevar`, `_blk_local_varmap`, `is_straight`: also of variables of several blocks or
-    closures."""
+    """`TypeInferer`, `storevar`, `_blk_local_varmap`, `is_straight`."""
     kernel: Any = decorators.jit(function)
     caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, n: kernel(x, n))
     plain: Any = numba.njit(**decorators.OPTIONS)(function)

@@ -56,8 +56,7 @@ def finger_on_a_plate(folder: Path, floor: float) -> Engine:
 
 
 def go(engine: Engine, path: Array) -> tuple[Array, Array, Array]:
-    """Force on the finger (n, 3), mode (n,) and velocity of the plate along x (n,) for centres (n, 3). Check that the
-    force on the plate is the opposite, to 1e-12 N."""
+    """Force (n, 3), mode (n,) and the plate's velocity along x (n,); checks that the plate's force is opposite."""
     force, mode, speed = np.zeros((len(path), 3)), np.zeros(len(path)), np.zeros(len(path))
     for tick, center in enumerate(path):
         records = engine.run(np.array([[*center, 1.0, 0.0, 0.0, 0.0]]))
@@ -74,8 +73,7 @@ def down(depth: float, ticks: int = 120) -> Array:
 
 
 def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path) -> None:
-    """On a frictionless floor, a finger with force N drags with an acceleration j t; the plate slips at a = mu_s N / m.
-    Afterwards the plate accelerates with mu_k N / m."""
+    """Without floor friction, at a = j t = mu_s N / m; afterwards it accelerates with mu_k N / m."""
     engine, jerk, press = finger_on_a_plate(tmp_path, 0.0), 40.0, down(1e-3)
     force, _, _ = go(engine, press)
     normal = force[-1, 2]
@@ -94,8 +92,7 @@ def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path)
 
 
 def test_a_pushed_plate_resists_by_floor_friction_and_inertia(tmp_path: Path) -> None:
-    """Pushed from the side, the plate resists with mu m g in a slow slide, and with m a more in an accelerated one. To
-    2 %: MuJoCo makes friction convex, and a sliding body hops by micrometres."""
+    """mu m g + m a. To 2 %: MuJoCo makes friction convex, and a sliding body hops by micrometres."""
     floor, more, slow, faster = 0.2, 2.0, 400, 150
     engine, limit = finger_on_a_plate(tmp_path, floor), floor * MASS * G
     t = DT * np.arange(slow + faster)

@@ -58,8 +58,7 @@ def tile(name, x, y=0.0, edge=0.1, stuff=None):
 
 
 def groove(order=(0, 1), stuff=(None, None), angle=None):
-    """Return two planes that intersect in the y axis, in the given order; 90 degrees apart, or with normals `angle` rad
-    from z."""
+    """Two planes that intersect in the y axis, in this order; normals at 45 degrees or `angle` rad from z."""
     normals = WALLS if angle is None else [(s * np.sin(angle), 0.0, np.cos(angle)) for s in (1.0, -1.0)]
     return [wall(f"wall {i}", normals[i], stuff[i]) for i in order]
 
@@ -197,15 +196,13 @@ def test_friction_is_constant_across_a_seam(speed):
 
 
 def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
-    """Without friction, crossing and returning at depth d does no work; pressing on one box and lifting on the other
-    does (K1 - K2) d^2 / 2."""
+    """Crossing at depth d does no work; pressing on one box and lifting on the other (K1 - K2) d^2 / 2."""
     slick, stiffness, deep = {"static": 0.0, "kinetic": 0.0}, (1000.0, 300.0), 0.001
     boxes = [box | {"material": material(slick, stiffness_n_per_m=k)} for box, k in zip(SEAM, stiffness, strict=True)]
     running = engine(*boxes)
 
     def work(*corners):
-        """Return the work of the hand along a path, J; on each segment the force varies linearly or is perpendicular to
-        the path."""
+        """Work of the hand along a path, J; on each segment the force is linear or perpendicular to the path."""
         path = np.vstack([corners[0], *(line(a, b, 100) for a, b in pairwise(corners))])
         force = running.run(poses(path))["force"]
         running.reset()
@@ -371,8 +368,7 @@ FAR = wall("far", (0.0, 0.0, 1.0), offset=-5.0)
 
 
 def over_the_ball(angles, turned):
-    """Return the records of a path over the top of the ball by `angles` (n,) about y, with the fingertip rotated by
-    `turned` (n,) about that axis."""
+    """Records of a path over the ball by `angles` (n,) about y; the fingertip turns by `turned` (n,)."""
     running = engine({"name": "ball", "shape": "sphere", "radius_m": BALL, "material": STUCK}, FAR)
     out = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
     running.run(poses(pressing((0.0, 0.0, BALL + R - DEEP))))
@@ -380,8 +376,7 @@ def over_the_ball(angles, turned):
 
 
 def test_a_followed_roll_over_a_curve_winds_nothing():
-    """The centre moves by (R + r) d(phi) while the fingertip turns by d(theta) = (R + r) / r d(phi); the deeper probe
-    moves by (R + r - d) d(phi), which is not a slip. The tangential force is zero, out and back."""
+    """The probe moves by (R + r - d) d(phi), less than the centre, which is not a slip."""
     angles = ARC * np.sin(np.linspace(0.0, np.pi, 1201))
     records = over_the_ball(angles, (BALL + R) / R * angles)
     assert records["contact.rolled"][-1] == pytest.approx(2.0 * (BALL + R) / R * ARC, rel=1e-3)  # out and back
@@ -389,8 +384,7 @@ def test_a_followed_roll_over_a_curve_winds_nothing():
 
 
 def test_a_drag_over_a_curve_is_wound_by_the_motion_of_the_probe():
-    """The sticking surface point has a constant normal, so the tangential force is K_t times the displacement of the
-    probe along it, and returns to zero when the probe returns."""
+    """The sticking surface point has a constant normal: K_t times the displacement of the probe along it."""
     angles = 0.08 * np.sin(np.linspace(0.0, np.pi, 1201))  # within the cone, 5 N
     records = over_the_ball(angles, 0.0 * angles)
     wound = 1000.0 * (BALL + R - DEEP) * np.sin(angles)
@@ -401,8 +395,7 @@ def test_a_drag_over_a_curve_is_wound_by_the_motion_of_the_probe():
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("along", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 def test_a_wall_that_slides_past_adds_its_friction(order, along):
-    """The finger rests on a fixed floor while a wall slides past. The wall's friction, 0.25 N, adds along the floor;
-    upwards it unloads the floor by the same amount, and the force is that of the spring to the resting proxy."""
+    """The wall's 0.25 N add along a fixed floor; upwards they unload the floor by the same amount."""
     motion = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.0], "frequency_hz": 0.1}
     slides = wall("wall", (1, 0, 0)) | {"motion": motion}
     # The motion is given in the wall's frame: z is the normal, x is -z of the world, y is y.

@@ -78,8 +78,7 @@ def make_engine(kind, even=False, back=False, unequal=False):
 
 
 def handling(kind, draws, count):
-    """Poses of a path through several goals within some mm of a place and back. First and last pose are free, except in
-    a pinch, which leaves no room."""
+    """Poses of a path to goals within some mm of a place and back; free at its ends, except in a pinch."""
     # Offset from the point at which both walls are touched exactly, where rounding decides.
     goals = PLACES[kind] + [0.00011, -0.00007, -0.00031] + 0.002 * draws[:count, :3]
     return cycle(PLACES[kind] + BEGIN.get(kind, (0.002, 0.002, 0.006)), goals, 0.3 * draws[:count, 3:])

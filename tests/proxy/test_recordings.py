@@ -115,8 +115,7 @@ def test_a_recorded_roll_rolls_and_does_not_slip(engine: Engine, aside: float) -
 
 @pytest.mark.parametrize("aside", [0.0, 0.4e-3])
 def test_letter_never_detects_rolling_again(letter: Engine, aside: float) -> None:
-    """Both failures present: at theta_max, 0.06 rad, the paper's rule slips by 0.5 mm, and slides for ever at mu_d f_N,
-    even at rest."""
+    """Both failures present: at theta_max, 0.06 rad, the paper's rule slips by 0.5 mm and slides for ever."""
     roll = recorded_roll(letter, aside)
     slides = int(np.argmax(roll.mode == SLIDING))
     assert roll.rolled[slides - 1] <= 0.06 < roll.rolled[slides] < 0.061

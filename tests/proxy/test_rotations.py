@@ -72,8 +72,7 @@ def test_quaternion_of_a_matrix_is_exact_to_rounding():
 
 
 def test_unit_quaternions_are_not_renormalised():
-    """A normalised quaternion that is recorded and read again has the same bits. A quaternion farther from unit length
-    than rounding explains is normalised."""
+    """A normalised quaternion that is recorded and read again has the same bits."""
     random = np.random.default_rng(5)
     for q in (random.standard_normal((20000, 4)) * random.uniform(0.5, 1.5, (20000, 1))).tolist():
         once = rotations.normalize(tuple(q))

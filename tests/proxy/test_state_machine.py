@@ -55,8 +55,7 @@ def test_a_slow_slide_is_not_a_stop(plane_scene: SceneFactory) -> None:
 def test_reverse_sticks_after_a_tenth_or_three_encoder_steps(
     plane_scene: SceneFactory, resolution: float, distance: float
 ) -> None:
-    """A reversal sticks when the deflection of 0.5 mm has decreased by 10 %, or by three encoder steps if that is
-    more."""
+    """The larger of 10 % of the deflection of 0.5 mm and three encoder steps."""
     hand = pressed().go(500, move=[0.025, 0, 0])
     turn = hand.at
     step_m = 23e-6

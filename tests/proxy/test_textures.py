@@ -235,8 +235,7 @@ def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, case
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_wave_round_a_cylinder(scene: Make, inside: bool) -> None:
-    """u is the arc length on the cylinder from x; under a probe at rho from the axis it changes R / rho times as
-    fast."""
+    """u is the arc length from x; under a probe at rho from the axis it changes R / rho times as fast."""
     radius, wave = 0.03, Wave(32, 4, AROUND, SIZE, (2, 0))
     engine = Engine(scene(wave.samples(), SHAPES["hollow cylinder" if inside else "cylinder"] | extent(wave)))
     angle = np.linspace(-np.pi, np.pi, 41)
@@ -383,8 +382,7 @@ def test_sliding_friction_depends_on_the_sliding_point(scene: Make, law: str) ->
 
 @pytest.mark.parametrize(("x0", "value"), [(-0.25, 1.0 / 3.0), (0.25, 2.0 / 3.0)])
 def test_static_friction_is_scaled_too(scene: Make, x0: float, value: float) -> None:
-    """A finger slides when the drag reaches mu_s times the factor of its sticking point, from a spline of 0, 1, 0,
-    1."""
+    """The drag reaches mu_s times the factor of the sticking point, from a spline of 0, 1, 0, 1."""
     texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
     engine = Engine(scene(np.array([[0.0, 1.0]]), texture=texture, material={"friction": FRICTION}))
     x = x0 + np.linspace(0.0, 3e-3, 600)

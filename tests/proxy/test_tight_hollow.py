@@ -151,8 +151,7 @@ NEARLY_FILLED: dict[str, Any] = {
 @pytest.mark.parametrize("clearance", [1e-4, 2e-3], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", NEARLY_FILLED)
 def test_proxy_in_a_hollow_is_the_nearest_point_to_the_probe(name: str, clearance: float, cases: Cases) -> None:
-    """At rest, the force is that of the spring to the nearest allowed centre, in closed form. The probe jumps to one
-    random position and then to another, up to ten clearances from the middle."""
+    """In closed form, after a jump between random positions up to ten clearances from the middle."""
     objects, nearest = NEARLY_FILLED[name]
     hollow, *others = objects(clearance)
     material = {"material": {"stiffness_n_per_m": K}}
@@ -178,8 +177,7 @@ ALONE: dict[str, Any] = {
 @pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", ALONE)
 def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
-    """A jump from the middle by up to thirty clearances, with friction, puts the proxy at the nearest point. The force
-    has no tangential part."""
+    """A jump from the middle by up to thirty clearances, with friction: no tangential part."""
     table, nearest = ALONE[name]
     running, rng = (
         Engine(plane_scene(table={**table, "radius_m": R + clearance, "inside": True})),

@@ -89,8 +89,7 @@ def test_a_package_is_searched_in_the_folders_above(prefix: str, tmp_path: Path)
 
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_a_lid_turns_about_its_hinge(substeps: int, tmp_path: Path) -> None:
-    """Pressed from above, the lid gains I theta' + c theta, which equals force times arm times time. A URDF has no time
-    step, so that of a tick is used."""
+    """I theta' + c theta equals force times arm times time. A URDF has no time step: that of a tick."""
     scene = {
         "fingertip": {"radius_m": R},
         "world": {"model": write_model(tmp_path), "geom": [{"name": "lid", "material": WOOD}], "substeps": substeps},

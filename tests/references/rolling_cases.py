@@ -82,11 +82,8 @@ def rolled_by(method: Any, shape: Any, center: model.Vec3, normal: model.Vec3, w
 
 @entry
 def roll_long(method: Any, shape: Any, radius: float, center: Any, normal: Any, w: Any, ticks: int) -> Any:
-    """Roll for many ticks by |w| rad about a wandering axis.
-
-    Returns the largest distance (m) of the contact point from the surface, that of the normal's length from 1,
-    and the last step.
-    """
+    """Roll for many ticks by |w| rad about a wandering axis; return the largest distance (m) from the surface, that of
+    the normal's length from 1, and the last step."""
     off, stretched = 0.0, 0.0
     turn = rotations.exp(w)
     out = Roll(center, normal, (0.0, 0.0, 0.0), 0.0, 0.0, True)

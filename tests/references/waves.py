@@ -20,10 +20,8 @@ REST = 0.01
 
 
 def tail(turns: int, count: int) -> float:
-    """Share of a derivative's largest that the terms left out come to at most, for count / turns samples a wave.
-
-    Each is under (pi k)^-4 2 pi k / p, on both sides.
-    """
+    """Bound of the terms left out, relative to a derivative's largest, for count / turns samples a wave: each is under
+    (pi k)^-4 2 pi k / p, on both sides."""
     return 2.0 / (np.pi**4 * TERMS**2) * count / abs(turns)
 
 

@@ -149,8 +149,7 @@ def test_classical_method_on_a_torus() -> None:
 
 
 def test_errors_on_the_plane_are_the_closed_forms(result: dict[str, Any]) -> None:
-    """At a constant rate, ZXZ angles miss roll and spin of a step by half-angle formulas; the end has the largest
-    error."""
+    """ZXZ angles miss roll and spin of a step by half-angle formulas; the error is largest at the end."""
     for row in rows(result, surface="plane", motion="constant"):
         half, count = W * row["step_s"] / 2, row["steps"]
         across, along = np.sin(half) * ROLL_RATE / W, np.sin(half) * SPIN_RATE / W
