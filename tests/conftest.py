@@ -37,7 +37,6 @@ settings.register_profile(
 )  # fmt: skip
 settings.register_profile("full", settings.get_profile("suite"))  # tests/proxy/test_invariants.py explains it
 settings.load_profile("suite")
-SceneFactory = Callable[..., Scene]
 
 # A shell ignores two of these signals in background processes, and nohup ignores the third. The program inherits that,
 # and so would every process that a test starts and then signals.
@@ -200,14 +199,9 @@ def paper_mapping(
     return {**merged(base, tables), "object": [entry]}
 
 
-@pytest.fixture
-def plane_scene() -> SceneFactory:
-    """Factory for scenes of one plane; see `paper_mapping` for possible changes."""
-
-    def make(**changes: Any) -> Scene:
-        return build(Scene, paper_mapping(**changes), "test scene")
-
-    return make
+def paper_scene(**changes: Any) -> Scene:
+    """Return the scene of `paper_mapping`."""
+    return build(Scene, paper_mapping(**changes), "test scene")
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 from conftest import merged
 from helpers.refusals import refusal
-from numpy.typing import NDArray
+from references.rotation import Array
 from scipy.special import ellipk
 
 from softfinger.config.errors import ConfigError, SafetyStop
@@ -38,7 +38,6 @@ from softfinger.proxy.scene import start_state
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 G = 9.81
 R = 0.008
 HALF = 0.02

@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from helpers.touching import GRIP
-from numpy.typing import NDArray
+from helpers.touching import GRIP, Array
 
 from softfinger.proxy.engine import Engine
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 R, SIZE, STEP = 0.006, 0.02, 0.001
 """m: radius of the fingertip, largest distance of a geom's surface from its middle, path of the probe per tick."""
 RUBBER = GRIP | {"damping_ns_per_m": 2.0, "friction": {"static": 0.8, "kinetic": 0.6}}

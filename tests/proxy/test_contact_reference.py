@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from conftest import SceneFactory
+from conftest import paper_scene
 from helpers.examples import Cases
 from references.contact_reference import Parameters, ReferenceContact
-from references.hand import Hand
+from references.hand import Hand, plane_engine
 from references.rolling_reference import zxz_roll
 from references.rotation import matrix, quaternion, rodrigues
 
@@ -22,7 +20,7 @@ pytestmark = pytest.mark.plain
 DT = 1e-3
 
 
-def random_case(rng: np.random.Generator, make: Any) -> tuple[Scene, Parameters]:
+def random_case(rng: np.random.Generator) -> tuple[Scene, Parameters]:
     """A scene of one plane at a random pose, with materials over some decades, and the reference's parameters."""
     k_n, k_t = 10 ** rng.uniform(2, 4, 2)
     k_tau = k_t * rng.choice([1.0, rng.uniform(0.1, 1.0)])
@@ -44,7 +42,7 @@ def random_case(rng: np.random.Generator, make: Any) -> tuple[Scene, Parameters]
         origin=rng.normal(0, 0.1, 3),
         normal=matrix(orientation)[:, 2],
     )
-    scene = make(
+    scene = paper_scene(
         fingertip={"radius_m": q.radius},
         rolling={"torque_stiffness_n_per_m": q.k_tau},
         coupling={"stiffness_n_per_m": q.k_t, "damping_ns_per_m": q.b_t},
@@ -98,9 +96,9 @@ FEW = 6
 @pytest.mark.parametrize(
     "seed", [pytest.param(seed, marks=[pytest.mark.exhaustive] if seed >= FEW else []) for seed in SEEDS]
 )
-def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> None:
+def test_engine_equals_the_reference(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    scene, q = random_case(rng, plane_scene)
+    scene, q = random_case(rng)
     engine, reference = Engine(scene), ReferenceContact(q)
     # Positions are rounded by some 1e-16 m, which accumulates over 600 ticks and is multiplied by the stiffness, or by
     # the damping over the time step.
@@ -118,11 +116,11 @@ def test_engine_equals_the_reference(plane_scene: SceneFactory, seed: int) -> No
 
 
 @pytest.mark.scaled
-def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: Cases) -> None:
+def test_random_motion_meets_every_transition(cases: Cases) -> None:
     counts: dict[str, int] = {}
     for seed in SEEDS[: cases(FEW, len(SEEDS))]:
         rng = np.random.default_rng(seed)
-        scene, q = random_case(rng, plane_scene)
+        scene, q = random_case(rng)
         records = Engine(scene).run(np.array(random_motion(rng, q).poses), DT)
         for cause in records["contact.cause"]:
             counts[CAUSE_NAMES[int(cause)]] = counts.get(CAUSE_NAMES[int(cause)], 0) + 1
@@ -130,10 +128,10 @@ def test_random_motion_meets_every_transition(plane_scene: SceneFactory, cases: 
     assert all(counts.get(cause, 0) >= 5 for cause in of_one_object), counts
 
 
-def test_large_rotations_in_one_tick(plane_scene: SceneFactory) -> None:
+def test_large_rotations_in_one_tick() -> None:
     friction = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
     torsion = {"torsion": {"stiffness_nm_per_rad": 1e-3, "friction_length_m": 0.01}}
-    engine = Engine(plane_scene(material=friction | torsion))
+    engine = plane_engine(material=friction | torsion)
     rng, normal = np.random.default_rng(2), np.array([0.0, 0.0, 1.0])
     for _ in range(200):
         axis = rng.normal(size=3)

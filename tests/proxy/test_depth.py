@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from helpers.examples import Cases
 from helpers.meshes import icosphere, write_ply
-from helpers.touching import posed, spun
-from numpy.typing import NDArray
+from helpers.touching import Array, posed, spun
 
 from softfinger.config.load import load_scene
 from softfinger.proxy.engine import Engine
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 
 R: Final = 0.01
 SHAPES: Final[dict[str, dict[str, Any]]] = {

@@ -12,12 +12,12 @@ from typing import Any, get_args
 import numba
 import numpy as np
 import pytest
-from conftest import SceneFactory
+from conftest import paper_scene
 from helpers.examples import examples
 from helpers.touching import posed
 from hypothesis import given
 from hypothesis import strategies as st
-from references.hand import Array
+from references.hand import Array, plane_engine
 
 from softfinger.config import schema
 from softfinger.config.load import build
@@ -365,8 +365,8 @@ OBJECT: list[dict[str, Any]] = [
 ]
 
 
-def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
-    scene = build_scene(plane_scene(table={"effect": OBJECT}, effect=WORKSPACE))
+def test_every_kind_in_a_file_becomes_its_kernel() -> None:
+    scene = build_scene(paper_scene(table={"effect": OBJECT}, effect=WORKSPACE))
     touching = model.TouchCondition(1.0)
     assert scene.effects == (
         model.Viscosity(2.0, model.SphereRegion(ZERO, 0.05, 0.01)),
@@ -406,13 +406,14 @@ def test_the_page_names_every_kind() -> None:
         assert f"`{kind.kind}`" in page()
 
 
-def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> None:
+def test_effects_are_added_to_the_contact_force() -> None:
     magnet = {"kind": "magnet", "force_n": 2.0, "range_m": 0.02}
     film = {"kind": "viscosity", "damping_ns_per_m": 4.0, "region": {"size_m": [1.0, 1.0, 1.0]}}
-    scene = plane_scene(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None)
     z = np.linspace(0.04, 0.008, 321)
     path = np.stack([0.0 * z, 0.0 * z, z], axis=1)
-    records = Engine(scene).run(posed(path), DT)
+    records = plane_engine(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None).run(
+        posed(path), DT
+    )
     force = records["force"]
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)

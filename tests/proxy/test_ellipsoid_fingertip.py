@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from helpers import touching
 from helpers.examples import Cases
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from references.ellipsoid_finger import roll_ellipsoid, touching_at
 from references.laws import axis_angles, stored_energy
-from references.rotation import matrix, multiply, quaternion
+from references.rotation import Array, matrix, multiply, quaternion
 from scipy.special import ellipeinc
 
 from softfinger.config.errors import ConfigError
@@ -34,7 +34,6 @@ from softfinger.tools.accuracy.reference import compute_normal_and_curvature
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 
 K = 1000.0
 AXES: model.Vec3 = (0.008, 0.006, 0.012)

@@ -10,16 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import paper_mapping
 from helpers.examples import Cases
-from numpy.typing import NDArray
-from references.hand import Hand, drive, pressed
+from references.hand import Hand, drive, plane_engine, pressed
 from references.laws import Array, axis_angles, check_random_handling, work_of_the_hand
 from references.rotation import matrix
 from scipy.integrate import quad
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.laws import compute_lever
 from softfinger.proxy.record import AT
@@ -48,11 +44,10 @@ def radius(name: str, load: Any) -> Any:
 
 
 def soft(patch: dict[str, Any], **changes: Any) -> Engine:
-    material = {"torsion": FOLLOWS} | changes.pop("material", {})
-    return Engine(build(Scene, paper_mapping(fingertip={"patch": patch}, material=material, **changes), "soft"))
+    return plane_engine(fingertip={"patch": patch}, **{"material": {"torsion": FOLLOWS}} | changes)
 
 
-def run(engine: Engine, hand: Hand) -> NDArray[np.float64]:
+def run(engine: Engine, hand: Hand) -> Array:
     engine.reset()
     return engine.run(np.array(hand.poses))
 
@@ -252,7 +247,7 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
 
 def test_a_patch_without_torsion_changes_no_force() -> None:
     hand = pressed().go(200, move=[0.004, 0, -0.001], turn=[0.1, 0, 0]).go(100, turn=[0, 0, 0.3])
-    plain = drive(Engine(build(Scene, paper_mapping(material={"torsion": None}), "plain")), hand)
+    plain = drive(plane_engine(material={"torsion": None}), hand)
     soft_one = drive(soft(HERTZ, material={"torsion": None}), hand)
     assert (plain.force == soft_one.force).all() and (plain.torque == soft_one.torque).all()
 
@@ -261,10 +256,10 @@ def test_each_finger_has_the_patch_of_a_single_finger() -> None:
     tips = {name: {"radius_m": R, "patch": patch | {"rolling_loss": 0.4}} for name, patch in PATCHES.items()}
     material = {"torsion": FOLLOWS}
     fingers = [{"name": name, **tip} for name, tip in tips.items()]
-    both = Engine(build(Scene, paper_mapping(fingertip=None, finger=fingers, material=material), "both"))
+    both = plane_engine(fingertip=None, finger=fingers, material=material)
     poses = np.array(pressed().go(100, move=[0.004, 0, -0.001], turn=[0.1, 0, 0.3]).poses)
     records = both.run(dict.fromkeys(tips, poses))
     for name, tip in tips.items():
-        alone = Engine(build(Scene, paper_mapping(fingertip=tip, material=material), name)).run(poses)
+        alone = plane_engine(fingertip=tip, material=material).run(poses)
         assert np.array_equal(records[name], alone)
         assert alone[-1, AT.contact_patch_radius] > 0.0

@@ -13,8 +13,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from helpers.hostile_maps import MADE, STIFFNESS, hands, outside_by, part, surface
-from helpers.touching import SLIPPERY, R, engine, make_object, posed, spun, visit
-from numpy.typing import NDArray
+from helpers.touching import SLIPPERY, Array, R, engine, make_object, posed, spun, visit
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.heightmaps import compile_heightmap
@@ -30,8 +29,6 @@ from softfinger.proxy.kernels.shapes.heightmap.nearest import (
 from softfinger.proxy.kernels.shapes.heightmap.surface import MAX_EVALUATIONS
 from softfinger.proxy.kernels.shapes.heightmap.tiles import MAX_LEVELS
 from softfinger.proxy.record import AT, CAUSE_RESTART
-
-Array = NDArray[np.float64]
 
 LAST: Final = HEIGHT_COST * (5 + 2 * MAX_EVALUATIONS) + 4 * MAX_LEVELS
 """Number of lookups that a query may exceed its budget by: the current cell and the tiles on the way out."""

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.hostile_maps import grid_of, part
-from helpers.touching import SMOOTH, R, engine, make_object, posed, visit
+from helpers.touching import SMOOTH, Array, R, engine, make_object, posed, visit
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from references.rotation import quaternion
 
 from softfinger.proxy.heightmaps import bound_curvature, compile_heightmap, thin_map
@@ -27,7 +26,6 @@ from softfinger.proxy.kernels.shapes.heightmap.surface import compute_height, fi
 from softfinger.proxy.kernels.shapes.heightmap.tiles import count_tiles, find_tile, is_farther
 from softfinger.proxy.record import AT
 
-Array = NDArray[np.float64]
 pytestmark = pytest.mark.plain
 
 

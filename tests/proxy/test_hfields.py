@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from references.rotation import Array
 from scipy.interpolate import CubicSpline
 
 from softfinger.config import schema
@@ -27,7 +27,6 @@ from softfinger.server import cli
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 R = 0.008
 WOOD = {"stiffness_n_per_m": 500.0}
 ROWS, COLUMNS, PITCH, TOP = 9, 13, 0.004, 0.006

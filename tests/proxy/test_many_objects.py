@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.key_world import key_world
-from numpy.typing import NDArray
+from references.rotation import Array
 
 from softfinger.config import schema
 from softfinger.config.load import build
@@ -68,7 +68,7 @@ def scene(*entries: dict[str, Any], **tables: Any) -> schema.Scene:
     return build(schema.Scene, base | tables | {"object": objects}, "test")
 
 
-def over_the_top(ticks: int) -> NDArray[np.float64]:
+def over_the_top(ticks: int) -> Array:
     """Poses (ticks, 7) of a fingertip that presses 1 mm into an object of height TOP, drags, rolls and spins."""
     t = np.linspace(0.0, 1.0, ticks)
     poses = np.zeros((ticks, 7))

@@ -16,8 +16,7 @@ import pytest
 from helpers import hostile_meshes, meshes
 from helpers.examples import Cases
 from helpers.thin_meshes import KINDS
-from helpers.touching import SLIPPERY, engine, make_object, posed, write_part
-from numpy.typing import NDArray
+from helpers.touching import SLIPPERY, Array, engine, make_object, posed, write_part
 from references.brute_force import balls_of, brute_distances
 from scipy.optimize import nnls
 
@@ -25,7 +24,6 @@ from softfinger.proxy.kernels.contact.first_pose import OVERLAP_TOLERANCE
 from softfinger.proxy.record import AT, CAUSE_RESTART, FREE, ON_ITS_WAY
 
 pytestmark = pytest.mark.scaled
-Array = NDArray[np.float64]
 STEP = 1e-4
 """Travel per tick, m: 0.1 m/s."""
 STILL = 1e-7

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory
+from conftest import paper_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from references.hand import Array
@@ -103,7 +103,7 @@ def test_pose_is_valid_at_any_finite_time(motion: Any, time: float) -> None:
     assert np.linalg.norm(np.array(pose.position) - TILTED.position) < 0.2
 
 
-def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
+def test_every_kind_in_a_file_becomes_its_kernel() -> None:
     swing = {"kind": "sinusoid", "translation_m": [0, 0, 0.01], "frequency_hz": 2, "axis": [0, 3, 4]}
     table = {"kind": "turntable", "rate_rad_per_s": -1, "pivot_m": [0.1, 0, 0]}
     expected = [
@@ -112,5 +112,5 @@ def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> N
         ({"kind": "driven"}, DRIVEN),
     ]
     for motion, kernel in expected:
-        assert build_scene(plane_scene(table={"motion": motion})).objects.body.motion == kernel
-    assert build_scene(plane_scene()).objects.body.motion is None
+        assert build_scene(paper_scene(table={"motion": motion})).objects.body.motion == kernel
+    assert build_scene(paper_scene()).objects.body.motion is None

@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 from helpers.examples import examples
-from helpers.touching import causes
+from helpers.touching import Array, causes
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from references.rotation import matrix, multiply
 from test_invariants import GRIP, HALF, SLICK, R, numbers, visits
 
@@ -23,7 +23,6 @@ from softfinger.proxy.record import AT, CAUSE_NAMES
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 DT = 1e-3
 K = 1000.0
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)

@@ -6,15 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.touching import GRIP
-from numpy.typing import NDArray
+from helpers.touching import GRIP, Array
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import SLIDING
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 G = 9.81
 R = 0.008
 MASS = 0.1

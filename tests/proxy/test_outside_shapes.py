@@ -19,8 +19,7 @@ import pytest
 from conftest import merged
 from helpers.faulty_device import FaultyDevice, Options
 from helpers.programs import run_program
-from helpers.touching import GRIP
-from numpy.typing import NDArray
+from helpers.touching import GRIP, Array
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -33,7 +32,6 @@ from softfinger.proxy.record import FREE
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 
-Array = NDArray[np.float64]
 OUTSIDE = Path(__file__).parents[1] / "outside_shape"
 RADIUS = 0.01
 HALF_ANGLE = 0.5

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory
+from conftest import paper_scene
 from helpers.examples import Cases
 from references.rolling_cases import (
     METHODS,
@@ -222,12 +222,12 @@ def test_rotations_near_half_a_turn(method: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_scene_selects_the_method(plane_scene: SceneFactory, method: str) -> None:
-    built = build_scene(plane_scene(rolling={"method": method}))
+def test_a_scene_selects_the_method(method: str) -> None:
+    built = build_scene(paper_scene(rolling={"method": method}))
     assert type(built.rolling) is type(METHODS[method])
     assert built.fingers[0].torque_stiffness == 1000.0
     tolerance = {"tolerance": 1e-6} if method == "montana_rk45" else {}
-    less = build_scene(plane_scene(rolling={"method": method, "torque_stiffness_n_per_m": 250.0, **tolerance}))
+    less = build_scene(paper_scene(rolling={"method": method, "torque_stiffness_n_per_m": 250.0, **tolerance}))
     assert less.rolling == type(built.rolling)(*tolerance.values())
     assert less.fingers[0].torque_stiffness == 250.0
 

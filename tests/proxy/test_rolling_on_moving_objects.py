@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from references.rotation import multiply, quaternion, rodrigues
+from references.rotation import Array, multiply, quaternion, rodrigues
 from test_invariants import R
 from test_moving_touch import Driver, K, scene
 
@@ -15,7 +14,6 @@ from softfinger.config.schema import Scene
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 DT = 1e-3
 RADIUS, DEPTH, TICKS = 0.02, 0.0005, 60
 GRIP = {"stiffness_n_per_m": K, "friction": {"static": 50.0, "kinetic": 50.0}}

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import SceneFactory
+from conftest import paper_scene
 from references.hand import Array
 from references.paper import published
 from references.rolling_cases import METHODS
@@ -48,7 +48,7 @@ def paper_step() -> Array:
 
 
 @pytest.mark.parametrize("is_fixed", [False, True])
-def test_paper_experiment_along_a_line(plane_scene: SceneFactory, is_fixed: bool) -> None:
+def test_paper_experiment_along_a_line(is_fixed: bool) -> None:
     """With constant world rates, the decomposition deviates by 2.1 and 3.1 um from a line to (20, -30) mm. The engine
     computes the path of eqs. 5-7 on matrices, whether the probe follows or is at a fixed position."""
     table, w = published(), paper_step()
@@ -66,7 +66,7 @@ def test_paper_experiment_along_a_line(plane_scene: SceneFactory, is_fixed: bool
     assert largest[1] < table["largest_difference_y"]
 
     follow = np.zeros_like(exact) if is_fixed else exact
-    path = engine_path(plane_scene(material=HIGH_FRICTION), follow, constant_turn(w, n), dt)
+    path = engine_path(paper_scene(material=HIGH_FRICTION), follow, constant_turn(w, n), dt)
     # 1e-13 m: rounding of 100 steps and of the arctangents; the requirement is 1e-5 mm.
     assert path == pytest.approx(by_hand, abs=1e-13)
 
@@ -104,14 +104,14 @@ def quaternions(rotations: Array) -> Array:
     return np.array(out)
 
 
-def test_varying_rate_converges_with_the_square_of_the_step(plane_scene: SceneFactory) -> None:
+def test_varying_rate_converges_with_the_square_of_the_step() -> None:
     def rate(t: float) -> Array:
         return np.array([3 * np.cos(2 * t), 2 * np.sin(5 * t), 4 + 2 * np.sin(3 * t)])
 
     errors = []
     for n in (125, 250, 500):
         exact, rotations = rolling_equation(rate, R, np.linspace(0, 1, n + 1))
-        path = engine_path(plane_scene(material=HIGH_FRICTION), exact, quaternions(rotations), 1 / n)
+        path = engine_path(paper_scene(material=HIGH_FRICTION), exact, quaternions(rotations), 1 / n)
         errors.append(np.abs(path - exact).max())
     assert errors[-1] < 1e-6
     for coarse, fine in pairwise(errors):

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.touching import GRIP
-from numpy.typing import NDArray
+from helpers.touching import GRIP, Array
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.pack import unflatten
@@ -18,7 +17,6 @@ from softfinger.proxy.record import FREE
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 DT = 1e-3
 TICKS = 400
 FINGERS: dict[str, dict[str, Any]] = {

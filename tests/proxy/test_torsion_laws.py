@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory, merged, paper_mapping
+from conftest import merged, paper_mapping
 from helpers.examples import Cases, examples
 from hypothesis import given
-from references.hand import drive, pressed
+from references.hand import drive, on_plane, plane_engine, pressed
 from references.laws import SPEED, Array, handling
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
 from softfinger.proxy.laws import compile_friction_laws, compile_normal_laws, compile_torsion_laws
 
@@ -34,14 +33,12 @@ PROXY = {"model": "soft_finger_proxy", "kinetic_friction_length_m": 0.003}
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("depth", [2e-4, 1e-3, 3e-3])
 @pytest.mark.parametrize("exponent", [None, 0.0, 0.2, 1.0 / 3.0])
-def test_moment_saturates_at_the_torsional_limit(
-    plane_scene: SceneFactory, depth: float, exponent: float | None
-) -> None:
+def test_moment_saturates_at_the_torsional_limit(depth: float, exponent: float | None) -> None:
     """In both directions the moment grows as k_z phi up to mu_t f_N, or mu_t f_N (f_N / 1 N)^gamma."""
     load = 1000 * depth
     limit = 0.004 * load ** (1 + (exponent or 0.0))
     for sign in (1, -1):
-        engine = Engine(plane_scene(material={"torsion": {"exponent": exponent}}))
+        engine = plane_engine(material={"torsion": {"exponent": exponent}})
         trace = drive(engine, pressed(depth).go(175, turn=[0, 0, sign * 0.7]))
         expected = -sign * np.minimum(0.05 * np.linspace(0, 0.7, 176), limit)
         assert trace.torque[1:, 2] == pytest.approx(expected, abs=EXACT)
@@ -51,13 +48,13 @@ def test_moment_saturates_at_the_torsional_limit(
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
-def test_lifting_reduces_the_moment_permanently(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
+def test_lifting_reduces_the_moment_permanently(torsion: dict[str, Any]) -> None:
     hand = pressed(0.002).go(100, turn=[0, 0, 0.1])
     wound = hand.at
     hand.go(100, move=[0, 0, 0.0018])
     lifted = hand.at
     hand.go(100, move=[0, 0, -0.0018])
-    trace = drive(Engine(plane_scene(material={"torsion": torsion})), hand)
+    trace = on_plane(hand, material={"torsion": torsion})
     assert trace.torque[wound, 2] == pytest.approx(-0.005, abs=EXACT)
     limit = 0.004 * 0.2 ** (1 + torsion.get("exponent", 0.0)) * (0.75 if torsion is PROXY else 1.0)
     assert trace.torque[lifted, 2] == pytest.approx(-limit, rel=1e-12)
@@ -66,10 +63,10 @@ def test_lifting_reduces_the_moment_permanently(plane_scene: SceneFactory, torsi
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
-def test_torsion_without_friction(plane_scene: SceneFactory, torsion: dict[str, Any]) -> None:
+def test_torsion_without_friction(torsion: dict[str, Any]) -> None:
     hand = pressed(0.0015).go(300, turn=[0, 0, 0.3]).go(300, move=[0.01, 0, 0.0005], turn=[0, 0, -0.2])
-    smooth = drive(Engine(plane_scene(rolling=None, material={"friction": None, "torsion": torsion})), hand)
-    rough = drive(Engine(plane_scene(material={"torsion": torsion})), hand)
+    smooth = on_plane(hand, rolling=None, material={"friction": None, "torsion": torsion})
+    rough = on_plane(hand, material={"torsion": torsion})
     assert smooth.tangential.max() == 0.0
     assert np.abs(smooth.torque[:, :2]).max() == 0.0
     # The moment turns about z with the finger, so the bits are equal.
@@ -77,13 +74,13 @@ def test_torsion_without_friction(plane_scene: SceneFactory, torsion: dict[str, 
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, sign: int) -> None:
+def test_turning_proxy_sticks_slips_and_sticks_again(sign: int) -> None:
     hand = pressed().go(499, turn=[0, 0, sign * 0.5])
     stop = hand.at
     hand.go(200)
     slip_tick = hand.at
     hand.go(300, turn=[0, 0, sign * 0.3])
-    trace = drive(Engine(plane_scene(material={"torsion": PROXY})), hand)
+    trace = on_plane(hand, material={"torsion": PROXY})
     moment = -sign * trace.torque[:, 2]
     # 499 ticks for 0.5 rad: 0.08 rad is between two ticks.
     peak = int(moment[:stop].argmax())
@@ -98,11 +95,11 @@ def test_turning_proxy_sticks_slips_and_sticks_again(plane_scene: SceneFactory, 
     assert trace.causes == ["touch"]
 
 
-def test_turning_proxy_sticks_on_a_reversal(plane_scene: SceneFactory) -> None:
+def test_turning_proxy_sticks_on_a_reversal() -> None:
     hand = pressed().go(300, turn=[0, 0, 0.3])
     turn = hand.at
     hand.go(300, turn=[0, 0, -0.3])
-    trace = drive(Engine(plane_scene(material={"torsion": PROXY})), hand)
+    trace = on_plane(hand, material={"torsion": PROXY})
     back = trace.torque[turn:, 2]
     assert back.max() == pytest.approx(0.004, rel=1e-12)
     assert back[-1] == pytest.approx(0.003, rel=1e-12)
@@ -110,10 +107,8 @@ def test_turning_proxy_sticks_on_a_reversal(plane_scene: SceneFactory) -> None:
     assert np.diff(back[:peak]) == pytest.approx(0.05 * 1e-3, abs=EXACT)
 
 
-def test_friction_and_torsion_have_independent_limits(plane_scene: SceneFactory) -> None:
-    trace = drive(
-        Engine(plane_scene(material={"torsion": PROXY})), pressed().go(400, move=[0.02, 0, 0], turn=[0, 0, 0.8])
-    )
+def test_friction_and_torsion_have_independent_limits() -> None:
+    trace = drive(plane_engine(material={"torsion": PROXY}), pressed().go(400, move=[0.02, 0, 0], turn=[0, 0, 0.8]))
     assert trace.tangential.max() == pytest.approx(0.6, rel=1e-12)
     assert trace.tangential[-1] == pytest.approx(0.5, rel=1e-12)
     assert trace.torque[:, 2].min() == pytest.approx(-0.004, rel=1e-12)
@@ -121,10 +116,10 @@ def test_friction_and_torsion_have_independent_limits(plane_scene: SceneFactory)
 
 
 @pytest.mark.scaled
-def test_equal_limits_give_the_independent_model(plane_scene: SceneFactory) -> None:
+def test_equal_limits_give_the_independent_model() -> None:
     """The kinetic limit defaults to the static one, and then every tick equals that of the independent model."""
-    independent = Engine(plane_scene())
-    proxy = Engine(plane_scene(material={"torsion": {"model": "soft_finger_proxy"}}))
+    independent = plane_engine()
+    proxy = plane_engine(material={"torsion": {"model": "soft_finger_proxy"}})
 
     @examples(10, 50)
     @given(handling())
@@ -139,13 +134,13 @@ def test_equal_limits_give_the_independent_model(plane_scene: SceneFactory) -> N
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("kinetic", [0.003, 0.004])
-def test_turning_proxy_does_not_chatter_at_rest(plane_scene: SceneFactory, cases: Cases, kinetic: float) -> None:
+def test_turning_proxy_does_not_chatter_at_rest(cases: Cases, kinetic: float) -> None:
     hand, rng = pressed().go(300, turn=[0, 0, 0.3]), np.random.default_rng(3)
     rest = hand.at
     flicker = 1e-3 * rng.integers(-1, 2, cases(1000, 3000))
     for change in np.diff(flicker, prepend=0.0):
         hand.go(1, turn=[0, 0, change])
-    engine = Engine(plane_scene(material={"torsion": {**PROXY, "kinetic_friction_length_m": kinetic}}))
+    engine = plane_engine(material={"torsion": {**PROXY, "kinetic_friction_length_m": kinetic}})
     records = engine.run(np.array(hand.poses))
     spin = records["contact.spin"][rest + 200 :]
     # While the proxy sticks, the wind-up follows the flicker, so their difference is constant.

@@ -11,12 +11,11 @@ from math import inf, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from references.rotation import Array
 from references.triangles import distances
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry, jit
-
-Array = NDArray[np.float64]
 
 SLACK = 1e-9
 """Share by which a bounding ball is taken for larger than it is: rounding."""

@@ -16,13 +16,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from references.rotation import matrix
+from references.rotation import Array, matrix
 from softfinger.proxy.kernels import model
 from softfinger.tools.accuracy.reference import compute_normal_and_curvature, integrate
-
-Array = NDArray[np.float64]
 
 
 class Rolled(NamedTuple):

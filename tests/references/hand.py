@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from conftest import paper_scene
 from numpy.typing import ArrayLike, NDArray
 
-from references.rotation import multiply, quaternion
+from references.rotation import Array, multiply, quaternion
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.step_result import Step
-
-Array = NDArray[np.float64]
 
 
 class Hand:
@@ -94,3 +94,13 @@ def drive(engine: Engine, hand: Hand, dt: float | None = None) -> Trace:
     """Step the engine through all of the hand's poses."""
     poses = np.array(hand.poses)
     return Trace(poses, [engine.step(pose[:3], pose[3:], dt) for pose in poses])
+
+
+def plane_engine(**changes: Any) -> Engine:
+    """Return an engine of the paper's plane, changed as in `conftest.paper_mapping`."""
+    return Engine(paper_scene(**changes))
+
+
+def on_plane(hand: Hand, **changes: Any) -> Trace:
+    """Return the trace of a hand on that plane."""
+    return drive(plane_engine(**changes), hand)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+
+from references.rotation import Array
 
 
 @dataclass(frozen=True)
@@ -21,9 +22,7 @@ class Handle:
     stiffness: float = 0.0
 
 
-def integrate(
-    handle: Handle, period: float, commands: NDArray[np.float64], goals: NDArray[np.float64], x: float, v: float = 0.0
-) -> NDArray[np.float64]:
+def integrate(handle: Handle, period: float, commands: Array, goals: Array, x: float, v: float = 0.0) -> Array:
     """Return position and velocity (n + 1, 2) at the ticks, for commands (n,) N and goals (n + 1,) m."""
     a, out = 0.0, [(x, v)]
     for n, u in enumerate(commands):
@@ -44,7 +43,7 @@ def _tick(
         return motors(t, a) + h.stiffness * (p0 + w * t - x) + h.hand_damping * w
 
     def rates(sense: float):
-        def f(t: float, y: NDArray[np.float64]) -> list[float]:
+        def f(t: float, y: Array) -> list[float]:
             total = applied(t, y[0], y[2]) - (h.damping + h.hand_damping) * y[1] - sense * h.friction
             fall = 0.0 if h.lag == 0.0 else (u - y[2]) / h.lag
             if sense == 0.0 and h.friction > 0.0:

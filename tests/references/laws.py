@@ -9,12 +9,10 @@ import numpy as np
 from helpers.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from references.hand import Hand
+from references.rotation import Array
 from softfinger.proxy.engine import Engine
-
-Array = NDArray[np.float64]
 
 R = 0.01
 K_Z = 0.05

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import Roll, roll
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import closest
-
-Array = NDArray[np.float64]
 
 RADIUS = 0.01
 

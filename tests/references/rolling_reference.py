@@ -10,12 +10,10 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from references.rotation import tangent_frame
-
-Array = NDArray[np.float64]
+from references.rotation import Array, tangent_frame
 
 
 def zxz_angles(rotation: Array) -> tuple[float, float, float]:

@@ -10,11 +10,9 @@ from decimal import Decimal, localcontext
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from references.rotation import Array
 from softfinger.proxy.kernels import model
-
-Array = NDArray[np.float64]
 
 AT_MOST = 0.9
 """Share of a feature that is sampled, so that small steps stay on it."""
