@@ -127,10 +127,8 @@ def count_colliding_geoms(path: Path) -> int | None:
             model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError:
         return None
-    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
-    return sum(
-        bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired) for geom in range(model.ngeom)
-    )
+    colliding = (model.geom_contype | model.geom_conaffinity).nonzero()[0]
+    return len({*colliding.tolist(), *model.pair_geom1.tolist(), *model.pair_geom2.tolist()})
 
 
 def count_collision_elements(text: str) -> int | None:

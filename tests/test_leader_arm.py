@@ -242,9 +242,8 @@ def test_refusals(urdf: Path, tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match=r"no \[\[device.joint\]\] has that name"):
             leader.open_device(arm_options(arm, urdf, force_joint="elbow"), RATE_HZ)
         arm.servos[2].memory[FEETECH.mode] = 0
-        with pytest.raises(
-            DeviceError, match="servo 2 is in mode 0, and follows forces in mode 2 only: set register 33"
-        ):
+        mode = "servo 2 is in mode 0, and follows forces in mode 2 only: set register 33"
+        with pytest.raises(DeviceError, match=mode):
             leader.open_device(arm_options(arm, urdf), RATE_HZ)
         arm.servos[3].mute = True
         with pytest.raises(DeviceTimeout, match=r"servo 3 has not answered.*check path, baud"):

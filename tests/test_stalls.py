@@ -101,9 +101,8 @@ def test_a_stall_of_one_processor_is_detected() -> None:
     sleepers = Sleepers()
     try:
         sleepers.longest_s()  # they are up
-        assert [os.sched_getaffinity(program.pid) for program in sleepers._programs] == [
-            {cpu} for cpu in sorted(os.sched_getaffinity(0))
-        ]
+        own = [os.sched_getaffinity(program.pid) for program in sleepers._programs]
+        assert own == [{cpu} for cpu in sorted(os.sched_getaffinity(0))]
         for program in sleepers._programs:
             sleepers.longest_s()
             os.kill(program.pid, signal.SIGSTOP)

@@ -295,9 +295,8 @@ def test_command_endpoint_follows_from_the_telemetry_endpoint(
     telemetry: str, endpoint: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
-    mapping = set_key(rig(), "telemetry.endpoint", telemetry) | (
-        {"commands": {"endpoint": endpoint}} if endpoint else {}
-    )
+    commands = {"commands": {"endpoint": endpoint}} if endpoint else {}
+    mapping = set_key(rig(), "telemetry.endpoint", telemetry) | commands
     assert build(Rig, mapping, "f.toml").commands_endpoint == expected
 
 

@@ -426,9 +426,8 @@ def test_an_unusable_model_raises_one_clear_error(name: str, tmp_path: Path) -> 
     path = tmp_path / "hostile.xml"
     path.write_text(text)
     (tmp_path / "inner.xml").write_text('<mujocoinclude><include file="../secret.xml"/></mujocoinclude>')
-    (tmp_path / "latin.xml").write_bytes(
-        '<mujoco><!-- \xe9 --><include file="../secret.xml"/></mujoco>'.encode("latin-1")
-    )
+    latin = '<mujoco><!-- \xe9 --><include file="../secret.xml"/></mujoco>'
+    (tmp_path / "latin.xml").write_bytes(latin.encode("latin-1"))
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "part.xml").write_text('<mujoco><include file="beside.xml"/></mujoco>')
     (tmp_path / "sub" / "beside.xml").write_text('<mujoco><include file="../../secret.xml"/></mujoco>')
@@ -562,9 +561,8 @@ def test_bodies_that_failed_are_not_touched(tmp_path: Path) -> None:
 
 @PLAIN_ONLY
 def test_most_steps_must_be_within_the_budget(tmp_path: Path) -> None:
-    scene = load_scene(
-        {"fingertip": {"radius_m": R}, "world": {"model": box(tmp_path), "budget_us": 50.0, "material": RUBBER}}
-    )
+    world = {"model": box(tmp_path), "budget_us": 50.0, "material": RUBBER}
+    scene = load_scene({"fingertip": {"radius_m": R}, "world": world})
     owner = compile_bodies(scene)
     assert owner is not None
     owner.begin(0.001)

@@ -1,9 +1,7 @@
 """Fingertip on a plane: acceptance cases with results worked out by hand.
 
-Plane z = 0, r = 10 mm, K_n = K_t = k_tau = 1000 N/m, pressed 1 mm so that f_N = 1 N, mu 0.6 / 0.5, k_z = 0.05 N m/rad,
-mu_t = 4 mm, no damping, 1 kHz. Forces act on the hand.
-
-EXACT covers the rounding of at most a few hundred additions of order 1e-2 m times 1000 N/m.
+The plane of conftest.paper_mapping: r = 10 mm, K_n = K_t = k_tau = 1000 N/m, pressed 1 mm so that f_N = 1 N, mu 0.6 /
+0.5, k_z = 0.05 N m/rad, mu_t = 4 mm, no damping, 1 kHz. EXACT covers the rounding of a few hundred additions of forces.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Objects out of reach and copies of an object change no bit, and a contact that sticks has a constant normal.
-
-Forces are compared with closed forms, r = 10 mm, R = 20 mm, K = K_t = 1000 N/m. If a contact sticks while the proxy is
-at c, the force on a probe at x is K (c - x): pressed d deep and dragged by e, K d n - K e.
-"""
+"""Objects out of reach and copies of an object change no bit, and a contact that sticks has a constant normal. r = 10
+mm, R = 20 mm, K = K_t = 1000 N/m. While a contact sticks with the proxy at c, the force on a probe at x is K (c - x):
+pressed d deep and dragged by e, K d n - K e."""
 
 from __future__ import annotations
 

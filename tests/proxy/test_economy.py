@@ -1,8 +1,5 @@
-"""Unused parts of a scene are absent from its compiled code.
-
-These tests compile in every run, because they inspect compiler output, which is not cached. `make test` therefore
-compiles only the bare plane, `make test-all` every scene.
-"""
+"""Unused parts of a scene are absent from its compiled code. Compiler output is not cached, so these tests compile in
+every run: `make test` the bare plane, `make test-all` every scene."""
 
 from __future__ import annotations
 

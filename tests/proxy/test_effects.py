@@ -188,9 +188,8 @@ def test_magnet_does_the_work_of_its_potential() -> None:
     path = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * s], axis=1)
     middle = 0.5 * (path[1:] + path[:-1])
     lengths = np.linalg.norm(middle, axis=1)
-    forces = np.array(
-        [force_of(effect, moment(gap=g - 1.0, normal=tuple(x / g))) for x, g in zip(middle, lengths, strict=True)]
-    )
+    moments = [moment(gap=g - 1.0, normal=tuple(x / g)) for x, g in zip(middle, lengths, strict=True)]
+    forces = np.array([force_of(effect, at) for at in moments])
     # Midpoint rule with 4000 steps: error about 1e-7 of the work.
     assert np.sum(forces * np.diff(path, axis=0)) == pytest.approx(2.0 * 0.02 / 3.0, rel=1e-5)
 
@@ -411,9 +410,8 @@ def test_effects_are_added_to_the_contact_force() -> None:
     film = {"kind": "viscosity", "damping_ns_per_m": 4.0, "region": {"size_m": [1.0, 1.0, 1.0]}}
     z = np.linspace(0.04, 0.008, 321)
     path = np.stack([0.0 * z, 0.0 * z, z], axis=1)
-    records = plane_engine(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None).run(
-        posed(path), DT
-    )
+    engine = plane_engine(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None)
+    records = engine.run(posed(path), DT)
     force = records["force"]
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)

@@ -384,9 +384,8 @@ def test_forces_and_displacements_turn_with_the_object() -> None:
     straight = scene(friction=True, fingers=2)
     upright = msgspec.structs.replace(straight.object[0], orientation_wxyz=tuple(turned.tolist()))
     tracks = {"a": path(80), "b": path(80) + np.array([0.004, 0.002, 0.0, 0.0, 0.0, 0.0, 0.0])}
-    rolled = {
-        name: np.concatenate([track[:, [2, 0, 1]], np.tile(turned, (80, 1))], axis=1) for name, track in tracks.items()
-    }
+    rows = np.tile(turned, (80, 1))
+    rolled = {name: np.hstack([track[:, [2, 0, 1]], rows]) for name, track in tracks.items()}
     expected = Engine(straight).run(tracks)
     records = Engine(msgspec.structs.replace(straight, object=(upright,))).run(rolled)
     for name in tracks:

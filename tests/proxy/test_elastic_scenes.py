@@ -235,16 +235,14 @@ def test_the_loads_displace_the_body_at_the_contacts_as_the_servo_does(name: str
         for law in ("friction", "torsion"):
             scene["object"][0]["material"].pop(law, None)
     deformed = Deformed.of_scene(scene)
-    records = Engine(scene).run(
-        {finger: np.tile([*tip, 1.0, 0.0, 0.0, 0.0], (4, 1)) for finger, tip in TIPS[name].items()}
-    )
+    still = {finger: np.tile([*tip, 1.0, 0.0, 0.0, 0.0], (4, 1)) for finger, tip in TIPS[name].items()}
+    records = Engine(scene).run(still)
     rows = {finger: np.asarray(records[finger])[-1] for finger in TIPS[name]}
     mesh = load_scene(scene).object[0]
     assert isinstance(mesh, Mesh) and mesh.elastic is not None
     loads = compute_contact_loads(mesh, rows)
-    assert [(load.finger, load.object, load.patch_radius) for load in loads] == [
-        (finger, 0, mesh.elastic.radius_m) for finger in rows
-    ]
+    patches = [(load.finger, load.object, load.patch_radius) for load in loads]
+    assert patches == [(finger, 0, mesh.elastic.radius_m) for finger in rows]
     moved = deformed.at(loads) - deformed.vertices
     for load, row in zip(loads, rows.values(), strict=True):
         displacement = row[AT.contact_displacement :][:3]

@@ -1,7 +1,5 @@
-"""Ellipsoid fingertips: contact geometry, rolling, energy and the checks of the scene file.
-
-K = 1000 N/m without damping, 1 kHz; the semi-axes are a few millimetres, like those of a fingertip.
-"""
+"""Ellipsoid fingertips: contact geometry, rolling, energy and the checks of the scene file. K = 1000 N/m, no
+damping."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""Hostile height maps next to a plane, a sphere, a mesh and another map, and in many rolling steps.
-
-The proxy stays outside of all objects, the force stays bounded, and queries stay within a tick's budget.
-"""
+"""Hostile height maps next to other objects and in many rolling steps: proxy outside, bounded forces, bounded
+queries."""
 
 from __future__ import annotations
 

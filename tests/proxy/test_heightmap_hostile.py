@@ -1,9 +1,5 @@
-"""Extreme height maps and hand motions: the proxy stays outside, forces stay bounded, and queries within a budget. A
-fingertip that has left a rough map feels no force.
-
-Compiled, which takes half a minute: each case has thousands of ticks, whose queries would take minutes in plain Python.
-All cases share one type of scene.
-"""
+"""Extreme height maps and hand motions, compiled: the proxy stays outside, forces stay bounded, queries within a
+budget. A fingertip that has left a rough map feels no force. All cases but the last share one type of scene."""
 
 from __future__ import annotations
 
@@ -134,9 +130,8 @@ def draw_stroke(rng, heights, pitch, radius):
     turn[2] = rng.uniform(heights.min() - 3.0 * radius, top)
     ticks = int(rng.integers(20, 400))
     above = end + np.array([0.0, 0.0, 2.0 * radius])
-    return np.concatenate(
-        [np.linspace(start, turn, ticks), np.linspace(turn, end, ticks), np.linspace(end, above, RETREAT)]
-    )
+    legs = (start, turn, ticks), (turn, end, ticks), (end, above, RETREAT)
+    return np.concatenate([np.linspace(*leg) for leg in legs])
 
 
 @pytest.mark.scaled

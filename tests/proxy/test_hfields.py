@@ -114,9 +114,8 @@ def test_a_height_field_matches_mujocos_rays(joint: str, source: str, tmp_path: 
 
 
 def test_pixels_that_are_not_square_are_reported(tmp_path: Path) -> None:
-    world = schema.World(
-        model=str(write_model(tmp_path, size="0.03 0.03 0.006 0.01")), material=schema.Material(stiffness_n_per_m=500.0)
-    )
+    model = str(write_model(tmp_path, size="0.03 0.03 0.006 0.01"))
+    world = schema.World(model=model, material=schema.Material(stiffness_n_per_m=500.0))
     (geom,) = convert_geoms(world)
     assert geom.object is None
     assert geom.note == (

@@ -1,7 +1,5 @@
-"""Compiled kernels on disk: which are loaded, which are refused, and that no problem with them prevents a start.
-
-Uses real processes, damaged files and a full disk, and real other users if the suite runs as root.
-"""
+"""Compiled kernels on disk: which are loaded, which are refused, and that no problem with them prevents a start. Uses
+real processes, a full disk, and real other users if the suite runs as root."""
 
 from __future__ import annotations
 

@@ -1,8 +1,5 @@
-"""Contact with meshes, compared with equivalent or similar shapes and with closed forms; shading.
-
-Compiled tests use one type of scene, shared with `test_mesh_hostile.py` and others, because a mesh with friction,
-torsion and rolling compiles for half a minute. Other scenes are tested as plain Python.
-"""
+"""Contact with meshes, compared with equivalent or similar shapes and with closed forms; shading. Compiled tests have
+the type of scene of `test_mesh_hostile.py`; other scenes are tested as plain Python."""
 
 import numpy as np
 import pytest
@@ -143,9 +140,8 @@ BALL, DEPTH, DT, WAY, PRESSED = 0.05, 1e-3, 1e-3, 0.012, 200
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Engine]:
     """Engines with 5120 triangles, one for each shading, without friction: only the normal turns."""
-    ball = make_object(
-        "ball", "mesh", file=write_part(tmp_path_factory.mktemp("ball"), *meshes.geodesic(16, BALL)), material=SLIPPERY
-    )
+    file = write_part(tmp_path_factory.mktemp("ball"), *meshes.geodesic(16, BALL))
+    ball = make_object("ball", "mesh", file=file, material=SLIPPERY)
     return {shading: engine(ball | {"shading": shading}) for shading in ("normals", "none")}
 
 

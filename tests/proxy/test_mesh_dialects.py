@@ -1,7 +1,5 @@
-"""Mesh files as other programs write them: each is read in full, or refused with its reason.
-
-Most are a box of 40 x 40 x 20 mm, so that triangles, size, surface and volume are known.
-"""
+"""Mesh files as other programs write them: each is read in full, or refused with its reason. Most are a box of 40 x 40
+x 20 mm."""
 
 from __future__ import annotations
 
@@ -336,9 +334,8 @@ def test_glb_sparse_accessors_are_read(tmp_path: Path) -> None:
         made.accessors[at]["sparse"] = sparse
         if base is None:
             del made.accessors[at]["bufferView"]
-        check_box(
-            tmp_path / f"{len(places)}.glb", made.data([{"attributes": {"POSITION": at}, "indices": made.add(SOME)}])
-        )
+        part = {"attributes": {"POSITION": at}, "indices": made.add(SOME)}
+        check_box(tmp_path / f"{len(places)}.glb", made.data([part]))
 
 
 def test_a_glb_without_scenes_uses_its_root_nodes(tmp_path: Path) -> None:
@@ -366,9 +363,8 @@ def test_unsupported_glb_features_are_refused_by_name(tmp_path: Path) -> None:
     address = "data:application/octet-stream;base64," + base64.b64encode(made.blob).decode()
     check_box(path, made.data(parts, buffers=[{"byteLength": len(made.blob), "uri": address}]))
     made.accessors.append({"componentType": 5126, "count": 8, "type": "VEC3"})
-    assert "has no data for accessor 2" in file_refusal(
-        path, made.data([{"attributes": {"POSITION": 2}, "indices": 1}])
-    )
+    missing = made.data([{"attributes": {"POSITION": 2}, "indices": 1}])
+    assert "has no data for accessor 2" in file_refusal(path, missing)
 
 
 def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:

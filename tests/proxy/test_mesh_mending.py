@@ -25,9 +25,8 @@ def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, MeshReport]:
 
 
 def soup(mesh: Mesh) -> Mesh:
-    return Mesh(
-        mesh.vertices[mesh.triangles].reshape(-1, 3), np.arange(mesh.triangles.size, dtype=np.int32).reshape(-1, 3)
-    )
+    corners = mesh.vertices[mesh.triangles].reshape(-1, 3)
+    return Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
 
 
 @pytest.mark.parametrize(

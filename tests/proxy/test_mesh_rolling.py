@@ -69,9 +69,8 @@ def test_rolling_over_an_edge_deflects_nothing(tmp_path, half_angle, method):
     """If the tick that leaves the ridge were lost, it would deflect by up to DEPTH x TICK_RAD = 2 um."""
     np.save(tmp_path / "hills.npy", np.zeros((4, 4)))
     box = make_object("box", "box", size_m=[0.01, 0.01, 0.01], position_m=[0.0, 0.0, -3.0])
-    hills = make_object(
-        "hills", "heightmap", file=str(tmp_path / "hills.npy"), pitch_m=0.01, level_m=1.0, position_m=[0.0, 0.0, -3.0]
-    )
+    file = str(tmp_path / "hills.npy")
+    hills = make_object("hills", "heightmap", file=file, pitch_m=0.01, level_m=1.0, position_m=[0.0, 0.0, -3.0])
     for phase, others in ((0.2, ()), (0.5, (box,)), (0.9, () if method == "rotation_vector" else (hills,))):
         deflected = deflections(tmp_path, half_angle, np.array([0.0, TICK_RAD, 0.0]), phase, method, *others)
         assert deflected.max() < third_order(half_angle, np.array([0.0, TICK_RAD, 0.0]))

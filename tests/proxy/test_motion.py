@@ -25,9 +25,8 @@ DRIVEN = model.NO_MOTION._replace(kind=model.DRIVEN)
 
 
 def sinusoid(translation: Any, axis: Any, angle: float, frequency: float, phase: float) -> model.Motion:
-    return model.NO_MOTION._replace(
-        kind=model.SINUSOID, translation=translation, axis=axis, angle=angle, frequency=frequency, phase=phase
-    )
+    keys = {"translation": translation, "axis": axis, "angle": angle, "frequency": frequency, "phase": phase}
+    return model.NO_MOTION._replace(kind=model.SINUSOID, **keys)
 
 
 def turntable(axis: Any, rate: float, pivot: Any) -> model.Motion:
@@ -72,9 +71,8 @@ def test_turntable_does_not_move_its_axis(time: float) -> None:
         point = np.array(TABLE.pivot) + along * np.array(TABLE.axis)
         assert placed(pose, point) == pytest.approx(placed(TILTED, point), abs=1e-13)
     corner, pivot = (0.1, 0.2, 0.3), placed(TILTED, TABLE.pivot)
-    assert np.linalg.norm(placed(pose, corner) - pivot) == pytest.approx(
-        np.linalg.norm(placed(TILTED, corner) - pivot), rel=1e-13
-    )
+    distance, at_rest = (np.linalg.norm(placed(at, corner) - pivot) for at in (pose, TILTED))
+    assert distance == pytest.approx(at_rest, rel=1e-13)
 
 
 def test_turntable_turns_at_its_rate() -> None:

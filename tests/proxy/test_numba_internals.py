@@ -1,7 +1,5 @@
-"""Undocumented behaviour of numba that the kernels depend on.
-
-Verified with numba 0.67 and 0.68. With another version, a failure here shows what has changed.
-"""
+"""Undocumented behaviour of numba 0.67 and 0.68 that the kernels depend on. With another version, a failure here shows
+what has changed."""
 
 from __future__ import annotations
 
@@ -284,9 +282,7 @@ def test_types_and_results_are_those_of_numba(empty_cache: None, function: Any) 
 
 
 def test_only_a_kernel_of_one_block_without_reassigned_closures_is_straight() -> None:
-    straight_kernels = [
-        passes.is_straight(run_frontend(function)) for function in (straight, renamed, shared, branched)
-    ]
+    straight_kernels = [passes.is_straight(run_frontend(kernel)) for kernel in (straight, renamed, shared, branched)]
     assert straight_kernels == [True, True, False, False]
 
 

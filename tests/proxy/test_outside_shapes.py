@@ -174,9 +174,8 @@ def touched(folder: Path, balls_file: Path) -> str:
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(folder / "cache")}
     script = folder / "touch.py"  # code from a command line is not cached
     script.write_text(TOUCH)
-    process = run_program(
-        [sys.executable, "-B", str(script), str(folder), str(balls_file)], env=environment, check=True
-    )
+    command = [sys.executable, "-B", str(script), str(folder), str(balls_file)]
+    process = run_program(command, env=environment, check=True)
     return process.stdout.strip()
 
 

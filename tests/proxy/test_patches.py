@@ -318,9 +318,7 @@ def test_weight_shifted_between_walls_hands_the_moment_on():
     assert (np.linalg.norm(np.diff(torque, axis=0), axis=1) <= slope * moved / 0.001 + 1e-12).all()
 
 
-@pytest.mark.parametrize(
-    "law", [{}, {"exponent": 0.3}, {"model": "soft_finger_proxy"}], ids=["linear", "power", "proxy"]
-)
+@pytest.mark.parametrize("law", [{}, {"exponent": 0.3}, {"model": "soft_finger_proxy"}], ids=str)
 def test_each_wall_winds_its_share_of_the_torsional_spring(law):
     """Spun by phi about the bisector, each of two equal walls winds k_z / 2 by phi cos 45 about its normal."""
     running = engine(*groove(stuff=[material(None, STRONG | law)] * 2), rolling=None)

@@ -208,9 +208,8 @@ def test_force_is_continuous(kind, draws, count):
     Friction changes with its springs, with mu times the normal forces and with the shares transferred."""
     poses = handling(kind, draws, count)
     records = visit(make_engine(kind, even=True), poses)
-    travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(
-        axis_angles(poses[:, 3:]), axis=1
-    )
+    travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    travel += R * np.linalg.norm(axis_angles(poses[:, 3:]), axis=1)
     jumps = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
     # 70 degrees between sphere and floor, 84 between two spheres, less the turn of the normals in 3 mm of depth.
     steepest = 1.0 / np.sqrt(0.19) if kind == "sharp groove" else 2.0 if kind in BALLS else np.sqrt(2.0)

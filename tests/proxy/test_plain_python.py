@@ -1,8 +1,4 @@
-"""Kernels give the same bits compiled and as plain Python, so results of the plain tests hold for both.
-
-Covers the shipped scenes, whose kernels other tests compile too, and a roll by each method. Compiling takes half a
-minute.
-"""
+"""Kernels give the same bits compiled and as plain Python: the shipped scenes, and a roll by each method."""
 
 from __future__ import annotations
 
@@ -80,9 +76,7 @@ LESS = ("paper-plane", "pinch")
 """Scenes in `make test`: one object; two fingers with a fourth-order method."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name in LESS else [pytest.mark.exhaustive]) for name in CENTERS]
-)
+@pytest.mark.parametrize("name", [n if n in LESS else pytest.param(n, marks=pytest.mark.exhaustive) for n in CENTERS])
 def test_records_of_a_scene_are_the_same_bits(plain: Path, name: str) -> None:
     compiled = records_of(name)
     assert np.load(plain / f"{name}.npy").tobytes() == compiled.tobytes()

@@ -1,7 +1,4 @@
-"""`rescue.py` returns from calls that would end the process, tested with MuJoCo's errors.
-
-The tests start subprocesses, because MuJoCo has one error handler per process.
-"""
+"""`rescue.py` returns from MuJoCo's fatal errors; in subprocesses, since MuJoCo has one error handler per process."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""Contact paths of the paper's Euler-decomposition rolling, compared with independently integrated equations.
-
-The plane is z = 0, r = 10 mm. Friction has the largest allowed value, so that nothing slips.
-"""
+"""Contact paths of the paper's Euler-decomposition rolling on z = 0, r = 10 mm, with friction that prevents slip,
+compared with independently integrated equations."""
 
 from __future__ import annotations
 

@@ -100,18 +100,15 @@ def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
         make_object("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
     ]
     running = engine(*plates)
-    records = visit(
-        running, [(0.0, 0.0, 0.03), (0.0, 0.0, 0.03), (0.0, 0.0, 0.008), (0.09, 0.0, 0.008), (0.09, 0.0, 0.008)]
-    )
+    records = visit(running, [(0.0, 0.0, 0.03)] * 2 + [(0.0, 0.0, 0.008)] + [(0.09, 0.0, 0.008)] * 2)
     np.testing.assert_allclose(records["proxy.position"][-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
 
 
 def test_inside_of_a_box_is_a_corner_too():
     """In the corner of a hollow box, three walls push with K times their depths."""
     room = engine(make_object("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
-    records = visit(
-        room, np.vstack([straight_path((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3])
-    )
+    goal = (0.042, 0.043, -0.044)
+    records = visit(room, np.vstack([straight_path((0.0, 0.0, 0.0), goal, 300), [goal] * 3]))
     np.testing.assert_allclose(records["proxy.position"][-1], [0.04, 0.04, -0.04], atol=1e-12)
     np.testing.assert_allclose(records["force"][-1], [-2.0, -3.0, 4.0], atol=1e-9)
     assert records[-1, AT.contact_object] == 0

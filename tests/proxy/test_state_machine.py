@@ -1,8 +1,5 @@
-"""Free, rolling, sliding: exact conditions of transitions, noise that must not cause one, and the paper's rule.
-
-test_contact_reference.py compares every tick of random motion with the model's equations. The scene is that of
-test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, K = 1000 N/m, 1 kHz.
-"""
+"""Free, rolling, sliding: exact conditions of transitions, noise that must not cause one, and the paper's rule. The
+scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, K = 1000 N/m, 1 kHz."""
 
 from __future__ import annotations
 

@@ -1,8 +1,5 @@
-"""Symmetries of contact: another frame, order or size of a scene changes no force.
-
-Random scenes of two or three shapes, meshes and height maps around a fingertip that comes from outside, presses, slides
-and rolls on all of them. All quantities are compared in the frame of the first scene.
-"""
+"""Symmetries of contact: another frame, order or size of a scene changes no force. Random scenes of two or three
+shapes, meshes and height maps, touched from outside, with slips and rolls on all of them."""
 
 import numpy as np
 import pytest
@@ -68,9 +65,8 @@ def draw(seed, folder, kinds, fastest_rad_per_s=(25.0, 15.0), **material):
         place = -(R + height - rng.uniform(0.0, 1.5e-3)) * normal
         if kind == "torus":  # on the ring, not in the hole
             place = place + 0.03 * (matrix(turn) @ [1.0, 0.0, 0.0])
-        objects.append(
-            make_object(f"{kind} {index}", kind, position_m=place, orientation_wxyz=turn, **keys, material=material)
-        )
+        keys = keys | {"position_m": place, "orientation_wxyz": turn}
+        objects.append(make_object(f"{kind} {index}", kind, **keys, material=material))
     points = 2e-3 * smooth(rng, 4, fastest_rad_per_s[0])
     turns = quaternion(0.4 * smooth(rng, 3, fastest_rad_per_s[1]))
     arrival = np.sum(normals, axis=0)

@@ -1,9 +1,6 @@
-"""Distances of points from all triangles of a mesh, in float64.
-
-A triangle is skipped only if its bounding ball is farther than a corner of another triangle, which is exact. The
-formula is that of `triangles.py` (plane or edges) and shares nothing with the kernels. It is compiled and cached, for a
-million points on fifty thousand triangles; without compilation `triangles.py` is used.
-"""
+"""Distances of points from all triangles of a mesh, in float64, by the formula of `triangles.py`; nothing is shared
+with the kernels. A triangle is skipped only if its bounding ball is farther than a corner of another, which is exact.
+Compiled and cached, for a million points on fifty thousand triangles."""
 
 from __future__ import annotations
 

@@ -70,9 +70,8 @@ def _tick(
                 events = [lambda t, y: abs(applied(t, y[0], y[2])) - limit]
                 events[0].direction = 1.0
             events[0].terminal = True
-        solution = solve_ivp(
-            rates(sense), (t, period), [x, v, a], "DOP853", rtol=1e-12, atol=1e-16, events=events, max_step=period / 8.0
-        )
+        options = {"rtol": 1e-12, "atol": 1e-16, "events": events, "max_step": period / 8.0}
+        solution = solve_ivp(rates(sense), (t, period), [x, v, a], "DOP853", **options)
         t, (x, v, a) = float(solution.t[-1]), solution.y[:, -1]
         if solution.status == 1:
             force = applied(t, x, a)

@@ -91,9 +91,8 @@ def roll_long(method: Any, shape: Any, radius: float, center: Any, normal: Any, 
             turn = rotations.exp(w)
         out = roll(method, shape, radius, center, normal, turn)
         center, normal = out.center, out.normal
-        gap, _, _ = closest(
-            shape, (center[0] - radius * normal[0], center[1] - radius * normal[1], center[2] - radius * normal[2])
-        )
+        x = (center[0] - radius * normal[0], center[1] - radius * normal[1], center[2] - radius * normal[2])
+        gap, _, _ = closest(shape, x)
         off = max(off, abs(gap))
         size = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]
         stretched = max(stretched, abs(size - 1.0))

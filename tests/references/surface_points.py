@@ -1,7 +1,5 @@
-"""Points of surfaces from parameters and formulas, from the surface outwards.
-
-Shapes are the kernels' named tuples; nothing else of the kernels is used.
-"""
+"""Points of surfaces from parameters and formulas. Shapes are the kernels' named tuples; nothing else of the kernels is
+used."""
 
 from __future__ import annotations
 

@@ -117,9 +117,8 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
     assert [push["seen"] for push in content["pushes"]] == ["+x", "+y", "+z"]
     assert all(1.5 < push["largest_n"] <= 2.0 for push in content["pushes"])
     # 2 N displace a hand of 1000 N/m by 2 mm; at 3 Hz its mass overshoots slightly.
-    for low, high, at in zip(
-        content["range"]["position_min_m"], content["range"]["position_max_m"], (0.0, 0.0, 0.03), strict=True
-    ):
+    ends = content["range"]["position_min_m"], content["range"]["position_max_m"]
+    for low, high, at in zip(*ends, (0.0, 0.0, 0.03), strict=True):
         assert -0.003 < low - at < 0.0 < high - at < 0.003
 
 

@@ -74,9 +74,8 @@ def named(result: dict[str, Any], name: str) -> dict[str, str]:
 def test_every_check_is_made(result: dict[str, Any]) -> None:
     names = [check["name"] for check in result["checks"]]
     assert len(set(names)) == len(names)
-    real_time = {
-        f"real time, {name}" for name in ("timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity")
-    }
+    settings = ("timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity")
+    real_time = {f"real time, {name}" for name in settings}
     machine_checks = {"Python", "packages", "system", "bare machine", "processors", "processor frequency", "clock"}
     measured = {"kernel cache", "ticks in time", "wake-up lateness", "contact step", "telemetry endpoint"}
     assert real_time | machine_checks | measured | {"libusb", "hidapi", "Force Dimension's library"} <= set(names)

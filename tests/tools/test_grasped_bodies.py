@@ -79,9 +79,8 @@ def test_the_table_names_bodies_that_do_not_come_to_rest() -> None:
     rests, stiff = CELL._replace(verdict="rests"), {"stiffness_n_per_m": 3000.0}
     lost = CELL._replace(mass_kg=1.0, verdict="lost", reason="too deep", ripple_n=2e-3, given_j=-2.0, left=None)
     results = [rests, rests._replace(**stiff), lost, rests._replace(mass_kg=1.0, unbalanced_n=3e-12, **stiff)]
-    assert bodies_table.format_cases(results).splitlines()[2] == (
-        "| hold | 2 mN | 0 | -0.1 mJ | 3e-12 N | lost in 1 of 4: too deep |"
-    )
+    row = bodies_table.format_cases(results).splitlines()[2]
+    assert row == "| hold | 2 mN | 0 | -0.1 mJ | 3e-12 N | lost in 1 of 4: too deep |"
     assert bodies_table.find_wrong(results) == [results[3]]
     assert bodies_table.find_wrong([rests._replace(given_j=1e-9)]) != []
     assert [line.split()[:3] for line in bodies_table.format_lines(results)[2:]][2] == ["hold", "1", "kg"]

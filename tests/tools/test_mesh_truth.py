@@ -49,9 +49,8 @@ def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:
 
 def test_a_position_that_is_not_a_number_is_near_nothing(tmp_path: Path) -> None:
     """Compiled: a comparison with NaN is false, so the search would accept all boxes, also the empty ones."""
-    mesh = build_scene(
-        scene_with(make_object("part", "mesh", file=write_part(tmp_path, *meshes.geodesic(8, 0.05))))
-    ).objects.body
+    part = make_object("part", "mesh", file=write_part(tmp_path, *meshes.geodesic(8, 0.05)))
+    mesh = build_scene(scene_with(part)).objects.body
     values = [(x, y, z) for x in (0.0, np.nan, np.inf) for y in (0.1, np.nan) for z in (0.0, -np.inf, np.nan)]
     points = np.array([value for value in values if not np.isfinite(value).all()])
     results = np.zeros((len(points), 3))
