@@ -5,8 +5,6 @@ MuJoCo, or in a URDF file by its elements. Each model is a `[world]` with `root`
 has the counts.
 """
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys

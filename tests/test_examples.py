@@ -1,7 +1,5 @@
 """The programs of examples/ run unchanged, and print the values predicted by theory."""
 
-from __future__ import annotations
-
 import csv
 import importlib
 import math

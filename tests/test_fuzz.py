@@ -4,8 +4,6 @@ A failure prints how to store its bytes in tests/corpus, from where every run te
 is the time for each target, SOFTFINGER_FUZZ_SEED the seed.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

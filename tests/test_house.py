@@ -1,7 +1,5 @@
 """Rules of the repository: docstrings of packages, maps that match the code, planted mistakes, names of users."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

@@ -1,7 +1,5 @@
 """The example of a leader arm on emulated bus servos: contract, pose and force, faults of the bus, its time."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

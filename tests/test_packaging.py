@@ -1,7 +1,5 @@
 """The distribution: wheel, source archive, pinned versions, and directions of imports."""
 
-from __future__ import annotations
-
 import ast
 import email
 import json

@@ -1,7 +1,5 @@
 """The node of examples/bridges: its messages follow ROS 2's definitions, and it runs if rclpy is installed."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import signal

@@ -1,7 +1,5 @@
 """A test that failed is repeated where the machine stood still, and nowhere else."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

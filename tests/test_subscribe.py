@@ -1,7 +1,5 @@
 """The programs of examples/subscribe print the published values."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Scene and rig files: accepted values, and the message of every fault."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

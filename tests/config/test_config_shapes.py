@@ -1,7 +1,5 @@
 """Shapes in a scene file: accepted values, refused values, and the bodies of each shape."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of injected faults: accepted contents and errors."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, get_args

@@ -1,7 +1,5 @@
 """Height maps of a scene file: search path, description, errors and display."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Files that somebody made to do harm: pipes, devices, bombs, planted links. One error, at once, in little memory."""
 
-from __future__ import annotations
-
 import os
 import resource
 import socket

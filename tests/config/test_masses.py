@@ -1,8 +1,6 @@
 """`world.mass_kg`, and `mass.BODY` of an experiment, compared with MuJoCo's compilation of a model with these
 masses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Library of materials and fingertips: its entries, and how a scene refers to and overrides them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Scenes whose laws, motions, effects, tables or names do not fit: changes of shipped scenes, and each message."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from typing import Any

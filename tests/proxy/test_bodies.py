@@ -1,7 +1,5 @@
 """MuJoCo bodies pushed by our contacts, compared with closed forms and with MuJoCo."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A probe that is clear of a moving body and retreats gets zero force, for each kind of geom."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The plane of conftest.paper_mapping: r = 10 mm, K_n = K_t = k_tau = 1000 N/m, pr
 0.5, k_z = 0.05 N m/rad, mu_t = 4 mm, no damping, 1 kHz. EXACT covers the rounding of a few hundred additions of forces.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from references.hand import on_plane, pressed

@@ -2,8 +2,6 @@
 mm, R = 20 mm, K = K_t = 1000 N/m. While a contact sticks with the proxy at c, the force on a probe at x is K (c - x):
 pressed d deep and dragged by e, K d n - K e."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Engine compared with a slow NumPy reference of one tick, on random scenes and random motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import paper_scene

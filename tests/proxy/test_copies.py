@@ -1,7 +1,5 @@
 """Copies and pickles of an Engine continue with the same bits, in separate memory."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Penetration depth in the record, `contact.penetration`, for random motions on all shapes with all laws."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

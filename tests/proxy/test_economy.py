@@ -1,8 +1,6 @@
 """Unused parts of a scene are absent from its compiled code. Compiler output is not cached, so these tests compile in
 every run: `make test` the bare plane, `make test-all` every scene."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

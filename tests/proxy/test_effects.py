@@ -1,7 +1,5 @@
 """Effects: forces compared with closed forms, bounds, energy, scene file and rendering."""
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

@@ -1,8 +1,6 @@
 """Ellipsoid fingertips: contact geometry, rolling, energy and the checks of the scene file. K = 1000 N/m, no
 damping."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

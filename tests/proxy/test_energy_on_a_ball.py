@@ -1,7 +1,5 @@
 """Energy gained on closed paths over a sphere, compared with the closed forms of docs/model/passivity.md."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Contact patch of a soft fingertip: its radius, torsion, rolling resistance and energy. On the plane of
 conftest.paper_mapping: r = 10 mm, f_N = 1 N at 1 mm, mu .6 / .5, 1 kHz."""
 
-from __future__ import annotations
-
 from math import gamma, pi
 from typing import Any
 

@@ -4,8 +4,6 @@ A proxy at c is pulled to a probe at x by springs of K N/m. At rest its contact 
 its friction cone. r = 10 mm, K = K_t = 1000 N/m. Gaps are computed from the dimensions of the objects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Friction laws compared with their closed forms, and properties common to all of them. On the plane of
 test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, K = 1000 N/m, 1 kHz."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Hostile height maps next to other objects and in many rolling steps: proxy outside, bounded forces, bounded
 queries."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,8 +1,6 @@
 """Extreme height maps and hand motions, compiled: the proxy stays outside, forces stay bounded, queries within a
 budget. A fingertip that has left a rough map feels no force. All cases but the last share one type of scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """Height maps: spline compared with closed forms, closest point with brute force, scenes with other shapes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A body between two soft fingertips rolls on them, decays as in its closed form, and does not creep."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Height fields of MuJoCo models match MuJoCo's rays, on bodies at rest and in motion."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

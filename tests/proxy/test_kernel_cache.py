@@ -1,8 +1,6 @@
 """Compiled kernels on disk: which are loaded, which are refused, and that no problem with them prevents a start. Uses
 real processes, a full disk, and real other users if the suite runs as root."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

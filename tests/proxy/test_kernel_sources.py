@@ -1,7 +1,5 @@
 """The kernel cache is keyed by all sources of the kernels and by nothing else."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

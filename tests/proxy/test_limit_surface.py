@@ -1,8 +1,6 @@
 """Limit surface shared by tangential force and moment: projection onto it and the contact that uses it. On the plane of
 test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, k_z = 0.05, mu_t = 4 mm, 1 kHz."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenes with many objects: each gives the contact of a single object of its shape."""
 
-from __future__ import annotations
-
 import copy
 import importlib
 import sys

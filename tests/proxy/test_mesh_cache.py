@@ -1,7 +1,5 @@
 """Cache of mesh trees on disk: loaded bit for bit, rejected when damaged, bounded in size."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

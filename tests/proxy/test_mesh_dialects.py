@@ -1,8 +1,6 @@
 """Mesh files as other programs write them: each is read in full, or refused with its reason. Most are a box of 40 x 40
 x 20 mm."""
 
-from __future__ import annotations
-
 import base64
 import itertools
 import struct

@@ -1,7 +1,5 @@
 """Mesh files: formats are read back unchanged; damaged or malicious files raise one error or give a valid mesh."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

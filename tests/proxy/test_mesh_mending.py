@@ -1,7 +1,5 @@
 """Mesh repair: which defects are repaired, which are only reported; meshes from formulas are the reference."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -2,8 +2,6 @@
 with brute force. A fingertip without friction at rest is blocked by the triangles it touches: its force is a sum of
 their normals with no negative weight. Compiled: a stroke takes two thousand ticks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """MuJoCo models from other sources: files in other folders, mirrored meshes, pairs, keyframes, any time step."""
 
-from __future__ import annotations
-
 import os
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Moving objects: poses in closed form, and the force on a hand at rest."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

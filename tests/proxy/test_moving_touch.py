@@ -1,7 +1,5 @@
 """Objects that move into the finger: the touch depends only on the relative motion of finger and object."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Normal force laws: closed forms at rest and at a speed, energy, and the file. On the plane of conftest.paper_mapping:
 K_n = 1000 N/m at d = 1 mm, no velocity filter, 1 kHz unless stated."""
 
-from __future__ import annotations
-
 import functools
 from math import log
 from typing import Any

@@ -1,8 +1,6 @@
 """Undocumented behaviour of numba 0.67 and 0.68 that the kernels depend on. With another version, a failure here shows
 what has changed."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One finger drags a plate until the plate slips, or pushes it over a floor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

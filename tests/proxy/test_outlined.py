@@ -1,7 +1,5 @@
 """Outlined kernels: compiled once, cached separately and called by address."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

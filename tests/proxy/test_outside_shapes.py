@@ -1,7 +1,5 @@
 """Shapes of other packages, each in one file, named in scene files and touched like built-in shapes."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import os

@@ -1,7 +1,5 @@
 """Kernels give the same bits compiled and as plain Python: the shipped scenes, and a roll by each method."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

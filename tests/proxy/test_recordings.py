@@ -1,7 +1,5 @@
 """Shipped recordings: equal to the tool's output, with the contact events and materials they are shipped for."""
 
-from __future__ import annotations
-
 import functools
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`rescue.py` returns from MuJoCo's fatal errors; in subprocesses, since MuJoCo has one error handler per process."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rolling methods compared with eighth-order integration: accuracy, order, special rotations, drift in many steps."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

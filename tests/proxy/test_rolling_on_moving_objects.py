@@ -1,7 +1,5 @@
 """A finger that rolls without slip on moving and rotating objects, single or among several."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

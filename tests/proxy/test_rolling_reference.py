@@ -1,8 +1,6 @@
 """Contact paths of the paper's Euler-decomposition rolling on z = 0, r = 10 mm, with friction that prevents slip,
 compared with independently integrated equations."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Several fingers in one world: the world advances once per tick, and fingers do not affect each other's contacts."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Free, rolling, sliding: exact conditions of transitions, noise that must not cause one, and the paper's rule. The
 scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, K = 1000 N/m, 1 kHz."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from conftest import paper_scene

@@ -1,7 +1,5 @@
 """Signed distance, nearest point, normal and curvature of every shape, at all scales, outside and inside."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,8 +1,6 @@
 """Textures: heights and friction from a file, compared with closed forms of sampled and filtered waves. A fingertip of
 10 mm on an object of 1000 N/m without damping; poses are far apart if nothing depends on the velocity."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -6,8 +6,6 @@ slide ends at d sin a = mu (d cos a - h). On a sphere h = -(R + r) and d = depth
 the deflection is mu times the depth.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Moment about the normal: its limits, and the proxy with a rotational degree of freedom. One type of law per scene. On
 the plane of test_contact_acceptance.py: f_N = 1 N at 1 mm, k_z = 0.05 N m/rad, mu_t = 4 mm, 1 kHz."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """URDF models: a mesh lid on a hinge, names of geoms, files of packages, time step."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 with the kernels. A triangle is skipped only if its bounding ball is farther than a corner of another, which is exact.
 Compiled and cached, for a million points on fifty thousand triangles."""
 
-from __future__ import annotations
-
 from math import inf, sqrt
 from typing import Any, NamedTuple
 

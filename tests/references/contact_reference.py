@@ -1,7 +1,5 @@
 """One tick of the contact on a plane by the equations of the model only: numpy vectors and matrices, no kernels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -10,8 +10,6 @@ curvature. W_f is evaluated at the point with the normal opposite to the object'
 agreement of s, integrated by its own equation, verifies the path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

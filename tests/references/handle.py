@@ -1,7 +1,5 @@
 """One axis of a handle with motor lag, hand and Coulomb friction, by a high-order integrator with events."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

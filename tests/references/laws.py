@@ -1,7 +1,5 @@
 """Friction and torsion laws to test, random handling of a plane, and the account of energy over it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Shapes, methods and starting contacts that the rolling tests share, and the kernel compiled to be called."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

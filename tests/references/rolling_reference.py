@@ -1,8 +1,6 @@
 """The paper's Euler decomposition (eqs. 5-7) on matrices, and the rolling equation it approximates. The angles are the
 z-x-z angles of the step's rotation in the contact frame: R = Rz(phi) Rx(theta) Rz(psi)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Literal

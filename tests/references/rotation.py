@@ -1,7 +1,5 @@
 """Rotations in plain numpy, by the textbook formulas: nothing here is shared with the kernels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

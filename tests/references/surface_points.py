@@ -1,8 +1,6 @@
 """Points of surfaces from parameters and formulas. Shapes are the kernels' named tuples; nothing else of the kernels is
 used."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from decimal import Decimal, localcontext
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ Samples c_j = exp(2 pi i f u_j) at the spacing p, as coefficients of a B-spline 
 sinc^4. A Gaussian multiplies each wave by REST^((cutoff f)^2).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`softfinger accuracy`: its numbers against closed forms and the paper's, its motions, its choice of methods."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -1,7 +1,5 @@
 """`bench`: what each measurement reports on small cases; times are not asserted."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`doctor --device-report`: contents of a report, omitted data, and its endings."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -1,7 +1,5 @@
 """`doctor`: the checks on this machine and on tables of another one, its exit code, its errors."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """`stability --bodies`: measurement of a cell, its assessment, and the tables."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

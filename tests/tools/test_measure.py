@@ -1,7 +1,5 @@
 """Statistics of measured times: percentiles, their medians over blocks, and missed deadlines during the measurement."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The program that checks meshes accepts correct ones and detects errors."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

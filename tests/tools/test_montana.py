@@ -1,7 +1,5 @@
 """Montana's equations as published, with charts and contact angle, against the kinematics without coordinates."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

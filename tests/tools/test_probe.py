@@ -1,7 +1,5 @@
 """`devices --probe`: the report of a device without force, and small pushes on demand, for every driver and ending."""
 
-from __future__ import annotations
-
 import os
 import pty
 import signal

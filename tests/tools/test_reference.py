@@ -1,7 +1,5 @@
 """Pages of docs/ with generated content: the reference pages, and the tables of the study."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Analysis of the rows of a device report: motions, rotations, noise, pushes."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """Device reports contain no personal data, and answer the questions of the form."""
 
-from __future__ import annotations
-
 import platform
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Stability: limits found on the servo step against theory, theory against closed forms, and the verb."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

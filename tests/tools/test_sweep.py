@@ -1,7 +1,5 @@
 """Sweeps: the same results from every scheduler, and none computed twice."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math
