@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -96,7 +97,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
         mark = term.removeprefix("not ")
         if mark == term and mark in ("plain", "real_time", "system") and mark not in text:
             return True
-        if mark != term and f"\npytestmark = pytest.mark.{mark}\n" in text:
+        if mark != term and re.search(rf"\npytestmark = \[?pytest\.mark\.{mark}\b", text):
             return True
     return None
 

@@ -67,10 +67,6 @@ def emulated(table: Registers = FEETECH, **how: Any) -> BusServos:
     return BusServos(table, dict.fromkeys(IDS.values(), 2048), **how)
 
 
-def settle(device: leader.LeaderArm) -> None:
-    eventually(device.is_settled)
-
-
 def force_x(arm: BusServos) -> float:
     """Force (N) of the pitch joint's motor at the tip, along the world's x while the arm is upright."""
     return arm.servos[IDS["pitch"]].force(time.monotonic()) * NM_PER_COUNT / LEVER_M
@@ -109,7 +105,7 @@ class ArmBench(Bench):
         return force[0], 0.0, 0.0
 
     def displayed(self) -> tuple[float, ...]:
-        settle(self.device)
+        eventually(self.device.is_settled)
         return (force_x(self.arm), 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def make(self, case: str) -> None:

@@ -341,7 +341,6 @@ def test_rules_select_the_material_of_each_geom(tmp_path: Path) -> None:
     ]
     scene = load_scene({"fingertip": {"radius_m": R}, "world": {"model": str(path), "geom": rules}})
     assert {entry.name: entry.material.stiffness_n_per_m for entry in scene.object} == {"a": 4, "b": 2, "c": 3, "d": 5}
-    assert scene.world is not None
     notes = {geom.name: geom.note for geom in convert_geoms(scene.world)}
     assert "does not collide" in notes["geom-3"] and "without an end" in notes["d"]
 
@@ -562,7 +561,6 @@ def test_most_steps_must_be_within_the_budget(tmp_path: Path) -> None:
     world = {"model": box(tmp_path), "budget_us": 50.0, "material": RUBBER}
     scene = load_scene({"fingertip": {"radius_m": R}, "world": world})
     owner = compile_bodies(scene)
-    assert owner is not None
     owner.begin(0.001)
     bodies = owner.kernel((0.0, 1.0))
     for took_us in [49.0, 51.0, 2000.0, 50.0] * 50:

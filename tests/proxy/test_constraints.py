@@ -17,27 +17,22 @@ def solve(count, n1, n2, n3, b1, b2, b3):
     return solution.push, vec3.weighted_sum(solution.place, n1, n2, n3)
 
 
-def unit(rng):
-    v = rng.normal(size=3)
-    return v / np.linalg.norm(v)
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_agrees_with_non_negative_least_squares(count):
     rng = np.random.default_rng(count)
     for _ in range(2000):
-        normals = [unit(rng) for _ in range(3)]
-        if count == 3 and abs(np.linalg.det(np.array(normals))) < 1e-3:
+        normals = rng.normal(size=(3, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        if count == 3 and abs(np.linalg.det(normals)) < 1e-3:
             continue  # nearly coplanar normals: both solutions are accurate to fewer digits
         if any(normals[i] @ normals[j] < FACING_COSINE for i in range(count) for j in range(i)):
             continue  # walls that face each other are a pinch
         deflection = rng.normal(size=3)  # c - x
-        demands = [float(n @ deflection) for n in normals]
-        _, d = solve(count, *[tuple(n.tolist()) for n in normals], *demands)
-        weights, _ = nnls(np.array(normals[:count]).T, deflection)
+        _, d = solve(count, *map(tuple, normals.tolist()), *(normals @ deflection).tolist())
+        weights, _ = nnls(normals[:count].T, deflection)
         # The condition of the Gram matrix at a determinant of 1e-3 costs up to six digits of sixteen.
-        np.testing.assert_allclose(d, np.array(normals[:count]).T @ weights, atol=1e-9)
+        np.testing.assert_allclose(d, normals[:count].T @ weights, atol=1e-9)
 
 
 def test_a_demand_met_by_another_wall_gets_no_weight():

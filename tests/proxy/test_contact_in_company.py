@@ -52,10 +52,6 @@ SHIFTED = ["contact.object", *(f"contacts{i}.object" for i in range(3))]
 """Fields with an object index, which changes if other objects precede the object."""
 
 
-def distant_objects(material: dict[str, Any]) -> list[dict[str, Any]]:
-    return [entry | {"material": material} for entry in FAR]
-
-
 def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **tables: Any) -> Engine:
     own: dict[str, Any] = {"fingertip": None, "coupling": None} if "finger" in tables else {}
     own["rolling"] = None if method is None else {"method": method}
@@ -100,7 +96,7 @@ def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:
 
 
 def check_out_of_reach(shape: str, method: str | None, folder: Path, material: dict[str, Any], **tables: Any) -> None:
-    it, others = make_table(shape, folder, material), distant_objects(material)
+    it, others = make_table(shape, folder, material), [entry | {"material": material} for entry in FAR]
     poses = handling(300, 11, 0.012 if "hollow" in shape else 0.016)[::2]
     if shape in ("plane", "heightmap"):
         poses[:, 2] += R
@@ -192,8 +188,7 @@ def test_an_object_out_of_reach_changes_no_bit_for_two_fingers(tmp_path: Path) -
 
 def line(*corners: Sequence[float], ticks: int = 50) -> Array:
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
-    places = np.concatenate([*legs, [corners[-1]]])
-    return posed(places)
+    return posed(np.concatenate([*legs, [corners[-1]]]))
 
 
 LYING = {**SHAPES["cylinder"], "orientation_wxyz": [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]}
@@ -267,21 +262,19 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs() -> None:
     """Two sticking fingertips, 1 mm deep, act on a sphere of mass m as a spring of 2 K_t: sqrt(2 K_t / m)."""
     mass, deep, dt = 0.05, 1e-3, 1e-4
     driven = {"name": "it", **SHAPES["sphere"], "material": STICKY, "motion": {"kind": "driven"}}
-    fingers = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": K}} for name in ("thumb", "index")]
-    for finger in fingers:
-        finger["coupling"] = {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0}
+    coupling = {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0}
+    fingers = [{"name": name, "radius_m": R, "coupling": coupling} for name in ("thumb", "index")]
     running = engine([driven], finger=fingers)
     far_out, near = BALL + R + 1e-4, BALL + R - deep
     pinch = {
         name: line((0.0, 0.0, side * far_out), (0.0, 0.0, side * near), ticks=20)
         for name, side in (("thumb", -1.0), ("index", 1.0))
     }
-    records = running.run(pinch, dt)
-    last_poses = {name: poses[-1:] for name, poses in pinch.items()}
+    running.run(pinch, dt)
     # The squared frequency follows from the force on the sphere at a small displacement, compared with 2 K_t.
     u = 2e-5
     running.set("object.it.position_m", [u, 0.0, 0.0])
-    records = running.run(last_poses, dt)
+    records = running.run({name: poses[-1:] for name, poses in pinch.items()}, dt)
     on_ball = -sum(float(record["force"][-1, 0]) for record in records.values())
     frequency, expected = np.sqrt(-on_ball / u / mass), np.sqrt(2.0 * K / mass)
     assert frequency == pytest.approx(expected, rel=1e-4)

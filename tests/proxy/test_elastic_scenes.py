@@ -239,7 +239,6 @@ def test_the_loads_displace_the_body_at_the_contacts_as_the_servo_does(name: str
     records = Engine(scene).run(still)
     rows = {finger: np.asarray(records[finger])[-1] for finger in TIPS[name]}
     mesh = load_scene(scene).object[0]
-    assert isinstance(mesh, Mesh) and mesh.elastic is not None
     loads = compute_contact_loads(mesh, rows)
     patches = [(load.finger, load.object, load.patch_radius) for load in loads]
     assert patches == [(finger, 0, mesh.elastic.radius_m) for finger in rows]

@@ -17,7 +17,7 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
 
-pytestmark = pytest.mark.plain
+pytestmark = [pytest.mark.plain, pytest.mark.scaled]
 
 R = 0.01
 GRIP = touching.GRIP | {"damping_ns_per_m": 1.0}
@@ -91,7 +91,6 @@ ABOVE = (0.0, 0.0, 0.055)
 """Outside of all objects: a proxy that starts inside an object stays inside."""
 
 
-@pytest.mark.scaled
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_proxy_is_never_inside_any_object(draws, count):
@@ -100,7 +99,6 @@ def test_proxy_is_never_inside_any_object(draws, count):
     assert gaps(records["proxy.position"]).min() > R * (1.0 - 1e-9)
 
 
-@pytest.mark.scaled
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_force_is_within_the_friction_cone_and_never_pulls(draws, count):
@@ -147,7 +145,6 @@ def legs_of_force(running, corners, which, reach):
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.scaled
 @pytest.mark.parametrize("kind", list(REACH))
 def test_closed_cycle_of_a_frictionless_contact_creates_no_energy(kind):
     """Around a random closed polyline the force does no work, and on each side the decrease of K depth^2 / 2."""
@@ -185,7 +182,6 @@ def cycle(at, goals, turns, ticks=8):
     return np.concatenate(poses)
 
 
-@pytest.mark.scaled
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(draws, count):
@@ -199,7 +195,6 @@ def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(draws, count):
     assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
 
 
-@pytest.mark.scaled
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(draws, count):
@@ -221,7 +216,6 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(draws, count):
     assert ((work_of_the_hand(records) - stored_energy(records))[1:] + missed).min() > -1e-14
 
 
-@pytest.mark.scaled
 @examples(40)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_finger_side_point_follows_exactly_from_the_orientation(draws, count):
@@ -240,7 +234,6 @@ any_quaternion = st.tuples(*[st.floats(-1e6, 1e6)] * 4).filter(lambda q: 1e-6 <=
 any_dt = st.one_of(st.just(0.0), st.floats(1e-9, 1e3))
 
 
-@pytest.mark.scaled
 @examples(50)
 @given(st.lists(st.tuples(st.tuples(anything, anything, anything), any_quaternion, any_dt), min_size=1, max_size=4))
 def test_finite_input_gives_finite_output(ticks):
@@ -293,7 +286,6 @@ def matrices_of(quaternions):
     return out
 
 
-@pytest.mark.scaled
 @examples(150)
 @given(numbers(1, 4), st.floats(-6.0, 6.0))
 def test_any_quaternion_gives_a_rotation_matrix(draws, exponent):
@@ -305,7 +297,6 @@ def test_any_quaternion_gives_a_rotation_matrix(draws, exponent):
     np.testing.assert_allclose(matrices[0], matrix(q[0]), atol=16 * ULP)
 
 
-@pytest.mark.scaled
 @examples(50)
 @given(numbers(3, 3), st.integers(1, 300))
 def test_a_sequence_of_rotations_stays_normalised(draws, ticks):

@@ -96,7 +96,6 @@ def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypa
 
 
 def only_file(folder: Folder) -> Path:
-    assert folder.path is not None
     (file,) = folder.path.iterdir()
     return file
 

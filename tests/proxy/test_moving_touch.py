@@ -175,10 +175,6 @@ def pair(name: str) -> tuple[Engine, Driver]:
     return still, Driver(scene(*entries, **ROLLING))
 
 
-def conjugate(q: Array) -> Array:
-    return q * [1.0, -1.0, -1.0, -1.0]
-
-
 @pytest.mark.sampled(2)
 @pytest.mark.scaled
 @pytest.mark.parametrize("name", ["ball", "block", "hollow"])
@@ -197,7 +193,7 @@ def test_moving_the_object_equals_moving_the_finger(name: str) -> None:
         turn /= np.linalg.norm(turn)
         records = still.run(poses, DT)
         for row, pose in zip(records, poses, strict=True):
-            led = multiply(turn, conjugate(pose[3:]))
+            led = multiply(turn, pose[3:] * [1.0, -1.0, -1.0, -1.0])
             led /= np.linalg.norm(led)
             world = matrix(led)
             step = driver.step(np.hstack([hand, turn]), (hand - world @ pose[:3], led))

@@ -13,7 +13,7 @@ from references.rotation import matrix
 from test_invariants import cycle, numbers, visit
 from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, material, tile, wall
 
-pytestmark = pytest.mark.plain
+pytestmark = [pytest.mark.plain, pytest.mark.scaled]
 
 STUFF = material(GRIP, LIMP)
 EVEN = material({"static": 0.5, "kinetic": 0.5}, LIMP)
@@ -89,7 +89,6 @@ WALLS_OF_CYCLES = [*((kind, False) for kind in KINDS), *((kind, True) for kind i
 """Scenes, and whether the walls have unequal materials."""
 
 
-@pytest.mark.scaled
 @examples(25)
 @given(st.sampled_from(WALLS_OF_CYCLES), *MOTIONS)
 def test_closed_cycle_gives_no_energy(case, draws, count):
@@ -106,7 +105,6 @@ def soft_engine(kind):
     return engine(*objects_of(kind, STUFF), **SOFT)
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(["groove", "sharp groove", "valley", "seam"]), numbers(4, 6), st.integers(1, 4))
 def test_spin_of_contact_patches_gives_no_energy(kind, draws, count):
@@ -128,7 +126,6 @@ def test_spin_of_contact_patches_gives_no_energy(kind, draws, count):
     assert (np.cumsum(work) - stored + np.cumsum(missed)).min() > -1e-17
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(list(BALLS)), *MOTIONS)
 def test_curved_bodies_give_no_energy(kind, draws, count):
@@ -159,7 +156,6 @@ def swaying(kind):
     return engine(*objects)
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(["groove", "corner", "slot"]), *MOTIONS)
 def test_moving_object_gives_no_more_energy_than_its_work(kind, draws, count):
@@ -177,7 +173,6 @@ def test_moving_object_gives_no_more_energy_than_its_work(kind, draws, count):
     assert work.min() > -1e-14
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(SYMMETRIC), *MOTIONS)
 def test_order_of_touches_changes_nothing(kind, draws, count):
@@ -188,7 +183,6 @@ def test_order_of_touches_changes_nothing(kind, draws, count):
     np.testing.assert_allclose(b["torque"], a["torque"] * [1.0, -1.0, -1.0], rtol=0, atol=1e-13)
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_order_of_bodies_changes_nothing(kind, draws, count):
@@ -199,7 +193,6 @@ def test_order_of_bodies_changes_nothing(kind, draws, count):
     np.testing.assert_allclose(a["torque"], b["torque"], rtol=0, atol=1e-13)
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_force_is_continuous(kind, draws, count):

@@ -1,7 +1,6 @@
 """Record table: a field added there appears in the record, the wire format, the result files and the schema."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import get_args, get_type_hints
@@ -31,7 +30,8 @@ def test_columns_follow_each_other():
 
 def test_step_has_every_field_that_the_contact_fills():
     row = np.full(RECORD_SIZE, np.nan)
-    outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
+    types = get_type_hints(Contact).values()
+    outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in types))
     outcome = outcome._replace(contacts=(NO_OUTCOME,))
     force, orientation = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
     write_contact(row, 7, 0.001, force, orientation, outcome, force, force)
@@ -40,10 +40,6 @@ def test_step_has_every_field_that_the_contact_fills():
     assert len(patches) == 18
     of_step = filled - patches - {"tick", "dt", "probe.position", "probe.orientation"}
     assert of_step == {f.name for f in STEP_FIELDS.values()}
-
-
-def contact_types():
-    return get_type_hints(Contact).values()
 
 
 def test_step_has_the_types_of_the_table():
@@ -68,11 +64,6 @@ def tree(tmp_path_factory):
     last = text.index("\n\n\n", text.index("class Offsets")) + 1
     table.write_text(text[:last] + NEW + text[last:], encoding="utf-8")
     return root
-
-
-def run_in(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {"PYTHONPATH": str(tree), "HOME": str(tree), "PATH": "/usr/bin:/bin"}
-    return run_program([sys.executable, *arguments], cwd=tree, env=environment)
 
 
 EVERYWHERE = """
@@ -107,7 +98,7 @@ sys.exit(main(["schema", "telemetry"]))
 
 
 def test_new_field_is_everywhere(tree):
-    process = run_in(tree, "-c", EVERYWHERE)
-    assert process.returncode == 0, process.stderr
+    environment = {"PYTHONPATH": str(tree), "HOME": str(tree), "PATH": "/usr/bin:/bin"}
+    process = run_program([sys.executable, "-c", EVERYWHERE], cwd=tree, env=environment, check=True)
     assert '"fault.level"' in process.stdout
     assert "a field that a test has added" in process.stdout

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from references.rotation import Array, multiply, quaternion, rodrigues
+from references.rotation import multiply, quaternion, rodrigues
 from test_invariants import R
 from test_moving_touch import Driver, K, scene
 
@@ -28,10 +28,6 @@ def company(objects: list[dict[str, Any]]) -> Scene:
     return scene(*objects, **TABLES)
 
 
-def along(where: list[dict[str, Any]], which: dict[str, Any], place: tuple[Array, Array]) -> list[Any]:
-    return [place if entry is which else None for entry in where]
-
-
 @pytest.mark.scaled
 def test_rolling_on_a_moving_sphere_winds_nothing(cases: Any) -> None:
     """W = (R w_o + r w_f) / (R + r) turns the normal of a roll without slip: n = exp(W t) n_0, with the probe on it,
@@ -52,7 +48,8 @@ def test_rolling_on_a_moving_sphere_winds_nothing(cases: Any) -> None:
                 n, center = rodrigues(turn * t) @ n0, speed * t
                 depth = DEPTH * min((tick + 6) / 5.0, 1.0)  # pressed straight down before anything moves
                 pose = np.hstack([center + (RADIUS + R - depth) * n, quaternion(finger_rate * t)])
-                step = driver.step(pose, *along(objects, BALL, (center, quaternion(object_rate * t))))
+                ball = center, quaternion(object_rate * t)
+                step = driver.step(pose, *(ball if entry is BALL else None for entry in objects))
                 worst = max(worst, step.tangential_force)
                 assert step.normal_force == pytest.approx(K * depth, abs=1e-9)
             a = DT * max(np.linalg.norm(object_rate - turn), np.linalg.norm(finger_rate - object_rate))

@@ -53,10 +53,6 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return content
 
 
-def rows(result: dict[str, Any], **values: Any) -> list[dict[str, Any]]:
-    return [row for row in result["trade"] if all(row[key] == value for key, value in values.items())]
-
-
 def test_json_has_the_documented_keys(result: dict[str, Any]) -> None:
     assert {"motion", "method", "max_error_mm"} <= result["paper"][0].keys()
     speed = {"classical_ns_per_step", "euler_zxz_ns_per_step", "rotation_vector_ns_per_step", "ratio"}
@@ -148,7 +144,7 @@ def test_classical_method_on_a_torus() -> None:
 
 def test_errors_on_the_plane_are_the_closed_forms(result: dict[str, Any]) -> None:
     """ZXZ angles miss roll and spin of a step by half-angle formulas; the error is largest at the end."""
-    for row in rows(result, surface="plane", motion="constant"):
+    for row in (row for row in result["trade"] if (row["surface"], row["motion"]) == ("plane", "constant")):
         half, count = W * row["step_s"] / 2, row["steps"]
         across, along = np.sin(half) * ROLL_RATE / W, np.sin(half) * SPIN_RATE / W
         theta, spin = 2 * np.arctan2(across, np.hypot(np.cos(half), along)), 2 * np.arctan2(along, np.cos(half))

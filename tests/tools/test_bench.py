@@ -19,11 +19,6 @@ from softfinger.tools.bench.soak import SoakResult, compute_growth, evaluate
 from softfinger.tools.bench.view import TurnResult, summary
 
 
-def measured(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
-    assert main(["bench", *words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 def small(line: str, part: str, *marks: pytest.MarkDecorator) -> Any:
     return pytest.param(line, part, marks=[pytest.mark.exhaustive, *marks], id=line.split()[0])
 
@@ -57,16 +52,14 @@ def test_a_scene_that_one_recording_cannot_run_on_is_refused(capsys: pytest.Capt
 def test_commands_are_all_seen_and_none_torn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The force returns after each change of scene, no faster than the guard allows."""
     drawing = tmp_path / "memory.svg"
-    words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing)]
-    content = measured(capsys, "commands", *words)
-    assert content["set_params"] == 100
-    assert content["ticks"] > 500
+    words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing), "--json"]
+    assert main(["bench", "commands", *words]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["set_params"] == 100 and content["ticks"] > 500 and content["torn"] == 0
     assert 50 < content["changes_felt"] <= 100  # of two within a tick, which a stall of the machine makes, one is felt
-    assert content["torn"] == 0
-    assert content["largest_step_n"] <= content["slew_n"] * (1.0 + 1e-9)  # rounding of the sum that makes a step
-    assert content["largest_step_n"] > 0.0
-    assert len(content["resident_mb"]) == 1
-    assert drawing.stat().st_size > 0
+    # Rounding of the sum that makes a step.
+    assert 0.0 < content["largest_step_n"] <= content["slew_n"] * (1.0 + 1e-9)
+    assert len(content["resident_mb"]) == 1 and drawing.stat().st_size > 0
 
 
 def test_a_torn_parameter_set_is_detected() -> None:

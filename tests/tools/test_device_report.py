@@ -201,7 +201,6 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
         [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "2", "--with-force", "1"],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert process.stderr is not None
     for line in process.stderr:
         if line.startswith(f"recording {part}"):  # printed half a second after the part started
             break
@@ -228,7 +227,6 @@ def test_the_user_is_prompted_on_a_terminal(home: Path) -> None:
         stdin=side, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     os.close(side)
-    assert process.stderr is not None
     prompts = []
     for line in process.stderr:
         if line.endswith("; Enter to begin\n"):

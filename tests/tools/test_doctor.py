@@ -64,11 +64,6 @@ def open_folder() -> Iterator[Path]:
         yield Path(name)
 
 
-def named(result: dict[str, Any], name: str) -> dict[str, str]:
-    (check,) = (check for check in result["checks"] if check["name"] == name)
-    return check
-
-
 def test_every_check_is_made(result: dict[str, Any]) -> None:
     names = [check["name"] for check in result["checks"]]
     assert len(set(names)) == len(names)
@@ -78,14 +73,12 @@ def test_every_check_is_made(result: dict[str, Any]) -> None:
     measured = {"kernel cache", "ticks in time", "wake-up lateness", "contact step", "telemetry endpoint"}
     assert real_time | machine_checks | measured | {"libusb", "hidapi", "Force Dimension's library"} <= set(names)
     for check in result["checks"]:
-        assert check.keys() == set(Check._fields)
-        assert check["state"] in STATES
-        assert check["seen"] and check["wanted"]
-        assert check["remedy"] or check["state"] == "good", check
+        assert check.keys() == set(Check._fields) and check["state"] in STATES
+        assert check["seen"] and check["wanted"] and (check["remedy"] or check["state"] == "good"), check
 
 
 def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, Any]) -> None:
-    check = named(result, "telemetry endpoint")
+    (check,) = (check for check in result["checks"] if check["name"] == "telemetry endpoint")
     assert check["state"] == "bad"
     assert str(result["port"]) in check["seen"] and "end the program that uses it" in check["remedy"]
     assert result["code"] == Unfit.exit_code
@@ -99,10 +92,8 @@ def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, A
 def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: str) -> None:
     rig = load_rig("replay", {"servo.cpu": 1023, "servo.realtime": mode})
     (check,) = (check for check in loop.check_settings(rig) if check.name == "real time, affinity")
-    assert check.state == state
-    assert "processor 1023" in check.seen
-    assert "servo.cpu" in check.remedy
-    assert "affinity" in realtime.REQUIRED
+    assert check.state == state and "affinity" in realtime.REQUIRED
+    assert "processor 1023" in check.seen and "servo.cpu" in check.remedy
 
 
 @pytest.mark.parametrize(
@@ -136,13 +127,8 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
         sys__devices__system__clocksource__clocksource0__current_clocksource="tsc", proc__cpuinfo="flags\t\t: fpu sse2",
         proc__1__cgroup="0::/init.scope",
     )  # fmt: skip
-    for check in (
-        machine.check_kernel(good),
-        machine.check_frequency(good),
-        machine.check_clock(good),
-        machine.check_virtual(good),
-    ):
-        assert check.state == "good", check
+    for examine in (machine.check_kernel, machine.check_frequency, machine.check_clock, machine.check_virtual):
+        assert examine(good).state == "good", examine
     worse = write(
         tmp_path / "worse", sys__kernel__realtime="0",
         sys__devices__system__cpu__cpu0__cpufreq__scaling_governor="powersave",
