@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 import pytest
 from helpers.programs import run_program
+from helpers.refusals import refusal
 
 import softfinger
 from softfinger.config.errors import ConfigError, HapticError
@@ -36,14 +37,8 @@ RIBS = FOLDER_OF["scenes"] / "ribs.csv"  # texture of a scene
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 PRESSED = (0.0, 0.0, 0.0095)
 STIFFNESS = "object.table.material.stiffness_n_per_m"
-MODULES = (
-    "softfinger",
-    "softfinger.config.load",
-    "softfinger.proxy.engine",
-    "softfinger.proxy.records",
-    "softfinger.server.offline.simulate",
-    "softfinger.server.remote",
-)
+MODULES = ("config.load", "proxy.engine", "proxy.records", "server.offline.simulate", "server.remote")
+"""Modules with examples in their docstrings, besides the package."""
 
 
 @pytest.fixture
@@ -124,7 +119,7 @@ def test_an_engine_imports_only_the_modules_of_its_scene():
     assert process.stdout.splitlines() == ["[] True", "[]"]
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", ["softfinger", *(f"softfinger.{module}" for module in MODULES)])
 def test_the_examples_of_docstrings_run(name: str, client: partial[Client]) -> None:
     results = doctest.testmod(importlib.import_module(name), extraglobs={"Client": client})
     assert results.attempted and not results.failed
@@ -284,8 +279,7 @@ def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
 @pytest.mark.plain
 def test_a_mapping_is_as_good_as_a_file() -> None:
     scene = load_scene("sphere")
-    assert load_scene(describe(scene)) == scene == load_scene(scene)
-    assert Engine(describe(scene)).config == scene
+    assert load_scene(describe(scene)) == scene == load_scene(scene) and Engine(describe(scene)).config == scene
     with pytest.raises(ConfigError, match=r"scene: fingertip.radius_m = 'big'.*\n.*object"):
         load_scene({"fingertip": {"radius_m": "big"}})
     ball = "object.sphere.radius_m"
@@ -347,24 +341,12 @@ def test_shipped_files_are_listed_one_per_line(verb: str, capsys: pytest.Capture
         assert len(text.split()) > 3
 
 
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        (STIFFNESS, 1000.0),
-        ("object.0.name", "table"),
-        ("object.table.material.friction", {"static": 0.6, "kinetic": 0.5}),
-    ],
-)
-def test_engine_returns_parameters(path, value):
-    assert Engine("paper-plane").get(path) == value
-
-
-@pytest.mark.parametrize(
-    "path", ["object.table.nothing", "object.desk.name", "object.7.name", "fingertip.radius_m.x", ""]
-)
-def test_engine_refuses_a_path_without_value(path):
-    with pytest.raises(ConfigError, match="no value at " + repr(path)):
-        Engine("paper-plane").get(path)
+def test_engine_returns_parameters_and_refuses_a_path_without_value():
+    get = Engine("paper-plane").get
+    assert (get(STIFFNESS), get("object.0.name")) == (1000.0, "table")
+    assert get("object.table.material.friction") == {"static": 0.6, "kinetic": 0.5}
+    for path in ("object.table.nothing", "object.desk.name", "object.7.name", "fingertip.radius_m.x", ""):
+        assert f"no value at {path!r}" in refusal(get, path)
 
 
 def test_notebooks_show_tables():

@@ -110,8 +110,7 @@ def test_the_sdist_can_set_up_and_test(dist: Path) -> None:
         "CONTRIBUTING.md", "SECURITY.md", "CITATION.cff",
     }  # fmt: skip
     needed |= {str(file) for package in (*PACKAGES, "examples", "tests") for file in sources(package)}
-    assert not needed - names
-    assert not [name for name in names if name.startswith((".dev", ".venv", ".git/"))]
+    assert not needed - names and not [name for name in names if name.startswith((".dev", ".venv", ".git/"))]
 
 
 def test_the_installed_wheel_is_imported(installed: Path, tmp_path: Path) -> None:
@@ -190,8 +189,7 @@ def test_a_wheel_and_a_checkout_do_not_compile_the_same_twice(first: str, instal
         run(python, "-c", COMPILES, cwd=tmp_path, SOFTFINGER_CACHE_DIR=str(tmp_path / "cache")).stdout.split()
         for python in (pythons if first == "wheel" else reversed(pythons))
     ]
-    assert outputs[0][0] == outputs[1][0]
-    assert [misses for _, misses in outputs] == ["1", "0"]
+    assert outputs[0][0] == outputs[1][0] and [misses for _, misses in outputs] == ["1", "0"]
 
 
 @pytest.mark.parametrize("file", ["constraints.txt", "constraints-docs.txt"])
@@ -262,8 +260,7 @@ def test_ci_calls_targets_that_exist() -> None:
     text = (ROOT / ".ci" / "run").read_text()
     called = re.findall(r"\bmake ([a-z-]+)", re.sub(r"^#.*", "", text, flags=re.MULTILINE))
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    assert set(called) <= targets
-    assert called == ["lint", "docs", "test", "emulators", "browser", "test-system"]
+    assert set(called) <= targets and called == ["lint", "docs", "test", "emulators", "browser", "test-system"]
     assert os.access(ROOT / ".ci" / "run", os.X_OK)
 
 

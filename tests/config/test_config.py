@@ -40,24 +40,15 @@ ANY_SHAPE = "one of 'plane', 'sphere', 'cylinder', 'capsule', 'box', 'ellipsoid'
 
 def scene() -> dict[str, Any]:
     """Return a small valid scene with every table, as parsed from a file."""
+    torsion = {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}
+    material = {"stiffness_n_per_m": 1000, "friction": {"static": 0.6, "kinetic": 0.5}, "torsion": torsion}
+    pose = {"position_m": [0, 0, 0], "orientation_wxyz": [1, 0, 0, 0]}
     return {
         "fingertip": {"radius_m": 0.01},
         "rolling": {"method": "euler_zxz"},
         "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
         "probe": {"velocity_time_constant_s": 0.002, "position_resolution_m": 0.0},
-        "object": [
-            {
-                "name": "table",
-                "shape": "plane",
-                "position_m": [0, 0, 0],
-                "orientation_wxyz": [1, 0, 0, 0],
-                "material": {
-                    "stiffness_n_per_m": 1000,
-                    "friction": {"static": 0.6, "kinetic": 0.5},
-                    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
-                },
-            }
-        ],
+        "object": [{"name": "table", "shape": "plane", **pose, "material": material}],
     }
 
 
@@ -100,8 +91,7 @@ def refusal_or_none(call: Callable[..., object], *args: Any) -> str | None:
 def test_paper_scene_has_the_values_of_the_paper() -> None:
     paper = load_scene("paper-plane")
     (table,) = paper.object
-    assert paper.fingertip.radius_m == 0.01
-    assert paper.rolling == schema.Rolling(method="euler_zxz")
+    assert paper.fingertip.radius_m == 0.01 and paper.rolling == schema.Rolling(method="euler_zxz")
     assert paper.coupling == schema.Coupling(stiffness_n_per_m=1000.0, damping_ns_per_m=1.0)
     assert (table.shape, table.position_m, table.orientation_wxyz) == ("plane", (0, 0, 0), (1, 0, 0, 0))
     assert (table.material.stiffness_n_per_m, table.material.damping_ns_per_m) == (1000.0, 0.0)

@@ -39,10 +39,8 @@ def test_every_material_is_one_a_scene_may_have(name: str) -> None:
     material = material_of(name)
     assert material.name == name
     # Small desktop devices render up to 3000 N/m and have 1 to 2 N s/m of physical damping.
-    assert 100.0 <= material.stiffness_n_per_m < 3000.0
-    assert 0.0 < material.damping_ns_per_m <= 1.0
-    assert 0.0 < material.friction.kinetic <= material.friction.static <= 1.0
-    assert material.torsion is not None
+    assert 100.0 <= material.stiffness_n_per_m < 3000.0 and 0.0 < material.damping_ns_per_m <= 1.0
+    assert 0.0 < material.friction.kinetic <= material.friction.static <= 1.0 and material.torsion is not None
 
 
 @pytest.mark.parametrize("name", NAMES)

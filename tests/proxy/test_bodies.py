@@ -463,13 +463,8 @@ def test_a_scene_that_does_not_fit_its_world_is_refused(name: str, tmp_path: Pat
 
 def test_an_object_replaces_a_geom_and_moves_with_a_body(tmp_path: Path) -> None:
     ring = {"name": "ring", "shape": "torus", "major_radius_m": 0.03, "minor_radius_m": 0.005, "material": RUBBER}
-    engine = Engine(
-        {
-            "fingertip": {"radius_m": 0.005},
-            "world": {"model": box(tmp_path, gravity=0.0), "material": RUBBER},
-            "object": [ring | {"motion": {"kind": "body", "body": "box"}}],
-        }
-    )
+    world = {"model": box(tmp_path, gravity=0.0), "material": RUBBER}
+    engine = Engine({"fingertip": {"radius_m": 0.005}, "world": world, "object": [ring | {"motion": ON_BOX}]})
     assert [entry.name for entry in engine.config.object] == ["ring", "box"]
     engine.run([[0.03, 0.0, 0.02 - 1e-4 * k, 1.0, 0.0, 0.0, 0.0] for k in range(120)])
     assert engine.data.qvel[2] < 0.0 and engine.data.qvel[4] > 0.0  # pushed down, and turned by the lever arm

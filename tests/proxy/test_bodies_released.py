@@ -82,8 +82,5 @@ def test_a_probe_clear_of_a_body_gets_zero_force(kind: str, tmp_path: Path, case
             clear = (axes.T @ away)[2] > 0.004 + R if kind == "hfield" else np.linalg.norm(away) > 1.001 * SIZE + R
             pressed = pressed or record["contact.normal_force"] > 0.0
             if clear:
-                assert not record["force"].any() and not record["torque"].any() and record["contact.mode"] == 0, (
-                    kind,
-                    away,
-                )
+                assert not record["force"].any() and not record["torque"].any() and record["contact.mode"] == 0, away
         assert clear and pressed

@@ -226,8 +226,7 @@ def test_stick_slip_is_a_sawtooth() -> None:
     # 0.5 N / 1000 N/m = 0.5 mm per ridge; it jumps on the first tick beyond it, a step of 1 um later.
     assert forces[:, 0].min() == pytest.approx(-0.5, abs=1e-9)
     jumps = np.flatnonzero(np.diff(forces[:, 0]) > 0.4)
-    assert len(jumps) == 9
-    assert np.diff(jumps) == pytest.approx(501, abs=1)
+    assert len(jumps) == 9 and np.diff(jumps) == pytest.approx(501, abs=1)
     assert not forces[:, 1:].any()
     work = np.sum(forces[:, 0]) * 1e-6
     # F^2 / 2K per ridge, ten ridges except nine steps lost on jumping; 0.3 % because of finite ticks.
@@ -262,8 +261,7 @@ def test_vibration_is_a_sine_from_touch_on() -> None:
     forces = run(effect, iter(moments))
     sine = 0.5 * np.sin(2 * np.pi * 130.0 * DT * np.arange(5000))
     # The phase is accumulated: 5000 roundings of 1e-16 turns.
-    assert forces[100:5100] == pytest.approx(np.outer(sine, normal), abs=1e-11)
-    assert not forces[:100].any()
+    assert forces[100:5100] == pytest.approx(np.outer(sine, normal), abs=1e-11) and not forces[:100].any()
     assert not forces[5100:].any()
 
 
@@ -414,8 +412,7 @@ def test_effects_are_added_to_the_contact_force() -> None:
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)
     # The velocity is that of the last millisecond; its rounding is 1e-16 m / 1 ms times 4 N s/m.
-    assert force[:, 2] == pytest.approx(expected, abs=1e-9)
-    assert np.abs(force[:, :2]).max() < 1e-12
+    assert force[:, 2] == pytest.approx(expected, abs=1e-9) and np.abs(force[:, :2]).max() < 1e-12
 
 
 @pytest.mark.sampled(1)

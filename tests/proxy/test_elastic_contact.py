@@ -6,6 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from helpers.touching import posed
 
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.elastic import solution
@@ -82,14 +83,8 @@ def test_the_spring_of_the_finger_is_in_series_with_the_surface() -> None:
 
 def path(count: int) -> Any:
     share = np.linspace(0.0, 1.0, count)
-    middle = np.stack(
-        [
-            0.004 * np.sin(9 * share),
-            0.003 * np.cos(7 * share),
-            HEIGHT + RADIUS + 0.0005 - 0.003 * np.sin(3 * share) ** 2,
-        ]
-    )
-    return np.concatenate([middle.T, np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))], axis=1)
+    height = HEIGHT + RADIUS + 0.0005 - 0.003 * np.sin(3 * share) ** 2
+    return posed(np.stack([0.004 * np.sin(9 * share), 0.003 * np.cos(7 * share), height], axis=1))
 
 
 @pytest.mark.parametrize("friction", [False, True])
@@ -102,8 +97,7 @@ def test_a_stiff_body_has_the_force_of_the_rigid_mesh(tmp_path: Path, friction: 
     pad = describe(stiff)["object"][0] | {"file": str(tmp_path / "surface.obj")}
     rigid = scene_of({key: value for key, value in pad.items() if key != "elastic"})
     forces, expected = Engine(stiff).run(path(200))["force"], Engine(rigid).run(path(200))["force"]
-    assert abs(expected).max() > 1.0
-    assert forces == pytest.approx(expected, abs=1e-9)
+    assert abs(expected).max() > 1.0 and forces == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_recorded_velocity_is_that_of_the_probe() -> None:

@@ -68,14 +68,9 @@ def test_shipped_solutions_match_the_solver(name: str) -> None:
 def test_a_damaged_or_foreign_solution_is_refused(tmp_path: Path) -> None:
     mesh, elastic = shipped("press-a-pad")
     key, data = identity(mesh, elastic), Path(str(elastic.solution)).read_bytes()
-    compressible = msgspec.structs.replace(elastic, poisson=0.3)
-    for changed in (
-        compressible,
-        msgspec.structs.replace(elastic, reach=()),
-        msgspec.structs.replace(elastic, fixed=()),
-    ):
+    for changes in ({"poisson": 0.3}, {"reach": ()}, {"fixed": ()}):
         with pytest.raises(ValueError, match="solution for other values"):
-            solution.read(str(elastic.solution), identity(mesh, changed))
+            solution.read(str(elastic.solution), identity(mesh, msgspec.structs.replace(elastic, **changes)))
     softer = msgspec.structs.replace(elastic, youngs_pa=1.0, damping_s=1.0, solution=None)
     assert identity(mesh, softer) == key
     file, random = tmp_path / "pad.npz", np.random.default_rng(46)

@@ -23,10 +23,7 @@ HERTZ: dict[str, Any] = {"shear_modulus_pa": G}
 POWER: dict[str, Any] = {"shear_modulus_pa": G, "radius_m": 0.004, "exponent": 0.2, "pressure_exponent": 4.0}
 FOLLOWS: dict[str, Any] = {"stiffness_nm_per_rad": None, "friction_length_m": None}
 """Changes that remove the torsion parameters of the paper's material."""
-LEVER = {
-    "Hertz": 3.0 * pi / 16.0,
-    "power": gamma(0.75) * gamma(1.75) / gamma(0.5),
-}
+LEVER = {"Hertz": 3.0 * pi / 16.0, "power": gamma(0.75) * gamma(1.75) / gamma(0.5)}
 """Lever over a: 3 pi / 16, and B(3/4, 5/4) / B(1/2, 5/4) for the pressure (1 - x^4)^(1/4)."""
 PATCHES = {"Hertz": HERTZ, "power": POWER}
 
@@ -154,8 +151,7 @@ def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
     torque = records["torque"]
     expected = np.minimum(3.0 / 16.0 * alpha * R * load * rolled, limit)
     assert torque[1 : limit_tick + 1, 0] == pytest.approx(-expected, rel=1e-9, abs=1e-15)
-    assert np.ptp(torque[limit_tick : rest + 1, 0]) == 0.0
-    assert torque[-1, 0] == pytest.approx(limit, rel=1e-9)
+    assert np.ptp(torque[limit_tick : rest + 1, 0]) == 0.0 and torque[-1, 0] == pytest.approx(limit, rel=1e-9)
     assert np.abs(torque[:, 1:]).max() < 1e-15
 
 
@@ -257,5 +253,4 @@ def test_each_finger_has_the_patch_of_a_single_finger() -> None:
     records = both.run(dict.fromkeys(tips, poses))
     for name, tip in tips.items():
         alone = plane_engine(fingertip=tip, material=material).run(poses)
-        assert np.array_equal(records[name], alone)
-        assert alone[-1, AT.contact_patch_radius] > 0.0
+        assert np.array_equal(records[name], alone) and alone[-1, AT.contact_patch_radius] > 0.0

@@ -88,8 +88,7 @@ def test_no_query_exceeds_its_budget(name: str) -> None:
     points = np.vstack([points, 0.01 * R * rng.normal(size=(60, 3))])
     results = np.zeros((len(points), 4))
     ask(shape, points, R, results)
-    assert results[:, :2].max() <= QUERY_BUDGET + LAST
-    assert results[results[:, 2] >= 0.0, 3].max() <= 1e-12
+    assert results[:, :2].max() <= QUERY_BUDGET + LAST and results[results[:, 2] >= 0.0, 3].max() <= 1e-12
     places = surface(shape, 3e-3)
     for x, gap in zip(points, results[:, 2], strict=True):
         assert abs(gap) <= np.linalg.norm(places - x, axis=1).min() * (1.0 + 1e-12)

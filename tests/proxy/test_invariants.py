@@ -23,6 +23,7 @@ R = 0.01
 GRIP = touching.GRIP | {"damping_ns_per_m": 1.0}
 SLICK = {"stiffness_n_per_m": 1000.0}
 TURNED = [0.8, 0.36, 0.48, 0.0]
+BLOCK_POSE = {"position_m": [-0.03, 0.01, 0.0], "orientation_wxyz": TURNED}
 HALF = np.array([0.02, 0.015, 0.01])
 
 
@@ -41,14 +42,7 @@ def scene(kind, material="grip"):
         "zoo": [
             {"name": "floor", "shape": "plane", "position_m": [0, 0, -0.02], "material": stuff},
             ball | {"position_m": [0.03, 0.0, 0.0]},
-            {
-                "name": "block",
-                "shape": "box",
-                "size_m": (2 * HALF).tolist(),
-                "position_m": [-0.03, 0.01, 0.0],
-                "orientation_wxyz": TURNED,
-                "material": stuff,
-            },
+            {"name": "block", "shape": "box", "size_m": (2 * HALF).tolist(), "material": stuff} | BLOCK_POSE,
         ],
         "ball": [ball],
         "hollow ball": [ball | {"radius_m": 0.05, "inside": True}],
@@ -70,7 +64,7 @@ def engine(kind, material="grip"):
 
 def gaps(x):
     """Return distances (3, n) of points (n, 3) from the zoo's objects, by independent formulas."""
-    local = (x - np.array([-0.03, 0.01, 0.0])) @ matrix(TURNED)
+    local = (x - BLOCK_POSE["position_m"]) @ matrix(TURNED)
     beyond = np.abs(local) - HALF
     block = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
     return np.array([x[:, 2] + 0.02, np.linalg.norm(x - np.array([0.03, 0.0, 0.0]), axis=1) - 0.02, block])
@@ -163,8 +157,7 @@ def test_closed_cycle_of_a_frictionless_contact_creates_no_energy(kind):
         energy = 0.5 * 1000.0 * np.maximum(-depth if kind == "hollow ball" else depth, 0.0) ** 2
         work = legs_of_force(running, corners, which, reach)
         # Forces up to 16 N along sides up to 28 mm, with the error of the rule above and rounding.
-        assert np.abs(work - energy + np.roll(energy, -1)).max() < 2e-14
-        assert abs(work.sum()) < 4e-14
+        assert np.abs(work - energy + np.roll(energy, -1)).max() < 2e-14 and abs(work.sum()) < 4e-14
 
     check()
 
@@ -303,6 +296,5 @@ def test_a_sequence_of_rotations_stays_normalised(draws, ticks):
     orientations, steps = walk(3.0 * draws, ticks)
     # One product and one normalisation of a unit quaternion per tick; a step is the product of two unit quaternions.
     assert np.abs(np.linalg.norm(orientations, axis=1) - 1.0).max() <= 4 * ULP
-    assert np.abs(np.linalg.norm(steps, axis=1) - 1.0).max() <= 8 * ULP
-    assert (steps[:, 0] >= 0.0).all()
+    assert np.abs(np.linalg.norm(steps, axis=1) - 1.0).max() <= 8 * ULP and (steps[:, 0] >= 0.0).all()
     assert_rotations(matrices_of([orientations[-1], steps[-1]]))

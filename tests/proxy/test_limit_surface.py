@@ -103,8 +103,7 @@ def test_no_coupling_inside_the_limit_surface() -> None:
     for motion in (hand, drag, spin):
         coupled, alone = on_plane(motion, material=COUPLED), on_plane(motion)
         assert coupled.force == pytest.approx(alone.force, abs=1e-12)
-        assert coupled.torque == pytest.approx(alone.torque, abs=1e-14)
-        assert coupled.events == alone.events
+        assert coupled.torque == pytest.approx(alone.torque, abs=1e-14) and coupled.events == alone.events
 
 
 @pytest.mark.scaled
@@ -117,8 +116,7 @@ def test_load_stays_within_the_limit_surface() -> None:
         normal = records["contact.normal_force"]
         force, moment = records["contact.tangential_force"], records["torque"][:, 2]
         pushed = normal > 0.0
-        assert (force[~pushed] == 0.0).all()
-        assert (moment[~pushed] == 0.0).all()
+        assert (force[~pushed] == 0.0).all() and (moment[~pushed] == 0.0).all()
         on = (force[pushed] / (0.6 * normal[pushed])) ** 2 + (moment[pushed] / (0.004 * normal[pushed])) ** 2
         assert (on <= 1.0 + 1e-9).all()
 
@@ -128,10 +126,8 @@ def test_load_stays_within_the_limit_surface() -> None:
 def test_a_spin_after_a_slide_continues_to_slip() -> None:
     hand = pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0])
     trace = on_plane(hand, material=COUPLED)
-    assert trace.causes == ["touch", "drag"]
-    assert (trace.mode[300:] == SLIDING).all()
-    assert trace.tangential[-1] < 1e-6
-    assert trace.torque[-1, 2] == pytest.approx(-TAU, rel=1e-9)
+    assert trace.causes == ["touch", "drag"] and (trace.mode[300:] == SLIDING).all()
+    assert trace.tangential[-1] < 1e-6 and trace.torque[-1, 2] == pytest.approx(-TAU, rel=1e-9)
 
 
 @pytest.mark.sampled(1)
@@ -143,8 +139,7 @@ def test_at_rest_on_the_surface_it_does_not_chatter(cases: Cases, spin: float) -
     for _ in range(cases(1000, 3000)):
         hand.go_to(1, x + 1e-5 * np.array([*rng.integers(-1, 2, 2), 0]))
     trace = on_plane(hand, material=COUPLED, probe={"position_resolution_m": 1e-5})
-    assert trace.causes == ["touch", "drag", "stop"]
-    assert trace.mode[-1] == ROLLING
+    assert trace.causes == ["touch", "drag", "stop"] and trace.mode[-1] == ROLLING
 
 
 @pytest.mark.sampled(2)

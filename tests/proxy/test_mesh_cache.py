@@ -112,8 +112,7 @@ def test_arrays_are_restored_unchanged(folder: Folder) -> None:
         loaded = entry.arrays[name]
         assert (loaded.dtype, loaded.shape, loaded.tobytes()) == (array.dtype, array.shape, array.tobytes())
         assert loaded.ctypes.data % 64 == 0
-    assert array_cache.load("cd" * 32, folder) is None
-    assert only_file(folder).stat().st_mode & 0o777 == 0o600
+    assert array_cache.load("cd" * 32, folder) is None and only_file(folder).stat().st_mode & 0o777 == 0o600
 
 
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -77,8 +77,7 @@ def test_coincident_vertices_are_merged(loose: bool) -> None:
     mesh = soup(BALL)
     mesh.vertices[mesh.vertices == 0.0] = -0.0
     (vertices, triangles), report = mended(mesh, loose)
-    assert report.watertight and len(vertices) == len(BALL.vertices)
-    assert report.merged_vertices == 960 - 162
+    assert report.watertight and len(vertices) == len(BALL.vertices) and report.merged_vertices == 960 - 162
     np.testing.assert_array_equal(vertices[triangles], BALL.vertices[BALL.triangles])
 
 
@@ -87,8 +86,7 @@ def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
     mesh = soup(BALL)
     near = Mesh(mesh.vertices + rng.uniform(-0.1, 0.1, mesh.vertices.shape) * MERGE_DISTANCE_SHARE, mesh.triangles)
     far = Mesh(mesh.vertices + rng.uniform(-20, 20, mesh.vertices.shape) * MERGE_DISTANCE_SHARE, mesh.triangles)
-    assert mended(near, loose=True)[1].watertight
-    assert mended(near)[1].bodies == 320
+    assert mended(near, loose=True)[1].watertight and mended(near)[1].bodies == 320
     assert not mended(far, loose=True)[1].watertight
     assert "vertices merged that coincide within 1e-09 of its size: 798" in mended(near, loose=True)[1].mended[0]
 

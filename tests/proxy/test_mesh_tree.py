@@ -82,8 +82,7 @@ def test_distance_equals_the_brute_force_minimum(name):
     for x in points:
         expected = distances(np.asarray(vertices), np.asarray(triangles), x).min()
         spot = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
-        assert abs(np.sqrt(spot.square) - expected) <= EQUAL * size
-        assert spot.bound == spot.square
+        assert abs(np.sqrt(spot.square) - expected) <= EQUAL * size and spot.bound == spot.square
         gap, point, normal = closest_on_triangle(mesh, float(spot.number), tuple(x.tolist()))
         assert abs(abs(gap) - expected) <= EQUAL * size
         assert abs(np.linalg.norm(normal) - 1.0) < 1e-12

@@ -333,8 +333,7 @@ def test_a_compiled_kernel_is_saved_and_loaded(tmp_path: Any) -> None:
 def test_a_c_function_has_an_address() -> None:
     """`CFunc`: compiled when its address is requested, and callable from C; the linker finds a name added for it."""
     kernel = CFunction(lambda x: 2 * x, types.int64(types.int64))
-    assert kernel.native_name is None
-    assert kernel.address and kernel.ctypes(21) == 42
+    assert kernel.native_name is None and kernel.address and kernel.ctypes(21) == 42
     llvm.add_symbol("softfinger_test_symbol", kernel.address)
     assert llvm.address_of_symbol("softfinger_test_symbol") == kernel.address
     assert llvm.address_of_symbol("softfinger_test_symbol_that_is_not") is None

@@ -14,7 +14,6 @@ pytestmark = pytest.mark.plain
 G = 9.81
 R = 0.008
 MASS = 0.1
-STIFFNESS = 1000.0
 STATIC, KINETIC = 0.8, 0.7
 """Friction of the finger on the body."""
 HALF, THIN = 0.02, 0.005
@@ -37,18 +36,10 @@ PLATE = """
 def finger_on_a_plate(folder: Path, floor: float) -> Engine:
     (folder / "plate.xml").write_text(PLATE.format(floor=floor), encoding="utf-8")
     material = GRIP | {"damping_ns_per_m": 2.0, "friction": {"static": STATIC, "kinetic": KINETIC}}
-    return Engine(
-        {
-            "fingertip": {"radius_m": R},
-            "rolling": {"method": "midpoint"},
-            "coupling": {
-                "stiffness_n_per_m": STIFFNESS,
-                "damping_ns_per_m": 4.0,
-                "torsional_damping_nms_per_rad": 1e-4,
-            },
-            "world": {"model": str(folder / "plate.xml"), "geom": [{"name": "plate", "material": material}]},
-        }
-    )
+    world = {"model": str(folder / "plate.xml"), "geom": [{"name": "plate", "material": material}]}
+    coupling = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 4.0, "torsional_damping_nms_per_rad": 1e-4}
+    tables = {"fingertip": {"radius_m": R}, "rolling": {"method": "midpoint"}}
+    return Engine(tables | {"coupling": coupling, "world": world})
 
 
 def go(engine: Engine, path: Array) -> tuple[Array, Array, Array]:

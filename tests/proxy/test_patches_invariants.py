@@ -32,10 +32,7 @@ PLANES = {
 """Normals and offsets of planes, and the position at which the proxy just or nearly fits between them."""
 BALL = 0.02
 """Radius of a sphere, m."""
-BALLS = {
-    "two balls": [(-BALL, 0.0, 0.0), (BALL, 0.0, 0.0)],
-    "ball on floor": [(0.0, 0.0, BALL)],
-}
+BALLS = {"two balls": [(-BALL, 0.0, 0.0), (BALL, 0.0, 0.0)], "ball on floor": [(0.0, 0.0, BALL)]}
 """Centres of the spheres; the single one is on a floor z = 0."""
 KINDS = [*PLANES, "seam"]
 SYMMETRIC = ["groove", "sharp groove", "valley", "slot", "seam", "two balls"]

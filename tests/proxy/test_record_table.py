@@ -22,8 +22,7 @@ def test_columns_follow_each_other():
     assert [field.at for field in FIELDS] == list(AT)
     ends = [field.at + field.size for field in FIELDS]
     assert [0, *ends] == [*AT, RECORD_SIZE]
-    assert [field.name.replace(".", "_") for field in FIELDS] == list(AT._fields)
-    assert len(NAMED) == len(FIELDS)
+    assert [field.name.replace(".", "_") for field in FIELDS] == list(AT._fields) and len(NAMED) == len(FIELDS)
     assert {field.kind for field in FIELDS} <= set(get_args(Kind))
     assert all(field.size == 1 for field in FIELDS if field.kind == "int")
 
@@ -100,5 +99,4 @@ sys.exit(main(["schema", "telemetry"]))
 def test_new_field_is_everywhere(tree):
     environment = {"PYTHONPATH": str(tree), "HOME": str(tree), "PATH": "/usr/bin:/bin"}
     process = run_program([sys.executable, "-c", EVERYWHERE], cwd=tree, env=environment, check=True)
-    assert '"fault.level"' in process.stdout
-    assert "a field that a test has added" in process.stdout
+    assert '"fault.level"' in process.stdout and "a field that a test has added" in process.stdout

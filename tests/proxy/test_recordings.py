@@ -41,8 +41,7 @@ def test_tool_writes_the_shipped_bytes(tmp_path: Path) -> None:
     written = recordings.write(tmp_path)
     assert sorted(path.stem for path in written) == list_shipped_recordings()
     for path in written:
-        assert path.read_bytes() == (SHIPPED / path.name).read_bytes()
-        assert path.stat().st_size <= 160_000
+        assert path.read_bytes() == (SHIPPED / path.name).read_bytes() and path.stat().st_size <= 160_000
 
 
 @pytest.mark.parametrize("name", list(recordings.RECORDINGS))
@@ -124,8 +123,7 @@ def test_letter_never_detects_rolling_again(letter: Engine, aside: float) -> Non
         rolling_on = slice(slides, int(np.argmax(roll.rolled > 0.999)))
         assert roll.force[rolling_on] == pytest.approx(0.5, abs=1e-3)
     # The finger is at rest in the last 0.2 s before the release.
-    assert np.ptp(roll.rolled[-150:]) < 1e-9
-    assert len(roll.mode) - slides > 1500
+    assert np.ptp(roll.rolled[-150:]) < 1e-9 and len(roll.mode) - slides > 1500
 
 
 def test_every_recording_has_a_description() -> None:

@@ -29,11 +29,7 @@ SHAPES = {
     "pipe": (make_object("body", "cylinder", radius_m=BOWL, inside=True), 0.0),
 }
 """Object, and the vertical component of its normal at the fingertip."""
-DISTANCES = {
-    "ball": np.sqrt((BALL + R) ** 2 - (R - BALL) ** 2),
-    "pillar": PILLAR + R,
-    "pipe": BOWL - R,
-}
+DISTANCES = {"ball": np.sqrt((BALL + R) ** 2 - (R - BALL) ** 2), "pillar": PILLAR + R, "pipe": BOWL - R}
 """Distances of the centre from the z axis, m."""
 
 

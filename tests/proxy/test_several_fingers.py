@@ -18,17 +18,11 @@ pytestmark = pytest.mark.plain
 DT = 1e-3
 TICKS = 400
 FINGERS: dict[str, dict[str, Any]] = {
-    "thumb": {
-        "radius_m": 0.01,
-        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
-        "probe": {"velocity_time_constant_s": 0.002},
-    },
-    "index": {
-        "radius_m": 0.006,
-        "coupling": {"stiffness_n_per_m": 700.0, "damping_ns_per_m": 0.5},
-        "probe": {"velocity_time_constant_s": 0.001, "position_resolution_m": 1e-6},
-    },
-}
+    "thumb": {"radius_m": 0.01, "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
+              "probe": {"velocity_time_constant_s": 0.002}},
+    "index": {"radius_m": 0.006, "coupling": {"stiffness_n_per_m": 700.0, "damping_ns_per_m": 0.5},
+              "probe": {"velocity_time_constant_s": 0.001, "position_resolution_m": 1e-6}},
+}  # fmt: skip
 """Two fingertips that have no parameter in common."""
 RUBBER = GRIP | {"damping_ns_per_m": 2.0}
 REMEMBERS = [

@@ -25,10 +25,8 @@ def straight_path(start, end, ticks):
 
 def test_corner_of_three_planes():
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
-    records = visit(
-        corner,
-        np.vstack([straight_path((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5]),
-    )
+    goal = (0.008, 0.009, 0.0085)
+    records = visit(corner, np.vstack([straight_path((0.02, 0.02, 0.02), goal, 200), [goal] * 5]))
     # A quaternion turns the planes' normals from +z: rounding of some 1e-16 times metres.
     np.testing.assert_allclose(records["proxy.position"][-1], [R, R, R], atol=1e-15)
     np.testing.assert_allclose(records["force"][-1], [2.0, 1.0, 1.5], atol=1e-10)
@@ -89,8 +87,7 @@ def test_thin_object_is_not_jumped_over(shape, keys, tilt):
     passing = engine(make_object("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
     start, end = np.array([tilt * 0.05, 0.0, 0.05]), np.array([-tilt * 0.05, 0.0, -0.05])
     records = visit(passing, [start, start, end, end, end])
-    assert (records[2:, AT.contact_mode] != 0).all()
-    assert records["proxy.position"][2][2] > 0.0
+    assert (records[2:, AT.contact_mode] != 0).all() and records["proxy.position"][2][2] > 0.0
     assert (records["force"][2:, 2] > 1.0).all()
 
 
@@ -126,11 +123,8 @@ def test_turning_table_spins_the_contact():
 @pytest.mark.scaled
 def test_proxy_never_oscillates_at_rest(cases):
     rng = np.random.default_rng(5)
-    clutter = [
-        wall("floor", (0, 0, 1)),
-        wall("left", (1, 0, 0)),
-        make_object("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012),
-    ]
+    ball = make_object("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012)
+    clutter = [wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), ball]
     for _ in range(cases(4, 20)):
         target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
         records = visit(engine(*clutter), np.vstack([straight_path((0.05, 0.0, 0.05), target, 100), [target] * 60]))

@@ -41,8 +41,7 @@ def test_theta_max_grows_with_the_normal_force() -> None:
 def test_a_slow_slide_is_not_a_stop() -> None:
     hand = pressed().go(100, move=[0.002, 0, 0]).go(1000, move=[0.0001, 0, 0])
     trace = on_plane(hand)
-    assert trace.causes == ["touch", "drag"]
-    assert trace.tangential[-900:] == pytest.approx(0.5, rel=EXACT)
+    assert trace.causes == ["touch", "drag"] and trace.tangential[-900:] == pytest.approx(0.5, rel=EXACT)
 
 
 @pytest.mark.sampled(1)
@@ -79,8 +78,7 @@ def test_zero_normal_force_inside_is_not_a_release(drag: float) -> None:
     hand = pressed(0.002).go(100, move=[drag, 0, 0]).go(30, move=[0.2 * drag, 0, 0.006])
     trace = on_plane(hand, material={"damping_ns_per_m": 10.0}, coupling={"damping_ns_per_m": 1.0})
     inside = (trace.poses[:, 2] < R) & (trace.normal_force == 0.0)
-    assert inside.sum() >= 5
-    assert (trace.mode[inside] != FREE).all() and not trace.tangential[inside].any()
+    assert inside.sum() >= 5 and (trace.mode[inside] != FREE).all() and not trace.tangential[inside].any()
     assert trace.causes.count("release") == 1
 
 
@@ -100,8 +98,7 @@ def test_friction_opposes_the_slip_not_the_hand() -> None:
     """A sliding finger that rolls faster than the hand moves is pushed forward: slip is v - r w x n."""
     # Surface speed of the roll: -50 mm/s along y; the hand moves at -20 mm/s: the fingertip's skin slips along +y.
     trace = on_plane(pressed().go(500, move=[0, -0.01, 0], turn=[2.5, 0, 0]))
-    assert trace.causes == ["touch", "theta_max"]
-    assert trace.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
+    assert trace.causes == ["touch", "theta_max"] and trace.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
 
 
 def test_paper_row_rolling_is_kept() -> None:
@@ -125,8 +122,7 @@ def test_paper_row_rolling_is_switched_to_sliding() -> None:
     assert ((0.6 * trace.normal_force[1:tick]) ** 2 > trace.tangential[1:tick] ** 2).all()
     assert (trace.mode[1:tick] == ROLLING).all()
     # a_T: the proxy moves on this tick and not before.
-    assert trace.proxy[tick, 0] > 1e-7
-    assert trace.proxy[1:tick, 0] == pytest.approx(0.0, abs=1e-17)
+    assert trace.proxy[tick, 0] > 1e-7 and trace.proxy[1:tick, 0] == pytest.approx(0.0, abs=1e-17)
 
 
 def test_paper_row_sliding_is_kept() -> None:
@@ -162,8 +158,7 @@ def test_paper_row_contact_is_broken() -> None:
         separating = (trace.normal_force == 0.0) & (np.diff(trace.poses[:, 2], prepend=R) > 0.0)
         assert broken == int(np.flatnonzero(separating[2:])[0]) + 2
         assert trace.poses[broken, 2] >= R > trace.poses[broken - 1, 2]
-        assert trace.mode[broken - 1] == (SLIDING if drag else ROLLING)
-        assert (trace.mode[broken:] == FREE).all()
+        assert trace.mode[broken - 1] == (SLIDING if drag else ROLLING) and (trace.mode[broken:] == FREE).all()
 
 
 @pytest.mark.sampled(1)
@@ -232,13 +227,11 @@ LETTER = {"rolling": {"state_machine": "paper"}}
 
 def test_letter_agrees_in_the_papers_cases() -> None:
     turned = on_plane(pressed().go(500, turn=[0.05, 0, 0]), **LETTER)
-    assert turned.causes == ["touch"]
-    assert turned.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
+    assert turned.causes == ["touch"] and turned.force[-1] == pytest.approx([0, -0.5, 1], abs=EXACT)
     for motion, cause in (({"turn": [0.5, 0, 0]}, "theta_max"), ({"move": [0.01, 0, 0]}, "drag")):
         letter = on_plane(pressed().go(501, **motion), **LETTER)
         default = on_plane(pressed().go(501, **motion))
-        assert letter.causes == ["touch", cause]
-        assert letter.events == default.events
+        assert letter.causes == ["touch", cause] and letter.events == default.events
         assert letter.tangential[-1] == pytest.approx(0.5, rel=EXACT)
 
 
@@ -248,8 +241,7 @@ def test_letter_agrees_in_the_papers_cases() -> None:
 def test_letter_winds_up_without_end(ticks: int, turn: list[float], move: list[float], load: float) -> None:
     """A roll below theta_max against the drag, even of one microradian, disables sliding: 25 N at f_N = 1 N."""
     trace = on_plane(pressed().go(ticks, turn=turn).go(500, move=move), **LETTER)
-    assert trace.causes == ["touch"]
-    assert trace.tangential[-1] == pytest.approx(load, rel=1e-5)
+    assert trace.causes == ["touch"] and trace.tangential[-1] == pytest.approx(load, rel=1e-5)
 
 
 def test_letter_slides_a_finger_that_follows() -> None:
@@ -273,8 +265,7 @@ def test_letter_pushes_through_a_reversal() -> None:
 def test_letter_never_sticks_after_an_exact_stop() -> None:
     """The force is on the cone and never inside it, so a finger at rest continues to slide."""
     trace = on_plane(pressed().go(200, move=[0.01, 0, 0]).go(500), **LETTER)
-    assert trace.causes == ["touch", "drag"]
-    assert (trace.mode[-400:] == SLIDING).all()
+    assert trace.causes == ["touch", "drag"] and (trace.mode[-400:] == SLIDING).all()
 
 
 def test_letter_sticks_where_the_cone_grows_at_rest() -> None:

@@ -187,6 +187,5 @@ def test_a_hollow_touched_from_afar_starts_unwound(
         running.step(0.3 * clearance * rng.uniform(-1.0, 1.0, 3), [1.0, 0.0, 0.0, 0.0])
         step = running.step(probe, [1.0, 0.0, 0.0, 0.0])
         wanted = nearest(probe, clearance)
-        assert step.cause == "touch"
-        assert step.proxy_position == pytest.approx(wanted, rel=0.0, abs=1e-12)
+        assert step.cause == "touch" and step.proxy_position == pytest.approx(wanted, rel=0.0, abs=1e-12)
         assert step.force == pytest.approx(K * (wanted - probe), rel=0.0, abs=1e-9)

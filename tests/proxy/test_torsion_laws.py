@@ -63,8 +63,7 @@ def test_torsion_without_friction(torsion: dict[str, Any]) -> None:
     hand = pressed(0.0015).go(300, turn=[0, 0, 0.3]).go(300, move=[0.01, 0, 0.0005], turn=[0, 0, -0.2])
     smooth = on_plane(hand, rolling=None, material={"friction": None, "torsion": torsion})
     rough = on_plane(hand, material={"torsion": torsion})
-    assert smooth.tangential.max() == 0.0
-    assert np.abs(smooth.torque[:, :2]).max() == 0.0
+    assert smooth.tangential.max() == 0.0 and np.abs(smooth.torque[:, :2]).max() == 0.0
     # The moment turns about z with the finger, so the bits are equal.
     assert (smooth.torque[:, 2] == rough.torque[:, 2]).all()
 
@@ -80,15 +79,13 @@ def test_turning_proxy_sticks_slips_and_sticks_again(sign: int) -> None:
     moment = -sign * trace.torque[:, 2]
     # 499 ticks for 0.5 rad: 0.08 rad is between two ticks.
     peak = int(moment[:stop].argmax())
-    assert peak == 1 + int(np.ceil(0.08 / 0.5 * 499))
-    assert moment[peak] == pytest.approx(0.004, rel=1e-12)
+    assert peak == 1 + int(np.ceil(0.08 / 0.5 * 499)) and moment[peak] == pytest.approx(0.004, rel=1e-12)
     assert moment[1:peak] == pytest.approx(0.05 * 0.5 / 499 * np.arange(peak - 1), abs=EXACT)
     assert moment[peak + 1 : slip_tick + 1] == pytest.approx(0.003, rel=1e-12)
     assert moment[slip_tick:].max() == pytest.approx(0.004, rel=1e-12)
     assert moment[-1] == pytest.approx(0.003, rel=1e-12)
     # The proxy follows the probe except for the wound angle.
-    assert abs(trace.steps[-1].spin) == pytest.approx(0.06, rel=1e-12)
-    assert trace.causes == ["touch"]
+    assert abs(trace.steps[-1].spin) == pytest.approx(0.06, rel=1e-12) and trace.causes == ["touch"]
 
 
 def test_turning_proxy_sticks_on_a_reversal() -> None:
@@ -97,8 +94,7 @@ def test_turning_proxy_sticks_on_a_reversal() -> None:
     hand.go(300, turn=[0, 0, -0.3])
     trace = on_plane(hand, material={"torsion": PROXY})
     back = trace.torque[turn:, 2]
-    assert back.max() == pytest.approx(0.004, rel=1e-12)
-    assert back[-1] == pytest.approx(0.003, rel=1e-12)
+    assert back.max() == pytest.approx(0.004, rel=1e-12) and back[-1] == pytest.approx(0.003, rel=1e-12)
     peak = int(back.argmax())
     assert np.diff(back[:peak]) == pytest.approx(0.05 * 1e-3, abs=EXACT)
 

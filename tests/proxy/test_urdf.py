@@ -58,8 +58,7 @@ def test_geoms_have_the_names_of_links_and_meshes_are_found(location: str, tmp_p
         model=write_model(tmp_path, location=location), material=schema.Material(stiffness_n_per_m=1.0), geom=(rule,)
     )
     objects = {geom.name: geom.object for geom in convert_geoms(world)}
-    assert list(objects) == ["bottom", "lid", "lid 2"]
-    assert all(entry is not None for entry in objects.values())
+    assert list(objects) == ["bottom", "lid", "lid 2"] and all(entry is not None for entry in objects.values())
     bottom, lid, ball = (entry for entry in objects.values() if entry is not None)
     assert isinstance(lid, schema.Mesh) and lid.mesh == "lid"
     # Along the principal axes of inertia, and in 32 bits.

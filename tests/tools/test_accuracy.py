@@ -205,8 +205,7 @@ def test_impossible_cases_are_left_out() -> None:
         "sphere", "cylinder", "capped-cylinder", "capsule", "box", "ellipsoid",
     }  # fmt: skip
     pairs = {(case.surface, case.method) for case in selected}
-    assert pairs == {(case.surface, case.method) for case in drift}
-    assert ("box", "rotation_vector") in pairs
+    assert pairs == {(case.surface, case.method) for case in drift} and ("box", "rotation_vector") in pairs
     assert ("torus", "rotation_vector") not in pairs
     assert len(set(selected)) == len(selected)
 

@@ -32,8 +32,7 @@ def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
     result = fit_orders(rows)
     assert result["force_n"] > 1.8 and result["point_m"] > 1.8
     # Where edges are crossed differs from mesh to mesh, so this slope scatters: 1.7 to 2.1. A loss at every edge has 1.
-    assert result["rolled_m"] > 1.5
-    assert 0.8 < result["direction_rad"] < 1.5 and result["wound_m"] > 0.7
+    assert result["rolled_m"] > 1.5 and 0.8 < result["direction_rad"] < 1.5 and result["wound_m"] > 0.7
     for row in rows:
         assert row["shaded_rad"] < 0.5 * row["direction_rad"]
         # A facet is tilted by at most its circumradius over R. Lost at every edge, it would be 0.3 to 0.5 mm.

@@ -82,8 +82,7 @@ def test_misses_are_counted_among_the_ticks_that_were_due() -> None:
     """Of two turns with 2 misses each and 3 ticks each, 4 of 10 were missed; frames are the least and the median."""
     ticks = np.array([[1e-5, 1e-4, 5.0], [1e-5, 1e-4, 5.0], [1e-5, 1e-4, 7.0]])
     result = summary([TurnResult(ticks, 0.1, [20.0, 40.0]), TurnResult(ticks, 0.3, [30.0])])
-    assert result["missed_of_1000"] == pytest.approx(400.0)
-    assert result["viewer_load"] == pytest.approx(0.2)
+    assert result["missed_of_1000"] == pytest.approx(400.0) and result["viewer_load"] == pytest.approx(0.2)
     assert result["frames_per_s"] == {"least": 20.0, "median": 30.0}
 
 
@@ -112,8 +111,7 @@ def soaked(memory: np.ndarray, lost: int = 0) -> SoakResult:
 @pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])
 def test_growth_is_found_in_noise(slope: float) -> None:
     estimate, at_least = compute_growth(HOURS, noisy(slope))
-    assert estimate == pytest.approx(slope, abs=0.1)
-    assert at_least <= estimate
+    assert estimate == pytest.approx(slope, abs=0.1) and at_least <= estimate
 
 
 def test_more_than_a_megabyte_an_hour_is_a_fault() -> None:

@@ -83,8 +83,7 @@ def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, A
     assert str(result["port"]) in check["seen"] and "end the program that uses it" in check["remedy"]
     assert result["code"] == Unfit.exit_code
     bad = [check["name"] for check in result["checks"] if check["state"] == "bad"]
-    assert all(name in result["stderr"] for name in bad)
-    assert result["states"]["bad"] == len(bad)
+    assert all(name in result["stderr"] for name in bad) and result["states"]["bad"] == len(bad)
     assert "Traceback" not in result["stderr"]
 
 
@@ -111,8 +110,7 @@ def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: 
     """The checks use the share of missed ticks and the p99 of the lateness at 1 kHz; a missing compiler is reported."""
     result = {"rate_hz": 1000.0, "servo": {"ticks": 10_000, "missed": missed, "late": {"p99": p99}}}
     checks = loop.judge_loop(result)
-    assert tuple(check.state for check in checks) == states
-    assert "install gcc" in checks[1].seen
+    assert tuple(check.state for check in checks) == states and "install gcc" in checks[1].seen
     if missed > 0:
         assert "isolcpus" in checks[0].remedy and "servo.cpu" in checks[1].remedy
     with_c = loop.judge_loop(result | {"c": {"late": {"p99": 40e-6}}})
@@ -146,8 +144,7 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
         assert check.state == "could be better", check
         assert remedy in check.remedy
     details = machine.check_virtual(worse).seen
-    assert "virtual machine (QEMU), 10.00% of its time taken by its host" in details
-    assert "container" in details
+    assert "virtual machine (QEMU), 10.00% of its time taken by its host" in details and "container" in details
     assert "two threads to a core, isolated: 3" in machine.check_processors(worse).seen
 
 
@@ -157,8 +154,7 @@ def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
     required = ["numpy>=2.0", "no-such-package>=1", 'viser>=1.0; extra == "viewer"']
     monkeypatch.setattr(machine.metadata, "requires", lambda _: required)
     check = machine.check_packages()
-    assert check.state == "bad"
-    assert check.remedy == "pip install no-such-package"
+    assert check.state == "bad" and check.remedy == "pip install no-such-package"
     assert "MISSING" in check.seen and "viser" not in check.seen
 
 
@@ -166,8 +162,7 @@ def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
     (own,) = attached.check_devices(load_rig("spacemouse"), [puck])
     (attached_puck,) = attached.check_devices(load_rig("replay"), [puck])
-    assert (own.state, attached_puck.state) == ("bad", "could be better")
-    assert "--device" in own.remedy
+    assert (own.state, attached_puck.state) == ("bad", "could be better") and "--device" in own.remedy
     (absent,) = attached.check_devices(load_rig("spacemouse"), [])
     assert (absent.name, absent.state) == ("device of the rig", "bad")
     (none,) = attached.check_devices(load_rig("replay"), [])
@@ -197,8 +192,7 @@ def test_a_node_that_cannot_be_used_is_bad(problem: str, reason: str, remedy: st
             (check,) = attached.check_devices(load_rig("spacemouse"), [puck])
         finally:
             os.seteuid(user)
-    assert check.state == "bad"
-    assert reason in check.seen and remedy in check.remedy
+    assert check.state == "bad" and reason in check.seen and remedy in check.remedy
 
 
 def test_a_cache_that_others_may_write_is_bad(open_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,6 +209,5 @@ def test_the_rig_selects_the_makers_library(tmp_path: Path, monkeypatch: pytest.
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
     check = attached.check_maker_library(load_rig("omega-3"), "forcedimension")
-    assert check.state == "bad"
-    assert "FDSDK" in check.remedy
+    assert check.state == "bad" and "FDSDK" in check.remedy
     assert attached.check_maker_library(load_rig("replay"), "forcedimension").state == "good"

@@ -20,8 +20,7 @@ def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
     played = bodies.play(bodies.begin(cell, tmp_path), path)
     carried = played.force[len(approach) - 1].sum(axis=0)
     assert carried[2] == pytest.approx(-cell.mass * bodies.G, rel=0.05)  # it swings a little after the lift
-    assert played.unbalanced <= 1e-12
-    assert bodies.count_slips(played.mode[bodies.LEG : -bodies.LEG]) == 0
+    assert played.unbalanced <= 1e-12 and bodies.count_slips(played.mode[bodies.LEG : -bodies.LEG]) == 0
     assert np.sum(played.force[:-1] * np.diff(path, axis=0)) < 0.0
 
 
@@ -69,8 +68,7 @@ def test_a_body_too_light_for_the_tick_is_reported(monkeypatch: pytest.MonkeyPat
 )
 def test_the_motion_after_a_knock_is_classified(changes: dict[str, float], touching: bool, verdict: str) -> None:
     result = bodies.judge(CELL._replace(**changes), touching)  # type: ignore[arg-type]
-    assert result.verdict == verdict
-    assert bool(result.reason) == (verdict != "rests")
+    assert result.verdict == verdict and bool(result.reason) == (verdict != "rests")
 
 
 def test_the_table_names_bodies_that_do_not_come_to_rest() -> None:

@@ -39,8 +39,7 @@ def test_a_motion_has_an_axis_and_a_sense(direction: tuple[float, float, float],
     share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
     path = share * np.array(direction) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
     result = motions.move("ask", "translation", "+x", poses(path))
-    assert result["seen"] == motion
-    assert result["agrees"] == (motion == "+x")
+    assert result["seen"] == motion and result["agrees"] == (motion == "+x")
     np.testing.assert_allclose(result["vector"], direction, atol=1e-12)  # rounding of a median
 
 
