@@ -68,15 +68,11 @@ def test_roll_with_the_probe_following() -> None:
 
 def test_drag_stop_and_drag_again() -> None:
     """Both drags peak at mu_s f_N and slide at mu_d f_N, with the proxy 0.5 mm behind; the stop sticks."""
-    hand = pressed().go(500, move=[0.025, 0, 0])
-    first_end = hand.at
-    hand.go(300)
-    second_start = hand.at
-    hand.go(500, move=[0.025, 0, 0])
-    trace = on_plane(hand)
+    trace = on_plane(pressed().go(500, move=[0.025, 0, 0]).go(300).go(500, move=[0.025, 0, 0]))
+    _, first_end, second_start, last = trace.ends
     assert trace.causes == ["touch", "drag", "stop", "drag"]
     slips = [tick for tick, cause in trace.events if cause == "drag"]
-    for slip, start, end in zip(slips, [1, second_start], [first_end, len(hand.poses) - 1], strict=True):
+    for slip, start, end in zip(slips, [1, second_start], [first_end, last], strict=True):
         assert trace.tangential[start : end + 1].max() == pytest.approx(0.6, rel=EXACT)
         assert trace.tangential[slip] == pytest.approx(0.6, rel=EXACT)
         assert trace.force[slip + 1 : end + 1, 0] == pytest.approx(-0.5, rel=EXACT)
@@ -87,10 +83,8 @@ def test_drag_stop_and_drag_again() -> None:
 
 
 def test_drag_then_reverse() -> None:
-    hand = pressed().go(500, move=[0.025, 0, 0])
-    turn = hand.at
-    hand.go(500, move=[-0.025, 0, 0])
-    trace = on_plane(hand)
+    trace = on_plane(pressed().go(500, move=[0.025, 0, 0]).go(500, move=[-0.025, 0, 0]))
+    turn = trace.ends[1]
     assert trace.causes == ["touch", "drag", "reverse", "drag"]
     assert trace.force[: turn + 1, 0].min() == pytest.approx(-0.6, rel=EXACT)
     assert trace.force[turn:, 0].max() == pytest.approx(0.6, rel=EXACT)
@@ -120,12 +114,9 @@ def test_roll_and_back() -> None:
 
 def test_roll_then_drag_against_it() -> None:
     """A roll of 0.03 rad uses half of the cone: a drag that adds to it slides after 0.3 mm."""
-    hand = pressed().go(100, turn=[0.03, 0, 0])
-    start = hand.at
-    hand.go(143, move=[0, 1e-3, 0])
-    trace = on_plane(hand)
+    trace = on_plane(pressed().go(100, turn=[0.03, 0, 0]).go(143, move=[0, 1e-3, 0]))
     assert trace.causes == ["touch", "drag"]
-    tick = trace.events[1][0]
+    tick, start = trace.events[1][0], trace.ends[1]
     # 143 ticks for 1 mm: 0.3 mm is between two ticks.
     assert tick - start == int(np.ceil(0.3 * 143))
     assert trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
@@ -154,9 +145,7 @@ def test_slip_and_spin_share_the_limit_surface() -> None:
 @pytest.mark.parametrize("time_constant", [0.0, 0.002])
 @pytest.mark.parametrize("speed", [0.05, 0.1, 0.4])
 def test_withdraw_under_damping_releases_once(speed: float, time_constant: float) -> None:
-    hand = pressed(0.002).go(50)
-    start = hand.at
-    hand.go(int(0.004 / speed * 1000), move=[0, 0, 0.004])
+    hand = pressed(0.002).go(50).go(int(0.004 / speed * 1000), move=[0, 0, 0.004])
     damped, probe = {"damping_ns_per_m": 3.0}, {"velocity_time_constant_s": time_constant}
     trace = on_plane(hand, material=damped, coupling=damped, probe=probe)
     assert trace.causes == ["touch", "release"]
@@ -165,6 +154,7 @@ def test_withdraw_under_damping_releases_once(speed: float, time_constant: float
     assert trace.force[:, 2].min() >= 0.0
     # While the finger moves out, damping reduces K delta by B v, but not below zero.
     if time_constant == 0.0:
+        start = trace.ends[1]
         depth = R - trace.poses[start + 1 : out, 2]
         assert trace.normal_force[start + 1 : out] == pytest.approx(np.maximum(1000 * depth - 3 * speed, 0), abs=1e-9)
 

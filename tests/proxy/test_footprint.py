@@ -122,11 +122,8 @@ def test_steady_slip_and_spin_are_on_the_limit_surface_of_the_patch(name: str) -
 @pytest.mark.scaled
 def test_pressing_on_a_wound_finger_keeps_its_energy(cases: Cases) -> None:
     """Load changes preserve phi^2 k_z, so the moment scales with sqrt(k_z) and load cycles lose nothing."""
-    hand = pressed(0.002).go(50, turn=[0, 0, 0.02])
-    wound = hand.at
-    hand.go(50, move=[0, 0, -0.004])
-    hard = hand.at
-    hand.go(50, move=[0, 0, 0.004])
+    hand = pressed(0.002).go(50, turn=[0, 0, 0.02]).go(50, move=[0, 0, -0.004]).go(50, move=[0, 0, 0.004])
+    _, wound, hard, _ = hand.ends
     for _ in range(cases(300, 1000)):
         hand.go(3, move=[0, 0, -4e-4]).go(3, move=[0, 0, 4e-4])
     records = run(soft(HERTZ), hand)
@@ -141,11 +138,8 @@ def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
     """The moment against a roll is 3/16 alpha r f_N theta up to 3/16 alpha a f_N, both ways, and constant at rest."""
     alpha, load = 0.3, 2.0
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
-    hand = pressed(0.002).go(500, turn=[1.0, 0, 0])
-    limit_tick = hand.at
-    hand.go(100)
-    rest = hand.at
-    records = run(engine, hand.go(500, turn=[-1.0, 0, 0]))
+    hand = pressed(0.002).go(500, turn=[1.0, 0, 0]).go(100).go(500, turn=[-1.0, 0, 0])
+    (_, limit_tick, rest, _), records = hand.ends, run(engine, hand)
     limit = 3.0 / 16.0 * alpha * float(radius("Hertz", load)) * load
     rolled = np.linspace(0.0, 1.0, 501)
     torque = records["torque"]

@@ -42,14 +42,13 @@ def test_ramp_peaks_at_static_and_slides_at_kinetic_friction(depth: float, speed
 @pytest.mark.parametrize("stiffness", [1e1, 1e3, 1e6])
 @pytest.mark.parametrize("depth", [1e-6, 1e-3])
 def test_forces_contain_no_length_margin(stiffness: float, depth: float) -> None:
-    hand = pressed(depth).go(10, move=[0.3 * depth, 0, 0])
-    slide_tick = hand.at
+    hand = pressed(depth).go(10, move=[0.3 * depth, 0, 0]).go(70, move=[7 * depth, 0, 0])
     springs = {name: {"stiffness_n_per_m": stiffness} for name in ("material", "coupling")}
-    trace = on_plane(hand.go(70, move=[7 * depth, 0, 0]), **springs)
+    trace = on_plane(hand, **springs)
     # Positions of 1e-2 m are rounded to 2e-18 m; the bound allows ten such errors.
     rounding = stiffness * 2e-17
     assert trace.normal_force[1:] == pytest.approx(stiffness * depth, abs=rounding)
-    assert trace.force[slide_tick, 0] == pytest.approx(-0.3 * stiffness * depth, abs=rounding)
+    assert trace.force[hand.ends[1], 0] == pytest.approx(-0.3 * stiffness * depth, abs=rounding)
     assert trace.force[-1, 0] == pytest.approx(-0.5 * stiffness * depth, abs=rounding)
 
 
@@ -137,10 +136,8 @@ def test_friction_follows_the_slip_and_not_the_hand() -> None:
 
 @pytest.mark.parametrize(("back", "cause"), [(0.0, "stop"), (0.0012, "reverse")])
 def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(back: float, cause: str) -> None:
-    hand = pressed().go(200, move=[0.2, 0, 0])
-    stop = hand.at
-    hand.go(6, move=[-back, 0, 0]).go(300)
-    trace = on_plane(hand, material={"friction": {"viscous_s_per_m": 1.0}})
+    hand = pressed().go(200, move=[0.2, 0, 0]).go(6, move=[-back, 0, 0]).go(300)
+    trace, stop = on_plane(hand, material={"friction": {"viscous_s_per_m": 1.0}}), hand.ends[1]
     assert trace.causes == ["touch", "drag", cause] and trace.tangential[stop] > 1.4
     after = trace.events[2][0]
     assert (trace.tangential[after:] <= 0.6 * (1 + EXACT)).all()

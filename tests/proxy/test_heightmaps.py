@@ -347,9 +347,7 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
-@pytest.mark.parametrize(
-    "name", [pytest.param(map_name, marks=pytest.mark.exhaustive if map_name == "noise" else ()) for map_name in MAPS]
-)
+@pytest.mark.parametrize("name", ["hills", "ripple", pytest.param("noise", marks=pytest.mark.exhaustive), "rubble"])
 def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[int, int], int]) -> None:
     """With friction, torsion and rolling, deep and shallow, also over the rim."""
     pitch, heights = MAPS[name]

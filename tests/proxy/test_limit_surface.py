@@ -86,10 +86,9 @@ def test_steady_slip_on_an_anisotropic_surface(heading: float) -> None:
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
 def test_a_wound_finger_breaks_loose_earlier(share: float) -> None:
     """If torsion uses a share s of its limit, a drag slides at sqrt(1 - s^2) of the static limit."""
-    hand = pressed().go(100, turn=[0, 0, share * 0.08])
-    start = hand.at
-    trace = on_plane(hand.go(200, move=[200 * 7e-6, 0, 0]), material=COUPLED)
-    slide = trace.events[1]
+    hand = pressed().go(100, turn=[0, 0, share * 0.08]).go(200, move=[200 * 7e-6, 0, 0])
+    trace = on_plane(hand, material=COUPLED)
+    slide, start = trace.events[1], trace.ends[1]
     assert slide == (start + int(np.ceil(0.6e-3 * np.sqrt(1 - share**2) / 7e-6)), "drag")
     # On that tick the load is at most one step of the drag outside, and is projected back to the static surface.
     on = (trace.tangential[slide[0]] / 0.6) ** 2 + (trace.torque[slide[0], 2] / TAU) ** 2

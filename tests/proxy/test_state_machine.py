@@ -48,21 +48,17 @@ def test_a_slow_slide_is_not_a_stop() -> None:
 @pytest.mark.parametrize(("resolution", "distance"), [(0.0, 0.05e-3), (1e-5, 0.05e-3), (1e-4, 0.3e-3)])
 def test_reverse_sticks_after_a_tenth_or_three_encoder_steps(resolution: float, distance: float) -> None:
     """The larger of 10 % of the deflection of 0.5 mm and three encoder steps."""
-    hand = pressed().go(500, move=[0.025, 0, 0])
-    turn = hand.at
     step_m = 23e-6
-    hand.go(40, move=[-40 * step_m, 0, 0])
+    hand = pressed().go(500, move=[0.025, 0, 0]).go(40, move=[-40 * step_m, 0, 0])
     trace = on_plane(hand, probe={"position_resolution_m": resolution})
-    assert trace.events[2] == (turn + int(np.ceil(distance / step_m)), "reverse")
+    assert trace.events[2] == (hand.ends[1] + int(np.ceil(distance / step_m)), "reverse")
     assert (trace.mode[trace.events[2][0] :] == ROLLING).all()
 
 
 def test_release_clears_everything() -> None:
-    hand = pressed().go(100, move=[0.01, 0, 0], turn=[0, 0, 0.05])
-    hand.go_to(1, [0.01, 0, R + 0.001])
-    out = hand.at
-    hand.go_to(1, [0.01, 0, R - 0.001]).go(5)
-    trace = on_plane(hand)
+    hand = pressed().go(100, move=[0.01, 0, 0], turn=[0, 0, 0.05]).go_to(1, [0.01, 0, R + 0.001])
+    trace = on_plane(hand.go_to(1, [0.01, 0, R - 0.001]).go(5))
+    out = trace.ends[2]
     assert trace.events[-2:] == [(out, "release"), (out + 1, "touch")]
     released = trace.steps[out]
     assert (released.mode, released.object, released.penetration) == (FREE, -1, 0.0)
@@ -84,10 +80,8 @@ def test_zero_normal_force_inside_is_not_a_release(drag: float) -> None:
 
 def test_a_hand_that_follows_gets_its_cone_back() -> None:
     """After a roll of 0.05 rad the hand may follow it and move 0.6 mm further before it slides."""
-    hand = pressed().go(50, turn=[0.05, 0, 0])
-    start = hand.at
-    hand.go(200, move=[0, -200 * 7e-6, 0])
-    trace = on_plane(hand)
+    trace = on_plane(pressed().go(50, turn=[0.05, 0, 0]).go(200, move=[0, -200 * 7e-6, 0]))
+    start = trace.ends[1]
     assert trace.events == [(1, "touch"), (start + int(np.ceil(1.1e-3 / 7e-6)), "drag")]
     # The force crosses zero when the hand has caught up, and then opposes it.
     assert trace.force[start, 1] == pytest.approx(-0.5, abs=EXACT)
@@ -137,13 +131,10 @@ def test_paper_row_sliding_is_kept() -> None:
 
 def test_paper_row_sliding_is_switched_to_rolling() -> None:
     """f_N > 0, mu_S^2 f_N^2 - f_T^2 > 0 and v_T = 0: sliding switches to rolling once the slip ends."""
-    hand = pressed().go(100, move=[0.005, 0, 0])
-    stop = hand.at
     # Pressed deeper on the spot: the cone exceeds the force, and nothing moves along the plane.
-    hand.go(200, move=[0, 0, -0.0005])
-    trace = on_plane(hand)
+    trace = on_plane(pressed().go(100, move=[0.005, 0, 0]).go(200, move=[0, 0, -0.0005]))
     assert trace.causes == ["touch", "drag", "stop"]
-    tick = trace.events[2][0]
+    tick, stop = trace.events[2][0], trace.ends[1]
     assert (0.5 * trace.normal_force[tick]) ** 2 > trace.tangential[tick] ** 2
     assert np.diff(trace.proxy[stop:, 0]) == pytest.approx(0.0, abs=1e-17)
     assert (trace.mode[tick:] == ROLLING).all()
@@ -253,10 +244,8 @@ def test_letter_slides_a_finger_that_follows() -> None:
 
 def test_letter_pushes_through_a_reversal() -> None:
     """Friction is exactly mu_d f_N and drives a reversing hand, which creates energy."""
-    hand = pressed().go(200, move=[0.01, 0, 0])
-    turn = hand.at
-    hand.go(200, move=[-0.01, 0, 0])
-    trace = on_plane(hand, **LETTER)
+    trace = on_plane(pressed().go(200, move=[0.01, 0, 0]).go(200, move=[-0.01, 0, 0]), **LETTER)
+    turn = trace.ends[1]
     assert trace.force[turn:, 0] == pytest.approx(-0.5, rel=EXACT)
     work = -np.sum(trace.force[turn + 1 :, 0] * np.diff(trace.poses[turn:, 0]))
     assert work == pytest.approx(-0.5 * 0.01, rel=1e-9)
@@ -269,7 +258,5 @@ def test_letter_never_sticks_after_an_exact_stop() -> None:
 
 
 def test_letter_sticks_where_the_cone_grows_at_rest() -> None:
-    hand = pressed().go(200, move=[0.01, 0, 0])
-    stop = hand.at
-    trace = on_plane(hand.go(1).go(10, move=[0, 0, -0.0001]), **LETTER)
-    assert trace.events[2:] == [(stop + 2, "stop")]
+    trace = on_plane(pressed().go(200, move=[0.01, 0, 0]).go(1).go(10, move=[0, 0, -0.0001]), **LETTER)
+    assert trace.events[2:] == [(trace.ends[1] + 2, "stop")]

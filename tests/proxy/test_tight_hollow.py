@@ -170,16 +170,10 @@ ALONE: dict[str, Any] = {
 
 @pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", ALONE)
-def test_a_hollow_touched_from_afar_starts_unwound(
-    name: str,
-    clearance: float,
-) -> None:
+def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float) -> None:
     """A jump from the middle by up to thirty clearances, with friction: no tangential part."""
-    table, nearest = ALONE[name]
-    running, rng = (
-        plane_engine(table={**table, "radius_m": R + clearance, "inside": True}),
-        np.random.default_rng(2),
-    )
+    (table, nearest), rng = ALONE[name], np.random.default_rng(2)
+    running = plane_engine(table={**table, "radius_m": R + clearance, "inside": True})
     for _ in range(50):
         towards = rng.normal(size=3)
         probe = towards / np.linalg.norm(towards[:2]) * clearance * rng.uniform(1.1, 30.0)

@@ -8,7 +8,7 @@ import pytest
 from conftest import merged, paper_mapping
 from helpers.examples import Cases, examples
 from hypothesis import given
-from references.hand import drive, on_plane, plane_engine, pressed
+from references.hand import on_plane, plane_engine, pressed
 from references.laws import SPEED, Array, handling
 
 from softfinger.config.errors import ConfigError
@@ -34,8 +34,7 @@ def test_moment_saturates_at_the_torsional_limit(depth: float, exponent: float |
     load = 1000 * depth
     limit = 0.004 * load ** (1 + (exponent or 0.0))
     for sign in (1, -1):
-        engine = plane_engine(material={"torsion": {"exponent": exponent}})
-        trace = drive(engine, pressed(depth).go(175, turn=[0, 0, sign * 0.7]))
+        trace = on_plane(pressed(depth).go(175, turn=[0, 0, sign * 0.7]), material={"torsion": {"exponent": exponent}})
         expected = -sign * np.minimum(0.05 * np.linspace(0, 0.7, 176), limit)
         assert trace.torque[1:, 2] == pytest.approx(expected, abs=EXACT)
         assert trace.force[1:] == pytest.approx(np.tile([0.0, 0.0, load], (176, 1)), abs=1e-12)
@@ -45,12 +44,9 @@ def test_moment_saturates_at_the_torsional_limit(depth: float, exponent: float |
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("torsion", [{}, {"exponent": 0.3}, PROXY], ids=["linear", "power", "proxy"])
 def test_lifting_reduces_the_moment_permanently(torsion: dict[str, Any]) -> None:
-    hand = pressed(0.002).go(100, turn=[0, 0, 0.1])
-    wound = hand.at
-    hand.go(100, move=[0, 0, 0.0018])
-    lifted = hand.at
-    hand.go(100, move=[0, 0, -0.0018])
+    hand = pressed(0.002).go(100, turn=[0, 0, 0.1]).go(100, move=[0, 0, 0.0018]).go(100, move=[0, 0, -0.0018])
     trace = on_plane(hand, material={"torsion": torsion})
+    _, wound, lifted, _ = trace.ends
     assert trace.torque[wound, 2] == pytest.approx(-0.005, abs=EXACT)
     limit = 0.004 * 0.2 ** (1 + torsion.get("exponent", 0.0)) * (0.75 if torsion is PROXY else 1.0)
     assert trace.torque[lifted, 2] == pytest.approx(-limit, rel=1e-12)
@@ -70,12 +66,9 @@ def test_torsion_without_friction(torsion: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_turning_proxy_sticks_slips_and_sticks_again(sign: int) -> None:
-    hand = pressed().go(499, turn=[0, 0, sign * 0.5])
-    stop = hand.at
-    hand.go(200)
-    slip_tick = hand.at
-    hand.go(300, turn=[0, 0, sign * 0.3])
+    hand = pressed().go(499, turn=[0, 0, sign * 0.5]).go(200).go(300, turn=[0, 0, sign * 0.3])
     trace = on_plane(hand, material={"torsion": PROXY})
+    _, stop, slip_tick, _ = trace.ends
     moment = -sign * trace.torque[:, 2]
     # 499 ticks for 0.5 rad: 0.08 rad is between two ticks.
     peak = int(moment[:stop].argmax())
@@ -89,18 +82,15 @@ def test_turning_proxy_sticks_slips_and_sticks_again(sign: int) -> None:
 
 
 def test_turning_proxy_sticks_on_a_reversal() -> None:
-    hand = pressed().go(300, turn=[0, 0, 0.3])
-    turn = hand.at
-    hand.go(300, turn=[0, 0, -0.3])
-    trace = on_plane(hand, material={"torsion": PROXY})
-    back = trace.torque[turn:, 2]
+    trace = on_plane(pressed().go(300, turn=[0, 0, 0.3]).go(300, turn=[0, 0, -0.3]), material={"torsion": PROXY})
+    back = trace.torque[trace.ends[1] :, 2]
     assert back.max() == pytest.approx(0.004, rel=1e-12) and back[-1] == pytest.approx(0.003, rel=1e-12)
     peak = int(back.argmax())
     assert np.diff(back[:peak]) == pytest.approx(0.05 * 1e-3, abs=EXACT)
 
 
 def test_friction_and_torsion_have_independent_limits() -> None:
-    trace = drive(plane_engine(material={"torsion": PROXY}), pressed().go(400, move=[0.02, 0, 0], turn=[0, 0, 0.8]))
+    trace = on_plane(pressed().go(400, move=[0.02, 0, 0], turn=[0, 0, 0.8]), material={"torsion": PROXY})
     assert trace.tangential.max() == pytest.approx(0.6, rel=1e-12)
     assert trace.tangential[-1] == pytest.approx(0.5, rel=1e-12)
     assert trace.torque[:, 2].min() == pytest.approx(-0.004, rel=1e-12)
