@@ -179,20 +179,6 @@ def test_rotation_about_the_groove_rubs_on_both_walls():
 
 
 SEAM = [tile("left", -0.05), tile("right", 0.05)]
-ON_SEAM = np.array([0.0, 0.0, R - 0.001])
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("speed", [0.0123, 0.05, 1.0])
-def test_friction_is_constant_across_a_seam(speed):
-    running = engine(*SEAM)
-    half = min(0.03, 0.5 * speed)  # at most one second
-    start, end = ON_SEAM - [half, 0.0, 0.0], np.add(ON_SEAM, [half, 0.0, 0.0])
-    running.run(poses(pressing(start)))
-    records = running.run(poses(line(start, end, round(2.0 * half / speed * 1000.0))))
-    sliding = np.linalg.norm(records["proxy.position"][:, :2] - start[:2], axis=1) > 0.001
-    force = records["force"][sliding]
-    np.testing.assert_allclose(force, np.tile([-0.5, 0.0, 1.0], (len(force), 1)), atol=1e-12)
 
 
 def test_a_seam_between_unequal_boxes_gives_the_difference_of_their_springs():
