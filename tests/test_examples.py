@@ -36,8 +36,7 @@ def run_example(program: str, *words: str, cwd: Path, plain: bool = False) -> st
     """Run an example to its end; return its output. `plain`: nothing is compiled."""
     command = [sys.executable, EXAMPLES / program, *words]
     environment = os.environ | ({"NUMBA_DISABLE_JIT": "1"} if plain else {})
-    process = run_program(command, cwd=cwd, timeout=500, env=environment, check=True)
-    return process.stdout
+    return run_program(command, cwd=cwd, timeout=500, env=environment, check=True).stdout
 
 
 def number(pattern: str, text: str) -> float:
@@ -158,8 +157,7 @@ def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 
 @pytest.mark.real_time
 def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    out = run_example("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
-    assert number(r"(\d+) ticks drawn", out) > 0
+    assert number(r"(\d+) ticks drawn", run_example("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)) > 0
     assert (tmp_path / "live.png").read_bytes().startswith(PNG)
 
 

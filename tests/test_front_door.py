@@ -115,8 +115,7 @@ print(loaded(*(f"softfinger.proxy.{part}" for part in parts)))
 
 
 def test_an_engine_imports_only_the_modules_of_its_scene():
-    process = run_program([sys.executable, "-c", IMPORTS], check=True)
-    assert process.stdout.splitlines() == ["[] True", "[]"]
+    assert run_program([sys.executable, "-c", IMPORTS], check=True).stdout.splitlines() == ["[] True", "[]"]
 
 
 @pytest.mark.parametrize("name", ["softfinger", *(f"softfinger.{module}" for module in MODULES)])
@@ -233,8 +232,7 @@ def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
     assert not ((values > 0.0) & (values < np.finfo(float).tiny)).any()
     velocity = values[:, AT.probe_velocity : AT.probe_velocity + 3]
     assert velocity[299].all() and not velocity[-1].any()
-    still = engine.run(np.full((1, 7), poses[-1]))["probe.velocity"]
-    assert np.array_equal(still, np.zeros((1, 3)))
+    assert np.array_equal(engine.run(np.full((1, 7), poses[-1]))["probe.velocity"], np.zeros((1, 3)))
 
 
 @pytest.mark.plain

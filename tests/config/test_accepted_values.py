@@ -76,9 +76,8 @@ PLACES: dict[str, Callable[[Sequence[float]], Any]] = {
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize("place", PLACES)
 def test_only_the_direction_counts(place: str, length: float) -> None:
-    unit = PLACES[place]([length * part for part in DIRECTION])
     # Numbers of 1e-310 have 13 digits.
-    assert unit == pytest.approx(DIRECTION, abs=1e-12)
+    assert PLACES[place]([length * part for part in DIRECTION]) == pytest.approx(DIRECTION, abs=1e-12)
 
 
 @pytest.mark.parametrize("part", [math.inf, -math.inf, math.nan, 1e308])

@@ -27,8 +27,7 @@ def faults(**keys: Any) -> Faults:
 
 
 def test_a_file_is_shipped_for_every_kind() -> None:
-    kinds = {fault.kind for name in list_shipped(Faults) for fault in load_faults(name).fault}
-    assert kinds == KINDS
+    assert {fault.kind for name in list_shipped(Faults) for fault in load_faults(name).fault} == KINDS
 
 
 def test_the_page_lists_every_kind() -> None:

@@ -90,8 +90,7 @@ def test_drag_then_reverse() -> None:
     assert trace.force[turn:, 0].max() == pytest.approx(0.6, rel=EXACT)
     # The force on the hand rises from -0.5 N by K times the distance moved back, until the peak.
     peak = int(trace.force[:, 0].argmax())
-    rise = np.diff(trace.force[turn:peak, 0])
-    assert rise == pytest.approx(1000 * 50e-6, abs=1e-10)
+    assert np.diff(trace.force[turn:peak, 0]) == pytest.approx(1000 * 50e-6, abs=1e-10)
     # Only the 0.5 mm stored by the drag unwind; after that the force opposes the motion.
     assert (trace.force[turn + 11 :, 0] > 0).all()
     # Work of the hand against the coupling: it never gets back more than it has put in.
@@ -125,8 +124,7 @@ def test_roll_then_drag_against_it() -> None:
 
 def test_tiny_counter_tilt_does_not_disable_sliding() -> None:
     for tilt in ([0, 1e-6, 0], [0, -1e-6, 0], [1e-6, 0, 0]):
-        hand = pressed().go(1, turn=tilt).go(497, move=[0.025, 0, 0])
-        trace = on_plane(hand)
+        trace = on_plane(pressed().go(1, turn=tilt).go(497, move=[0.025, 0, 0]))
         assert trace.causes == ["touch", "drag"] and trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
         assert trace.tangential[-1] == pytest.approx(0.5, rel=EXACT)
 

@@ -221,8 +221,7 @@ def drag(length: float, n: int, **changes: Any) -> Iterator[Situation]:
 
 
 def test_stick_slip_is_a_sawtooth() -> None:
-    effect = model.StickSlip(1000.0, 0.5)
-    forces = run(effect, drag(0.005, 5000))
+    forces = run(model.StickSlip(1000.0, 0.5), drag(0.005, 5000))
     # 0.5 N / 1000 N/m = 0.5 mm per ridge; it jumps on the first tick beyond it, a step of 1 um later.
     assert forces[:, 0].min() == pytest.approx(-0.5, abs=1e-9)
     jumps = np.flatnonzero(np.diff(forces[:, 0]) > 0.4)
@@ -407,8 +406,7 @@ def test_effects_are_added_to_the_contact_force() -> None:
     z = np.linspace(0.04, 0.008, 321)
     path = np.stack([0.0 * z, 0.0 * z, z], axis=1)
     engine = plane_engine(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None)
-    records = engine.run(posed(path), DT)
-    force = records["force"]
+    force = engine.run(posed(path), DT)["force"]
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)
     # The velocity is that of the last millisecond; its rounding is 1e-16 m / 1 ms times 4 N s/m.

@@ -196,8 +196,7 @@ def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
     theta = np.linspace(0.0, 1.2, 601)
     x = np.tile([0.0, 0.0, 0.0075], (601, 1))
     q = np.stack([np.cos(theta / 2), 0.0 * theta, np.sin(theta / 2), 0.0 * theta], axis=1)
-    made = scene({"radii_m": list(AXES)}, TABLES["plane"], friction=STICKY)
-    rows = Engine(made).run(np.hstack([x, q]))
+    rows = Engine(scene({"radii_m": list(AXES)}, TABLES["plane"], friction=STICKY)).run(np.hstack([x, q]))
     assert set(rows["contact.mode"]) == {ROLLING}
     height = np.hypot(a * np.sin(theta), c * np.cos(theta))
     # The contact point is (a sin u, -c cos u) with tan u = a / c tan theta, measured from the lowest point.
@@ -284,8 +283,7 @@ def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
     rows = Engine(scene(tip, TABLES["plane"], TABLES["sphere"] | BESIDE)).run(np.vstack([once, *[once[1:]] * 3]))
     shared = rows["contacts1.object"] >= 0
     assert shared.any() and not shared.all()
-    per_cycle = np.diff(work(rows)[::ticks])
-    assert (per_cycle[1:] > 0.0).all()
+    assert (np.diff(work(rows)[::ticks])[1:] > 0.0).all()
 
 
 TIP: dict[str, Any] = {"radii_m": list(AXES)}

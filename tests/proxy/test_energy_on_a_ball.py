@@ -35,8 +35,7 @@ def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside:
     psi = turn * R / MIDDLE
     material = {"stiffness_n_per_m": K_N, "friction": {"static": 10.0, "kinetic": 10.0}}
     coupled = {"coupling": {"stiffness_n_per_m": coupling, "damping_ns_per_m": 0.0}}
-    config = scene({"material": material}, rolling={"method": "midpoint"}, **coupled)
-    running = Engine(config)
+    running = Engine(scene({"material": material}, rolling={"method": "midpoint"}, **coupled))
 
     def gained(ticks: int) -> float:
         corners = [(-1e-3, 0, 0), (depth, 0, 0), (depth, aside, 0), (depth, aside, 1), (depth, 0, 1), (depth, 0, 0)]

@@ -69,8 +69,7 @@ def test_an_elastic_object_adds_its_compliance() -> None:
 
 
 def test_it_is_no_larger_than_the_fingertip() -> None:
-    records = run(soft({"shear_modulus_pa": 1e3}), pressed(0.005))
-    assert records["contact.patch_radius"][-1] == R
+    assert run(soft({"shear_modulus_pa": 1e3}), pressed(0.005))["contact.patch_radius"][-1] == R
 
 
 @pytest.mark.parametrize(("k", "published"), [(2.0, 1.5), (3.0, 1.24), (4.0, 1.1441), (100.0, 1.0)])
@@ -126,8 +125,7 @@ def test_pressing_on_a_wound_finger_keeps_its_energy(cases: Cases) -> None:
     _, wound, hard, _ = hand.ends
     for _ in range(cases(300, 1000)):
         hand.go(3, move=[0, 0, -4e-4]).go(3, move=[0, 0, 4e-4])
-    records = run(soft(HERTZ), hand)
-    moment = records["contact.torsion"]
+    moment = run(soft(HERTZ), hand)["contact.torsion"]
     assert moment[wound] == pytest.approx(-2.0 * R * 0.02, rel=1e-9)
     assert moment[hard] == pytest.approx(moment[wound] * 3.0**0.5, rel=1e-9)
     # At most six thousand roots and products, each rounded.

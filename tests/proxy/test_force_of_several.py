@@ -67,8 +67,7 @@ def deep_handling(seed: int, reach: float, turn: float) -> Array:
         rate, phase = rng.uniform(0.5, fastest, (2, 3)), rng.uniform(0.0, 2.0 * np.pi, (2, 3))
         return np.asarray((size * np.sin(2.0 * np.pi * rate[:, None] * t + phase[:, None])).sum(axis=0))
 
-    places = wave(reach, 3.0)
-    return posed(places, quaternion(wave(turn, 2.0)))
+    return posed(wave(reach, 3.0), quaternion(wave(turn, 2.0)))
 
 
 def closed_path(name: str, seed: int, turn: float) -> Array:
@@ -176,8 +175,7 @@ def test_the_force_is_continuous(name: str) -> None:
     assert (records["contacts1.object"] >= 0).any()
     travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
     roll = 2.0 * R * np.linalg.norm(np.diff(poses[:, 4:], axis=0), axis=1)
-    jump = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
-    assert (jump <= 1.1 * K * (travel + roll) + 1e-9).all()
+    assert (np.linalg.norm(np.diff(records["force"], axis=0), axis=1) <= 1.1 * K * (travel + roll) + 1e-9).all()
 
 
 def gained(records: Any, poses: Array) -> float:

@@ -43,8 +43,7 @@ def test_ramp_peaks_at_static_and_slides_at_kinetic_friction(depth: float, speed
 @pytest.mark.parametrize("depth", [1e-6, 1e-3])
 def test_forces_contain_no_length_margin(stiffness: float, depth: float) -> None:
     hand = pressed(depth).go(10, move=[0.3 * depth, 0, 0]).go(70, move=[7 * depth, 0, 0])
-    springs = {name: {"stiffness_n_per_m": stiffness} for name in ("material", "coupling")}
-    trace = on_plane(hand, **springs)
+    trace = on_plane(hand, **{name: {"stiffness_n_per_m": stiffness} for name in ("material", "coupling")})
     # Positions of 1e-2 m are rounded to 2e-18 m; the bound allows ten such errors.
     rounding = stiffness * 2e-17
     assert trace.normal_force[1:] == pytest.approx(stiffness * depth, abs=rounding)
@@ -77,8 +76,7 @@ def test_steady_slide_has_no_ripple(law: str) -> None:
 def test_friction_follows_the_slip_speed(speed: float, friction: dict[str, float], coefficient: Any) -> None:
     """A steady slide at v has mu_d + (mu_s - mu_d) exp(-(v / v_s)^2) + c v, after a peak of mu_s at break-away."""
     ticks = int(2e-3 / speed * 1000) + 500
-    hand = pressed().go(ticks, move=[speed * ticks / 1000, 0, 0])
-    trace = on_plane(hand, material={"friction": friction})
+    trace = on_plane(pressed().go(ticks, move=[speed * ticks / 1000, 0, 0]), material={"friction": friction})
     assert trace.causes == ["touch", "drag"]
     assert trace.tangential[trace.events[1][0]] == pytest.approx(0.6, rel=EXACT)
     # Transient left after fifty time constants of the speed's low-pass, at worst slowed by the Stribeck curve.
@@ -128,8 +126,7 @@ def test_no_viscosity_makes_the_force_alternate(law: str, viscosity: float) -> N
 
 def test_friction_follows_the_slip_and_not_the_hand() -> None:
     """A finger that rotates without translating slips at r omega, and its friction coefficient follows that speed."""
-    hand = pressed().go(800, turn=[0.8 * 4.0, 0, 0])
-    trace = on_plane(hand, material={"friction": {"viscous_s_per_m": 0.5}})
+    trace = on_plane(pressed().go(800, turn=[0.8 * 4.0, 0, 0]), material={"friction": {"viscous_s_per_m": 0.5}})
     assert trace.causes == ["touch", "theta_max"]
     assert trace.tangential[-1] == pytest.approx(0.5 + 0.5 * 4.0 * R, rel=1e-8)
 
@@ -149,8 +146,7 @@ def test_a_fast_slip_sticks_when_the_static_cone_can_hold_it(back: float, cause:
 def test_anisotropic_slide_dissipates_the_most(heading: float) -> None:
     """The friction force of a steady slip along (x, y) is (a^2 x, b^2 y) / |(a x, b y)|, which dissipates the most."""
     direction = np.array([np.cos(heading), np.sin(heading)])
-    hand = pressed().go(600, move=[*(0.03 * direction), 0])
-    trace = on_plane(hand, material={"friction": ANISOTROPIC})
+    trace = on_plane(pressed().go(600, move=[*(0.03 * direction), 0]), material={"friction": ANISOTROPIC})
     a, b = 0.5 * 0.9, 0.5 * 0.4
     expected = -np.array([a**2 * direction[0], b**2 * direction[1]]) / np.hypot(a * direction[0], b * direction[1])
     # The deflection turns to its final direction within a few deflection lengths of slip; the slide is sixty long.
@@ -162,8 +158,7 @@ def test_anisotropic_slide_dissipates_the_most(heading: float) -> None:
 def test_anisotropic_drag_breaks_loose_on_the_ellipse(heading: float) -> None:
     """The force peaks at mu_s f_N times the scale of its direction, on the first tick on which the drag exceeds it."""
     direction = np.array([np.cos(heading), np.sin(heading)])
-    hand = pressed().go(300, move=[*(0.0021 * direction), 0])
-    trace = on_plane(hand, material={"friction": ANISOTROPIC})
+    trace = on_plane(pressed().go(300, move=[*(0.0021 * direction), 0]), material={"friction": ANISOTROPIC})
     slide = trace.events[1][0]
     size = np.hypot(trace.force[:, 0] / 1.0, trace.force[:, 1] / 0.5)
     assert size[slide] == pytest.approx(0.6, rel=EXACT) and size.max() == pytest.approx(0.6, rel=EXACT)

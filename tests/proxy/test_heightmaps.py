@@ -368,8 +368,7 @@ def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
     pitch = 2e-4
     heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
     groove = engine(part(tmp_path, heights, pitch, material=SMOOTH), rolling=None)
-    shape = compile_heightmap(heights, pitch)
-    surface = everywhere(shape, 4)
+    surface = everywhere(compile_heightmap(heights, pitch), 4)
     surface = surface[np.abs(surface[:, 1]) < 5e-3]
     low, high = 0.0, 0.03  # height at which the ball rests, by bisection with brute force
     for _ in range(50):

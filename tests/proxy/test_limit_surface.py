@@ -123,8 +123,7 @@ def test_load_stays_within_the_limit_surface() -> None:
 
 
 def test_a_spin_after_a_slide_continues_to_slip() -> None:
-    hand = pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0])
-    trace = on_plane(hand, material=COUPLED)
+    trace = on_plane(pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0]), material=COUPLED)
     assert trace.causes == ["touch", "drag"] and (trace.mode[300:] == SLIDING).all()
     assert trace.tangential[-1] < 1e-6 and trace.torque[-1, 2] == pytest.approx(-TAU, rel=1e-9)
 

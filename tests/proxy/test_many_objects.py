@@ -133,8 +133,7 @@ def test_more_objects_than_have_an_index_are_refused() -> None:
 def test_other_objects_do_not_recompile_the_step(tmp_path: Path) -> None:
     """Only a new shape is compiled. A body never touched makes the step that of tests/server/test_world.py."""
     poses, world = over_the_top(200), key_world(tmp_path)
-    first = Engine(scene(SHAPES["sphere"], FAR, world=world))
-    expected = first.run(poses)
+    expected = Engine(scene(SHAPES["sphere"], FAR, world=world)).run(poses)
     if PLAIN:
         pytest.skip("nothing is compiled")
     signatures = list(step_many.signatures)

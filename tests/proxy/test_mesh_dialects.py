@@ -76,8 +76,7 @@ OBJS: dict[str, tuple[list[str], int]] = {
 
 def read_by_line(lines: list[str]) -> list[list[tuple[float, ...]]]:
     """Return the corners of each face, by the definition of the format, line by line."""
-    text = "\n".join(lines).replace("\\\n", " ")
-    words = [line.partition("#")[0].split() for line in text.splitlines()]
+    words = [line.partition("#")[0].split() for line in "\n".join(lines).replace("\\\n", " ").splitlines()]
     every = [tuple(map(float, line[1:4])) for line in words if line[:1] == ["v"]]
     polygons, before = list[list[tuple[float, ...]]](), 0
     for line in words:

@@ -48,8 +48,7 @@ def corners(mesh: Arrays | Mesh) -> np.ndarray:
     keys = np.round(points, 6)
     least = np.array([min(range(3), key=lambda k: tuple(triple[k])) for triple in keys])
     turned = np.array([np.roll(triangle, -start, axis=0) for triangle, start in zip(points, least, strict=True)])
-    order = np.lexsort(np.round(turned, 6).reshape(len(turned), -1).T[::-1])
-    return turned[order]
+    return turned[np.lexsort(np.round(turned, 6).reshape(len(turned), -1).T[::-1])]
 
 
 def ply_text(mesh: Mesh) -> bytes:

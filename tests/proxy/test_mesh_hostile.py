@@ -90,8 +90,7 @@ def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
     """Without friction, though all triangles are equally close, and the search finishes."""
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
     for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 100)]):
-        reach = R * (room + 0.2)
-        last = visit(smooth, np.repeat(reach * side[None], 60, axis=0))[-1]
+        last = visit(smooth, np.repeat(R * (room + 0.2) * side[None], 60, axis=0))[-1]
         # It rests on a facet, whose tangent deviates by the angle of a facet, or in an edge between two.
         assert last["contact.budget"] == 0 and last["proxy.position"] @ side > 0.99 * room * R
 
@@ -104,11 +103,9 @@ def test_a_delayed_proxy_does_not_let_the_force_jump(tmp_path, name):
     start = np.abs(made.vertices).max() + 2.0 * R
     ways = np.concatenate([np.linspace([0.0, 0.0, start], [0.0, 0.0, 0.0], 150), wander(9, TICKS, 6.0 * R)])
     records = visit(smooth, ways)
-    deep = np.linalg.norm(records["proxy.position"] - ways, axis=1)
-    assert deep.max() > 2.0 * R
+    assert np.linalg.norm(records["proxy.position"] - ways, axis=1).max() > 2.0 * R
     went = np.linalg.norm(np.diff(ways, axis=0), axis=1)
     went += np.linalg.norm(np.diff(records["proxy.position"], axis=0), axis=1)
-    jumps = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
     # Lifting a proxy among many facets changes the force by less than 1e-4 of the radius, as does the distribution in a
     # pinch.
-    assert (jumps <= STIFFNESS * (went + 2e-4 * R)).all()
+    assert (np.linalg.norm(np.diff(records["force"], axis=0), axis=1) <= STIFFNESS * (went + 2e-4 * R)).all()

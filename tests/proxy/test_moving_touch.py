@@ -1,4 +1,4 @@
-"""Moving objects: the touch depends only on the relative motion of finger and object; poses in closed form."""
+"""Moving objects: touch depends only on the relative motion of finger and object; poses and rolls in closed form."""
 
 import functools
 import math
@@ -13,7 +13,7 @@ from helpers.touching import Array, causes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from references.rotation import matrix, multiply
+from references.rotation import matrix, multiply, quaternion, rodrigues
 from test_invariants import GRIP, HALF, SLICK, R, numbers, visits
 
 from softfinger.config.load import build
@@ -157,8 +157,7 @@ def test_an_object_placed_around_the_finger_pushes_it_out(name: str) -> None:
 @pytest.mark.parametrize("jump", [0.0001, 0.002, 0.04], ids=lambda distance: f"{1000 * distance:g} mm")
 def test_a_second_object_is_met_while_the_first_is_touched(jump: float, thickness: float) -> None:
     floor = {"shape": "plane", "motion": None}
-    wall = {"shape": "box", "size_m": [thickness, 0.2, 0.2]}
-    driver = Driver(scene(floor, wall))
+    driver = Driver(scene(floor, {"shape": "box", "size_m": [thickness, 0.2, 0.2]}))
     for z in (R + 0.001, R - 0.001):
         driver.step((0.0, 0.0, z), None, ((-0.02 - 0.5 * thickness, 0.0, 0.0), UPRIGHT))
     faces = np.arange(-0.02, 0.005, jump) + jump
@@ -304,3 +303,71 @@ def test_every_kind_in_a_file_becomes_its_kernel() -> None:
     for motion, kernel in expected:
         assert build_scene(paper_scene(table={"motion": motion})).objects.body.motion == kernel
     assert build_scene(paper_scene()).objects.body.motion is None
+
+
+RADIUS, DEPTH, COUNT = 0.02, 0.0005, 60
+STICKY = {"stiffness_n_per_m": K, "friction": {"static": 50.0, "kinetic": 50.0}}
+TABLES: dict[str, Any] = {
+    "rolling": {"method": "rotation_vector"},
+    "coupling": {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0},
+}
+ROUND = {"shape": "sphere", "radius_m": RADIUS, "material": STICKY}
+FAR = {"shape": "plane", "position_m": [0.0, 0.0, -1.0], "motion": None, "material": STICKY}
+PLACES = ([ROUND], [FAR, ROUND])
+
+
+def company(objects: list[dict[str, Any]]) -> Scene:
+    return scene(*objects, **TABLES)
+
+
+@pytest.mark.scaled
+def test_rolling_on_a_moving_sphere_winds_nothing(cases: Any) -> None:
+    """W = (R w_o + r w_f) / (R + r) turns the normal of a roll without slip: n = exp(W t) n_0, with the probe on it,
+    DEPTH below the proxy. If anything turns by a in a tick, the error is of third order in a for a single object, since
+    the rotations do not commute, and of second order in the roll among several, whose depth is applied at both ends of
+    a tick."""
+    random = np.random.default_rng(3)
+    for _ in range(cases(2, 40)):
+        n0, speed = random.normal(size=3), random.uniform(-0.05, 0.05, 3)
+        n0 /= np.linalg.norm(n0)
+        object_rate, finger_rate = random.uniform(-1.5, 1.5, 3), random.uniform(-1.5, 1.5, 3)
+        turn = (RADIUS * object_rate + R * finger_rate) / (RADIUS + R)
+        for objects in PLACES:
+            driver = Driver(company(objects))
+            worst = 0.0
+            for tick in range(-5, COUNT):
+                t = max(tick, 0) * DT
+                n, center = rodrigues(turn * t) @ n0, speed * t
+                depth = DEPTH * min((tick + 6) / 5.0, 1.0)  # pressed straight down before anything moves
+                pose = np.hstack([center + (RADIUS + R - depth) * n, quaternion(finger_rate * t)])
+                ball = center, quaternion(object_rate * t)
+                step = driver.step(pose, *(ball if entry is ROUND else None for entry in objects))
+                worst = max(worst, step.tangential_force)
+                assert step.normal_force == pytest.approx(K * depth, abs=1e-9)
+            a = DT * max(np.linalg.norm(object_rate - turn), np.linalg.norm(finger_rate - object_rate))
+            bound = K * COUNT * ((R + RADIUS) * a**3 if len(objects) == 1 else 2.0 * DEPTH * a**2)
+            assert worst < bound, (len(objects), worst, bound)
+
+
+@pytest.mark.scaled
+def test_moving_with_a_corner_as_one_body_winds_nothing(cases: Any) -> None:
+    """Two walls and a sphere on a common carrier. Positions of 0.1 m round to 1e-17 m, times K."""
+    random = np.random.default_rng(4)
+    wall = {"shape": "plane", "material": STICKY}
+    over = np.sqrt((R + RADIUS) ** 2 - 2.0 * R**2)  # the sphere is below the finger that touches both walls
+    placed = [(wall, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]), (wall, [0.0, 0.0, 0.0], quaternion([0.0, np.pi / 2, 0.0]))]
+    placed.append((ROUND, [0.0, -over, 0.0], [1.0, 0.0, 0.0, 0.0]))
+    for _ in range(cases(2, 40)):
+        rate, speed = random.uniform(-3.0, 3.0, 3), random.uniform(-0.1, 0.1, 3)
+        driver = Driver(company([entry for entry, _, _ in placed]))
+        for tick in range(-5, COUNT):
+            t = max(tick, 0) * DT
+            turned, at = rodrigues(rate * t), speed * t
+            depth = DEPTH * min((tick + 6) / 5.0, 1.0) * np.array([1.0, 2.0, 3.0])
+            finger = np.array([R, 0.0, R]) - depth
+            places = [(at + turned @ x, multiply(quaternion(rate * t), q)) for _, x, q in placed]
+            step = driver.step(np.hstack([at + turned @ finger, quaternion(rate * t)]), *places)
+            if tick < 0:
+                continue
+            np.testing.assert_allclose(turned.T @ step.force, K * depth, atol=1e-9)
+            assert step.tangential_force < 1e-9 and abs(step.torsion) < 1e-9

@@ -173,8 +173,7 @@ def touched(folder: Path, balls_file: Path) -> str:
     script = folder / "touch.py"  # code from a command line is not cached
     script.write_text(TOUCH)
     command = [sys.executable, "-B", str(script), str(folder), str(balls_file)]
-    process = run_program(command, env=environment, check=True)
-    return process.stdout.strip()
+    return run_program(command, env=environment, check=True).stdout.strip()
 
 
 BALLS = np.array([[0.0, 0.0, -0.02, 0.02], [0.05, 0.0, -0.03, 0.03], [0.0, 0.08, -0.01, 0.01]])

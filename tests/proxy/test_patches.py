@@ -161,8 +161,7 @@ def test_equal_walls_give_no_moment_about_the_bisector():
 def test_a_spin_about_the_bisector_gives_no_force_along_the_groove():
     """By symmetry the tangential forces cancel, and the torques add."""
     running = engine(*groove())
-    spin = turning(2, 1.0, 400)
-    records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), spin)
+    records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turning(2, 1.0, 400))
     assert np.abs(records["force"][:, :2]).max() < 1e-12
     # Each patch rubs with mu_d f at a distance r sin 45 from the bisector.
     np.testing.assert_allclose(records["torque"][-1], [0.0, 0.0, -2.0 * 0.5 * F * R / SQRT2], atol=1e-9)
@@ -172,8 +171,7 @@ def test_rotation_about_the_groove_rubs_on_both_walls():
     """As for a shaft in a V-block, the friction of each wall loads the other: they bear F (1 + mu) / (1 + mu^2) and F
     (1 - mu) / (1 + mu^2). The torque is r mu_d (f1 + f2) = 5.66 mN m; the force is that of the proxy's spring."""
     running = engine(*groove())
-    turn = turning(1, 1.0, 400)
-    records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turn)
+    records = in_groove(running, np.tile(IN_GROOVE, (400, 1)), turning(1, 1.0, 400))
     np.testing.assert_allclose(records["torque"][-1], [0.0, -R * 0.5 * 2.0 * F / 1.25, 0.0], atol=1e-12)
     np.testing.assert_allclose(records["force"][-1], [0.0, 0.0, 1.0], atol=1e-12)
 
@@ -316,8 +314,7 @@ def test_a_wound_spin_is_projected_onto_the_normal_of_the_next_wall():
     on_one, on_both = (np.array([x, 0.0, z]) for x, z in (on_one, on_both))
     running.run(poses(pressing(on_one)))
     spin = np.linspace(0.0, 0.05, 51)[1:, None] * normals[0]
-    wound = running.run(poses(np.tile(on_one, (50, 1)), spin))
-    assert wound[-1, AT.contacts1_object] == -1.0
+    assert running.run(poses(np.tile(on_one, (50, 1)), spin))[-1, AT.contacts1_object] == -1.0
     record = running.run(poses(line(on_one, on_both, 50), np.tile(spin[-1], (50, 1))))[-1]
     spins = {float(record[f"contacts{i}.object"]): record[f"contacts{i}.spin"] for i in (0, 1)}
     # Sums of a hundred angles.
@@ -380,8 +377,7 @@ def test_a_wall_that_slides_past_adds_its_friction(order, along):
     slides["motion"]["translation_m"] = [0.0, 0.1 * along[1], 0.0] if along[1] else [-0.1, 0.0, 0.0]
     objects = [wall("floor", (0, 0, 1)), slides]
     running = engine(*[objects[i] for i in order])
-    at = np.array([R - 0.0005, 0.0, R - 0.001])
-    records = running.run(poses(np.tile(at, (500, 1))))
+    records = running.run(poses(np.tile(np.array([R - 0.0005, 0.0, R - 0.001]), (500, 1))))
     expected = np.array([0.5, 0.25 * along[1], 1.0])
     np.testing.assert_allclose(records["force"][-1], expected, atol=1e-12)
     borne = {records[f"contacts{i}.object"][-1]: records[f"contacts{i}.force"][-1] for i in (0, 1)}
@@ -396,8 +392,7 @@ def test_a_wall_that_moves_in_has_its_damping(order):
     turning = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 0.05], "frequency_hz": 1.0 / (2.0 * np.pi) / 5.0}
     objects = [wall("floor", (0, 0, 1), material(None)), wall("wall", (1, 0, 0), stuff) | {"motion": turning}]
     running = engine(*[objects[i] for i in order], rolling=None)
-    at = np.array([R + 0.001, 0.0, R - 0.001])
-    records = running.run(poses(np.tile(at, (601, 1))))
+    records = running.run(poses(np.tile(np.array([R + 0.001, 0.0, R - 0.001]), (601, 1))))
     time = records["timestamp"] + 0.001
     depth = 0.05 * np.sin(time / 5.0) - 0.001
     speed = np.diff(depth) / 0.001
@@ -415,10 +410,9 @@ def test_a_shallow_valley_is_nearly_a_plane():
     force = running.run(poses(line(start, end, 800)))["force"]
     plane = engine(wall("plane", (0, 0, 1)))
     plane.run(poses(pressing(start)))
-    like = plane.run(poses(line(start, end, 800)))["force"]
     # A slope of half a degree tilts a force of 1 N by 9 mN; its depth is 44 um larger at the ends, which is 44 mN;
     # friction adds half of both. After 0.7 mm both contacts slide.
-    assert np.abs(force - like)[56:].max() < 0.07
+    assert np.abs(force - plane.run(poses(line(start, end, 800)))["force"])[56:].max() < 0.07
     # A tick of 12.5 um, two of which cross the crease: friction can change by at most 2 mu sin(1 degree) f.
     assert np.abs(np.diff(force[56:], axis=0)).max() < 2.0 * 0.5 * np.sin(2.0 * half) * 1.05
 
@@ -426,8 +420,7 @@ def test_a_shallow_valley_is_nearly_a_plane():
 def test_forces_of_a_pinch_add():
     """Floor 1 mm deep, ceiling 3 mm deep: 1 N up, 3 N down, and friction on each."""
     gap = 2.0 * R - 0.004
-    objects = [wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-gap)]
-    running = engine(*objects)
+    running = engine(*[wall("floor", (0, 0, 1)), wall("ceiling", (0, 0, -1), offset=-gap)])
     at = np.array([0.0, 0.0, R - 0.001])
     records = running.run(poses(np.vstack([np.tile(at, (10, 1)), line(at, np.add(at, [0.01, 0.0, 0.0]), 500)])))
     np.testing.assert_allclose(records["force"][5], [0.0, 0.0, -2.0], atol=1e-12)
@@ -471,8 +464,7 @@ def test_three_jaws_resist_a_twist_and_a_tilt():
     """Spun about their axis, each jaw rubs with mu_d K t at r; tilted, it winds by the tilt about its normal. Each has
     a third of the springs: k_z about a normal n, K r^2 across. The mean of n n^T is 1/2 in the plane of the jaws."""
     running, angle = jaws(), 0.01
-    closed = running.run(poses(np.zeros((500, 3))))
-    np.testing.assert_allclose(closed["force"][-1], 0.0, atol=1e-11)
+    np.testing.assert_allclose(running.run(poses(np.zeros((500, 3))))["force"][-1], 0.0, atol=1e-11)
     vectors = turning(0, angle, 10)
     tilted = running.run(poses(np.zeros((10, 3)), vectors))["torque"]
     # A roll in steps of 1 mrad about an axis that no patch rotates about: exact up to second order.

@@ -47,8 +47,7 @@ def test_tool_writes_the_shipped_bytes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", list(recordings.RECORDINGS))
 def test_recording_starts_and_ends_free_in_one_pose(name: str) -> None:
     poses = load_poses(name)
-    start = list(recordings.RECORDINGS[name].start)
-    assert poses.position[0].tolist() == poses.position[-1].tolist() == start
+    assert poses.position[0].tolist() == poses.position[-1].tolist() == list(recordings.RECORDINGS[name].start)
     assert poses.orientation[0].tolist() == poses.orientation[-1].tolist() == [1.0, 0.0, 0.0, 0.0]
     samples = resample(poses, 1000.0)
     assert len(close_loop(samples, 1000.0)) == len(samples) - 1

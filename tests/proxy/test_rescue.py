@@ -49,8 +49,7 @@ def stepped(model, data, count):
 
 def output_of(code: str, *words: str, **environment: str) -> str:
     variables = os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment
-    process = run_program([sys.executable, "-c", HEAD + code, *words], env=variables, check=True)
-    return process.stdout.strip()
+    return run_program([sys.executable, "-c", HEAD + code, *words], env=variables, check=True).stdout.strip()
 
 
 ERRORS = """

@@ -213,8 +213,7 @@ def test_rotations_near_half_a_turn(method: str, name: str) -> None:
     rng, shape = np.random.default_rng(18), SHAPES[name]
     for angle in (np.pi - 1e-9, np.pi, np.pi * (1 - 1e-16)):
         center, normal = touching(shape, rng)
-        w = rotation(rng, angle, angle)
-        turn = rotations.relative(rotations.exp(w), (1.0, 0.0, 0.0, 0.0))
+        turn = rotations.relative(rotations.exp(rotation(rng, angle, angle)), (1.0, 0.0, 0.0, 0.0))
         out = roll(METHODS[method], shape, RADIUS, center, normal, turn)
         assert np.isfinite([*out.center, *out.motion, out.theta, out.spin]).all()
         gap, _, _ = closest(shape, out.center)
@@ -252,8 +251,7 @@ HIGH_FRICTION = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
 
 def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: float = 0.001) -> Array:
     """Contact points (n, 3) m of a probe whose centre is above `follow` (n, 3), pressed in by `depth`."""
-    positions = follow + np.array([0.0, 0.0, R - depth])
-    records = Engine(scene, 1.0 / dt).run(np.hstack([positions, turned]), dt)
+    records = Engine(scene, 1.0 / dt).run(np.hstack([follow + np.array([0.0, 0.0, R - depth]), turned]), dt)
     assert (records["contact.mode"] == ROLLING).all()
     at = AT.contact_point
     return records[:, at : at + 3]

@@ -96,8 +96,7 @@ def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
         make_object("plate", "box", size_m=[0.2, 0.2, 0.001]),
         make_object("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
     ]
-    running = engine(*plates)
-    records = visit(running, [(0.0, 0.0, 0.03)] * 2 + [(0.0, 0.0, 0.008)] + [(0.09, 0.0, 0.008)] * 2)
+    records = visit(engine(*plates), [(0.0, 0.0, 0.03)] * 2 + [(0.0, 0.0, 0.008)] + [(0.09, 0.0, 0.008)] * 2)
     np.testing.assert_allclose(records["proxy.position"][-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
 
 

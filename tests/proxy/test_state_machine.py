@@ -39,8 +39,7 @@ def test_theta_max_grows_with_the_normal_force() -> None:
 
 
 def test_a_slow_slide_is_not_a_stop() -> None:
-    hand = pressed().go(100, move=[0.002, 0, 0]).go(1000, move=[0.0001, 0, 0])
-    trace = on_plane(hand)
+    trace = on_plane(pressed().go(100, move=[0.002, 0, 0]).go(1000, move=[0.0001, 0, 0]))
     assert trace.causes == ["touch", "drag"] and trace.tangential[-900:] == pytest.approx(0.5, rel=EXACT)
 
 
@@ -143,8 +142,7 @@ def test_paper_row_sliding_is_switched_to_rolling() -> None:
 def test_paper_row_contact_is_broken() -> None:
     """f_N = 0 and a_N > 0, the finger leaves the plane: rolling and sliding both end on that tick."""
     for drag in (0.0, 0.005):
-        hand = pressed().go(50, move=[drag, 0, 0])
-        trace = on_plane(hand.go_to(7, [drag, 0, R + 1e-3]))
+        trace = on_plane(pressed().go(50, move=[drag, 0, 0]).go_to(7, [drag, 0, R + 1e-3]))
         broken = next(tick for tick, cause in trace.events if cause == "release")
         separating = (trace.normal_force == 0.0) & (np.diff(trace.poses[:, 2], prepend=R) > 0.0)
         assert broken == int(np.flatnonzero(separating[2:])[0]) + 2
@@ -160,8 +158,7 @@ def test_a_quantised_slide_does_not_chatter(depth: float) -> None:
     for i, x in enumerate(path):
         noise = 1e-5 * rng.integers(-1, 2) if i < 600 else 0.0
         hand.go_to(1, [1e-5 * round(x / 1e-5) + noise, 0, R - depth])
-    trace = on_plane(hand, probe={"position_resolution_m": 1e-5})
-    assert trace.causes == ["touch", "drag", "stop"]
+    assert on_plane(hand, probe={"position_resolution_m": 1e-5}).causes == ["touch", "drag", "stop"]
 
 
 @pytest.mark.sampled(1)
@@ -188,8 +185,7 @@ def test_the_stop_band_is_half_a_millimetre_a_second() -> None:
         hand = pressed().go(100, move=[0.005, 0, 0])
         for _ in range(10):
             hand.go(1, move=[50e-6, 0, 0]).go(pause)
-        trace = on_plane(hand)
-        assert ("stop" in trace.causes) == sticks
+        assert ("stop" in on_plane(hand).causes) == sticks
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -238,8 +234,7 @@ def test_letter_winds_up_without_end(ticks: int, turn: list[float], move: list[f
 def test_letter_slides_a_finger_that_follows() -> None:
     """The literal rule counts the entire roll, so a finger that follows its roll perfectly slides at theta_max."""
     hand = pressed().go(1001, move=[0, -R, 0], turn=[1, 0, 0])
-    trace = on_plane(hand, **LETTER)
-    assert trace.events[1] == (1 + int(np.ceil(0.06 * 1001)), "theta_max")
+    assert on_plane(hand, **LETTER).events[1] == (1 + int(np.ceil(0.06 * 1001)), "theta_max")
 
 
 def test_letter_pushes_through_a_reversal() -> None:

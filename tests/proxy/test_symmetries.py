@@ -169,8 +169,7 @@ def test_a_scene_ten_times_as_large(seed, folder):
 @pytest.mark.parametrize("seed", range(100))
 def test_a_new_order_of_loads_is_no_jump(seed, folder):
     """The force changes as in the ticks around; torsion that slips in the same tick bends it by less than 1 mN."""
-    friction = {"static": 1.0, "kinetic": 1.0}
-    records = record(*draw(seed, folder, SYMMETRIC, (6.0, 6.0), friction=friction))
+    records = record(*draw(seed, folder, SYMMETRIC, (6.0, 6.0), friction={"static": 1.0, "kinetic": 1.0}))
     order = records[:, [AT.contacts0_object, AT.contacts1_object, AT.contacts2_object]]
     modes = records[:, [AT.contacts0_mode, AT.contacts1_mode, AT.contacts2_mode]]
     bends = np.linalg.norm(np.diff(records[:, AT.force : AT.force + 3], 2, axis=0), axis=1)

@@ -100,8 +100,7 @@ def test_ripple_above_the_cutoff_is_removed(scene: Make, speed: float) -> None:
     """A wave of 2 mm fades with the stroke speed as the filter prescribes, to 0.01 at the cutoff."""
     wave = Wave(100, 1, SIZE, SIZE, (10, 0))
     cutoff = speed / FREQUENCY_MAX_HZ
-    points = over_plane(400)
-    load = forces(Engine(scene(wave.samples(), texture={"speed_m_per_s": speed})), points)[:, 2]
+    load = forces(Engine(scene(wave.samples(), texture={"speed_m_per_s": speed})), over_plane(400))[:, 2]
     ripple = 0.5 * np.ptp(load) / (0.5 * K * HEIGHT)
     # Ten samples per wave: none on the crest. The spline retains sinc^4 of 0.1, with an image of 1 / 9^4 of it.
     sampled = np.sinc(0.1) ** 4 / np.cos(np.pi / 10.0)
@@ -253,8 +252,7 @@ def test_each_face_of_a_box_has_the_two_other_coordinates(
 ) -> None:
     """u and v are the remaining coordinates in the order x, y, z from the centre of the face, outside and inside."""
     wave = OBLIQUE
-    box = SHAPES["box"] | extent(wave) | {"inside": inside}
-    engine = Engine(scene(wave.samples(), box))
+    engine = Engine(scene(wave.samples(), SHAPES["box"] | extent(wave) | {"inside": inside}))
     normal = -np.array(face, float) if inside else np.array(face, float)
     half = 0.5 * abs(np.array(SHAPES["box"]["size_m"]) @ face)
     at = np.zeros((20, 3))
@@ -329,8 +327,7 @@ def test_clamped_border_is_level(scene: Make) -> None:
 
 def test_clamped_border_of_a_cylinder_is_level_and_repeats_around_it(scene: Make) -> None:
     grid = np.random.default_rng(2).uniform(size=(9, 12))
-    texture = {"border": "clamp", "size_m": [AROUND, SIZE]}
-    engine = Engine(scene(grid, SHAPES["cylinder"], texture=texture))
+    engine = Engine(scene(grid, SHAPES["cylinder"], texture={"border": "clamp", "size_m": [AROUND, SIZE]}))
     angle = np.linspace(0.1, 0.1 + np.pi / 4.0, 9)
     out = (0.03 + R - DEPTH) * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     inside, near, far = (forces(engine, np.add(out, [0.0, 0.0, z])) for z in (0.3 * SIZE, 0.7 * SIZE, 9.0))

@@ -123,8 +123,7 @@ def test_turning_proxy_does_not_chatter_at_rest(cases: Cases, kinetic: float) ->
     for change in np.diff(flicker, prepend=0.0):
         hand.go(1, turn=[0, 0, change])
     engine = plane_engine(material={"torsion": {**PROXY, "kinetic_friction_length_m": kinetic}})
-    records = engine.run(np.array(hand.poses))
-    spin = records["contact.spin"][rest + 200 :]
+    spin = engine.run(np.array(hand.poses))["contact.spin"][rest + 200 :]
     # While the proxy sticks, the wind-up follows the flicker, so their difference is constant.
     anchor = spin - flicker[199:]
     assert np.ptp(anchor) < 1e-12

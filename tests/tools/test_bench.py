@@ -99,8 +99,7 @@ HOURS = np.linspace(0.0, 2.0, 7200)
 
 
 def noisy(slope: float) -> np.ndarray:
-    random = np.random.default_rng(3)
-    return 100.0 + slope * HOURS + 4.0 * (random.random(len(HOURS)) < 0.2)
+    return 100.0 + slope * HOURS + 4.0 * (np.random.default_rng(3).random(len(HOURS)) < 0.2)
 
 
 def soaked(memory: np.ndarray, lost: int = 0) -> SoakResult:

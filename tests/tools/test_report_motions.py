@@ -57,8 +57,7 @@ def test_a_turn_is_the_rotation_between_first_and_last() -> None:
 
 def test_noise_at_rest_and_range_of_known_rows() -> None:
     random = np.random.default_rng(1)
-    noise = random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6)
-    rows = poses(noise + np.array([0.0, 0.01, 0.0]))
+    rows = poses(random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6) + np.array([0.0, 0.01, 0.0]))
     rows[7, SAMPLE] = math.nan
     result = motions.measure_rest(rows, turns=False)
     assert result["not_finite"] == 1
