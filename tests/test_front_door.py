@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import doctest
 import importlib
 import inspect
 import json
+import pickle
 import pydoc
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -353,3 +356,20 @@ def test_notebooks_show_tables():
     records = Records(np.zeros((2, RECORD_SIZE)))
     assert records._repr_html_().count("<tr>") == len(FIELDS) == records[0]._repr_html_().count("<tr>")
     assert "<tr>" not in records[:0]._repr_html_()
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("scene", ["paper-plane", "heightmap", "plates", "roll-a-pencil"])
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda engine: pickle.loads(pickle.dumps(engine))])
+def test_a_copy_continues_in_separate_memory(scene: str, duplicate: Callable[[Engine], Engine]) -> None:
+    engine = Engine(scene)
+    engine.step((0.001, 0.0, 0.0095), UPRIGHT)
+    copied = duplicate(engine)
+    for x in (0.002, 0.003):
+        records = [one.step((x, 0.0, 0.009), UPRIGHT).record for one in (copied, engine)]
+        np.testing.assert_array_equal(*records)
+    before, third = engine._state.copy(), duplicate(engine)
+    copied.reset()
+    copied.step(PRESSED, UPRIGHT)
+    np.testing.assert_array_equal(engine._state, before)
+    np.testing.assert_array_equal(*(one.step(PRESSED, UPRIGHT).record for one in (engine, third)))

@@ -28,8 +28,7 @@ pytestmark = pytest.mark.real_time
 
 SERIES = {"feetech": FEETECH, "dynamixel": DYNAMIXEL}
 IDS = {"yaw": 1, "pitch": 2, "roll": 3}
-LEVER_M = 0.2
-NM_PER_COUNT = 0.0005
+LEVER_M, NM_PER_COUNT = 0.2, 0.0005
 URDF = f"""
 <robot name="arm">
   <joint name="yaw" type="revolute"><parent link="base"/><child link="a"/>

@@ -38,11 +38,7 @@ from softfinger.proxy.scene import start_state
 
 pytestmark = pytest.mark.plain
 
-G = 9.81
-R = 0.008
-HALF = 0.02
-MASS = 0.1
-STIFFNESS = 500.0
+G, R, HALF, MASS, STIFFNESS = 9.81, 0.008, 0.02, 0.1, 500.0
 TORSION = 0.05
 """N m/rad, of each finger."""
 

@@ -19,8 +19,7 @@ from softfinger.proxy.record import CAUSE_NAMES, ROLLING, SLIDING
 
 pytestmark = pytest.mark.plain
 
-R = 0.01
-EXACT = 1e-12
+R, EXACT = 0.01, 1e-12
 
 
 def test_press() -> None:

@@ -13,8 +13,7 @@ from softfinger.proxy.kernels.contact.first_pose import OVERLAP_TOLERANCE
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
-TICKS = 3000
-STIFFNESS = 1000.0
+TICKS, STIFFNESS = 3000, 1000.0
 STATIC = 0.6
 """Friction coefficient."""
 OUTSIDE = R * (1.0 - 1e-9)

@@ -26,8 +26,7 @@ from softfinger.proxy.scene import build_scene
 
 pytestmark = pytest.mark.plain
 
-DT = 1e-3
-K = 1000.0
+DT, K = 1e-3, 1000.0
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 ROUNDING_N = 1e-10
 """Positions of up to 0.1 m round to 1e-17 m, and a rotation and its inverse to a little more, times K."""

@@ -11,9 +11,7 @@ from softfinger.proxy.record import SLIDING
 
 pytestmark = pytest.mark.plain
 
-G = 9.81
-R = 0.008
-MASS = 0.1
+G, R, MASS = 9.81, 0.008, 0.1
 STATIC, KINETIC = 0.8, 0.7
 """Friction of the finger on the body."""
 HALF, THIN = 0.02, 0.005

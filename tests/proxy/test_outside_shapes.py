@@ -31,8 +31,7 @@ from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 
 OUTSIDE = Path(__file__).parents[1] / "outside_shape"
-RADIUS = 0.01
-HALF_ANGLE = 0.5
+RADIUS, HALF_ANGLE = 0.01, 0.5
 
 
 def outside(name: str) -> Iterator[ModuleType]:

@@ -15,8 +15,7 @@ from softfinger.proxy.record import FREE
 
 pytestmark = pytest.mark.plain
 
-DT = 1e-3
-TICKS = 400
+DT, TICKS = 1e-3, 400
 FINGERS: dict[str, dict[str, Any]] = {
     "thumb": {"radius_m": 0.01, "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
               "probe": {"velocity_time_constant_s": 0.002}},

@@ -40,9 +40,7 @@ pytestmark = pytest.mark.plain
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Make = Callable[..., schema.Scene]
 
-R, K, HEIGHT, DEPTH = 0.01, 1000.0, 2e-4, 1e-3
-SIZE = 0.02
-SPEED = 0.5
+R, K, HEIGHT, DEPTH, SIZE, SPEED = 0.01, 1000.0, 2e-4, 1e-3, 0.02, 0.5
 CUTOFF = SPEED / FREQUENCY_MAX_HZ
 EPS = float(np.finfo(float).eps)
 ROUNDING = 1e-11

@@ -12,8 +12,7 @@ from references.hand import Hand
 from references.rotation import Array
 from softfinger.proxy.engine import Engine
 
-R = 0.01
-K_Z = 0.05
+R, K_Z = 0.01, 0.05
 
 SPEED = {"stribeck_speed_m_per_s": 0.05, "viscous_s_per_m": 0.5}
 ANISOTROPIC = {"direction_x": [1.0, 0.0, 0.0], "static_scale": [1.0, 0.5], "kinetic_scale": [0.9, 0.4]}
