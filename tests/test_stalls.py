@@ -21,7 +21,6 @@ def test_luck():
     assert len(turns) == 2
 """
 
-
 NO_LUCK = """
 import pytest
 

@@ -33,8 +33,6 @@ from softfinger.server.verbs import schema as schema_verb
 pytestmark = pytest.mark.plain
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
 ANY_SHAPE = "one of 'plane', 'sphere', 'cylinder', 'capsule', 'box', 'ellipsoid', 'torus', 'heightmap', 'mesh'"
 
 

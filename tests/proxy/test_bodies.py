@@ -62,8 +62,6 @@ RUBBER = {
     "torsion": {"stiffness_nm_per_rad": TORSION, "friction_length_m": 0.004},
 }
 DAMPED = {"stiffness_n_per_m": STIFFNESS, "damping_ns_per_m": 1.0, "torsional_damping_nms_per_rad": 1.5e-3}
-
-
 PLAIN_ONLY = pytest.mark.skipif(not PLAIN, reason="calls kernels from Python, which compiled ones do not allow")
 
 

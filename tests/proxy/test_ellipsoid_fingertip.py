@@ -29,8 +29,6 @@ from softfinger.proxy.scene import build_scene
 from softfinger.tools.accuracy.reference import compute_normal_and_curvature
 
 pytestmark = pytest.mark.plain
-
-
 K = 1000.0
 AXES: model.Vec3 = (0.008, 0.006, 0.012)
 TURN: model.Quaternion = tuple(float(part) for part in quaternion([0.4, -0.7, 0.3]))  # type: ignore[assignment]

@@ -20,8 +20,6 @@ R = 0.01
 F, TAU = 0.5, 0.004
 """Semi-axes of the kinetic limit surface under 1 N, N and N m."""
 COUPLED = {"torsion": {"model": "limit_surface"}}
-
-
 sizes = st.floats(-12, 12).map(lambda exponent: 10.0**exponent)
 components = st.floats(-1e3, 1e3)
 

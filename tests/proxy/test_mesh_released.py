@@ -95,8 +95,6 @@ def test_a_proxy_is_blocked_by_triangles_it_touches(kind: str, radius: float, tm
 
 FINGERS = [{"name": name, "radius_m": r, "coupling": STIFF} for name, r in (("thumb", 0.004), ("index", 0.002))]
 SWAY = {"kind": "sinusoid", "translation_m": [0.004, -0.003, 0.002], "frequency_hz": 2.0}
-
-
 SLIDES = ("tube", "needles")
 """Meshes off which a fingertip without friction slides on most strokes."""
 REST = [pytest.param(kind, marks=pytest.mark.exhaustive) for kind in KINDS if kind != "lattice"]

@@ -219,8 +219,6 @@ def deep():
 
 
 WAYS = {"all over": all_over, "deep": deep, "recording": lambda: resample(load_poses("press-roll-spin-drag"), 1000.0)}
-
-
 SEAMS = 0.0061
 """Distance of the seams, m. The recording turns back at 6 mm. A roll that ends less than 0.2 nm behind a seam has the
 normal of the edge for a tick, 2e-8 rad off."""
@@ -336,7 +334,6 @@ def test_weight_shifted_between_walls_keeps_the_moment_against_rolling():
 BALL, DEEP, ARC = 0.05, 0.001, 0.4
 """Radius of a ball and penetration depth, m, and an angle on the ball, rad; sticking, an error of depth x angle would
 be 0.4 N."""
-
 
 STUCK = material({"static": 5.0, "kinetic": 4.0})
 FAR = wall("far", (0.0, 0.0, 1.0), offset=-5.0)
