@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -37,7 +38,6 @@ settings.register_profile(
 )  # fmt: skip
 settings.register_profile("full", settings.get_profile("suite"))  # tests/proxy/test_invariants.py explains it
 settings.load_profile("suite")
-SceneFactory = Callable[..., Scene]
 
 # A shell ignores two of these signals in background processes, and nohup ignores the third. The program inherits that,
 # and so would every process that a test starts and then signals.
@@ -97,7 +97,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
         mark = term.removeprefix("not ")
         if mark == term and mark in ("plain", "real_time", "system") and mark not in text:
             return True
-        if mark != term and f"\npytestmark = pytest.mark.{mark}\n" in text:
+        if mark != term and re.search(rf"\npytestmark = \[?pytest\.mark\.{mark}\b", text):
             return True
     return None
 
@@ -200,14 +200,9 @@ def paper_mapping(
     return {**merged(base, tables), "object": [entry]}
 
 
-@pytest.fixture
-def plane_scene() -> SceneFactory:
-    """Factory for scenes of one plane; see `paper_mapping` for possible changes."""
-
-    def make(**changes: Any) -> Scene:
-        return build(Scene, paper_mapping(**changes), "test scene")
-
-    return make
+def paper_scene(**changes: Any) -> Scene:
+    """Return the scene of `paper_mapping`."""
+    return build(Scene, paper_mapping(**changes), "test scene")
 
 
 @pytest.fixture(scope="module")

@@ -57,8 +57,9 @@ class Outcome(NamedTuple):
 
 def read(only: str = "") -> list[Mutant]:
     """Return the mistakes with `only` in their file or description."""
-    listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]
-    return [mutant for mutant in (Mutant(**table) for table in listed) if only in mutant.file or only in mutant.mistake]
+    listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))
+    mutants = [Mutant(file, **table) for file, tables in listed.items() for table in tables]
+    return [mutant for mutant in mutants if only in mutant.file or only in mutant.mistake]
 
 
 def copy_to(folder: Path) -> None:

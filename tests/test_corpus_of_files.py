@@ -5,8 +5,6 @@ MuJoCo, or in a URDF file by its elements. Each model is a `[world]` with `root`
 has the counts.
 """
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys
@@ -93,7 +91,6 @@ def models(folder: Path) -> Iterator[Outcome]:
         world: dict[str, Any] = {"model": str(path), "root": str(folder), "material": {"stiffness_n_per_m": 500.0}}
         try:
             scene = load_scene({"fingertip": {"radius_m": 0.01}, "world": world})
-            assert scene.world is not None
             check_start(scene.world)
             count, refusal = len(scene.object), ""
         except ConfigError as error:
@@ -127,10 +124,8 @@ def count_colliding_geoms(path: Path) -> int | None:
             model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError:
         return None
-    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
-    return sum(
-        bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired) for geom in range(model.ngeom)
-    )
+    colliding = (model.geom_contype | model.geom_conaffinity).nonzero()[0]
+    return len({*colliding.tolist(), *model.pair_geom1.tolist(), *model.pair_geom2.tolist()})
 
 
 def count_collision_elements(text: str) -> int | None:

@@ -1,12 +1,12 @@
 """The programs of examples/ run unchanged, and print the values predicted by theory."""
 
-from __future__ import annotations
-
 import csv
 import importlib
 import math
 import os
 import re
+import shutil
+import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -14,15 +14,18 @@ from pathlib import Path
 import nbformat
 import pytest
 from helpers.programs import run_program
+from helpers.waits import repeated
 from nbclient import NotebookClient
 
 from softfinger.drivers.base import PROTOCOL
+from softfinger.proxy.record import MODE_NAMES
 from softfinger.server.driver_contract import DeviceCaller
 from softfinger.server.experiment.analysis import PowerLaw, fit_groups
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.folder import load, write_csv
 from softfinger.server.experiment.psychometric import Fit
+from softfinger.server.wire.client import subscribe
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PNG = b"\x89PNG"
@@ -33,8 +36,7 @@ def run_example(program: str, *words: str, cwd: Path, plain: bool = False) -> st
     """Run an example to its end; return its output. `plain`: nothing is compiled."""
     command = [sys.executable, EXAMPLES / program, *words]
     environment = os.environ | ({"NUMBA_DISABLE_JIT": "1"} if plain else {})
-    process = run_program(command, cwd=cwd, timeout=500, env=environment, check=True)
-    return process.stdout
+    return run_program(command, cwd=cwd, timeout=500, env=environment, check=True).stdout
 
 
 def number(pattern: str, text: str) -> float:
@@ -92,8 +94,7 @@ def test_press_and_plot(tmp_path: Path) -> None:
 
 def test_friction_sweep() -> None:
     out = run_notebook("friction_sweep.ipynb")
-    assert number(r"difference ([\d.]+) um", out) <= 2.0
-    assert number(r"(\d+) pictures", out) == 2
+    assert number(r"difference ([\d.]+) um", out) <= 2.0 and number(r"(\d+) pictures", out) == 2
 
 
 def test_stiffness_staircase() -> None:
@@ -156,8 +157,7 @@ def test_change_a_parameter(tmp_path: Path, endpoints: tuple[str, str]) -> None:
 
 @pytest.mark.real_time
 def test_draw_live(tmp_path: Path, endpoints: tuple[str, str]) -> None:
-    out = run_example("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)
-    assert number(r"(\d+) ticks drawn", out) > 0
+    assert number(r"(\d+) ticks drawn", run_example("draw_live.py", "live.png", endpoints[0], cwd=tmp_path)) > 0
     assert (tmp_path / "live.png").read_bytes().startswith(PNG)
 
 
@@ -189,3 +189,68 @@ def test_an_exception_in_a_python_driver_ends_the_run() -> None:
 @pytest.mark.real_time
 def test_my_driver_numba(tmp_path: Path) -> None:
     run_example("my_driver_numba.py", cwd=tmp_path)
+
+
+PROGRAMS = Path(__file__).resolve().parents[1] / "examples" / "subscribe"
+CHANGES = 3
+
+
+def python(_: Path) -> list[str]:
+    return [sys.executable, str(PROGRAMS / "subscribe.py")]
+
+
+def cpp(folder: Path) -> list[str]:
+    compiler = shutil.which("g++")
+    includes = b"#include <zmq.hpp>\n#include <msgpack.hpp>\n"
+    look = [compiler or "false", "-std=c++17", "-DMSGPACK_NO_BOOST", "-E", "-x", "c++", "-", "-o", "/dev/null"]
+    if subprocess.run(look, input=includes, capture_output=True, timeout=60).returncode != 0:
+        pytest.skip("no g++, or not the headers of cppzmq and msgpack: make subscribers")
+    source = PROGRAMS / "subscribe.cpp"
+    (line,) = re.findall(r"^//     (g\+\+ .*)$", source.read_text(), re.MULTILINE)
+    words = [str(source) if word.endswith("subscribe.cpp") else word for word in line.split()]
+    subprocess.run([*words, "-Wall", "-Wextra", "-Werror"], cwd=folder, check=True, timeout=300)
+    return [str(folder / "subscribe")]
+
+
+def javascript(_: Path) -> list[str]:
+    node = shutil.which("node")
+    if node is None or not (PROGRAMS / "node_modules").is_dir():
+        pytest.skip("Node.js or its packages are not installed: run `make subscribers`")
+    return [node, str(PROGRAMS / "subscribe.mjs")]
+
+
+def octave(_: Path) -> list[str]:
+    program = shutil.which("octave-cli")
+    look = [program or "false", "--eval", "pkg load zeromq"]
+    if subprocess.run(look, capture_output=True, timeout=60).returncode != 0:
+        pytest.skip("no Octave, or not its package zeromq: apt install octave octave-zeromq")
+    return [str(program), str(PROGRAMS / "subscribe_octave.m")]
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.real_time
+@pytest.mark.parametrize("make", [python, cpp, javascript, octave])
+def test_a_program_prints_published_ticks(make, tmp_path: Path, endpoints: tuple[str, str]) -> None:
+    command = [*make(tmp_path), endpoints[0], *(["--changes"] if make is python else []), str(CHANGES)]
+    apart = 5 if make is octave else 1  # it reads every state, at 200 Hz; the other programs read every tick
+    with subscribe(endpoints[0], timeout_s=60.0) as samples:
+        published = [next(samples)]
+        with repeated(lambda: published.append(next(samples)), every_s=0.0):
+            process = run_program(command)
+    assert process.returncode == 0, process.stderr
+    lines = [line.split() for line in process.stdout.splitlines()]
+    ticks = {sample.tick: sample for sample in published}
+    assert len(lines) == CHANGES and "-0.000" not in process.stdout
+    for at, (tick, mode, *force) in enumerate(lines):
+        sample = ticks[int(tick)]
+        assert MODE_NAMES[sample.contact.mode] == mode
+        assert list(sample.force) == pytest.approx([float(word) for word in force], abs=1e-3)  # three decimals
+        assert at == 0 or MODE_NAMES[ticks[int(tick) - apart].contact.mode] != mode
+
+
+def test_every_program_is_on_the_page() -> None:
+    page = (PROGRAMS.parents[1] / "docs" / "operate" / "subscribe.md").read_text()
+    own = (PROGRAMS / "README.md").read_text()
+    for program in PROGRAMS.glob("subscribe*.*"):
+        assert f"/{program.name})" in page and f"({program.name})" in own
+    assert "**It has not been run**" in page

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import doctest
 import importlib
 import inspect
 import json
+import pickle
 import pydoc
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +20,7 @@ import msgspec
 import numpy as np
 import pytest
 from helpers.programs import run_program
+from helpers.refusals import refusal
 
 import softfinger
 from softfinger.config.errors import ConfigError, HapticError
@@ -36,14 +40,8 @@ RIBS = FOLDER_OF["scenes"] / "ribs.csv"  # texture of a scene
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 PRESSED = (0.0, 0.0, 0.0095)
 STIFFNESS = "object.table.material.stiffness_n_per_m"
-MODULES = (
-    "softfinger",
-    "softfinger.config.load",
-    "softfinger.proxy.engine",
-    "softfinger.proxy.records",
-    "softfinger.server.offline.simulate",
-    "softfinger.server.remote",
-)
+MODULES = ("config.load", "proxy.engine", "proxy.records", "server.offline.simulate", "server.remote")
+"""Modules with examples in their docstrings, besides the package."""
 
 
 @pytest.fixture
@@ -120,11 +118,10 @@ print(loaded(*(f"softfinger.proxy.{part}" for part in parts)))
 
 
 def test_an_engine_imports_only_the_modules_of_its_scene():
-    process = run_program([sys.executable, "-c", IMPORTS], check=True)
-    assert process.stdout.splitlines() == ["[] True", "[]"]
+    assert run_program([sys.executable, "-c", IMPORTS], check=True).stdout.splitlines() == ["[] True", "[]"]
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", ["softfinger", *(f"softfinger.{module}" for module in MODULES)])
 def test_the_examples_of_docstrings_run(name: str, client: partial[Client]) -> None:
     results = doctest.testmod(importlib.import_module(name), extraglobs={"Client": client})
     assert results.attempted and not results.failed
@@ -238,8 +235,7 @@ def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
     assert not ((values > 0.0) & (values < np.finfo(float).tiny)).any()
     velocity = values[:, AT.probe_velocity : AT.probe_velocity + 3]
     assert velocity[299].all() and not velocity[-1].any()
-    still = engine.run(np.full((1, 7), poses[-1]))["probe.velocity"]
-    assert np.array_equal(still, np.zeros((1, 3)))
+    assert np.array_equal(engine.run(np.full((1, 7), poses[-1]))["probe.velocity"], np.zeros((1, 3)))
 
 
 @pytest.mark.plain
@@ -284,8 +280,7 @@ def test_step_and_run_agree_to_the_bit(engine: Engine) -> None:
 @pytest.mark.plain
 def test_a_mapping_is_as_good_as_a_file() -> None:
     scene = load_scene("sphere")
-    assert load_scene(describe(scene)) == scene == load_scene(scene)
-    assert Engine(describe(scene)).config == scene
+    assert load_scene(describe(scene)) == scene == load_scene(scene) and Engine(describe(scene)).config == scene
     with pytest.raises(ConfigError, match=r"scene: fingertip.radius_m = 'big'.*\n.*object"):
         load_scene({"fingertip": {"radius_m": "big"}})
     ball = "object.sphere.radius_m"
@@ -347,24 +342,12 @@ def test_shipped_files_are_listed_one_per_line(verb: str, capsys: pytest.Capture
         assert len(text.split()) > 3
 
 
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        (STIFFNESS, 1000.0),
-        ("object.0.name", "table"),
-        ("object.table.material.friction", {"static": 0.6, "kinetic": 0.5}),
-    ],
-)
-def test_engine_returns_parameters(path, value):
-    assert Engine("paper-plane").get(path) == value
-
-
-@pytest.mark.parametrize(
-    "path", ["object.table.nothing", "object.desk.name", "object.7.name", "fingertip.radius_m.x", ""]
-)
-def test_engine_refuses_a_path_without_value(path):
-    with pytest.raises(ConfigError, match="no value at " + repr(path)):
-        Engine("paper-plane").get(path)
+def test_engine_returns_parameters_and_refuses_a_path_without_value():
+    get = Engine("paper-plane").get
+    assert (get(STIFFNESS), get("object.0.name")) == (1000.0, "table")
+    assert get("object.table.material.friction") == {"static": 0.6, "kinetic": 0.5}
+    for path in ("object.table.nothing", "object.desk.name", "object.7.name", "fingertip.radius_m.x", ""):
+        assert f"no value at {path!r}" in refusal(get, path)
 
 
 def test_notebooks_show_tables():
@@ -373,3 +356,20 @@ def test_notebooks_show_tables():
     records = Records(np.zeros((2, RECORD_SIZE)))
     assert records._repr_html_().count("<tr>") == len(FIELDS) == records[0]._repr_html_().count("<tr>")
     assert "<tr>" not in records[:0]._repr_html_()
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("scene", ["paper-plane", "heightmap", "plates", "roll-a-pencil"])
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda engine: pickle.loads(pickle.dumps(engine))])
+def test_a_copy_continues_in_separate_memory(scene: str, duplicate: Callable[[Engine], Engine]) -> None:
+    engine = Engine(scene)
+    engine.step((0.001, 0.0, 0.0095), UPRIGHT)
+    copied = duplicate(engine)
+    for x in (0.002, 0.003):
+        records = [one.step((x, 0.0, 0.009), UPRIGHT).record for one in (copied, engine)]
+        np.testing.assert_array_equal(*records)
+    before, third = engine._state.copy(), duplicate(engine)
+    copied.reset()
+    copied.step(PRESSED, UPRIGHT)
+    np.testing.assert_array_equal(engine._state, before)
+    np.testing.assert_array_equal(*(one.step(PRESSED, UPRIGHT).record for one in (engine, third)))

@@ -1,11 +1,8 @@
-"""Readers accept arbitrary bytes or refuse them with one clear error: stored cases, and new random ones for a limited
-time.
+"""Readers accept arbitrary bytes or refuse them with one clear error: stored cases, and new ones for a limited time.
 
 A failure prints how to store its bytes in tests/corpus, from where every run tests them again. SOFTFINGER_FUZZ_SECONDS
 is the time for each target, SOFTFINGER_FUZZ_SEED the seed.
 """
-
-from __future__ import annotations
 
 import os
 import sys

@@ -1,6 +1,4 @@
-"""Rules of the repository: docstrings of packages, maps that match the code, planted mistakes."""
-
-from __future__ import annotations
+"""Rules of the repository: docstrings of packages, maps that match the code, planted mistakes, names of users."""
 
 import ast
 import importlib
@@ -9,7 +7,9 @@ import re
 import tomllib
 from pathlib import Path
 
+import mutants
 import pytest
+from references import contract
 
 pytestmark = pytest.mark.plain
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,24 +58,21 @@ def test_no_failing_test_waits_for_its_program() -> None:
 def test_the_map_is_true() -> None:
     page = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
     named = re.findall(r"`((?:config|docs|examples|drivers|proxy|server|tests|tools)/[\w/.-]*)`", page)
-    assert len(named) > 30
-    assert not [place for place in named if not (ROOT / place).exists()]
+    assert len(named) > 30 and not [place for place in named if not (ROOT / place).exists()]
 
 
 def test_each_reason_for_less_coverage_is_of_a_file() -> None:
     table = tomllib.loads((ROOT / "tests" / "coverage_reasons.toml").read_text("utf-8"))["reason"]
     files = [file for entry in table for file in entry["files"]]
-    assert len(set(files)) == len(files)
-    assert not [file for file in files if not (ROOT / file).is_file()]
+    assert len(set(files)) == len(files) and not [file for file in files if not (ROOT / file).is_file()]
 
 
 def test_each_planted_mistake_can_be_made() -> None:
-    for mutant in tomllib.loads((ROOT / "tests" / "mutants.toml").read_text("utf-8"))["mutant"]:
-        assert mutant.keys() == {"file", "old", "new", "mistake", "tests"} and mutant["tests"], mutant
-        text = (ROOT / mutant["file"]).read_text("utf-8")
-        assert text.count(mutant["old"]) == 1, mutant["mistake"]
-        compile(text.replace(mutant["old"], mutant["new"]), mutant["file"], "exec")
-        for test in mutant["tests"]:
+    for mutant in mutants.read():
+        text = (ROOT / mutant.file).read_text("utf-8")
+        assert text.count(mutant.old) == 1 and mutant.tests, mutant
+        compile(text.replace(mutant.old, mutant.new), mutant.file, "exec")
+        for test in mutant.tests:
             file, _, function = test.partition("[")[0].partition("::")
             assert f"def {function.rpartition('::')[2]}" in (ROOT / file).read_text("utf-8"), test
 
@@ -105,3 +102,10 @@ def test_names_in_the_glossary_exist() -> None:
             assert any(path.exists() for path in places), place
         elif not place.startswith("["):
             assert re.search(rf"\b{place.rpartition('.')[2]}\b", sources), place
+
+
+def test_no_name_that_users_depend_on_disappears() -> None:
+    names = contract.names()
+    for kind, tables in tomllib.loads((ROOT / "tests" / "references" / "contract.toml").read_text("utf-8")).items():
+        listed = {first + ending for first, endings in tables.items() for ending in endings}
+        assert listed - set(names[kind]) == set()

@@ -1,7 +1,5 @@
 """The example of a leader arm on emulated bus servos: contract, pose and force, faults of the bus, its time."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time
@@ -30,8 +28,7 @@ pytestmark = pytest.mark.real_time
 
 SERIES = {"feetech": FEETECH, "dynamixel": DYNAMIXEL}
 IDS = {"yaw": 1, "pitch": 2, "roll": 3}
-LEVER_M = 0.2
-NM_PER_COUNT = 0.0005
+LEVER_M, NM_PER_COUNT = 0.2, 0.0005
 URDF = f"""
 <robot name="arm">
   <joint name="yaw" type="revolute"><parent link="base"/><child link="a"/>
@@ -67,10 +64,6 @@ def arm_options(arm: BusServos | str, urdf: Path, **changes: Any) -> leader.Opti
 
 def emulated(table: Registers = FEETECH, **how: Any) -> BusServos:
     return BusServos(table, dict.fromkeys(IDS.values(), 2048), **how)
-
-
-def settle(device: leader.LeaderArm) -> None:
-    eventually(device.is_settled)
 
 
 def force_x(arm: BusServos) -> float:
@@ -111,7 +104,7 @@ class ArmBench(Bench):
         return force[0], 0.0, 0.0
 
     def displayed(self) -> tuple[float, ...]:
-        settle(self.device)
+        eventually(self.device.is_settled)
         return (force_x(self.arm), 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def make(self, case: str) -> None:
@@ -147,8 +140,7 @@ def test_published_packets() -> None:
     """A ping of servo 1, from Feetech's manual, and from Robotis' page on protocol 2.0."""
     assert Feetech(-1, 0.0).packet(1, 1, b"").hex(" ") == "ff ff 01 02 01 fb"
     ping = Dynamixel(-1, 0.0).packet(1, 1, b"")
-    assert ping.hex(" ") == "ff ff fd 00 01 03 00 01 19 4e"
-    assert crc16(ping[:-2]) == 0x4E19
+    assert ping.hex(" ") == "ff ff fd 00 01 03 00 01 19 4e" and crc16(ping[:-2]) == 0x4E19
 
 
 @pytest.mark.parametrize("protocol", SERIES)
@@ -242,9 +234,8 @@ def test_refusals(urdf: Path, tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match=r"no \[\[device.joint\]\] has that name"):
             leader.open_device(arm_options(arm, urdf, force_joint="elbow"), RATE_HZ)
         arm.servos[2].memory[FEETECH.mode] = 0
-        with pytest.raises(
-            DeviceError, match="servo 2 is in mode 0, and follows forces in mode 2 only: set register 33"
-        ):
+        mode = "servo 2 is in mode 0, and follows forces in mode 2 only: set register 33"
+        with pytest.raises(DeviceError, match=mode):
             leader.open_device(arm_options(arm, urdf), RATE_HZ)
         arm.servos[3].mute = True
         with pytest.raises(DeviceTimeout, match=r"servo 3 has not answered.*check path, baud"):

@@ -1,7 +1,5 @@
 """The pages of docs/model/: their beginnings, and their worked examples run as printed."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -4,8 +4,6 @@ The kinds of fences: `sh` is for a terminal and runs here; a fence with a `title
 `console` needs the network, a device, a browser or time, and is only parsed (tests/test_docs.py).
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

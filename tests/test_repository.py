@@ -1,7 +1,5 @@
 """Files that a public host reads: workflows, forms, citation, compose file."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

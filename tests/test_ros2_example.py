@@ -1,7 +1,5 @@
 """The node of examples/bridges: its messages follow ROS 2's definitions, and it runs if rclpy is installed."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import signal
@@ -23,8 +21,7 @@ from softfinger.server.wire.client import Sample, subscribe
 
 NODE = Path(__file__).resolve().parents[1] / "examples" / "bridges" / "ros2_node.py"
 PACKAGES = ("geometry_msgs", "std_msgs", "builtin_interfaces")
-MESSAGES = 20
-WAIT_S = 120.0
+MESSAGES, WAIT_S = 20, 120.0
 
 
 def sample_of(record: Records) -> Sample:

@@ -1,7 +1,5 @@
 """A test that failed is repeated where the machine stood still, and nowhere else."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -22,7 +20,6 @@ def test_luck():
     turns.append(1)
     assert len(turns) == 2
 """
-
 
 NO_LUCK = """
 import pytest
@@ -101,9 +98,8 @@ def test_a_stall_of_one_processor_is_detected() -> None:
     sleepers = Sleepers()
     try:
         sleepers.longest_s()  # they are up
-        assert [os.sched_getaffinity(program.pid) for program in sleepers._programs] == [
-            {cpu} for cpu in sorted(os.sched_getaffinity(0))
-        ]
+        own = [os.sched_getaffinity(program.pid) for program in sleepers._programs]
+        assert own == [{cpu} for cpu in sorted(os.sched_getaffinity(0))]
         for program in sleepers._programs:
             sleepers.longest_s()
             os.kill(program.pid, signal.SIGSTOP)

@@ -1,7 +1,5 @@
 """Configuration of the virtual machine, tested without starting one."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import os

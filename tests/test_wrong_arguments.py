@@ -1,7 +1,5 @@
 """Arguments of wrong types at every entry of the Python interface raise one error, which names the argument."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Limits of configuration files: bounded time and memory, and no ignored override."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path

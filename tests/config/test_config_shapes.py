@@ -1,7 +1,5 @@
 """Shapes in a scene file: accepted values, refused values, and the bodies of each shape."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -53,15 +51,11 @@ def signed_distance(item: Any, x: tuple[float, float, float]) -> float:
     return min(float(closest(shape, x)[0]) for shape, _, _ in shape_bodies(item))
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", [kind.shape for kind in schema.Object.__args__ if kind.shape not in FROM_FILES])
 def test_the_key_shape_selects_the_struct(shape: str) -> None:
     scene = build(schema.Scene, mapping(shape), "f.toml")
     assert scene.object[0].shape == shape == type(scene.object[0]).__name__.lower()
     assert build(schema.Scene, describe(scene), "again") == scene
-
-
-def test_all_shapes_are_tested_here() -> None:
-    assert {kind.shape for kind in schema.Object.__args__} == set(SHAPES) | FROM_FILES
 
 
 def keys_of_size(shape: str, size: float) -> dict[str, Any]:
@@ -87,8 +81,7 @@ def test_dimensions_have_the_range_the_geometry_is_tested_in(shape: str) -> None
 )
 def test_dimensions_are_required(shape: str, key: str) -> None:
     (fault,) = faults_of(shape, **{key: None})
-    assert f"object[0].{key} is missing" in fault
-    assert f"such as {key} = " in fault
+    assert f"object[0].{key} is missing" in fault and f"such as {key} = " in fault
 
 
 TIGHT: list[tuple[str, float, dict[str, Any], str]] = [
@@ -106,8 +99,7 @@ TIGHT: list[tuple[str, float, dict[str, Any], str]] = [
 @pytest.mark.parametrize(("shape", "radius", "keys", "at"), TIGHT)
 def test_a_fingertip_must_fit(shape: str, radius: float, keys: dict[str, Any], at: str) -> None:
     (fault,) = faults_of(shape, radius * 1.0001, **keys)
-    assert f"object[0].{at} = " in fault
-    assert "fingertip" in fault
+    assert f"object[0].{at} = " in fault and "fingertip" in fault
     assert f"{radius * 1.0001:g} m" in fault or f"{2 * radius * 1.0001:g} m" in fault
     assert object_of(shape, radius * 0.999, **keys).shape == shape
 

@@ -1,13 +1,12 @@
 """Files of injected faults: accepted contents and errors."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
+from helpers.refusals import refusal
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,8 +27,7 @@ def faults(**keys: Any) -> Faults:
 
 
 def test_a_file_is_shipped_for_every_kind() -> None:
-    kinds = {fault.kind for name in list_shipped(Faults) for fault in load_faults(name).fault}
-    assert kinds == KINDS
+    assert {fault.kind for name in list_shipped(Faults) for fault in load_faults(name).fault} == KINDS
 
 
 def test_the_page_lists_every_kind() -> None:
@@ -52,14 +50,12 @@ def test_the_page_lists_every_kind() -> None:
     ],
 )
 def test_a_fault_is_reported_with_its_key(keys: dict[str, Any], words: str) -> None:
-    with pytest.raises(ConfigError, match=words) as error:
-        faults(**keys)
-    assert "\n" not in str(error.value)
+    message = refusal(faults, **keys)
+    assert re.search(words, message) and "\n" not in message
 
 
 def test_an_unknown_name_is_reported_with_a_similar_one() -> None:
-    with pytest.raises(ConfigError, match=r"no file of faults is called 'teleprt'.*did you mean 'teleport'"):
-        load_faults("teleprt")
+    assert re.search(r"no file of faults is called 'teleprt'.*did you mean 'teleport'", refusal(load_faults, "teleprt"))
 
 
 @pytest.mark.parametrize(
@@ -86,17 +82,10 @@ KEYS = sorted({"what", *(name for kind in get_args(Injection) for name in kind._
 
 @given(st.lists(st.dictionaries(st.sampled_from(["kind", *KEYS]), VALUES, max_size=5) | VALUES, max_size=3) | VALUES)
 def test_a_random_file_gives_faults_or_an_error(tables: Any) -> None:
-    message = ""
     try:
         made = build(Faults, {"fault": tables}, "my-faults.toml")
     except ConfigError as error:
-        message = str(error)
-    if message:
-        assert "my-faults.toml: fault" in message
+        assert "my-faults.toml: fault" in str(error)  # noqa: PT017
         return
-    rows = make_fault_table(made.fault, 1000.0)
-    assert (
-        np.isfinite(rows[:, [FIRST_TICK, END_TICK, PERIOD_TICKS]]).all()
-        and (rows[:, FIRST_TICK] <= rows[:, END_TICK]).all()
-    )
-    assert (rows[:, PERIOD_TICKS] >= 1).all()
+    first, end, period = make_fault_table(made.fault, 1000.0)[:, [FIRST_TICK, END_TICK, PERIOD_TICKS]].T
+    assert np.isfinite([first, end, period]).all() and (first <= end).all() and (period >= 1).all()

@@ -1,7 +1,5 @@
 """Arrays named by a scene: every format gives the same numbers; other files give one clear error."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that somebody made to do harm: pipes, devices, bombs, planted links. One error, at once, in little memory."""
 
-from __future__ import annotations
-
 import os
 import resource
 import socket
@@ -101,9 +99,8 @@ def mcap_of(compression: str, data: bytes, size: int) -> bytes:
 
     header = text("") + text("")
     chunk = struct.pack("<QQQI", 0, 0, size, 0) + text(compression) + struct.pack("<Q", len(data)) + data
-    return b"\x89MCAP0\r\n" + b"".join(
-        struct.pack("<BQ", kind, len(body)) + body for kind, body in ((1, header), (6, chunk))
-    )
+    parts = [struct.pack("<BQ", kind, len(body)) + body for kind, body in ((1, header), (6, chunk))]
+    return b"\x89MCAP0\r\n" + b"".join(parts)
 
 
 def zstd_zeros(known: bool) -> bytes:

@@ -1,7 +1,5 @@
 """Library of materials and fingertips: its entries, and how a scene refers to and overrides them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -9,7 +7,6 @@ import pytest
 from helpers.refusals import refusal
 
 from softfinger.config import limits, schema
-from softfinger.config.errors import ConfigError
 from softfinger.config.load import apply_overrides, build, describe, load_scene
 from softfinger.config.materials import LibraryEntry, load_fingertips, load_materials, load_papers
 from softfinger.config.schema import Fingertip, Material, Scene
@@ -42,11 +39,8 @@ def test_every_material_is_one_a_scene_may_have(name: str) -> None:
     material = material_of(name)
     assert material.name == name
     # Small desktop devices render up to 3000 N/m and have 1 to 2 N s/m of physical damping.
-    assert 100.0 <= material.stiffness_n_per_m < 3000.0
-    assert 0.0 < material.damping_ns_per_m <= 1.0
-    assert isinstance(material.friction, schema.Friction)
-    assert 0.0 < material.friction.kinetic <= material.friction.static <= 1.0
-    assert material.torsion is not None
+    assert 100.0 <= material.stiffness_n_per_m < 3000.0 and 0.0 < material.damping_ns_per_m <= 1.0
+    assert 0.0 < material.friction.kinetic <= material.friction.static <= 1.0 and material.torsion is not None
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -55,8 +49,6 @@ def test_torsion_follows_its_formula(name: str) -> None:
     modulus = 1.0 / (1.0 / 45e3 + (1.0 / soft[name] if name in soft else 0.0))
     material = material_of(name)
     assert material.shear_modulus_pa == soft.get(name)
-    assert material.torsion is not None
-    assert material.friction is not None
     # The file rounds the stiffness to two digits and the length to three.
     assert material.torsion.stiffness_nm_per_rad == pytest.approx(16.0 / 3.0 * modulus * 0.006**3, rel=0.01)
     assert material.torsion.friction_length_m == pytest.approx(2.0 / 3.0 * material.friction.static * 0.006, rel=0.002)
@@ -91,21 +83,18 @@ def test_sources_have_valid_dois() -> None:
 def test_finger_pad_depth_follows_hertz() -> None:
     """F = 4/3 E* sqrt(r) d^1.5 with E* = 4 G of `human-index`, whose modulus is within the measured range."""
     material, tip = material_of("finger-pad"), tip_of("human-index")
-    assert material.normal is not None and tip.patch is not None and tip.radius_m is not None
     reduced = 4.0 * tip.patch.shear_modulus_pa
     for force in (0.1, 1.0, 5.0):
         deep = (3.0 * force / (4.0 * reduced * math.sqrt(tip.radius_m))) ** (2.0 / 3.0)
         assert material.depth_under(force) == pytest.approx(deep, rel=1e-3)  # three digits of the stiffness
-    soft, stiff = load_materials()["finger-pad"].measured[0].youngs_modulus_pa or (0.0, 0.0)
+    soft, stiff = load_materials()["finger-pad"].measured[0].youngs_modulus_pa
     assert soft < 3.0 * tip.patch.shear_modulus_pa < stiff
 
 
 def tip_of(fingertip: Any) -> Fingertip:
     """Return the fingertip that a scene builds from its `fingertip` key."""
     table = {"name": "table", "shape": "plane", "material": "wood"}
-    tip = build(Scene, {"fingertip": fingertip, "object": [table]}, "f.toml").fingertip
-    assert tip is not None
-    return tip
+    return build(Scene, {"fingertip": fingertip, "object": [table]}, "f.toml").fingertip
 
 
 @pytest.mark.parametrize("name", TIPS)
@@ -119,14 +108,11 @@ def test_the_human_pads_have_one_patch_at_1_n() -> None:
     """The patch radius of laws other than Hertz's is that of Hertz at 1 N, (3 r / 16 G)^(1/3)."""
     hertz = (3.0 * 0.01 / (16.0 * 45e3)) ** (1.0 / 3.0)
     for name in ("human-index-plateau", "human-index-paraboloid"):
-        patch = tip_of(name).patch
-        assert patch is not None and patch.radius_m == pytest.approx(hertz, rel=1e-4)  # given with four digits
+        assert tip_of(name).patch.radius_m == pytest.approx(hertz, rel=1e-4)  # given with four digits
 
 
 def test_the_paraboloid_has_a_paraboloid_s_mean_distance() -> None:
-    patch = tip_of("human-index-paraboloid").patch
-    assert patch is not None and patch.pressure_exponent is not None
-    k = patch.pressure_exponent
+    k = tip_of("human-index-paraboloid").patch.pressure_exponent
 
     def beta(a: float, b: float) -> float:
         return math.gamma(a) * math.gamma(b) / math.gamma(a + b)
@@ -140,7 +126,6 @@ def test_fingertip_keys_override_the_library() -> None:
     oval = tip_of({"pad": "human-index", "radii_m": [0.008, 0.007, 0.012]})
     assert (oval.radius_m, oval.radii_m, oval.patch) == (None, (0.008, 0.007, 0.012), patch)
     lossy = tip_of({"pad": "human-index", "patch": {"rolling_loss": 0.3}}).patch
-    assert lossy is not None and patch is not None
     assert (lossy.rolling_loss, lossy.shear_modulus_pa) == (0.3, patch.shear_modulus_pa)
 
 
@@ -149,15 +134,13 @@ def test_each_finger_may_refer_to_a_pad() -> None:
     table = {"name": "table", "shape": "plane", "material": "wood"}
     scene = build(Scene, {"finger": fingers, "object": [table]}, "f.toml")
     assert [finger.patch for finger in scene.finger] == [tip_of(fields["pad"]).patch for fields in fingers]
-    assert [finger.name for finger in scene.finger] == ["thumb", "index"]
     assert build(Scene, describe(scene), "again") == scene
 
 
 def test_an_unknown_fingertip_is_refused_with_the_nearest() -> None:
-    with pytest.raises(ConfigError, match=r"fingertip = 'human-indx': not in the library \(did you mean 'human-index'"):
-        tip_of("human-indx")
-    with pytest.raises(ConfigError, match=r"fingertip\.pad = 'x': not in the library"):
-        tip_of({"pad": "x"})
+    message = refusal(tip_of, "human-indx")
+    assert "fingertip = 'human-indx': not in the library (did you mean 'human-index'" in message
+    assert "fingertip.pad = 'x': not in the library" in refusal(tip_of, {"pad": "x"})
 
 
 def test_a_described_scene_does_not_read_the_library() -> None:
@@ -165,11 +148,8 @@ def test_a_described_scene_does_not_read_the_library() -> None:
     assert build(Scene, mapping, "again").object[0].material.torsion is None
     mapping["object"][0]["material"] |= {"name": "of another version", "stiffness_n_per_m": 123.0}
     material = build(Scene, mapping, "again").object[0].material
-    assert (material.name, material.stiffness_n_per_m, material.shear_modulus_pa) == (
-        "of another version",
-        123.0,
-        600e3,
-    )
+    assert (material.name, material.stiffness_n_per_m) == ("of another version", 123.0)
+    assert material.shear_modulus_pa == 600e3
 
 
 def test_an_override_reaches_into_a_named_table() -> None:
@@ -187,7 +167,6 @@ def test_an_override_reaches_into_a_named_table() -> None:
 
 def test_single_keys_can_be_changed() -> None:
     rubber = material_of("rubber")
-    assert rubber.friction is not None
     changed = material_of({"name": "rubber", "stiffness_n_per_m": 900, "friction": {"kinetic": 0.2}})
     assert changed.stiffness_n_per_m == 900.0
     assert changed.friction == schema.Friction(static=rubber.friction.static, kinetic=0.2)
@@ -225,5 +204,4 @@ def test_an_unknown_material_is_refused(material: Any, reason: str) -> None:
 def test_a_wrong_name_does_not_hide_other_faults() -> None:
     table = {"name": "table", "shape": "plane", "material": "ruber"}
     message = refusal(build, Scene, {"fingertip": {"radius_m": -1}, "object": [table]}, "f.toml")
-    assert "2 faults" in message
-    assert "fingertip.radius_m" in message
+    assert "2 faults" in message and "fingertip.radius_m" in message

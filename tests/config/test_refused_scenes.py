@@ -1,14 +1,15 @@
-"""Scenes whose laws, motions or effects do not fit: changes of the paper's plane, and the message of each."""
+"""Scenes whose laws, motions, effects, tables or names do not fit: changes of shipped scenes, and each message."""
 
-from __future__ import annotations
-
+import re
+import tomllib
 from typing import Any
 
 import pytest
 from conftest import paper_mapping
 from helpers.refusals import refusal
 
-from softfinger.config.load import build
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import build, describe, load_scene
 from softfinger.config.schema import Scene
 
 pytestmark = pytest.mark.plain
@@ -90,3 +91,41 @@ SCENES: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(("changes", "message"), SCENES)
 def test_a_scene_that_does_not_fit_is_refused(changes: dict[str, Any], message: str) -> None:
     assert message in refusal(build, Scene, paper_mapping(**changes), "test scene")
+
+
+@pytest.mark.parametrize(
+    ("scene", "place", "name"),
+    [
+        ("bend-a-strip", ("object", 0, "elastic"), "fixed"),
+        ("bend-a-strip", ("object", 0), "material"),
+        ("paper-plane", (), "object"),
+    ],
+)
+def test_the_header_of_a_missing_table_is_toml(scene: str, place: tuple[str | int, ...], name: str) -> None:
+    mapping = table = describe(load_scene(scene))
+    for key in place:
+        table = table[key]  # type: ignore[index]
+    del table[name]
+    with pytest.raises(ConfigError) as refused:
+        load_scene(mapping)
+    (header,) = re.findall(r"\[+[\w.\[\]]+\]$", str(refused.value))
+    written = tomllib.loads(header)
+    for key in (*(part for part in place if isinstance(part, str)), name):
+        written = written[key]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"world.geom.0.name": "bal"}, r"world\.geom\[0\] fits no geom of .*: name = 'bal'; it has bowl, ball"),
+        ({"world.geom.0.group": 7}, r"world\.geom\[0\] fits no geom of .*: name = 'ball', group = 7"),
+        ({"world.geom.0.default": "rubber"}, r"world\.geom\[0\] fits no geom of .*: name = 'ball', default = "),
+        ({"world.mass_kg": {"bal": 0.1}}, "'bal' is not a body with a mass; it has ball"),
+        ({"world.keyframe": "home"}, "has no such <key>; it has: none"),
+        ({"object.bowl.motion": {"kind": "body", "body": "bal"}}, r"motion\.body = 'bal' is not a body .*; it has"),
+    ],
+)  # fmt: skip
+def test_a_misspelt_name_is_refused_on_load(changes: dict[str, Any], message: str) -> None:
+    load_scene("ball-in-a-bowl")
+    with pytest.raises(ConfigError, match=message):
+        load_scene("ball-in-a-bowl", changes)

@@ -1,7 +1,5 @@
 """A probe that is clear of a moving body and retreats gets zero force, for each kind of geom."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -9,14 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from helpers.touching import GRIP
-from numpy.typing import NDArray
+from helpers.touching import GRIP, Array
 
 from softfinger.proxy.engine import Engine
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
 R, SIZE, STEP = 0.006, 0.02, 0.001
 """m: radius of the fingertip, largest distance of a geom's surface from its middle, path of the probe per tick."""
 RUBBER = GRIP | {"damping_ns_per_m": 2.0, "friction": {"static": 0.8, "kinetic": 0.6}}
@@ -51,8 +47,7 @@ def make_engine(folder: Path, kind: str) -> Engine:
 
 
 def visit(random: np.random.Generator, above: bool) -> Array:
-    """Poses (n, 7) to 4 to 7 mm from the body's middle, with some drag and roll, and away within 40 degrees. If
-    `above`, the path starts on the side of +z."""
+    """Poses (n, 7) to 4 to 7 mm from the body's middle, with drag and roll, and away; if `above`, from +z."""
     start = random.normal(size=3)
     if above:
         start[2] = abs(start[2]) + 2.0
@@ -87,8 +82,5 @@ def test_a_probe_clear_of_a_body_gets_zero_force(kind: str, tmp_path: Path, case
             clear = (axes.T @ away)[2] > 0.004 + R if kind == "hfield" else np.linalg.norm(away) > 1.001 * SIZE + R
             pressed = pressed or record["contact.normal_force"] > 0.0
             if clear:
-                assert not record["force"].any() and not record["torque"].any() and record["contact.mode"] == 0, (
-                    kind,
-                    away,
-                )
+                assert not record["force"].any() and not record["torque"].any() and record["contact.mode"] == 0, away
         assert clear and pressed

@@ -1,10 +1,6 @@
-"""Objects out of reach and copies of an object change no bit, and a contact that sticks has a constant normal.
-
-Forces are compared with closed forms, r = 10 mm, R = 20 mm, K = K_t = 1000 N/m. If a contact sticks while the proxy is
-at c, the force on a probe at x is K (c - x): pressed d deep and dragged by e, K d n - K e.
-"""
-
-from __future__ import annotations
+"""Objects out of reach and copies of an object change no bit, a contact that sticks has a constant normal, and no
+depth is negative. r = 10 mm, R = 20 mm, K = K_t = 1000 N/m. While a contact sticks with the proxy at c, the force on a
+probe at x is K (c - x): pressed d deep and dragged by e, K d n - K e."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -14,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import meshes, touching
+from helpers.examples import Cases
 from helpers.hostile_meshes import bar
-from helpers.touching import Array, posed, write_part
+from helpers.touching import Array, posed, spun, write_part
 from references.laws import LAWS
 from references.rotation import quaternion
 
+from softfinger.config.load import load_scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import NAMED
 
@@ -54,10 +52,6 @@ FAR = [
 ]
 SHIFTED = ["contact.object", *(f"contacts{i}.object" for i in range(3))]
 """Fields with an object index, which changes if other objects precede the object."""
-
-
-def distant_objects(material: dict[str, Any]) -> list[dict[str, Any]]:
-    return [entry | {"material": material} for entry in FAR]
 
 
 def engine(objects: Sequence[dict[str, Any]], method: str | None = None, **tables: Any) -> Engine:
@@ -104,7 +98,7 @@ def assert_same_but_for_numbers(alone: Any, company: Any, before: int) -> None:
 
 
 def check_out_of_reach(shape: str, method: str | None, folder: Path, material: dict[str, Any], **tables: Any) -> None:
-    it, others = make_table(shape, folder, material), distant_objects(material)
+    it, others = make_table(shape, folder, material), [entry | {"material": material} for entry in FAR]
     poses = handling(300, 11, 0.012 if "hollow" in shape else 0.016)[::2]
     if shape in ("plane", "heightmap"):
         poses[:, 2] += R
@@ -196,8 +190,7 @@ def test_an_object_out_of_reach_changes_no_bit_for_two_fingers(tmp_path: Path) -
 
 def line(*corners: Sequence[float], ticks: int = 50) -> Array:
     legs = [np.linspace(a, b, ticks, endpoint=False) for a, b in pairwise(corners)]
-    places = np.concatenate([*legs, [corners[-1]]])
-    return posed(places)
+    return posed(np.concatenate([*legs, [corners[-1]]]))
 
 
 LYING = {**SHAPES["cylinder"], "orientation_wxyz": [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]}
@@ -232,8 +225,7 @@ def test_a_contact_that_sticks_is_a_spring_to_the_stuck_point(shape: str, deep: 
 
 @pytest.mark.parametrize("method", ["euler_zxz", "rotation_vector", "midpoint"])
 def test_a_roll_at_a_fixed_position_turns_the_normal(method: str) -> None:
-    """On a sphere of 20 mm, 3 mm deep, a roll of 0.03 rad moves the centre by 0.3 mm and turns the normal by 0.01 rad.
-    The force is K (c - x), and the torque r times its tangential part."""
+    """A roll of 0.03 rad, 3 mm deep: the force is K (c - x), and the torque r times its tangential part."""
     it = {"name": "it", **SHAPES["sphere"], "material": STICKY}
     top, deep, turn = BALL + R, 3e-3, 0.03
     down = line((0.0, 0.0, top + 1e-3), (0.0, 0.0, top - deep))
@@ -263,8 +255,7 @@ def test_a_contact_that_sticks_to_an_edge_at_any_depth(deep: float, kind: str, t
     n, across = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0), np.array([1.0, 0.0, -1.0]) / np.sqrt(2.0)
     corner = np.array([half, 0.0, half])
     places = [corner + (R + 1e-3) * n, corner + (R - deep) * n, corner + (R - deep) * n + 2e-4 * across]
-    last = engine([it]).run(line(*[p.tolist() for p in places]))[-1]
-    force = last[NAMED["force"].at :][:3]
+    force = engine([it]).run(line(*[p.tolist() for p in places]))[-1][NAMED["force"].at :][:3]
     np.testing.assert_allclose([force @ n, force @ across], [K * deep, -0.2], atol=1e-5)
 
 
@@ -272,21 +263,19 @@ def test_a_pinched_ball_swings_by_its_two_tangential_springs() -> None:
     """Two sticking fingertips, 1 mm deep, act on a sphere of mass m as a spring of 2 K_t: sqrt(2 K_t / m)."""
     mass, deep, dt = 0.05, 1e-3, 1e-4
     driven = {"name": "it", **SHAPES["sphere"], "material": STICKY, "motion": {"kind": "driven"}}
-    fingers = [{"name": name, "radius_m": R, "coupling": {"stiffness_n_per_m": K}} for name in ("thumb", "index")]
-    for finger in fingers:
-        finger["coupling"] = {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0}
+    coupling = {"stiffness_n_per_m": K, "damping_ns_per_m": 0.0}
+    fingers = [{"name": name, "radius_m": R, "coupling": coupling} for name in ("thumb", "index")]
     running = engine([driven], finger=fingers)
     far_out, near = BALL + R + 1e-4, BALL + R - deep
     pinch = {
         name: line((0.0, 0.0, side * far_out), (0.0, 0.0, side * near), ticks=20)
         for name, side in (("thumb", -1.0), ("index", 1.0))
     }
-    records = running.run(pinch, dt)
-    last_poses = {name: poses[-1:] for name, poses in pinch.items()}
+    running.run(pinch, dt)
     # The squared frequency follows from the force on the sphere at a small displacement, compared with 2 K_t.
     u = 2e-5
     running.set("object.it.position_m", [u, 0.0, 0.0])
-    records = running.run(last_poses, dt)
+    records = running.run({name: poses[-1:] for name, poses in pinch.items()}, dt)
     on_ball = -sum(float(record["force"][-1, 0]) for record in records.values())
     frequency, expected = np.sqrt(-on_ball / u / mass), np.sqrt(2.0 * K / mass)
     assert frequency == pytest.approx(expected, rel=1e-4)
@@ -301,26 +290,63 @@ def over_a_box(seed: int, half: tuple[float, float, float], ticks: int) -> Array
     beyond = out / np.max(np.abs(out) / half, axis=1, keepdims=True) + 0.02 * out
     foot = np.clip(beyond, -np.array(half), half)
     normal = (beyond - foot) / np.linalg.norm(beyond - foot, axis=1, keepdims=True)
-    depth = 1e-3 * np.sin(2.0 * np.pi * 1.3 * t + 1.0) + 7e-4
-    return np.asarray(foot + (R - depth)[:, None] * normal)
+    return np.asarray(foot + (R - (1e-3 * np.sin(2.0 * np.pi * 1.3 * t + 1.0) + 7e-4))[:, None] * normal)
 
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_mesh_of_a_box_equals_the_box_with_friction(seed: int, tmp_path: Path) -> None:
-    """Touch, stick, slide and release over faces, edges and corners give the forces of the shape box.
-
-    The tolerance is that of float32 vertices, 1e-9 m, times 1000 N/m. No tick's path enters and leaves an edge, which
-    is a touch of the shape and none of the mesh.
-    """
+    """The tolerance is that of float32 vertices, 1e-9 m, times 1000 N/m. No tick's path enters and leaves an edge,
+    which is a touch of the shape and none of the mesh."""
     half = (0.02, 0.0175, 0.015)
     box = {"name": "it", "shape": "box", "size_m": [2.0 * h for h in half], "material": GRIP}
     mesh = {"name": "it", "shape": "mesh", "file": write_part(tmp_path, *bar(*half)), "material": GRIP}
-    places = over_a_box(seed, half, 700)
-    poses = posed(places)
+    poses = posed(over_a_box(seed, half, 700))
     solid, made = engine([box]).run(poses), engine([mesh]).run(poses)
     assert {0.0, 1.0, 2.0} <= set(solid["contact.mode"])
     faces, edges, corners = ((np.count_nonzero(solid["contact.normal"], axis=1) == n).sum() for n in (1, 2, 3))
     assert min(faces, edges, corners) > 10
     np.testing.assert_allclose(made["force"], solid["force"], atol=1e-6)
     np.testing.assert_allclose(made["proxy.position"], solid["proxy.position"], atol=1e-9)
+
+
+ROOM = {"shape": "box", "size_m": [0.05, 0.05, 0.05], "inside": True}
+NORMAL = (
+    {"damping_ns_per_m": 1.0},
+    {"normal": {"exponent": 1.5}},
+    {"normal": {"exponent": 2.0, "damping_s_per_m": 1.0}},
+)
+FRICTION = ({"friction": {"static": 10.0, "kinetic": 9.0}}, {"friction": {"static": 0.6, "kinetic": 0.5}}, {})
+
+
+def random_poses(rng: np.random.Generator, ticks: int) -> Array:
+    """Poses (ticks, 7) in and out of an object at the origin, by up to 5 mm and 0.2 rad per tick."""
+    t = 0.001 * np.arange(ticks)[:, None]
+    rates, phases = rng.uniform(2.0, 40.0, (3, 3)), rng.uniform(0.0, 6.0, (3, 3))
+    points = sum(np.sin(rates[k] * t + phases[k]) for k in range(3)) * rng.uniform(0.002, 0.02) + [0.0, 0.0, 0.012]
+    angles = np.cumsum(rng.normal(0.0, 0.05, (ticks, 1)), axis=0)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    return posed(points, spun(axis, 2.0 * angles[:, 0]))
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.scaled
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("shape", [*SHAPES, "room", "heightmap", "mesh ball"])
+def test_the_depth_is_never_negative(shape: str, count: int, cases: Cases, tmp_path: Path) -> None:
+    """With a second object, and with friction that displaces the proxy far from the probe."""
+    rng, touched = np.random.default_rng(len(shape)), 0
+    for number in range(cases(3, 300)):
+        stuff = {"stiffness_n_per_m": 1000.0} | NORMAL[number % 3] | FRICTION[(number // 3 + number) % 3]
+        it = ROOM | {"material": stuff} if shape == "room" else make_table(shape, tmp_path, stuff)
+        objects = [it | {"name": f"it {k}", "position_m": [0.004 * k, 0.0, 0.001 * k]} for k in range(count)]
+        scene = load_scene({"fingertip": {"radius_m": R}, "object": objects})
+        records = Engine(scene).run(random_poses(rng, cases(100, 150)))
+        depth, force = records["contact.penetration"], records["contact.normal_force"]
+        assert (depth >= 0.0).all(), (number, depth.min())
+        assert (depth[records["contact.mode"] == 0] == 0.0).all()
+        if count == 1:  # a second object may bear all of the force
+            assert (depth[force > 0.0] > 0.0).all()
+        touched += int((force > 0.0).sum())
+    assert touched >= 20

@@ -1,10 +1,5 @@
-"""Unused parts of a scene are absent from its compiled code.
-
-These tests compile in every run, because they inspect compiler output, which is not cached. `make test` therefore
-compiles only the bare plane, `make test-all` every scene.
-"""
-
-from __future__ import annotations
+"""Unused parts of a scene are absent from its compiled code. Compiler output is not cached, so these tests compile in
+every run: `make test` the bare plane, `make test-all` every scene."""
 
 import functools
 from typing import Any
@@ -83,8 +78,7 @@ def test_each_feature_adds_code_only_to_scenes_with_it(without: str, having: str
     less, more = compiled(without), compiled(having)
     added = more.kernels - less.kernels
     assert {kernel.rpartition(".")[0] for kernel in added} >= ADDED[without, having]
-    assert less.arithmetic < more.arithmetic
-    assert sum(less.operations.values()) < sum(more.operations.values())
+    assert less.arithmetic < more.arithmetic and sum(less.operations.values()) < sum(more.operations.values())
 
 
 CALLED: dict[str, tuple[set[str], set[str] | None]] = {
@@ -103,8 +97,6 @@ CALLED: dict[str, tuple[set[str], set[str] | None]] = {
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CALLED)
 def test_costly_functions_are_called_by_the_parts_that_need_them(name: str) -> None:
-    """atan2 is called only with rolling and torsion, sin with an oscillation or a turntable, pow with a nonlinear
-    normal force."""
     called = {call.removeprefix("llvm.").removesuffix(".f64") for call in compiled(name).calls}
     least, most = CALLED[name]
     assert least <= called and (most is None or called <= most)

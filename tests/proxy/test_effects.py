@@ -1,7 +1,5 @@
 """Effects: forces compared with closed forms, bounds, energy, scene file and rendering."""
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib
@@ -12,12 +10,12 @@ from typing import Any, get_args
 import numba
 import numpy as np
 import pytest
-from conftest import SceneFactory
+from conftest import paper_scene
 from helpers.examples import examples
 from helpers.touching import posed
 from hypothesis import given
 from hypothesis import strategies as st
-from references.hand import Array
+from references.hand import Array, plane_engine
 
 from softfinger.config import schema
 from softfinger.config.load import build
@@ -167,8 +165,7 @@ def test_boundary_pushes_inward(effect: Any, x: model.Vec3, v: model.Vec3) -> No
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.5])
 def test_magnet_vanishes_at_its_range_without_a_step(exponent: float) -> None:
-    """The pull is F (1 - gap / range)^n towards the surface and F in contact, continuous at its range and at the
-    surface."""
+    """The pull is F (1 - gap / range)^n towards the surface, and F in contact."""
     effect = model.Magnet(2.0, 0.02, exponent)
     normal = (0.6, 0.0, 0.8)
     for gap in [0.0, 0.004, 0.01, 0.019]:
@@ -189,9 +186,8 @@ def test_magnet_does_the_work_of_its_potential() -> None:
     path = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * s], axis=1)
     middle = 0.5 * (path[1:] + path[:-1])
     lengths = np.linalg.norm(middle, axis=1)
-    forces = np.array(
-        [force_of(effect, moment(gap=g - 1.0, normal=tuple(x / g))) for x, g in zip(middle, lengths, strict=True)]
-    )
+    moments = [moment(gap=g - 1.0, normal=tuple(x / g)) for x, g in zip(middle, lengths, strict=True)]
+    forces = np.array([force_of(effect, at) for at in moments])
     # Midpoint rule with 4000 steps: error about 1e-7 of the work.
     assert np.sum(forces * np.diff(path, axis=0)) == pytest.approx(2.0 * 0.02 / 3.0, rel=1e-5)
 
@@ -225,13 +221,11 @@ def drag(length: float, n: int, **changes: Any) -> Iterator[Situation]:
 
 
 def test_stick_slip_is_a_sawtooth() -> None:
-    effect = model.StickSlip(1000.0, 0.5)
-    forces = run(effect, drag(0.005, 5000))
+    forces = run(model.StickSlip(1000.0, 0.5), drag(0.005, 5000))
     # 0.5 N / 1000 N/m = 0.5 mm per ridge; it jumps on the first tick beyond it, a step of 1 um later.
     assert forces[:, 0].min() == pytest.approx(-0.5, abs=1e-9)
     jumps = np.flatnonzero(np.diff(forces[:, 0]) > 0.4)
-    assert len(jumps) == 9
-    assert np.diff(jumps) == pytest.approx(501, abs=1)
+    assert len(jumps) == 9 and np.diff(jumps) == pytest.approx(501, abs=1)
     assert not forces[:, 1:].any()
     work = np.sum(forces[:, 0]) * 1e-6
     # F^2 / 2K per ridge, ten ridges except nine steps lost on jumping; 0.3 % because of finite ticks.
@@ -266,8 +260,7 @@ def test_vibration_is_a_sine_from_touch_on() -> None:
     forces = run(effect, iter(moments))
     sine = 0.5 * np.sin(2 * np.pi * 130.0 * DT * np.arange(5000))
     # The phase is accumulated: 5000 roundings of 1e-16 turns.
-    assert forces[100:5100] == pytest.approx(np.outer(sine, normal), abs=1e-11)
-    assert not forces[:100].any()
+    assert forces[100:5100] == pytest.approx(np.outer(sine, normal), abs=1e-11) and not forces[:100].any()
     assert not forces[5100:].any()
 
 
@@ -366,8 +359,8 @@ OBJECT: list[dict[str, Any]] = [
 ]
 
 
-def test_every_kind_in_a_file_becomes_its_kernel(plane_scene: SceneFactory) -> None:
-    scene = build_scene(plane_scene(table={"effect": OBJECT}, effect=WORKSPACE))
+def test_every_kind_in_a_file_becomes_its_kernel() -> None:
+    scene = build_scene(paper_scene(table={"effect": OBJECT}, effect=WORKSPACE))
     touching = model.TouchCondition(1.0)
     assert scene.effects == (
         model.Viscosity(2.0, model.SphereRegion(ZERO, 0.05, 0.01)),
@@ -407,26 +400,23 @@ def test_the_page_names_every_kind() -> None:
         assert f"`{kind.kind}`" in page()
 
 
-def test_effects_are_added_to_the_contact_force(plane_scene: SceneFactory) -> None:
+def test_effects_are_added_to_the_contact_force() -> None:
     magnet = {"kind": "magnet", "force_n": 2.0, "range_m": 0.02}
     film = {"kind": "viscosity", "damping_ns_per_m": 4.0, "region": {"size_m": [1.0, 1.0, 1.0]}}
-    scene = plane_scene(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None)
     z = np.linspace(0.04, 0.008, 321)
     path = np.stack([0.0 * z, 0.0 * z, z], axis=1)
-    records = Engine(scene).run(posed(path), DT)
-    force = records["force"]
+    engine = plane_engine(table={"effect": [magnet]}, effect=[film], material={"friction": None}, rolling=None)
+    force = engine.run(posed(path), DT)["force"]
     gap, depth = np.maximum(z - 0.01, 0.0), np.maximum(0.01 - z, 0.0)
     expected = 1000.0 * depth - 2.0 * np.maximum(1.0 - gap / 0.02, 0.0) + 4.0 * 0.1 * (np.arange(321) > 0)
     # The velocity is that of the last millisecond; its rounding is 1e-16 m / 1 ms times 4 N s/m.
-    assert force[:, 2] == pytest.approx(expected, abs=1e-9)
-    assert np.abs(force[:, :2]).max() < 1e-12
+    assert force[:, 2] == pytest.approx(expected, abs=1e-9) and np.abs(force[:, :2]).max() < 1e-12
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("sideways", "depth"), [(0.002, 0.001), (0.001, 0.002)])
 def test_viscosity_uses_the_velocity_relative_to_its_object(sideways: float, depth: float) -> None:
-    """The hand rests in a corner between a viscous floor at rest and a sliding wall. There is no viscous force,
-    whichever carries the larger load."""
+    """In a corner of a viscous floor at rest and a sliding wall: no viscous force, whichever has the larger load."""
     spring = {"stiffness_n_per_m": 1000.0}
     floor = {"name": "floor", "shape": "plane", "effect": [{"kind": "viscosity", "damping_ns_per_m": 10.0}]}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}

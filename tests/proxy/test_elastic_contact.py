@@ -6,6 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from helpers.touching import posed
 
 from softfinger.config.load import describe, load_scene
 from softfinger.proxy.elastic import solution
@@ -82,14 +83,8 @@ def test_the_spring_of_the_finger_is_in_series_with_the_surface() -> None:
 
 def path(count: int) -> Any:
     share = np.linspace(0.0, 1.0, count)
-    middle = np.stack(
-        [
-            0.004 * np.sin(9 * share),
-            0.003 * np.cos(7 * share),
-            HEIGHT + RADIUS + 0.0005 - 0.003 * np.sin(3 * share) ** 2,
-        ]
-    )
-    return np.concatenate([middle.T, np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))], axis=1)
+    height = HEIGHT + RADIUS + 0.0005 - 0.003 * np.sin(3 * share) ** 2
+    return posed(np.stack([0.004 * np.sin(9 * share), 0.003 * np.cos(7 * share), height], axis=1))
 
 
 @pytest.mark.parametrize("friction", [False, True])
@@ -102,8 +97,7 @@ def test_a_stiff_body_has_the_force_of_the_rigid_mesh(tmp_path: Path, friction: 
     pad = describe(stiff)["object"][0] | {"file": str(tmp_path / "surface.obj")}
     rigid = scene_of({key: value for key, value in pad.items() if key != "elastic"})
     forces, expected = Engine(stiff).run(path(200))["force"], Engine(rigid).run(path(200))["force"]
-    assert abs(expected).max() > 1.0
-    assert forces == pytest.approx(expected, abs=1e-9)
+    assert abs(expected).max() > 1.0 and forces == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_recorded_velocity_is_that_of_the_probe() -> None:
@@ -115,10 +109,7 @@ def test_the_recorded_velocity_is_that_of_the_probe() -> None:
 
 
 def groove(folder: Path, compliance: float) -> Any:
-    """Return a scene with walls at 45 degrees along y, and one compliance (m/N) of all patches under all loads.
-
-    So the body moves as a rigid one on a spring.
-    """
+    """Return walls at 45 degrees along y with one compliance (m/N) of all patches: a rigid body on a spring."""
     vertices = np.array([(x, y, abs(x)) for x in (-0.02, 0.0, 0.02) for y in (-0.02, 0.02)])
     triangles = np.array([(0, 2, 3), (0, 3, 1), (2, 4, 5), (2, 5, 3)], np.int32)
     lines = ["v {} {} {}".format(*row) for row in vertices]
@@ -387,9 +378,8 @@ def test_forces_and_displacements_turn_with_the_object() -> None:
     straight = scene(friction=True, fingers=2)
     upright = msgspec.structs.replace(straight.object[0], orientation_wxyz=tuple(turned.tolist()))
     tracks = {"a": path(80), "b": path(80) + np.array([0.004, 0.002, 0.0, 0.0, 0.0, 0.0, 0.0])}
-    rolled = {
-        name: np.concatenate([track[:, [2, 0, 1]], np.tile(turned, (80, 1))], axis=1) for name, track in tracks.items()
-    }
+    rows = np.tile(turned, (80, 1))
+    rolled = {name: np.hstack([track[:, [2, 0, 1]], rows]) for name, track in tracks.items()}
     expected = Engine(straight).run(tracks)
     records = Engine(msgspec.structs.replace(straight, object=(upright,))).run(rolled)
     for name in tracks:

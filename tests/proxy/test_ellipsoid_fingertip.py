@@ -1,9 +1,5 @@
-"""Ellipsoid fingertips: contact geometry, rolling, energy and the checks of the scene file.
-
-K = 1000 N/m without damping, 1 kHz; the semi-axes are a few millimetres, like those of a fingertip.
-"""
-
-from __future__ import annotations
+"""Ellipsoid fingertips: contact geometry, rolling, energy and the checks of the scene file. K = 1000 N/m, no
+damping."""
 
 import re
 from typing import Any
@@ -12,10 +8,10 @@ import numpy as np
 import pytest
 from helpers import touching
 from helpers.examples import Cases
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from references.ellipsoid_finger import roll_ellipsoid, touching_at
 from references.laws import axis_angles, stored_energy
-from references.rotation import matrix, multiply, quaternion
+from references.rotation import Array, matrix, multiply, quaternion
 from scipy.special import ellipeinc
 
 from softfinger.config.errors import ConfigError
@@ -33,9 +29,6 @@ from softfinger.proxy.scene import build_scene
 from softfinger.tools.accuracy.reference import compute_normal_and_curvature
 
 pytestmark = pytest.mark.plain
-
-Array = NDArray[np.float64]
-
 K = 1000.0
 AXES: model.Vec3 = (0.008, 0.006, 0.012)
 TURN: model.Quaternion = tuple(float(part) for part in quaternion([0.4, -0.7, 0.3]))  # type: ignore[assignment]
@@ -159,8 +152,7 @@ CASES = [
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(("name", "method", "ticks", "order"), CASES)
 def test_rolling_follows_the_shape_operators_of_both_bodies(name: str, method: Any, ticks: int, order: int) -> None:
-    """A roll of 1.5 rad matches (W_o + W_f) p' = w x n, integrated to the eighth order. Methods with step control reach
-    their tolerance, methods with fixed steps converge with their order."""
+    """(W_o + W_f) p' = w x n, integrated to the eighth order, in a roll of 1.5 rad."""
     rng, shape = np.random.default_rng(3), SHAPES[name]
     for _ in range(2):
         _, foot, _ = closest(shape, tuple(rng.normal(0.0, 0.04, 3)))
@@ -182,8 +174,7 @@ def test_rolling_follows_the_shape_operators_of_both_bodies(name: str, method: A
 
 
 def test_a_spheroid_rolls_on_its_equator_like_a_wheel() -> None:
-    """A spheroid rolled about its axis by theta moves the contact by a theta at constant height. A hand that follows
-    gets the normal force and no tangential force or torque."""
+    """Rolled by theta, the contact moves by a theta at constant height, without tangential force and torque."""
     a, theta = 0.008, np.linspace(0.0, 3.0, 300)
     x = np.stack([a * theta, 0.0 * theta, 0.0 * theta + a - 1e-3], axis=1)
     q = np.stack([np.cos(theta / 2), 0.0 * theta, np.sin(theta / 2), 0.0 * theta], axis=1)
@@ -198,14 +189,12 @@ def test_a_spheroid_rolls_on_its_equator_like_a_wheel() -> None:
 
 
 def test_contact_travels_an_elliptic_arc_in_a_line_roll() -> None:
-    """A roll about axis b at a fixed position moves the contact by the arc of the ellipse, an elliptic integral. The
-    normal force follows the support height, and its moment is the derivative of the springs' energy."""
+    """About axis b, an elliptic integral. The force's moment is the derivative of the springs' energy."""
     a, _, c = AXES
     theta = np.linspace(0.0, 1.2, 601)
     x = np.tile([0.0, 0.0, 0.0075], (601, 1))
     q = np.stack([np.cos(theta / 2), 0.0 * theta, np.sin(theta / 2), 0.0 * theta], axis=1)
-    made = scene({"radii_m": list(AXES)}, TABLES["plane"], friction=STICKY)
-    rows = Engine(made).run(np.hstack([x, q]))
+    rows = Engine(scene({"radii_m": list(AXES)}, TABLES["plane"], friction=STICKY)).run(np.hstack([x, q]))
     assert set(rows["contact.mode"]) == {ROLLING}
     height = np.hypot(a * np.sin(theta), c * np.cos(theta))
     # The contact point is (a sin u, -c cos u) with tan u = a / c tan theta, measured from the lowest point.
@@ -292,8 +281,7 @@ def test_between_two_bodies_no_cycle_gains_energy(cases: Cases) -> None:
     rows = Engine(scene(tip, TABLES["plane"], TABLES["sphere"] | BESIDE)).run(np.vstack([once, *[once[1:]] * 3]))
     shared = rows["contacts1.object"] >= 0
     assert shared.any() and not shared.all()
-    per_cycle = np.diff(work(rows)[::ticks])
-    assert (per_cycle[1:] > 0.0).all()
+    assert (np.diff(work(rows)[::ticks])[1:] > 0.0).all()
 
 
 TIP: dict[str, Any] = {"radii_m": list(AXES)}

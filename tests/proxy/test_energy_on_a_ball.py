@@ -1,7 +1,5 @@
 """Energy gained on closed paths over a sphere, compared with the closed forms of docs/model/passivity.md."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 
@@ -37,8 +35,7 @@ def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside:
     psi = turn * R / MIDDLE
     material = {"stiffness_n_per_m": K_N, "friction": {"static": 10.0, "kinetic": 10.0}}
     coupled = {"coupling": {"stiffness_n_per_m": coupling, "damping_ns_per_m": 0.0}}
-    config = scene({"material": material}, rolling={"method": "midpoint"}, **coupled)
-    running = Engine(config)
+    running = Engine(scene({"material": material}, rolling={"method": "midpoint"}, **coupled))
 
     def gained(ticks: int) -> float:
         corners = [(-1e-3, 0, 0), (depth, 0, 0), (depth, aside, 0), (depth, aside, 1), (depth, 0, 1), (depth, 0, 0)]
@@ -62,8 +59,7 @@ def test_a_roll_gains_energy_if_coupling_and_wall_differ(coupling: float, aside:
 
 @pytest.mark.parametrize("sense", [1, -1])
 def test_stick_slip_gains_energy_between_two_depths(sense: int) -> None:
-    """A path along the sphere at one depth and back at another gains K a (1 - cos theta) times the difference. The sign
-    depends on the direction."""
+    """There and back at two depths: K a (1 - cos theta) times their difference, with the sign of the direction."""
     stiffness, shallow, deep, angle = 300.0, 0.0005, 0.004, 0.45
     effect = {"kind": "stick_slip", "stiffness_n_per_m": stiffness, "force_max_n": 5.0}
     running = Engine(scene({"material": {"stiffness_n_per_m": K_N}, "effect": [effect]}))

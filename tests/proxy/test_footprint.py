@@ -1,25 +1,17 @@
-"""Contact patch of a soft fingertip: its radius, torsion, rolling resistance and energy.
-
-The plane is that of conftest.paper_mapping: r = 10 mm, f_N = 1 N at 1 mm, mu .6 / .5, 1 kHz.
-"""
-
-from __future__ import annotations
+"""Contact patch of a soft fingertip: its radius, torsion, rolling resistance and energy. On the plane of
+conftest.paper_mapping: r = 10 mm, f_N = 1 N at 1 mm, mu .6 / .5, 1 kHz."""
 
 from math import gamma, pi
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import paper_mapping
 from helpers.examples import Cases
-from numpy.typing import NDArray
-from references.hand import Hand, drive, pressed
+from references.hand import Hand, drive, plane_engine, pressed
 from references.laws import Array, axis_angles, check_random_handling, work_of_the_hand
 from references.rotation import matrix
 from scipy.integrate import quad
 
-from softfinger.config.load import build
-from softfinger.config.schema import Scene
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.laws import compute_lever
 from softfinger.proxy.record import AT
@@ -31,10 +23,7 @@ HERTZ: dict[str, Any] = {"shear_modulus_pa": G}
 POWER: dict[str, Any] = {"shear_modulus_pa": G, "radius_m": 0.004, "exponent": 0.2, "pressure_exponent": 4.0}
 FOLLOWS: dict[str, Any] = {"stiffness_nm_per_rad": None, "friction_length_m": None}
 """Changes that remove the torsion parameters of the paper's material."""
-LEVER = {
-    "Hertz": 3.0 * pi / 16.0,
-    "power": gamma(0.75) * gamma(1.75) / gamma(0.5),
-}
+LEVER = {"Hertz": 3.0 * pi / 16.0, "power": gamma(0.75) * gamma(1.75) / gamma(0.5)}
 """Lever over a: 3 pi / 16, and B(3/4, 5/4) / B(1/2, 5/4) for the pressure (1 - x^4)^(1/4)."""
 PATCHES = {"Hertz": HERTZ, "power": POWER}
 
@@ -48,11 +37,10 @@ def radius(name: str, load: Any) -> Any:
 
 
 def soft(patch: dict[str, Any], **changes: Any) -> Engine:
-    material = {"torsion": FOLLOWS} | changes.pop("material", {})
-    return Engine(build(Scene, paper_mapping(fingertip={"patch": patch}, material=material, **changes), "soft"))
+    return plane_engine(fingertip={"patch": patch}, **{"material": {"torsion": FOLLOWS}} | changes)
 
 
-def run(engine: Engine, hand: Hand) -> NDArray[np.float64]:
+def run(engine: Engine, hand: Hand) -> Array:
     engine.reset()
     return engine.run(np.array(hand.poses))
 
@@ -81,8 +69,7 @@ def test_an_elastic_object_adds_its_compliance() -> None:
 
 
 def test_it_is_no_larger_than_the_fingertip() -> None:
-    records = run(soft({"shear_modulus_pa": 1e3}), pressed(0.005))
-    assert records["contact.patch_radius"][-1] == R
+    assert run(soft({"shear_modulus_pa": 1e3}), pressed(0.005))["contact.patch_radius"][-1] == R
 
 
 @pytest.mark.parametrize(("k", "published"), [(2.0, 1.5), (3.0, 1.24), (4.0, 1.1441), (100.0, 1.0)])
@@ -134,15 +121,11 @@ def test_steady_slip_and_spin_are_on_the_limit_surface_of_the_patch(name: str) -
 @pytest.mark.scaled
 def test_pressing_on_a_wound_finger_keeps_its_energy(cases: Cases) -> None:
     """Load changes preserve phi^2 k_z, so the moment scales with sqrt(k_z) and load cycles lose nothing."""
-    hand = pressed(0.002).go(50, turn=[0, 0, 0.02])
-    wound = hand.at
-    hand.go(50, move=[0, 0, -0.004])
-    hard = hand.at
-    hand.go(50, move=[0, 0, 0.004])
+    hand = pressed(0.002).go(50, turn=[0, 0, 0.02]).go(50, move=[0, 0, -0.004]).go(50, move=[0, 0, 0.004])
+    _, wound, hard, _ = hand.ends
     for _ in range(cases(300, 1000)):
         hand.go(3, move=[0, 0, -4e-4]).go(3, move=[0, 0, 4e-4])
-    records = run(soft(HERTZ), hand)
-    moment = records["contact.torsion"]
+    moment = run(soft(HERTZ), hand)["contact.torsion"]
     assert moment[wound] == pytest.approx(-2.0 * R * 0.02, rel=1e-9)
     assert moment[hard] == pytest.approx(moment[wound] * 3.0**0.5, rel=1e-9)
     # At most six thousand roots and products, each rounded.
@@ -153,18 +136,14 @@ def test_rolling_resistance_is_elastic_up_to_its_limit() -> None:
     """The moment against a roll is 3/16 alpha r f_N theta up to 3/16 alpha a f_N, both ways, and constant at rest."""
     alpha, load = 0.3, 2.0
     engine = soft(HERTZ | {"rolling_loss": alpha}, rolling=None, material={"friction": None, "torsion": None})
-    hand = pressed(0.002).go(500, turn=[1.0, 0, 0])
-    limit_tick = hand.at
-    hand.go(100)
-    rest = hand.at
-    records = run(engine, hand.go(500, turn=[-1.0, 0, 0]))
+    hand = pressed(0.002).go(500, turn=[1.0, 0, 0]).go(100).go(500, turn=[-1.0, 0, 0])
+    (_, limit_tick, rest, _), records = hand.ends, run(engine, hand)
     limit = 3.0 / 16.0 * alpha * float(radius("Hertz", load)) * load
     rolled = np.linspace(0.0, 1.0, 501)
     torque = records["torque"]
     expected = np.minimum(3.0 / 16.0 * alpha * R * load * rolled, limit)
     assert torque[1 : limit_tick + 1, 0] == pytest.approx(-expected, rel=1e-9, abs=1e-15)
-    assert np.ptp(torque[limit_tick : rest + 1, 0]) == 0.0
-    assert torque[-1, 0] == pytest.approx(limit, rel=1e-9)
+    assert np.ptp(torque[limit_tick : rest + 1, 0]) == 0.0 and torque[-1, 0] == pytest.approx(limit, rel=1e-9)
     assert np.abs(torque[:, 1:]).max() < 1e-15
 
 
@@ -212,8 +191,7 @@ MODELS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", list(PATCHES))
 @pytest.mark.parametrize("kind", list(MODELS))
 def test_contact_creates_no_energy_under_changing_loads(name: str, kind: str) -> None:
-    """The work of the hand is never less than the stored energy, while k_z and all limits change with the load. The
-    work of spin is compared with the energy of spin too; the rounding of the press would hide an error in it."""
+    """The work of spin is tested separately: the rounding of the press would hide an error in it."""
     patch = PATCHES[name] | {"rolling_loss": 0.4}
     engine = soft(patch, material={"torsion": FOLLOWS | MODELS[kind]})
 
@@ -253,7 +231,7 @@ def test_rolling_resistance_creates_no_energy_under_changing_loads() -> None:
 
 def test_a_patch_without_torsion_changes_no_force() -> None:
     hand = pressed().go(200, move=[0.004, 0, -0.001], turn=[0.1, 0, 0]).go(100, turn=[0, 0, 0.3])
-    plain = drive(Engine(build(Scene, paper_mapping(material={"torsion": None}), "plain")), hand)
+    plain = drive(plane_engine(material={"torsion": None}), hand)
     soft_one = drive(soft(HERTZ, material={"torsion": None}), hand)
     assert (plain.force == soft_one.force).all() and (plain.torque == soft_one.torque).all()
 
@@ -262,10 +240,9 @@ def test_each_finger_has_the_patch_of_a_single_finger() -> None:
     tips = {name: {"radius_m": R, "patch": patch | {"rolling_loss": 0.4}} for name, patch in PATCHES.items()}
     material = {"torsion": FOLLOWS}
     fingers = [{"name": name, **tip} for name, tip in tips.items()]
-    both = Engine(build(Scene, paper_mapping(fingertip=None, finger=fingers, material=material), "both"))
+    both = plane_engine(fingertip=None, finger=fingers, material=material)
     poses = np.array(pressed().go(100, move=[0.004, 0, -0.001], turn=[0.1, 0, 0.3]).poses)
     records = both.run(dict.fromkeys(tips, poses))
     for name, tip in tips.items():
-        alone = Engine(build(Scene, paper_mapping(fingertip=tip, material=material), name)).run(poses)
-        assert np.array_equal(records[name], alone)
-        assert alone[-1, AT.contact_patch_radius] > 0.0
+        alone = plane_engine(fingertip=tip, material=material).run(poses)
+        assert np.array_equal(records[name], alone) and alone[-1, AT.contact_patch_radius] > 0.0

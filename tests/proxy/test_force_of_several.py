@@ -4,8 +4,6 @@ A proxy at c is pulled to a probe at x by springs of K N/m. At rest its contact 
 its friction cone. r = 10 mm, K = K_t = 1000 N/m. Gaps are computed from the dimensions of the objects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -69,8 +67,7 @@ def deep_handling(seed: int, reach: float, turn: float) -> Array:
         rate, phase = rng.uniform(0.5, fastest, (2, 3)), rng.uniform(0.0, 2.0 * np.pi, (2, 3))
         return np.asarray((size * np.sin(2.0 * np.pi * rate[:, None] * t + phase[:, None])).sum(axis=0))
 
-    places = wave(reach, 3.0)
-    return posed(places, quaternion(wave(turn, 2.0)))
+    return posed(wave(reach, 3.0), quaternion(wave(turn, 2.0)))
 
 
 def closed_path(name: str, seed: int, turn: float) -> Array:
@@ -103,8 +100,7 @@ def gap(entry: Mapping[str, Any], points: Array) -> Array:
 
 
 def check_statics(name: str, records: Any, probe: Array, static: float, at_rest: Array) -> None:
-    """Check that the proxy is outside of all objects and all contact forces are within their cones. In ticks that are
-    `at_rest` the forces add up to K (c - x)."""
+    """Proxy outside, forces in their cones; in ticks that are `at_rest` they add up to K (c - x)."""
     center, touching = records["proxy.position"], records["contact.mode"] > 0
     assert touching.mean() > 0.5
     for entry in SCENES[name]:
@@ -172,18 +168,14 @@ def test_sticking_contacts_fix_the_proxy_at_any_depth(name: str, cases: Cases) -
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", SCENES)
 def test_the_force_is_continuous(name: str) -> None:
-    """With equal static and kinetic friction, the force changes per tick by at most K times the motion.
-
-    The motion is that of the hand and the roll, about 1.5 mm deep. On a sphere of 20 mm the factor is up to 1 / (1 - d
-    / (R + r)) = 1.1 at depth d.
-    """
+    """With equal static and kinetic friction, the force changes per tick by at most K times the motion of hand and
+    roll. On a sphere of 20 mm, at depth d, the factor is up to 1 / (1 - d / (R + r)) = 1.1."""
     poses = closed_path(name, 3, 0.05)
     records = engine(name, 0.6, 0.6).run(poses)
     assert (records["contacts1.object"] >= 0).any()
     travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
     roll = 2.0 * R * np.linalg.norm(np.diff(poses[:, 4:], axis=0), axis=1)
-    jump = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
-    assert (jump <= 1.1 * K * (travel + roll) + 1e-9).all()
+    assert (np.linalg.norm(np.diff(records["force"], axis=0), axis=1) <= 1.1 * K * (travel + roll) + 1e-9).all()
 
 
 def gained(records: Any, poses: Array) -> float:

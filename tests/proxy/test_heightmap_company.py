@@ -1,9 +1,5 @@
-"""Hostile height maps next to a plane, a sphere, a mesh and another map, and in many rolling steps.
-
-The proxy stays outside of all objects, the force stays bounded, and queries stay within a tick's budget.
-"""
-
-from __future__ import annotations
+"""Hostile height maps next to other objects and in many rolling steps: proxy outside, bounded forces, bounded
+queries."""
 
 import json
 import os
@@ -17,14 +13,11 @@ import pytest
 from helpers import counted_asks, meshes
 from helpers.hostile_maps import MADE, STIFFNESS, hands, outside_by, part
 from helpers.programs import run_program
-from helpers.touching import SMOOTH, R, engine, make_object, posed, spun, write_part
-from numpy.typing import NDArray
+from helpers.touching import SMOOTH, Array, R, engine, make_object, posed, spun, write_part
 from references.brute_force import balls_of, brute_distances
 
 from softfinger.proxy.heightmaps import compile_heightmap
 from softfinger.proxy.record import ON_ITS_WAY, UNSEARCHED
-
-Array = NDArray[np.float64]
 
 pytestmark = [pytest.mark.plain, pytest.mark.scaled]
 Cases = Callable[[int, int], int]

@@ -1,7 +1,5 @@
 """Height maps: spline compared with closed forms, closest point with brute force, scenes with other shapes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -10,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.hostile_maps import grid_of, part
-from helpers.touching import SMOOTH, R, engine, make_object, posed, visit
+from helpers.touching import SMOOTH, Array, R, engine, make_object, posed, visit
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from references.rotation import quaternion
 
 from softfinger.proxy.heightmaps import bound_curvature, compile_heightmap, thin_map
@@ -27,7 +24,6 @@ from softfinger.proxy.kernels.shapes.heightmap.surface import compute_height, fi
 from softfinger.proxy.kernels.shapes.heightmap.tiles import count_tiles, find_tile, is_farther
 from softfinger.proxy.record import AT
 
-Array = NDArray[np.float64]
 pytestmark = pytest.mark.plain
 
 
@@ -133,10 +129,8 @@ def test_the_surface_interpolates_every_pixel(name: str) -> None:
 
 
 def test_the_spline_converges_as_a_cubic_does() -> None:
-    """Halving the pitch divides the error by 16 in value, by 8 in slope and by 4 in second derivatives.
-
-    Away from the rim, where the natural spline is of second order; its influence decreases by 3.7 per pixel.
-    """
+    """Halving the pitch divides errors by 16, of slopes by 8, of second derivatives by 4: away from the rim, where the
+    natural spline is of second order and its influence decreases by 3.7 per pixel."""
     x, y = NOISE.uniform(-0.01, 0.01, (2, 2000))
     a, b = x / 0.008, y / 0.006
     exact = 0.002 * np.column_stack([
@@ -154,8 +148,7 @@ def test_the_spline_converges_as_a_cubic_does() -> None:
 
 
 def test_planes_are_exact_and_paraboloids_away_from_the_rim() -> None:
-    """A cubic spline reproduces both. The zero curvature at the rim is exact for a plane; its influence vanishes within
-    30 pixels."""
+    """The zero curvature at the rim is exact for a plane; its influence vanishes within 30 pixels."""
     x, y = NOISE.uniform(-0.02, 0.02, (2, 200))
     plane = heights_of(compile_heightmap(sampled(41, 41, 1e-3, lambda x, y: 0.3 * x - 0.2 * y + 1e-3), 1e-3), x, y)
     np.testing.assert_allclose(plane[:, 0], 0.3 * x - 0.2 * y + 1e-3, atol=1e-16)
@@ -180,8 +173,7 @@ def test_map_is_level_beyond_the_rim_with_continuous_curvature() -> None:
 
 @pytest.mark.parametrize("radius", [0.02, -0.03])
 def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
-    """The curvature is 1 / (R + r) in all directions, for a fingertip on a cap and in a bowl, to second order in the
-    pitch."""
+    """1 / (R + r) in all directions, on a cap and in a bowl, to second order in the pitch."""
 
     def cap(x: Array, y: Array) -> Array:
         return math.copysign(1.0, radius) * (np.sqrt(radius**2 - x * x - y * y) - abs(radius))
@@ -201,8 +193,7 @@ def test_curvature_of_a_ball_and_of_a_bowl(radius: float) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MAPS)
 def test_the_nearest_point_is_the_closest_of_all(name: str) -> None:
-    """No point of a grid of 3 x 3 per pixel is closer; the gap has the sign of the height, and the normal is that of
-    the surface."""
+    """No point of a grid of 3 x 3 per pixel is closer; the gap has the sign of the height."""
     pitch, heights = MAPS[name]
     shape, rng = compile_heightmap(heights, pitch), np.random.default_rng(3)
     surface = everywhere(shape, 3)
@@ -358,12 +349,9 @@ def test_a_cap_equals_the_ball(tmp_path: Path) -> None:
 
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
-@pytest.mark.parametrize(
-    "name", [pytest.param(map_name, marks=pytest.mark.exhaustive if map_name == "noise" else ()) for map_name in MAPS]
-)
+@pytest.mark.parametrize("name", ["hills", "ripple", pytest.param("noise", marks=pytest.mark.exhaustive), "rubble"])
 def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """With friction, torsion and rolling, deep and shallow, also over the rim: 300 ticks on each map except the noise,
-    and 25 000 on all in `make test-all`."""
+    """With friction, torsion and rolling, deep and shallow, also over the rim."""
     pitch, heights = MAPS[name]
     half, over = 0.5 * pitch * min(heights.shape), np.ptp(heights)
     poses = stroke(6, cases(600, 25_000), 1.2 * half, R - 0.6 * over - 2e-4, R + over)[:: cases(2, 1)]
@@ -379,13 +367,10 @@ def test_the_proxy_is_never_inside(name: str, tmp_path: Path, cases: Callable[[i
 
 
 def test_a_groove_touches_the_fingertip_on_both_sides(tmp_path: Path) -> None:
-    """Pressed without friction into a groove narrower than the fingertip, it rests on both walls and is pushed by
-    both."""
     pitch = 2e-4
     heights = sampled(100, 101, pitch, lambda x, y: 0.002 * (1.0 - np.cos(2 * np.pi * x / 0.008)))
     groove = engine(part(tmp_path, heights, pitch, material=SMOOTH), rolling=None)
-    shape = compile_heightmap(heights, pitch)
-    surface = everywhere(shape, 4)
+    surface = everywhere(compile_heightmap(heights, pitch), 4)
     surface = surface[np.abs(surface[:, 1]) < 5e-3]
     low, high = 0.0, 0.03  # height at which the ball rests, by bisection with brute force
     for _ in range(50):
@@ -410,8 +395,7 @@ def test_a_thin_ridge_is_not_jumped_over(tmp_path: Path) -> None:
 
 @pytest.mark.scaled
 def test_height_maps_next_to_a_wall(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    """With a wall as second object, a level map agrees with a plane to 1e-11 m, the tolerance of resting on two
-    objects."""
+    """A level map agrees with a plane to 1e-11 m, the tolerance of resting on two objects."""
     grip: dict[str, Any] = {"material": {"torsion": None}}
     wall = make_object("wall", "plane", orientation_wxyz=[math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0], **grip)
     poses = stroke(8, 2000, 0.012, 0.0085, 0.0115)[: cases(100, 2000)]

@@ -17,20 +17,18 @@ from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
 
-pytestmark = pytest.mark.plain
+pytestmark = [pytest.mark.plain, pytest.mark.scaled]
 
 R = 0.01
 GRIP = touching.GRIP | {"damping_ns_per_m": 1.0}
 SLICK = {"stiffness_n_per_m": 1000.0}
 TURNED = [0.8, 0.36, 0.48, 0.0]
+BLOCK_POSE = {"position_m": [-0.03, 0.01, 0.0], "orientation_wxyz": TURNED}
 HALF = np.array([0.02, 0.015, 0.01])
 
 
 def numbers(rows, columns):
-    """Return a strategy for arrays (rows, columns) in [-1, 1), with 0 the simplest.
-
-    A single draw for all numbers: one draw per number would take longer than the test.
-    """
+    """Arrays (rows, columns) in [-1, 1), 0 the simplest; a draw for each number would take longer than the test."""
     count = rows * columns
     return st.binary(min_size=2 * count, max_size=2 * count).map(
         lambda data: np.frombuffer(data, np.int16).reshape(rows, columns) / 32768.0
@@ -44,14 +42,7 @@ def scene(kind, material="grip"):
         "zoo": [
             {"name": "floor", "shape": "plane", "position_m": [0, 0, -0.02], "material": stuff},
             ball | {"position_m": [0.03, 0.0, 0.0]},
-            {
-                "name": "block",
-                "shape": "box",
-                "size_m": (2 * HALF).tolist(),
-                "position_m": [-0.03, 0.01, 0.0],
-                "orientation_wxyz": TURNED,
-                "material": stuff,
-            },
+            {"name": "block", "shape": "box", "size_m": (2 * HALF).tolist(), "material": stuff} | BLOCK_POSE,
         ],
         "ball": [ball],
         "hollow ball": [ball | {"radius_m": 0.05, "inside": True}],
@@ -73,15 +64,14 @@ def engine(kind, material="grip"):
 
 def gaps(x):
     """Return distances (3, n) of points (n, 3) from the zoo's objects, by independent formulas."""
-    local = (x - np.array([-0.03, 0.01, 0.0])) @ matrix(TURNED)
+    local = (x - BLOCK_POSE["position_m"]) @ matrix(TURNED)
     beyond = np.abs(local) - HALF
     block = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
     return np.array([x[:, 2] + 0.02, np.linalg.norm(x - np.array([0.03, 0.0, 0.0]), axis=1) - 0.02, block])
 
 
 def visits(start, draws):
-    """Return poses (n + 1, 7): `start`, then a point within 60 mm for each row (n, 6), each rotated by up to 0.1
-    rad."""
+    """Poses (n + 1, 7): `start`, then a point within 60 mm for each row (n, 6), turned by up to 0.1 rad."""
     orientations, _ = walk(np.vstack([np.zeros(3), 0.1 * draws[:, 3:]]), len(draws) + 1)
     return np.hstack([np.vstack([start, 0.06 * draws[:, :3]]), orientations])
 
@@ -95,21 +85,17 @@ ABOVE = (0.0, 0.0, 0.055)
 """Outside of all objects: a proxy that starts inside an object stays inside."""
 
 
-@pytest.mark.scaled
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_proxy_is_never_inside_any_object(draws, count):
-    records = visit(engine("zoo"), visits(ABOVE, draws[:count]))
     # The solver stops at 1e-10 of the radius; these formulas round, too.
-    assert gaps(records["proxy.position"]).min() > R * (1.0 - 1e-9)
+    assert gaps(visit(engine("zoo"), visits(ABOVE, draws[:count]))["proxy.position"]).min() > R * (1.0 - 1e-9)
 
 
-@pytest.mark.scaled
 @examples(50)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_force_is_within_the_friction_cone_and_never_pulls(draws, count):
-    """The normal force is not negative, the tangential force at most mu_s times it, and the torsional moment within its
-    limit."""
+    """The torsional moment is within its limit, too."""
     records = visit(engine("ball"), visits(0.06 * draws[0, :3], draws[:count]))
     normal = records["contact.normal_force"]
     assert (normal >= 0.0).all()
@@ -152,7 +138,6 @@ def legs_of_force(running, corners, which, reach):
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.scaled
 @pytest.mark.parametrize("kind", list(REACH))
 def test_closed_cycle_of_a_frictionless_contact_creates_no_energy(kind):
     """Around a random closed polyline the force does no work, and on each side the decrease of K depth^2 / 2."""
@@ -171,15 +156,13 @@ def test_closed_cycle_of_a_frictionless_contact_creates_no_energy(kind):
         energy = 0.5 * 1000.0 * np.maximum(-depth if kind == "hollow ball" else depth, 0.0) ** 2
         work = legs_of_force(running, corners, which, reach)
         # Forces up to 16 N along sides up to 28 mm, with the error of the rule above and rounding.
-        assert np.abs(work - energy + np.roll(energy, -1)).max() < 2e-14
-        assert abs(work.sum()) < 4e-14
+        assert np.abs(work - energy + np.roll(energy, -1)).max() < 2e-14 and abs(work.sum()) < 4e-14
 
     check()
 
 
 def cycle(at, goals, turns, ticks=8):
-    """Return poses (n, 7) from `at` (3,) to each goal (3,), rotating by the given vectors in `ticks` ticks each, and
-    back to the first pose."""
+    """Poses (n, 7) from `at` (3,) to each goal (3,), rotating by these vectors in `ticks` ticks each, and back."""
     x, q, shares = at, np.array([1.0, 0.0, 0.0, 0.0]), np.arange(1, ticks + 1)[:, None] / ticks
     poses = [np.concatenate([x, q])[None]]
     for goal, turned in [*zip(goals, turns, strict=True), (at, None)]:
@@ -191,16 +174,11 @@ def cycle(at, goals, turns, ticks=8):
     return np.concatenate(poses)
 
 
-@pytest.mark.scaled
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(draws, count):
-    """While pressing, rolling, dragging, spinning and returning, the work of the hand is at least the energy stored in
-    the springs.
-
-    Exact for any time step if the motion of each tick is multiplied by the wrench at its end: on a plane the springs'
-    energy is convex, and slip is towards the probe.
-    """
+    """The work of the hand is at least the energy stored in the springs: exact for any time step if the motion of each
+    tick is multiplied by the wrench at its end, since the springs' energy is convex and slip is towards the probe."""
     running = engine("floor", "springs")
     running.reset()
     goals = np.array([0.0, 0.0, R - 0.001]) + draws[:count, :3] * [0.004, 0.004, 0.002]
@@ -209,17 +187,13 @@ def test_closed_cycle_on_a_plane_with_friction_creates_no_energy(draws, count):
     assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
 
 
-@pytest.mark.scaled
 @examples(40)
 @given(numbers(4, 6), st.integers(1, 4))
 def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(draws, count):
-    """The same on a ball, up to the rotation of the normal within a tick.
-
-    The proxy moves by l = |slip| + r |turn| per tick, the normal rotates by up to l / D with D the sum of the radii,
-    and a tangent displacement deviates from the surface by l^2 / D. The wrench at the end of the tick belongs to the
-    previous normal: the balance has an error of up to the force times l^2 / D, the moment times the turn times l / D,
-    and K / 2 times (l^2 / D)^2. All are at least of second order in the motion of a tick.
-    """
+    """The same on a ball, up to the rotation of the normal within a tick: the proxy moves by l = |slip| + r |turn|, the
+    normal rotates by up to l / D with D the sum of the radii, and a tangent displacement deviates from the surface by
+    l^2 / D. The balance has an error of up to the force times l^2 / D, the moment times the turn times l / D, and K / 2
+    times (l^2 / D)^2."""
     running, reach = engine("ball", "springs"), R + 0.02
     running.reset()
     outward = np.array([0.0, 0.0, reach]) + draws[:count, :3] * [0.004, 0.004, 0.0]
@@ -234,7 +208,6 @@ def test_closed_cycle_on_a_ball_with_friction_gives_no_energy(draws, count):
     assert ((work_of_the_hand(records) - stored_energy(records))[1:] + missed).min() > -1e-14
 
 
-@pytest.mark.scaled
 @examples(40)
 @given(numbers(6, 6), st.integers(1, 6))
 def test_finger_side_point_follows_exactly_from_the_orientation(draws, count):
@@ -253,7 +226,6 @@ any_quaternion = st.tuples(*[st.floats(-1e6, 1e6)] * 4).filter(lambda q: 1e-6 <=
 any_dt = st.one_of(st.just(0.0), st.floats(1e-9, 1e3))
 
 
-@pytest.mark.scaled
 @examples(50)
 @given(st.lists(st.tuples(st.tuples(anything, anything, anything), any_quaternion, any_dt), min_size=1, max_size=4))
 def test_finite_input_gives_finite_output(ticks):
@@ -274,8 +246,7 @@ def as_matrices(quaternions, out):
 
 @entry
 def walk_by(turns, steps, out):
-    """Compute orientations (n, 4) from successive rotation vectors (n, 3), and `relative` of each to the previous
-    one."""
+    """Orientations (n, 4) from rotation vectors (n, 3), and `relative` of each to the one before."""
     q = (1.0, 0.0, 0.0, 0.0)
     for i in range(turns.shape[0]):
         before = q
@@ -296,8 +267,7 @@ ULP = np.finfo(float).eps
 
 
 def assert_rotations(matrices):
-    """Assert R^T R = 1 and det R = +1: an entry has some ten operations on numbers up to 2, each accurate to half an
-    ulp."""
+    """R^T R = 1 and det R = +1: an entry has ten operations on numbers up to 2, each to half an ulp."""
     assert np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() <= 16 * ULP
     assert np.abs(np.linalg.det(matrices) - 1.0).max() <= 24 * ULP
 
@@ -308,7 +278,6 @@ def matrices_of(quaternions):
     return out
 
 
-@pytest.mark.scaled
 @examples(150)
 @given(numbers(1, 4), st.floats(-6.0, 6.0))
 def test_any_quaternion_gives_a_rotation_matrix(draws, exponent):
@@ -320,13 +289,11 @@ def test_any_quaternion_gives_a_rotation_matrix(draws, exponent):
     np.testing.assert_allclose(matrices[0], matrix(q[0]), atol=16 * ULP)
 
 
-@pytest.mark.scaled
 @examples(50)
 @given(numbers(3, 3), st.integers(1, 300))
 def test_a_sequence_of_rotations_stays_normalised(draws, ticks):
     orientations, steps = walk(3.0 * draws, ticks)
     # One product and one normalisation of a unit quaternion per tick; a step is the product of two unit quaternions.
     assert np.abs(np.linalg.norm(orientations, axis=1) - 1.0).max() <= 4 * ULP
-    assert np.abs(np.linalg.norm(steps, axis=1) - 1.0).max() <= 8 * ULP
-    assert (steps[:, 0] >= 0.0).all()
+    assert np.abs(np.linalg.norm(steps, axis=1) - 1.0).max() <= 8 * ULP and (steps[:, 0] >= 0.0).all()
     assert_rotations(matrices_of([orientations[-1], steps[-1]]))

@@ -1,9 +1,5 @@
-"""Compiled kernels on disk: which are loaded, which are refused, and that no problem with them prevents a start.
-
-Uses real processes, damaged files and a full disk, and real other users if the suite runs as root.
-"""
-
-from __future__ import annotations
+"""Compiled kernels on disk: which are loaded, which are refused, and that no problem with them prevents a start. Uses
+real processes, a full disk, and real other users if the suite runs as root."""
 
 import hashlib
 import os
@@ -89,12 +85,8 @@ def kernels(cache: Path) -> list[Path]:
 
 
 def test_a_kernel_is_loaded_until_a_neighbouring_file_is_edited(scripts: Path, tmp_path: Path) -> None:
-    """The second process loads the cached kernel without a message; folder and file are private. Editing a file of the
-    same package, here an outside driver, compiles again.
-
-    A cache hit does not import the modules that numba needs for compiling, nor SciPy: they would dominate the start
-    time.
-    """
+    """Folder and file are private. Editing a file of the same package, here an outside driver, compiles again. A cache
+    hit imports neither numba's modules for compiling nor SciPy, which would dominate the start time."""
     (scripts / "__init__.py").touch()
     cache, outer = tmp_path / "cache", scripts / "outer.py"
     outer.write_text(f"import sys\n{OUTER}\nprint(bool({{'numba.np.arraymath', 'scipy.linalg'}} & sys.modules.keys()))")
@@ -152,8 +144,7 @@ DAMAGED: dict[str, Callable[[Path, bytes], object]] = {
 
 
 def test_damaged_kernels_are_compiled_again(scripts: Path, tmp_path: Path) -> None:
-    """A program starts with kernels that have a flipped bit, are truncated or were replaced. It names each file,
-    compiles the kernel and caches it again."""
+    """Flipped bits, truncated and replaced files: each is named, compiled and cached again."""
     cache, script = tmp_path / "cache", scripts / "many.py"
     made = [f"@entry\ndef {name}(x):\n    return scaled(x) + 1.0\n" for name in DAMAGED]
     calls = [f"print({name}(1.5), sum({name}.stats.cache_hits.values()))" for name in DAMAGED]
@@ -244,12 +235,8 @@ class Planted:
 
 @as_root
 def test_a_kernel_planted_by_another_user_is_not_run(scripts: Path, tmp_path: Path) -> None:
-    """A pickle with a valid checksum under the name of a kernel is executed only if file and folder belong to the
-    current user.
-
-    The first half shows that the planted pickle would run without the check of owners.
-    `test_folders_that_others_may_write_to_are_refused` checks the parent folders.
-    """
+    """A pickle with a valid checksum is executed only if file and folder belong to the user. The first half shows that
+    it would run otherwise; test_folders_that_others_may_write_to_are_refused checks parent folders."""
     cache, proof = tmp_path / "cache", tmp_path / "proof"
     start(scripts / "outer.py", cache)
     (kernel,) = kernels(cache)

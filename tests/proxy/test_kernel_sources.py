@@ -1,7 +1,5 @@
 """The kernel cache is keyed by all sources of the kernels and by nothing else."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re
@@ -25,8 +23,7 @@ KERNEL = re.compile(
 
 
 def hashed_with(file: str, module: str) -> bool:
-    """Return True if an edit of a module invalidates the cached kernels of a file. That holds for modules in the hashed
-    kernel folders, and in the file's folder."""
+    """Return True if an edit of a module invalidates the cached kernels of a file."""
     path = module.removeprefix(OURS).replace(".", "/")
     return f"{path}/".startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS)) or (
         not file.startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS))

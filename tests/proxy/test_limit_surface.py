@@ -1,22 +1,16 @@
-"""Limit surface shared by tangential force and moment: projection onto it and the contact that uses it.
-
-The scene is that of test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, k_z = 0.05, mu_t = 4 mm, 1 kHz.
-"""
-
-from __future__ import annotations
+"""Limit surface shared by tangential force and moment: projection onto it and the contact that uses it. On the plane of
+test_contact_acceptance.py: f_N = 1 N at 1 mm, mu 0.6 / 0.5, k_z = 0.05, mu_t = 4 mm, 1 kHz."""
 
 from itertools import combinations
 
 import numpy as np
 import pytest
-from conftest import SceneFactory
 from helpers.examples import Cases, examples
 from hypothesis import example, given
 from hypothesis import strategies as st
-from references.hand import drive, pressed
+from references.hand import on_plane, plane_engine, pressed
 from references.laws import ANISOTROPIC, Array, check_random_handling
 
-from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP_DISTANCE, limit_distance, multiplier, shrink
 from softfinger.proxy.record import ROLLING, SLIDING
 
@@ -26,8 +20,6 @@ R = 0.01
 F, TAU = 0.5, 0.004
 """Semi-axes of the kinetic limit surface under 1 N, N and N m."""
 COUPLED = {"torsion": {"model": "limit_surface"}}
-
-
 sizes = st.floats(-12, 12).map(lambda exponent: 10.0**exponent)
 components = st.floats(-1e3, 1e3)
 
@@ -59,17 +51,16 @@ def test_nearest_point_is_on_the_surface_and_straight_below(
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("speed", [0.0, 0.002, 0.02, 0.2])
 @pytest.mark.parametrize("rate", [-50.0, 0.5, 5.0])
-def test_steady_slip_divides_the_limit(plane_scene: SceneFactory, speed: float, rate: float) -> None:
+def test_steady_slip_divides_the_limit(speed: float, rate: float) -> None:
     """Slip at v and spin at omega give f = F^2 v / N and tau = tau_max^2 omega / N, N = |(F v, tau_max omega)|."""
     # Time for the springs to reach their final ratio: ten wind-ups of the slower one.
     seconds = min(10 * 0.08 / abs(rate), 10 * 0.5e-3 / speed if speed > 0.0 else np.inf) + 0.3
     ticks = int(1000 * seconds)
-    scene = plane_scene(material=COUPLED)
     poses = pressed().poses
     for i in range(1, ticks + 1):
         angle = rate * i / 2000
         poses.append(np.array([speed * i / 1000, 0, R - 0.001, np.cos(angle), 0, 0, np.sin(angle)]))
-    records = Engine(scene).run(np.array(poses))
+    records = plane_engine(material=COUPLED).run(np.array(poses))
     norm = np.hypot(F * speed, TAU * rate)
     # If the slip is almost all spin, the force turns slowly: an error of 1e-6 of F remains in the slowest case.
     assert records["force"][-1, 0] == pytest.approx(-(F**2) * speed / norm, abs=1e-6)
@@ -78,11 +69,11 @@ def test_steady_slip_divides_the_limit(plane_scene: SceneFactory, speed: float, 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("heading", [0.3, 2.0])
-def test_steady_slip_on_an_anisotropic_surface(plane_scene: SceneFactory, heading: float) -> None:
+def test_steady_slip_on_an_anisotropic_surface(heading: float) -> None:
     """With semi-axes a, b, t, force and moment are (a^2 v_x, b^2 v_y, t^2 omega) / |(a v_x, b v_y, t omega)|."""
     velocity, rate = 0.02 * np.array([np.cos(heading), np.sin(heading)]), 4.0
-    scene = plane_scene(material={**COUPLED, "friction": ANISOTROPIC})
-    trace = drive(Engine(scene), pressed().go(400, move=[*(0.4 * velocity), 0], turn=[0, 0, 0.4 * rate]))
+    hand = pressed().go(400, move=[*(0.4 * velocity), 0], turn=[0, 0, 0.4 * rate])
+    trace = on_plane(hand, material={**COUPLED, "friction": ANISOTROPIC})
     a, b = 0.5 * 0.9, 0.5 * 0.4
     norm = np.linalg.norm([a * velocity[0], b * velocity[1], TAU * rate])
     expected = -np.array([a**2 * velocity[0], b**2 * velocity[1]]) / norm
@@ -91,80 +82,72 @@ def test_steady_slip_on_an_anisotropic_surface(plane_scene: SceneFactory, headin
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
-def test_a_wound_finger_breaks_loose_earlier(plane_scene: SceneFactory, share: float) -> None:
+def test_a_wound_finger_breaks_loose_earlier(share: float) -> None:
     """If torsion uses a share s of its limit, a drag slides at sqrt(1 - s^2) of the static limit."""
-    hand = pressed().go(100, turn=[0, 0, share * 0.08])
-    start = hand.at
-    trace = drive(Engine(plane_scene(material=COUPLED)), hand.go(200, move=[200 * 7e-6, 0, 0]))
-    slide = trace.events[1]
+    hand = pressed().go(100, turn=[0, 0, share * 0.08]).go(200, move=[200 * 7e-6, 0, 0])
+    trace = on_plane(hand, material=COUPLED)
+    slide, start = trace.events[1], trace.ends[1]
     assert slide == (start + int(np.ceil(0.6e-3 * np.sqrt(1 - share**2) / 7e-6)), "drag")
     # On that tick the load is at most one step of the drag outside, and is projected back to the static surface.
     on = (trace.tangential[slide[0]] / 0.6) ** 2 + (trace.torque[slide[0], 2] / TAU) ** 2
     assert on == pytest.approx(1.0, abs=1e-12)
 
 
-def test_no_coupling_inside_the_limit_surface(plane_scene: SceneFactory) -> None:
+def test_no_coupling_inside_the_limit_surface() -> None:
     hand = pressed().go(50, move=[2e-4, 0, 0]).go(50, turn=[0, 0, 0.04]).go(50, turn=[0.01, 0, 0])
     drag = pressed().go(100, move=[0.01, 0, 0]).go(20).go(100, move=[-0.01, 0, 0])
     spin = pressed().go(100, turn=[0, 0, 0.3]).go(100, turn=[0, 0, -0.5])
     for motion in (hand, drag, spin):
-        coupled, alone = drive(Engine(plane_scene(material=COUPLED)), motion), drive(Engine(plane_scene()), motion)
+        coupled, alone = on_plane(motion, material=COUPLED), on_plane(motion)
         assert coupled.force == pytest.approx(alone.force, abs=1e-12)
-        assert coupled.torque == pytest.approx(alone.torque, abs=1e-14)
-        assert coupled.events == alone.events
+        assert coupled.torque == pytest.approx(alone.torque, abs=1e-14) and coupled.events == alone.events
 
 
 @pytest.mark.scaled
-def test_load_stays_within_the_limit_surface(plane_scene: SceneFactory) -> None:
+def test_load_stays_within_the_limit_surface() -> None:
     """For random hand motions, (f_T / mu_s f_N)^2 + (tau_n / tau_max)^2 is at most one."""
-    engine = Engine(plane_scene(material=COUPLED, coupling={"damping_ns_per_m": 1.0}))
+    engine = plane_engine(material=COUPLED, coupling={"damping_ns_per_m": 1.0})
 
     # 90 hands of about 130 ticks: 10^4 cases.
     def check(records: Array) -> None:
         normal = records["contact.normal_force"]
         force, moment = records["contact.tangential_force"], records["torque"][:, 2]
         pushed = normal > 0.0
-        assert (force[~pushed] == 0.0).all()
-        assert (moment[~pushed] == 0.0).all()
+        assert (force[~pushed] == 0.0).all() and (moment[~pushed] == 0.0).all()
         on = (force[pushed] / (0.6 * normal[pushed])) ** 2 + (moment[pushed] / (0.004 * normal[pushed])) ** 2
         assert (on <= 1.0 + 1e-9).all()
 
     check_random_handling(engine, 8, 90, check)
 
 
-def test_a_spin_after_a_slide_continues_to_slip(plane_scene: SceneFactory) -> None:
-    hand = pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0])
-    trace = drive(Engine(plane_scene(material=COUPLED)), hand)
-    assert trace.causes == ["touch", "drag"]
-    assert (trace.mode[300:] == SLIDING).all()
-    assert trace.tangential[-1] < 1e-6
-    assert trace.torque[-1, 2] == pytest.approx(-TAU, rel=1e-9)
+def test_a_spin_after_a_slide_continues_to_slip() -> None:
+    trace = on_plane(pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0]), material=COUPLED)
+    assert trace.causes == ["touch", "drag"] and (trace.mode[300:] == SLIDING).all()
+    assert trace.tangential[-1] < 1e-6 and trace.torque[-1, 2] == pytest.approx(-TAU, rel=1e-9)
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.scaled
 @pytest.mark.parametrize("spin", [0.0, 0.4])
-def test_at_rest_on_the_surface_it_does_not_chatter(plane_scene: SceneFactory, cases: Cases, spin: float) -> None:
+def test_at_rest_on_the_surface_it_does_not_chatter(cases: Cases, spin: float) -> None:
     hand, rng = pressed().go(200, move=[0.01, 0, 0], turn=[0, 0, spin]), np.random.default_rng(5)
     x = hand.x.copy()
     for _ in range(cases(1000, 3000)):
         hand.go_to(1, x + 1e-5 * np.array([*rng.integers(-1, 2, 2), 0]))
-    scene = plane_scene(material=COUPLED, probe={"position_resolution_m": 1e-5})
-    trace = drive(Engine(scene), hand)
-    assert trace.causes == ["touch", "drag", "stop"]
-    assert trace.mode[-1] == ROLLING
+    trace = on_plane(hand, material=COUPLED, probe={"position_resolution_m": 1e-5})
+    assert trace.causes == ["touch", "drag", "stop"] and trace.mode[-1] == ROLLING
 
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("length", [0.0, 1e-12, 1.0])
 @pytest.mark.parametrize("kinetic", [0.0, 0.5])
-def test_flat_surfaces_are_finite(plane_scene: SceneFactory, length: float, kinetic: float) -> None:
+def test_flat_surfaces_are_finite(length: float, kinetic: float) -> None:
     material = {
         "torsion": {"model": "limit_surface", "friction_length_m": length},
         "friction": {"static": kinetic * 1.2, "kinetic": kinetic},
     }
     hand = pressed().go(200, move=[0.01, 0.003, 0], turn=[0, 0, 1.0]).go(50, move=[0, 0, 0.0009999]).go(3)
-    records = Engine(plane_scene(material=material)).run(np.array(hand.poses))
+    records = plane_engine(material=material).run(np.array(hand.poses))
     assert np.isfinite(records).all()
     normal = records["contact.normal_force"]
     assert (records["contact.tangential_force"] <= 1.2 * kinetic * normal * (1 + 1e-12)).all()

@@ -1,7 +1,5 @@
 """Scenes with many objects: each gives the contact of a single object of its shape."""
 
-from __future__ import annotations
-
 import copy
 import importlib
 import sys
@@ -14,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.key_world import key_world
-from numpy.typing import NDArray
+from references.rotation import Array
 
 from softfinger.config import schema
 from softfinger.config.load import build
@@ -68,7 +66,7 @@ def scene(*entries: dict[str, Any], **tables: Any) -> schema.Scene:
     return build(schema.Scene, base | tables | {"object": objects}, "test")
 
 
-def over_the_top(ticks: int) -> NDArray[np.float64]:
+def over_the_top(ticks: int) -> Array:
     """Poses (ticks, 7) of a fingertip that presses 1 mm into an object of height TOP, drags, rolls and spins."""
     t = np.linspace(0.0, 1.0, ticks)
     poses = np.zeros((ticks, 7))
@@ -133,11 +131,9 @@ def test_more_objects_than_have_an_index_are_refused() -> None:
 
 
 def test_other_objects_do_not_recompile_the_step(tmp_path: Path) -> None:
-    """A second scene with the same laws reuses the compiled step; only a new shape is compiled. The scenes have a body
-    that is never touched, so that their step is also that of tests/server/test_world.py."""
+    """Only a new shape is compiled. A body never touched makes the step that of tests/server/test_world.py."""
     poses, world = over_the_top(200), key_world(tmp_path)
-    first = Engine(scene(SHAPES["sphere"], FAR, world=world))
-    expected = first.run(poses)
+    expected = Engine(scene(SHAPES["sphere"], FAR, world=world)).run(poses)
     if PLAIN:
         pytest.skip("nothing is compiled")
     signatures = list(step_many.signatures)

@@ -1,7 +1,5 @@
 """Cache of mesh trees on disk: loaded bit for bit, rejected when damaged, bounded in size."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -21,8 +19,6 @@ from softfinger.proxy.meshes.tree import Tree
 
 pytestmark = pytest.mark.plain
 BUILT: list[int] = []
-
-
 build_tree = trees.build_tree
 
 
@@ -52,6 +48,13 @@ def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     BUILT.clear()
 
 
+@pytest.fixture
+def mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> schema.Mesh:
+    """Return a mesh of which nothing is in memory."""
+    forget(monkeypatch)
+    return part(tmp_path)
+
+
 def are_equal(a: Tree, b: Tree) -> bool:
     return all(
         (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
@@ -61,9 +64,7 @@ def are_equal(a: Tree, b: Tree) -> bool:
     )
 
 
-def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh = part(tmp_path)
-    forget(monkeypatch)
+def test_a_tree_is_built_once(mesh: schema.Mesh, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     first = prepare_tree(mesh, folder)
     description = describe_mesh(mesh)
     assert prepare_tree(mesh, folder) is first and BUILT == [180]
@@ -75,9 +76,7 @@ def test_a_tree_is_built_once(tmp_path: Path, folder: Folder, monkeypatch: pytes
     assert describe_mesh(mesh).picture.vertices.tobytes() == description.picture.vertices.tobytes()
 
 
-def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    forget(monkeypatch)
-    mesh = part(tmp_path)
+def test_another_file_or_scale_is_another_tree(mesh: schema.Mesh, tmp_path: Path, folder: Folder) -> None:
     prepare_tree(mesh, folder)
     assert prepare_tree(part(tmp_path, scale=0.5), folder).size == 1.0 * prepare_tree(mesh, folder).size / 2
     prepare_tree(part(tmp_path, 4), folder)
@@ -87,9 +86,7 @@ def test_another_file_or_scale_is_another_tree(tmp_path: Path, folder: Folder, m
     assert are_equal(prepare_tree(copy, folder), prepare_tree(mesh, folder)) and len(BUILT) == 3
 
 
-def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    forget(monkeypatch)
-    mesh = part(tmp_path)
+def test_other_sources_make_other_trees(mesh: schema.Mesh, folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     prepare_tree(mesh, folder)
     forget(monkeypatch)
     monkeypatch.setattr(prepared, "SOURCE_HASH", "another")
@@ -98,7 +95,6 @@ def test_other_sources_make_other_trees(tmp_path: Path, folder: Folder, monkeypa
 
 
 def only_file(folder: Folder) -> Path:
-    assert folder.path is not None
     (file,) = folder.path.iterdir()
     return file
 
@@ -115,8 +111,7 @@ def test_arrays_are_restored_unchanged(folder: Folder) -> None:
         loaded = entry.arrays[name]
         assert (loaded.dtype, loaded.shape, loaded.tobytes()) == (array.dtype, array.shape, array.tobytes())
         assert loaded.ctypes.data % 64 == 0
-    assert array_cache.load("cd" * 32, folder) is None
-    assert only_file(folder).stat().st_mode & 0o777 == 0o600
+    assert array_cache.load("cd" * 32, folder) is None and only_file(folder).stat().st_mode & 0o777 == 0o600
 
 
 @settings(examples(100, 300), suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -140,10 +135,8 @@ def test_damage_is_detected(folder: Folder, data: st.DataObject) -> None:
 
 
 def test_a_damaged_tree_is_built_again(
-    tmp_path: Path, folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    mesh: schema.Mesh, folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    forget(monkeypatch)
-    mesh = part(tmp_path)
     first = prepare_tree(mesh, folder)
     file = only_file(folder)
     whole = bytearray(file.read_bytes())
@@ -156,11 +149,11 @@ def test_a_damaged_tree_is_built_again(
     assert are_equal(prepare_tree(mesh, folder), first) and BUILT == []
 
 
-def test_a_folder_writable_by_others_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    forget(monkeypatch)
+def test_a_folder_writable_by_others_is_not_used(
+    mesh: schema.Mesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
-    mesh = part(tmp_path)
     for folder in (Folder(tmp_path / "open" / "kept"), Folder(tmp_path / "open"), Folder(None)):
         forget(monkeypatch)
         assert prepare_tree(mesh, folder).corners.shape == (180, 3) and BUILT == [180]

@@ -1,9 +1,5 @@
-"""Mesh files as other programs write them: each is read in full, or refused with its reason.
-
-Most are a box of 40 x 40 x 20 mm, so that triangles, size, surface and volume are known.
-"""
-
-from __future__ import annotations
+"""Mesh files as other programs write them: each is read in full, or refused with its reason. Most are a box of 40 x 40
+x 20 mm."""
 
 import base64
 import itertools
@@ -80,8 +76,7 @@ OBJS: dict[str, tuple[list[str], int]] = {
 
 def read_by_line(lines: list[str]) -> list[list[tuple[float, ...]]]:
     """Return the corners of each face, by the definition of the format, line by line."""
-    text = "\n".join(lines).replace("\\\n", " ")
-    words = [line.partition("#")[0].split() for line in text.splitlines()]
+    words = [line.partition("#")[0].split() for line in "\n".join(lines).replace("\\\n", " ").splitlines()]
     every = [tuple(map(float, line[1:4])) for line in words if line[:1] == ["v"]]
     polygons, before = list[list[tuple[float, ...]]](), 0
     for line in words:
@@ -336,9 +331,8 @@ def test_glb_sparse_accessors_are_read(tmp_path: Path) -> None:
         made.accessors[at]["sparse"] = sparse
         if base is None:
             del made.accessors[at]["bufferView"]
-        check_box(
-            tmp_path / f"{len(places)}.glb", made.data([{"attributes": {"POSITION": at}, "indices": made.add(SOME)}])
-        )
+        part = {"attributes": {"POSITION": at}, "indices": made.add(SOME)}
+        check_box(tmp_path / f"{len(places)}.glb", made.data([part]))
 
 
 def test_a_glb_without_scenes_uses_its_root_nodes(tmp_path: Path) -> None:
@@ -366,9 +360,8 @@ def test_unsupported_glb_features_are_refused_by_name(tmp_path: Path) -> None:
     address = "data:application/octet-stream;base64," + base64.b64encode(made.blob).decode()
     check_box(path, made.data(parts, buffers=[{"byteLength": len(made.blob), "uri": address}]))
     made.accessors.append({"componentType": 5126, "count": 8, "type": "VEC3"})
-    assert "has no data for accessor 2" in file_refusal(
-        path, made.data([{"attributes": {"POSITION": 2}, "indices": 1}])
-    )
+    missing = made.data([{"attributes": {"POSITION": 2}, "indices": 1}])
+    assert "has no data for accessor 2" in file_refusal(path, missing)
 
 
 def test_a_suspicious_size_is_reported_with_a_scale(tmp_path: Path) -> None:

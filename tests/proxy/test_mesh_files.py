@@ -1,7 +1,5 @@
 """Mesh files: formats are read back unchanged; damaged or malicious files raise one error or give a valid mesh."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re
@@ -50,8 +48,7 @@ def corners(mesh: Arrays | Mesh) -> np.ndarray:
     keys = np.round(points, 6)
     least = np.array([min(range(3), key=lambda k: tuple(triple[k])) for triple in keys])
     turned = np.array([np.roll(triangle, -start, axis=0) for triangle, start in zip(points, least, strict=True)])
-    order = np.lexsort(np.round(turned, 6).reshape(len(turned), -1).T[::-1])
-    return turned[order]
+    return turned[np.lexsort(np.round(turned, 6).reshape(len(turned), -1).T[::-1])]
 
 
 def ply_text(mesh: Mesh) -> bytes:
@@ -154,9 +151,8 @@ def test_check_prints_the_mesh_report(tmp_path: Path, capsys: pytest.CaptureFixt
     )
     assert main(["check", str(scene)]) == 0
     output = capsys.readouterr().out
-    assert re.search(r"triangles +180 on 92 vertices\n", output) and re.search(
-        r"surface +watertight, 3\.9\d+ m\^3\n", output
-    )
+    assert re.search(r"triangles +180 on 92 vertices\n", output)
+    assert re.search(r"surface +watertight, 3\.9\d+ m\^3\n", output)
     assert re.search(r"mended +vertices merged that coincide within 1e-09 of its size: 448\n", output)
     assert main(["check", "--json", str(scene)]) == 0
     (summary,) = json.loads(capsys.readouterr().out)

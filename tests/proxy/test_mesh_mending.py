@@ -1,7 +1,5 @@
 """Mesh repair: which defects are repaired, which are only reported; meshes from formulas are the reference."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -25,9 +23,8 @@ def mended(mesh: Mesh, loose: bool = False) -> tuple[Arrays, MeshReport]:
 
 
 def soup(mesh: Mesh) -> Mesh:
-    return Mesh(
-        mesh.vertices[mesh.triangles].reshape(-1, 3), np.arange(mesh.triangles.size, dtype=np.int32).reshape(-1, 3)
-    )
+    corners = mesh.vertices[mesh.triangles].reshape(-1, 3)
+    return Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
 
 
 @pytest.mark.parametrize(
@@ -80,8 +77,7 @@ def test_coincident_vertices_are_merged(loose: bool) -> None:
     mesh = soup(BALL)
     mesh.vertices[mesh.vertices == 0.0] = -0.0
     (vertices, triangles), report = mended(mesh, loose)
-    assert report.watertight and len(vertices) == len(BALL.vertices)
-    assert report.merged_vertices == 960 - 162
+    assert report.watertight and len(vertices) == len(BALL.vertices) and report.merged_vertices == 960 - 162
     np.testing.assert_array_equal(vertices[triangles], BALL.vertices[BALL.triangles])
 
 
@@ -90,8 +86,7 @@ def test_vertices_of_stl_are_merged_within_a_tolerance() -> None:
     mesh = soup(BALL)
     near = Mesh(mesh.vertices + rng.uniform(-0.1, 0.1, mesh.vertices.shape) * MERGE_DISTANCE_SHARE, mesh.triangles)
     far = Mesh(mesh.vertices + rng.uniform(-20, 20, mesh.vertices.shape) * MERGE_DISTANCE_SHARE, mesh.triangles)
-    assert mended(near, loose=True)[1].watertight
-    assert mended(near)[1].bodies == 320
+    assert mended(near, loose=True)[1].watertight and mended(near)[1].bodies == 320
     assert not mended(far, loose=True)[1].watertight
     assert "vertices merged that coincide within 1e-09 of its size: 798" in mended(near, loose=True)[1].mended[0]
 
@@ -160,6 +155,5 @@ def test_thinned_meshes_preserve_the_shape() -> None:
     assert meshes.volume(Mesh(*thin)) == pytest.approx(meshes.volume(ball), rel=0.05)
     assert thin_mesh(Arrays(*BALL), 320).triangles is BALL.triangles
     for width in (1.0, 1e-3, 1e-9):  # the narrower the strip, the fewer cells
-        strip = meshes.sheet(width, 1.0, columns=100, rows=100)
-        assert len(thin_mesh(Arrays(*strip), 500).triangles) <= 500
+        assert len(thin_mesh(Arrays(*meshes.sheet(width, 1.0, columns=100, rows=100)), 500).triangles) <= 500
     assert len(thin_mesh(Arrays(*meshes.sheet(columns=100, rows=100)), 500).triangles) > 100

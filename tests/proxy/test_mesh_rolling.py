@@ -69,9 +69,8 @@ def test_rolling_over_an_edge_deflects_nothing(tmp_path, half_angle, method):
     """If the tick that leaves the ridge were lost, it would deflect by up to DEPTH x TICK_RAD = 2 um."""
     np.save(tmp_path / "hills.npy", np.zeros((4, 4)))
     box = make_object("box", "box", size_m=[0.01, 0.01, 0.01], position_m=[0.0, 0.0, -3.0])
-    hills = make_object(
-        "hills", "heightmap", file=str(tmp_path / "hills.npy"), pitch_m=0.01, level_m=1.0, position_m=[0.0, 0.0, -3.0]
-    )
+    file = str(tmp_path / "hills.npy")
+    hills = make_object("hills", "heightmap", file=file, pitch_m=0.01, level_m=1.0, position_m=[0.0, 0.0, -3.0])
     for phase, others in ((0.2, ()), (0.5, (box,)), (0.9, () if method == "rotation_vector" else (hills,))):
         deflected = deflections(tmp_path, half_angle, np.array([0.0, TICK_RAD, 0.0]), phase, method, *others)
         assert deflected.max() < third_order(half_angle, np.array([0.0, TICK_RAD, 0.0]))
@@ -80,11 +79,8 @@ def test_rolling_over_an_edge_deflects_nothing(tmp_path, half_angle, method):
 @pytest.mark.parametrize("method", ["midpoint", "montana_rk4", "montana_rk45", "rotation_vector"])
 @pytest.mark.parametrize("half_angle", [2e-4, 0.01, 0.1])
 def test_rolling_with_spin_over_an_edge_has_second_order(tmp_path, half_angle, method):
-    """Oblique to the edge, with a rotation about the normal as large as the roll.
-
-    The midpoint rule does not see the edge if it arrives in the second half of a tick. Its error is r w_n w_y (1 - t)^2
-    / 2 for the arrival at t, so at most r w_n w_y / 8.
-    """
+    """Oblique, with a rotation about the normal as large as the roll. The midpoint rule does not see an edge in the
+    second half of a tick: an error of r w_n w_y (1 - t)^2 / 2 for the arrival at t, at most r w_n w_y / 8."""
     w = TICK_RAD * np.array([0.5, 0.8, 1.0])
     allowed = R * np.linalg.norm(w) * w[1] / 8.0 + third_order(half_angle, w)
     for phase in (0.2, 0.5, 0.9):

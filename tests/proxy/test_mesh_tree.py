@@ -82,8 +82,7 @@ def test_distance_equals_the_brute_force_minimum(name):
     for x in points:
         expected = distances(np.asarray(vertices), np.asarray(triangles), x).min()
         spot = nearest(mesh, tuple(x.tolist()), 1e300, NO_TRIANGLE, WHOLE, 0.0)
-        assert abs(np.sqrt(spot.squared_distance) - expected) <= EQUAL * size
-        assert spot.bound == spot.squared_distance
+        assert abs(np.sqrt(spot.squared_distance) - expected) <= EQUAL * size and spot.bound == spot.squared_distance
         gap, point, normal = closest_on_triangle(mesh, float(spot.triangle), tuple(x.tolist()))
         assert abs(abs(gap) - expected) <= EQUAL * size
         assert abs(np.linalg.norm(normal) - 1.0) < 1e-12
@@ -105,8 +104,7 @@ def test_random_triangles_at_all_sizes(seed, count, exponent, away):
 
 
 def test_sign_of_the_gap_at_faces_edges_and_corners():
-    """The gap of a closed mesh is positive exactly outside, for points whose nearest feature is a face, edge or corner.
-    The meshes are a sphere and a bumpy sphere. A mesh with side -1 gives the opposite gap and normal."""
+    """The gap is positive exactly outside; a mesh with side -1 gives the opposite gap and normal."""
     rng = np.random.default_rng(4)
     for made in (meshes.geodesic(3, 1.0), meshes.bumpy_sphere(6, 1.0, height=0.2)):
         tree = build_tree(*made)
@@ -136,8 +134,7 @@ def test_an_open_mesh_is_a_sheet_with_two_sides():
 
 
 def test_a_limit_and_known_triangles_change_no_answer():
-    """A distance limit hides only triangles beyond it, and a known start triangle does not change the distance. Among
-    equally near triangles, the query returns the known one."""
+    """A limit hides only triangles beyond it. Among equally near triangles, the query returns the known one."""
     tree = build_tree(*meshes.geodesic(10, 0.05))
     mesh, rng = mesh_of(tree), np.random.default_rng(5)
     for _ in range(200):
@@ -159,8 +156,7 @@ def test_a_limit_and_known_triangles_change_no_answer():
 
 
 def test_an_exhausted_budget_still_gives_a_lower_bound():
-    """A query that exhausts its budget returns a lower bound of the distance and overspends by at most one node. From
-    the middle of a sphere, all triangles are equally near."""
+    """From the middle of a sphere all triangles are equally near. The query overspends by at most one node."""
     vertices, triangles = meshes.geodesic(40, 0.05)
     mesh = mesh_of(build_tree(vertices, triangles))
     x = (1e-7, 2e-7, -1e-7)
@@ -172,8 +168,7 @@ def test_an_exhausted_budget_still_gives_a_lower_bound():
 
 
 def test_a_query_stops_early_at_a_triangle_within_reach():
-    """With a reach, a query stops early at any triangle within it; if there is none, the result is the usual one. The
-    query point is near the centre of a sphere, where many triangles are almost equally near."""
+    """Near the centre of a sphere many triangles are almost equally near."""
     vertices, triangles = meshes.geodesic(60, 0.05)
     tree = build_tree(vertices, triangles)
     mesh, x = mesh_of(tree), (1.2e-3, 0.7e-3, -0.9e-3)

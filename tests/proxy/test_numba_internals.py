@@ -1,9 +1,5 @@
-"""Undocumented behaviour of numba that the kernels depend on.
-
-Verified with numba 0.67 and 0.68. With another version, a failure here shows what has changed.
-"""
-
-from __future__ import annotations
+"""Undocumented behaviour of numba 0.67 and 0.68 that the kernels depend on. With another version, a failure here shows
+what has changed."""
 
 import subprocess
 import sys
@@ -83,8 +79,7 @@ def test_forced_inlining_leaves_no_function() -> None:
     outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: long(x) + long(x + 1.0) + long(x + 2.0) + long(x * 2.0))
     outermost(1.0)
     (ir,) = outermost.inspect_llvm().values()
-    defined = [line for line in ir.splitlines() if line.startswith("define ") and "cpython" not in line]
-    assert len(defined) == 1
+    assert len([line for line in ir.splitlines() if line.startswith("define ") and "cpython" not in line]) == 1
 
 
 def test_a_literal_argument_compiles_no_further_kernel() -> None:
@@ -114,8 +109,7 @@ def test_inlined_kernels_have_no_machine_code(tmp_path: Any) -> None:
         hits.append(sum(kernel.dispatcher.stats.cache_hits.values()))
         (made,) = kernel.dispatcher.overloads.values()
         assert isinstance(made.library, InlinedCode) and not made.type_annotation
-        engine = cpu_target.target_context.codegen()._engine
-        assert not engine.is_symbol_defined(made.fndesc.llvm_func_name)
+        assert not cpu_target.target_context.codegen()._engine.is_symbol_defined(made.fndesc.llvm_func_name)
     assert hits == [0, 1]
 
 
@@ -137,8 +131,7 @@ def test_a_small_kernel_with_large_callees_is_left_to_its_callers(
         caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, kernel=kernel: kernel(x) + kernel(2.0 * x))
         assert caller(0.5) == np.sin(0.5) + 1.0 + (np.sin(1.0) + 1.0)
         (made,) = kernel.dispatcher.overloads.values()
-        code = str(made.library.get_function(made.fndesc.llvm_func_name))
-        assert code.count("call i32") == calls
+        assert str(made.library.get_function(made.fndesc.llvm_func_name)).count("call i32") == calls
 
 
 def test_a_tuple_is_one_argument_of_an_inlined_kernel(tmp_path: Any) -> None:
@@ -274,8 +267,7 @@ def shared(x: float, n: int) -> Any:
 
 @pytest.mark.parametrize("function", [straight, branched, looped, nested, renamed, shared])
 def test_types_and_results_are_those_of_numba(empty_cache: None, function: Any) -> None:
-    """`TypeInferer`, `storevar`, `_blk_local_varmap`, `is_straight`: also of variables of several blocks or
-    closures."""
+    """`TypeInferer`, `storevar`, `_blk_local_varmap`, `is_straight`."""
     kernel: Any = decorators.jit(function)
     caller: Any = numba.njit(**decorators.OPTIONS)(lambda x, n: kernel(x, n))
     plain: Any = numba.njit(**decorators.OPTIONS)(function)
@@ -285,9 +277,7 @@ def test_types_and_results_are_those_of_numba(empty_cache: None, function: Any) 
 
 
 def test_only_a_kernel_of_one_block_without_reassigned_closures_is_straight() -> None:
-    straight_kernels = [
-        passes.is_straight(run_frontend(function)) for function in (straight, renamed, shared, branched)
-    ]
+    straight_kernels = [passes.is_straight(run_frontend(kernel)) for kernel in (straight, renamed, shared, branched)]
     assert straight_kernels == [True, True, False, False]
 
 
@@ -332,16 +322,14 @@ def test_a_compiled_kernel_is_saved_and_loaded(tmp_path: Any) -> None:
         results.append(sum(compiled.stats.cache_hits.values()))
     assert results == [results[0], 0, results[0], 1]
     (file,) = folder.path.iterdir()  # type: ignore[union-attr]
-    loaded = load(folder, file.name, cpu_target.target_context)
-    assert loaded.signature == types.float64(types.float64)
+    assert load(folder, file.name, cpu_target.target_context).signature == types.float64(types.float64)
     assert load(folder, "none.kernel", cpu_target.target_context) is None
 
 
 def test_a_c_function_has_an_address() -> None:
     """`CFunc`: compiled when its address is requested, and callable from C; the linker finds a name added for it."""
     kernel = CFunction(lambda x: 2 * x, types.int64(types.int64))
-    assert kernel.native_name is None
-    assert kernel.address and kernel.ctypes(21) == 42
+    assert kernel.native_name is None and kernel.address and kernel.ctypes(21) == 42
     llvm.add_symbol("softfinger_test_symbol", kernel.address)
     assert llvm.address_of_symbol("softfinger_test_symbol") == kernel.address
     assert llvm.address_of_symbol("softfinger_test_symbol_that_is_not") is None

@@ -1,24 +1,17 @@
 """One finger drags a plate until the plate slips, or pushes it over a floor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.touching import GRIP
-from numpy.typing import NDArray
+from helpers.touching import GRIP, Array
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import SLIDING
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
-G = 9.81
-R = 0.008
-MASS = 0.1
-STIFFNESS = 1000.0
+G, R, MASS = 9.81, 0.008, 0.1
 STATIC, KINETIC = 0.8, 0.7
 """Friction of the finger on the body."""
 HALF, THIN = 0.02, 0.005
@@ -41,23 +34,14 @@ PLATE = """
 def finger_on_a_plate(folder: Path, floor: float) -> Engine:
     (folder / "plate.xml").write_text(PLATE.format(floor=floor), encoding="utf-8")
     material = GRIP | {"damping_ns_per_m": 2.0, "friction": {"static": STATIC, "kinetic": KINETIC}}
-    return Engine(
-        {
-            "fingertip": {"radius_m": R},
-            "rolling": {"method": "midpoint"},
-            "coupling": {
-                "stiffness_n_per_m": STIFFNESS,
-                "damping_ns_per_m": 4.0,
-                "torsional_damping_nms_per_rad": 1e-4,
-            },
-            "world": {"model": str(folder / "plate.xml"), "geom": [{"name": "plate", "material": material}]},
-        }
-    )
+    world = {"model": str(folder / "plate.xml"), "geom": [{"name": "plate", "material": material}]}
+    coupling = {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 4.0, "torsional_damping_nms_per_rad": 1e-4}
+    tables = {"fingertip": {"radius_m": R}, "rolling": {"method": "midpoint"}}
+    return Engine(tables | {"coupling": coupling, "world": world})
 
 
 def go(engine: Engine, path: Array) -> tuple[Array, Array, Array]:
-    """Force on the finger (n, 3), mode (n,) and velocity of the plate along x (n,) for centres (n, 3). Check that the
-    force on the plate is the opposite, to 1e-12 N."""
+    """Force (n, 3), mode (n,) and the plate's velocity along x (n,); checks that the plate's force is opposite."""
     force, mode, speed = np.zeros((len(path), 3)), np.zeros(len(path)), np.zeros(len(path))
     for tick, center in enumerate(path):
         records = engine.run(np.array([[*center, 1.0, 0.0, 0.0, 0.0]]))
@@ -74,8 +58,7 @@ def down(depth: float, ticks: int = 120) -> Array:
 
 
 def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path) -> None:
-    """On a frictionless floor, a finger with force N drags with an acceleration j t; the plate slips at a = mu_s N / m.
-    Afterwards the plate accelerates with mu_k N / m."""
+    """Without floor friction, at a = j t = mu_s N / m; afterwards it accelerates with mu_k N / m."""
     engine, jerk, press = finger_on_a_plate(tmp_path, 0.0), 40.0, down(1e-3)
     force, _, _ = go(engine, press)
     normal = force[-1, 2]
@@ -89,13 +72,11 @@ def test_a_dragged_plate_slips_when_its_inertia_exceeds_friction(tmp_path: Path)
     assert jerk * t[first] == pytest.approx(STATIC * normal / MASS, abs=5.0 * jerk * DT)
     after = slice(first + 5, first + 45)
     assert np.all(mode[after] == SLIDING)
-    acceleration = np.polyfit(t[after], speed[after], 1)[0]
-    assert acceleration == pytest.approx(KINETIC * normal / MASS, rel=0.01)
+    assert np.polyfit(t[after], speed[after], 1)[0] == pytest.approx(KINETIC * normal / MASS, rel=0.01)
 
 
 def test_a_pushed_plate_resists_by_floor_friction_and_inertia(tmp_path: Path) -> None:
-    """Pushed from the side, the plate resists with mu m g in a slow slide, and with m a more in an accelerated one. To
-    2 %: MuJoCo makes friction convex, and a sliding body hops by micrometres."""
+    """mu m g + m a. To 2 %: MuJoCo makes friction convex, and a sliding body hops by micrometres."""
     floor, more, slow, faster = 0.2, 2.0, 400, 150
     engine, limit = finger_on_a_plate(tmp_path, floor), floor * MASS * G
     t = DT * np.arange(slow + faster)

@@ -1,7 +1,5 @@
 """Outlined kernels: compiled once, cached separately and called by address."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path
@@ -76,8 +74,7 @@ def units(cache: Path) -> dict[str, int]:
 def test_outlined_kernels_are_compiled_once_for_all_callers(
     scripts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A second program loads the kernels that the first compiled, and does not write them again. A missing symbol would
-    end the program, so if a kernel's file is missing, its callers are recompiled with it."""
+    """A missing symbol would end the program: callers are recompiled with a kernel whose file is missing."""
     cache = tmp_path / "cache"
     assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"
     files = units(cache)

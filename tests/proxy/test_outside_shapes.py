@@ -1,7 +1,5 @@
 """Shapes of other packages, each in one file, named in scene files and touched like built-in shapes."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import os
@@ -19,8 +17,7 @@ import pytest
 from conftest import merged
 from helpers.faulty_device import FaultyDevice, Options
 from helpers.programs import run_program
-from helpers.touching import GRIP
-from numpy.typing import NDArray
+from helpers.touching import GRIP, Array
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
@@ -33,10 +30,8 @@ from softfinger.proxy.record import FREE
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
 
-Array = NDArray[np.float64]
 OUTSIDE = Path(__file__).parents[1] / "outside_shape"
-RADIUS = 0.01
-HALF_ANGLE = 0.5
+RADIUS, HALF_ANGLE = 0.01, 0.5
 
 
 def outside(name: str) -> Iterator[ModuleType]:
@@ -102,8 +97,7 @@ def test_a_tag_is_registered_once(cone: ModuleType) -> None:
 
 @pytest.mark.plain
 def test_cone_agrees_with_sampled_points(cone: ModuleType) -> None:
-    """The gap is the distance to the closest of many points of the flank; the point is on the flank, along the
-    normal."""
+    """The gap is the distance to the closest of many points of the flank."""
     rng = np.random.default_rng(1)
     s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
     spacing = 1e-4
@@ -134,11 +128,7 @@ def test_curvature_of_cone_is_the_rotation_of_its_normal(cone: ModuleType) -> No
 
 @pytest.mark.plain
 def test_touching_a_cone_is_touching_its_tangent_plane(cone: ModuleType) -> None:
-    """Along a straight line of the flank, touching, pressing, rolling, spinning and sliding give the records of the
-    tangent plane.
-
-    The normal curvature along the line is zero, so the plane is the closed form of every column.
-    """
+    """Along a straight line of the flank the normal curvature is zero: the plane is the closed form of every column."""
     s, c = np.sin(HALF_ANGLE), np.cos(HALF_ANGLE)
     normal, along, across = np.array([c, 0.0, s]), np.array([s, 0.0, -c]), np.array([0.0, 1.0, 0.0])
     tick = np.arange(401)  # one change at a time: simultaneous roll and spin would leave the straight line
@@ -181,10 +171,8 @@ def touched(folder: Path, balls_file: Path) -> str:
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(folder / "cache")}
     script = folder / "touch.py"  # code from a command line is not cached
     script.write_text(TOUCH)
-    process = run_program(
-        [sys.executable, "-B", str(script), str(folder), str(balls_file)], env=environment, check=True
-    )
-    return process.stdout.strip()
+    command = [sys.executable, "-B", str(script), str(folder), str(balls_file)]
+    return run_program(command, env=environment, check=True).stdout.strip()
 
 
 BALLS = np.array([[0.0, 0.0, -0.02, 0.02], [0.05, 0.0, -0.03, 0.03], [0.0, 0.08, -0.01, 0.01]])
@@ -256,14 +244,7 @@ def test_a_servo_keeps_an_array_while_its_loop_may_read_it(beads: ModuleType, ba
         gc.collect()
         # The first of the replaced ones is an argument of the loop.
         alive = [reference() is not None for reference in references]
-        expected = {
-            0: [True],
-            1: [True, True],
-            2: [True, True, True],
-            3: [True, True, True, True],
-            5: [True, False, False, False, True],
-        }
-        assert alive == expected[ticks]
+        assert alive == ([True] * (ticks + 1) if ticks < 5 else [True, False, False, False, True])
     servo.close()
 
 
@@ -293,8 +274,7 @@ def test_an_array_is_read_only(beads: ModuleType) -> None:
 
 @pytest.mark.exhaustive
 def test_an_outlined_kernel_is_linked_to_a_cached_caller(tmp_path: Path, balls_file: Path) -> None:
-    """A process that loads the caller from disk calls the query it was compiled with; editing the query compiles both
-    again."""
+    """A caller loaded from disk calls the query it was compiled with; editing the query compiles both again."""
     file = tmp_path / "softfinger_beads.py"
     shutil.copy(OUTSIDE / file.name, file)
     assert touched(tmp_path, balls_file) == "0.1 0"

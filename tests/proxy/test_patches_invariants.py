@@ -13,7 +13,7 @@ from references.rotation import matrix
 from test_invariants import cycle, numbers, visit
 from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, material, tile, wall
 
-pytestmark = pytest.mark.plain
+pytestmark = [pytest.mark.plain, pytest.mark.scaled]
 
 STUFF = material(GRIP, LIMP)
 EVEN = material({"static": 0.5, "kinetic": 0.5}, LIMP)
@@ -32,10 +32,7 @@ PLANES = {
 """Normals and offsets of planes, and the position at which the proxy just or nearly fits between them."""
 BALL = 0.02
 """Radius of a sphere, m."""
-BALLS = {
-    "two balls": [(-BALL, 0.0, 0.0), (BALL, 0.0, 0.0)],
-    "ball on floor": [(0.0, 0.0, BALL)],
-}
+BALLS = {"two balls": [(-BALL, 0.0, 0.0), (BALL, 0.0, 0.0)], "ball on floor": [(0.0, 0.0, BALL)]}
 """Centres of the spheres; the single one is on a floor z = 0."""
 KINDS = [*PLANES, "seam"]
 SYMMETRIC = ["groove", "sharp groove", "valley", "slot", "seam", "two balls"]
@@ -78,8 +75,7 @@ def make_engine(kind, even=False, back=False, unequal=False):
 
 
 def handling(kind, draws, count):
-    """Poses of a path through several goals within some mm of a place and back. First and last pose are free, except in
-    a pinch, which leaves no room."""
+    """Poses of a path to goals within some mm of a place and back; free at its ends, except in a pinch."""
     # Offset from the point at which both walls are touched exactly, where rounding decides.
     goals = PLACES[kind] + [0.00011, -0.00007, -0.00031] + 0.002 * draws[:count, :3]
     return cycle(PLACES[kind] + BEGIN.get(kind, (0.002, 0.002, 0.006)), goals, 0.3 * draws[:count, 3:])
@@ -90,7 +86,6 @@ WALLS_OF_CYCLES = [*((kind, False) for kind in KINDS), *((kind, True) for kind i
 """Scenes, and whether the walls have unequal materials."""
 
 
-@pytest.mark.scaled
 @examples(25)
 @given(st.sampled_from(WALLS_OF_CYCLES), *MOTIONS)
 def test_closed_cycle_gives_no_energy(case, draws, count):
@@ -107,7 +102,6 @@ def soft_engine(kind):
     return engine(*objects_of(kind, STUFF), **SOFT)
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(["groove", "sharp groove", "valley", "seam"]), numbers(4, 6), st.integers(1, 4))
 def test_spin_of_contact_patches_gives_no_energy(kind, draws, count):
@@ -129,7 +123,6 @@ def test_spin_of_contact_patches_gives_no_energy(kind, draws, count):
     assert (np.cumsum(work) - stored + np.cumsum(missed)).min() > -1e-17
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(list(BALLS)), *MOTIONS)
 def test_curved_bodies_give_no_energy(kind, draws, count):
@@ -160,7 +153,6 @@ def swaying(kind):
     return engine(*objects)
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(["groove", "corner", "slot"]), *MOTIONS)
 def test_moving_object_gives_no_more_energy_than_its_work(kind, draws, count):
@@ -178,7 +170,6 @@ def test_moving_object_gives_no_more_energy_than_its_work(kind, draws, count):
     assert work.min() > -1e-14
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(SYMMETRIC), *MOTIONS)
 def test_order_of_touches_changes_nothing(kind, draws, count):
@@ -189,7 +180,6 @@ def test_order_of_touches_changes_nothing(kind, draws, count):
     np.testing.assert_allclose(b["torque"], a["torque"] * [1.0, -1.0, -1.0], rtol=0, atol=1e-13)
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_order_of_bodies_changes_nothing(kind, draws, count):
@@ -200,21 +190,16 @@ def test_order_of_bodies_changes_nothing(kind, draws, count):
     np.testing.assert_allclose(a["torque"], b["torque"], rtol=0, atol=1e-13)
 
 
-@pytest.mark.scaled
 @examples(15)
 @given(st.sampled_from(KINDS + list(BALLS)), *MOTIONS)
 def test_force_is_continuous(kind, draws, count):
-    """From tick to tick the force changes by no more than stiffness times motion, also if the contact changes object.
-
-    A step s changes the depth in a wall by at most s / sin(half the angle between two walls). Normal forces change by K
-    times that. Friction changes with its springs, with mu times the normal forces and with the shares transferred, each
-    no more than the normal force.
-    """
+    """From tick to tick, by no more than stiffness times motion, also if the contact changes object. A step s changes
+    the depth in a wall by at most s / sin(half the angle between two walls), and normal forces by K times that.
+    Friction changes with its springs, with mu times the normal forces and with the shares transferred."""
     poses = handling(kind, draws, count)
     records = visit(make_engine(kind, even=True), poses)
-    travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + R * np.linalg.norm(
-        axis_angles(poses[:, 3:]), axis=1
-    )
+    travel = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    travel += R * np.linalg.norm(axis_angles(poses[:, 3:]), axis=1)
     jumps = np.linalg.norm(np.diff(records["force"], axis=0), axis=1)
     # 70 degrees between sphere and floor, 84 between two spheres, less the turn of the normals in 3 mm of depth.
     steepest = 1.0 / np.sqrt(0.19) if kind == "sharp groove" else 2.0 if kind in BALLS else np.sqrt(2.0)

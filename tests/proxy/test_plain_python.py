@@ -1,10 +1,4 @@
-"""Kernels give the same bits compiled and as plain Python, so results of the plain tests hold for both.
-
-Covers the shipped scenes, whose kernels other tests compile too, and a roll by each method. Compiling takes half a
-minute.
-"""
-
-from __future__ import annotations
+"""Kernels give the same bits compiled and as plain Python: the shipped scenes, and a roll by each method."""
 
 import os
 import sys
@@ -48,8 +42,7 @@ def records_of(name: str) -> Any:
     engine = Engine(name)
     if len(engine.fingers) == 1:
         return engine.run(hand_path(CENTERS[name]))[:, None].copy()
-    poses = {"index": hand_path(CENTERS[name]), "thumb": hand_path((-0.03, 0.0, 0.0))}
-    records = engine.run(poses)
+    records = engine.run({"index": hand_path(CENTERS[name]), "thumb": hand_path((-0.03, 0.0, 0.0))})
     return np.stack([records[finger] for finger in engine.fingers], axis=1)
 
 
@@ -80,14 +73,11 @@ LESS = ("paper-plane", "pinch")
 """Scenes in `make test`: one object; two fingers with a fourth-order method."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name in LESS else [pytest.mark.exhaustive]) for name in CENTERS]
-)
+@pytest.mark.parametrize("name", [n if n in LESS else pytest.param(n, marks=pytest.mark.exhaustive) for n in CENTERS])
 def test_records_of_a_scene_are_the_same_bits(plain: Path, name: str) -> None:
     compiled = records_of(name)
     assert np.load(plain / f"{name}.npy").tobytes() == compiled.tobytes()
-    met = set(compiled[..., AT.contact_mode].ravel().tolist())
-    assert met == {0.0, 1.0, 2.0}
+    assert set(compiled[..., AT.contact_mode].ravel().tolist()) == {0.0, 1.0, 2.0}
 
 
 SOME = {("rotation_vector", "hollow sphere"), ("euler_zyx", "plane"), ("montana_rk45", "ellipsoid")}

@@ -1,7 +1,6 @@
 """Record table: a field added there appears in the record, the wire format, the result files and the schema."""
 
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import get_args, get_type_hints
@@ -23,28 +22,23 @@ def test_columns_follow_each_other():
     assert [field.at for field in FIELDS] == list(AT)
     ends = [field.at + field.size for field in FIELDS]
     assert [0, *ends] == [*AT, RECORD_SIZE]
-    assert [field.name.replace(".", "_") for field in FIELDS] == list(AT._fields)
-    assert len(NAMED) == len(FIELDS)
+    assert [field.name.replace(".", "_") for field in FIELDS] == list(AT._fields) and len(NAMED) == len(FIELDS)
     assert {field.kind for field in FIELDS} <= set(get_args(Kind))
     assert all(field.size == 1 for field in FIELDS if field.kind == "int")
 
 
 def test_step_has_every_field_that_the_contact_fills():
     row = np.full(RECORD_SIZE, np.nan)
-    outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in contact_types()))
+    types = get_type_hints(Contact).values()
+    outcome = Contact(*((1.0, 1.0, 1.0) if part == tuple[float, float, float] else 1.0 for part in types))
     outcome = outcome._replace(contacts=(NO_OUTCOME,))
     force, orientation = (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
     write_contact(row, 7, 0.001, force, orientation, outcome, force, force)
     filled = {f.name for f in FIELDS if not np.isnan(row[f.at : f.at + f.size]).any()}
     patches = {name for name in filled if name.startswith("contacts")}
     assert len(patches) == 18
-    assert filled - patches - {"tick", "dt", "probe.position", "probe.orientation"} == {
-        f.name for f in STEP_FIELDS.values()
-    }
-
-
-def contact_types():
-    return get_type_hints(Contact).values()
+    of_step = filled - patches - {"tick", "dt", "probe.position", "probe.orientation"}
+    assert of_step == {f.name for f in STEP_FIELDS.values()}
 
 
 def test_step_has_the_types_of_the_table():
@@ -69,11 +63,6 @@ def tree(tmp_path_factory):
     last = text.index("\n\n\n", text.index("class Offsets")) + 1
     table.write_text(text[:last] + NEW + text[last:], encoding="utf-8")
     return root
-
-
-def run_in(tree: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {"PYTHONPATH": str(tree), "HOME": str(tree), "PATH": "/usr/bin:/bin"}
-    return run_program([sys.executable, *arguments], cwd=tree, env=environment)
 
 
 EVERYWHERE = """
@@ -108,7 +97,6 @@ sys.exit(main(["schema", "telemetry"]))
 
 
 def test_new_field_is_everywhere(tree):
-    process = run_in(tree, "-c", EVERYWHERE)
-    assert process.returncode == 0, process.stderr
-    assert '"fault.level"' in process.stdout
-    assert "a field that a test has added" in process.stdout
+    environment = {"PYTHONPATH": str(tree), "HOME": str(tree), "PATH": "/usr/bin:/bin"}
+    process = run_program([sys.executable, "-c", EVERYWHERE], cwd=tree, env=environment, check=True)
+    assert '"fault.level"' in process.stdout and "a field that a test has added" in process.stdout

@@ -1,9 +1,4 @@
-"""`rescue.py` returns from calls that would end the process, tested with MuJoCo's errors.
-
-The tests start subprocesses, because MuJoCo has one error handler per process.
-"""
-
-from __future__ import annotations
+"""`rescue.py` returns from MuJoCo's fatal errors; in subprocesses, since MuJoCo has one error handler per process."""
 
 import os
 import sys
@@ -54,8 +49,7 @@ def stepped(model, data, count):
 
 def output_of(code: str, *words: str, **environment: str) -> str:
     variables = os.environ | {"NUMBA_DISABLE_JIT": "0"} | environment
-    process = run_program([sys.executable, "-c", HEAD + code, *words], env=variables, check=True)
-    return process.stdout.strip()
+    return run_program([sys.executable, "-c", HEAD + code, *words], env=variables, check=True).stdout.strip()
 
 
 ERRORS = """
@@ -97,20 +91,15 @@ os._exit(0)
 
 
 def test_the_caller_continues_after_an_error(tmp_path: Path) -> None:
-    """A hundred errors in a row return MuJoCo's message, and the caller's values from before each jump are unchanged.
-
-    After a reset the same data advances, and Python's call of MuJoCo still raises. Of four simultaneous threads, two of
-    which fail in each call, each jumps to its own call. A thread that steps by address outside of `call_rescued`
-    sleeps, and the program runs to its end.
-
-    One process compiles the handler, another with a different thread key loads it.
-    """
+    """A hundred errors in a row return MuJoCo's message and leave the caller's values. After a reset the data advances,
+    and Python's call still raises. Of four threads, two of which fail in each call, each jumps to its own call; a
+    thread outside of `call_rescued` sleeps. One process compiles the handler, another with another thread key loads
+    it."""
     cache, total = str(tmp_path / "kernels"), 0.5 * sum(range(100))
     first = output_of(ERRORS, "0", SOFTFINGER_CACHE_DIR=cache)
     assert first == "3 1.5 invalid integrator True"
     assert list(Path(cache).rglob("jump_on_error*.kernel"))
     lines = output_of(ERRORS + RETURN + THREADS + NO_WAY_BACK, "5", SOFTFINGER_CACHE_DIR=cache).splitlines()
     assert lines[:2] == [first, f"100 {total} invalid integrator"]
-    assert lines[2].split() == ["0", str(total), "0.2"]
-    assert "invalid integrator" in lines[3]
+    assert lines[2].split() == ["0", str(total), "0.2"] and "invalid integrator" in lines[3]
     assert lines[4:] == ["0 20000 0 20000 invalid integrator", "True"]

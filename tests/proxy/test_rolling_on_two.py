@@ -29,21 +29,13 @@ SHAPES = {
     "pipe": (make_object("body", "cylinder", radius_m=BOWL, inside=True), 0.0),
 }
 """Object, and the vertical component of its normal at the fingertip."""
-DISTANCES = {
-    "ball": np.sqrt((BALL + R) ** 2 - (R - BALL) ** 2),
-    "pillar": PILLAR + R,
-    "pipe": BOWL - R,
-}
+DISTANCES = {"ball": np.sqrt((BALL + R) ** 2 - (R - BALL) ** 2), "pillar": PILLAR + R, "pipe": BOWL - R}
 """Distances of the centre from the z axis, m."""
 
 
 def deflections(body, distance, height, outward, ticks):
-    """Return the difference (n,) m of a hand's force from that of two unwound springs, over the stiffness.
-
-    distance  m  of the centre from the z axis
-    height       vertical component of the object's normal
-    outward      +1 if that normal points away from the z axis, otherwise -1
-    """
+    """Difference (n,) m of a hand's force from that of two unwound springs, over the stiffness, at `distance` m from
+    the z axis; the object's normal has this `height`, and points `outward` (+1) or inwards (-1)."""
     angles = np.linspace(0.0, TURN, ticks)
     radial = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
     up = np.array([0.0, 0.0, 1.0])

@@ -1,14 +1,11 @@
 """Several fingers in one world: the world advances once per tick, and fingers do not affect each other's contacts."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.touching import GRIP
-from numpy.typing import NDArray
+from helpers.touching import GRIP, Array
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.pack import unflatten
@@ -18,21 +15,13 @@ from softfinger.proxy.record import FREE
 
 pytestmark = pytest.mark.plain
 
-Array = NDArray[np.float64]
-DT = 1e-3
-TICKS = 400
+DT, TICKS = 1e-3, 400
 FINGERS: dict[str, dict[str, Any]] = {
-    "thumb": {
-        "radius_m": 0.01,
-        "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
-        "probe": {"velocity_time_constant_s": 0.002},
-    },
-    "index": {
-        "radius_m": 0.006,
-        "coupling": {"stiffness_n_per_m": 700.0, "damping_ns_per_m": 0.5},
-        "probe": {"velocity_time_constant_s": 0.001, "position_resolution_m": 1e-6},
-    },
-}
+    "thumb": {"radius_m": 0.01, "coupling": {"stiffness_n_per_m": 1000.0, "damping_ns_per_m": 1.0},
+              "probe": {"velocity_time_constant_s": 0.002}},
+    "index": {"radius_m": 0.006, "coupling": {"stiffness_n_per_m": 700.0, "damping_ns_per_m": 0.5},
+              "probe": {"velocity_time_constant_s": 0.001, "position_resolution_m": 1e-6}},
+}  # fmt: skip
 """Two fingertips that have no parameter in common."""
 RUBBER = GRIP | {"damping_ns_per_m": 2.0}
 REMEMBERS = [

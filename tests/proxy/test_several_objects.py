@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from helpers import touching
 from helpers.touching import R, facing, visit, wall
+from scipy.optimize import nnls
 
+from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.half_spaces import FACING_COSINE, solve_half_spaces
 from softfinger.proxy.record import AT
 
 pytestmark = pytest.mark.plain
@@ -25,10 +29,8 @@ def straight_path(start, end, ticks):
 
 def test_corner_of_three_planes():
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
-    records = visit(
-        corner,
-        np.vstack([straight_path((0.02, 0.02, 0.02), (0.008, 0.009, 0.0085), 200), [(0.008, 0.009, 0.0085)] * 5]),
-    )
+    goal = (0.008, 0.009, 0.0085)
+    records = visit(corner, np.vstack([straight_path((0.02, 0.02, 0.02), goal, 200), [goal] * 5]))
     # A quaternion turns the planes' normals from +z: rounding of some 1e-16 times metres.
     np.testing.assert_allclose(records["proxy.position"][-1], [R, R, R], atol=1e-15)
     np.testing.assert_allclose(records["force"][-1], [2.0, 1.0, 1.5], atol=1e-10)
@@ -50,8 +52,7 @@ def test_groove_is_the_nearest_point_to_the_probe(angle):
 
 
 def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
-    """The reported contact switches to another wall only if that wall bears clearly more load. A difference of 1 nm in
-    depth causes no switch, twice the load does, and equal depths do not switch back."""
+    """A difference of 1 nm in depth causes no switch, twice the load does, and equal depths do not switch back."""
     floor, left_wall = 0, 1
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
     begin = straight_path((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
@@ -90,8 +91,7 @@ def test_thin_object_is_not_jumped_over(shape, keys, tilt):
     passing = engine(make_object("thin", shape, (-0.02, 0.0, 0.0) if shape == "torus" else (0.0, 0.0, 0.0), **keys))
     start, end = np.array([tilt * 0.05, 0.0, 0.05]), np.array([-tilt * 0.05, 0.0, -0.05])
     records = visit(passing, [start, start, end, end, end])
-    assert (records[2:, AT.contact_mode] != 0).all()
-    assert records["proxy.position"][2][2] > 0.0
+    assert (records[2:, AT.contact_mode] != 0).all() and records["proxy.position"][2][2] > 0.0
     assert (records["force"][2:, 2] > 1.0).all()
 
 
@@ -100,19 +100,15 @@ def test_second_thin_wall_is_not_passed_while_the_first_is_touched():
         make_object("plate", "box", size_m=[0.2, 0.2, 0.001]),
         make_object("fence", "box", (0.05, 0, 0.05), size_m=[0.001, 0.2, 0.1]),
     ]
-    running = engine(*plates)
-    records = visit(
-        running, [(0.0, 0.0, 0.03), (0.0, 0.0, 0.03), (0.0, 0.0, 0.008), (0.09, 0.0, 0.008), (0.09, 0.0, 0.008)]
-    )
+    records = visit(engine(*plates), [(0.0, 0.0, 0.03)] * 2 + [(0.0, 0.0, 0.008)] + [(0.09, 0.0, 0.008)] * 2)
     np.testing.assert_allclose(records["proxy.position"][-1], [0.05 - 0.0005 - R, 0.0, 0.0005 + R], atol=1e-9)
 
 
 def test_inside_of_a_box_is_a_corner_too():
     """In the corner of a hollow box, three walls push with K times their depths."""
     room = engine(make_object("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
-    records = visit(
-        room, np.vstack([straight_path((0.0, 0.0, 0.0), (0.042, 0.043, -0.044), 300), [(0.042, 0.043, -0.044)] * 3])
-    )
+    goal = (0.042, 0.043, -0.044)
+    records = visit(room, np.vstack([straight_path((0.0, 0.0, 0.0), goal, 300), [goal] * 3]))
     np.testing.assert_allclose(records["proxy.position"][-1], [0.04, 0.04, -0.04], atol=1e-12)
     np.testing.assert_allclose(records["force"][-1], [-2.0, -3.0, 4.0], atol=1e-9)
     assert records[-1, AT.contact_object] == 0
@@ -130,11 +126,8 @@ def test_turning_table_spins_the_contact():
 @pytest.mark.scaled
 def test_proxy_never_oscillates_at_rest(cases):
     rng = np.random.default_rng(5)
-    clutter = [
-        wall("floor", (0, 0, 1)),
-        wall("left", (1, 0, 0)),
-        make_object("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012),
-    ]
+    ball = make_object("ball", "sphere", (0.02, 0.01, 0.01), radius_m=0.012)
+    clutter = [wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), ball]
     for _ in range(cases(4, 20)):
         target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
         records = visit(engine(*clutter), np.vstack([straight_path((0.05, 0.0, 0.05), target, 100), [target] * 60]))
@@ -142,3 +135,56 @@ def test_proxy_never_oscillates_at_rest(cases):
         # Each step is at most as long as the one before, to rounding; near a medial axis convergence takes longer.
         assert (moved[1:] <= moved[:-1] + 1e-15).all(), target
         assert moved[-1] < 1e-6, target
+
+
+@entry
+def solve(count, n1, n2, n3, b1, b2, b3):
+    solution = solve_half_spaces(count, n1, n2, n3, b1, b2, b3)
+    return solution.push, vec3.weighted_sum(solution.weights, n1, n2, n3)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_agrees_with_non_negative_least_squares(count):
+    rng = np.random.default_rng(count)
+    for _ in range(2000):
+        normals = rng.normal(size=(3, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        if count == 3 and abs(np.linalg.det(normals)) < 1e-3:
+            continue  # nearly coplanar normals: both solutions are accurate to fewer digits
+        if any(normals[i] @ normals[j] < FACING_COSINE for i in range(count) for j in range(i)):
+            continue  # walls that face each other are a pinch
+        deflection = rng.normal(size=3)  # c - x
+        _, d = solve(count, *map(tuple, normals.tolist()), *(normals @ deflection).tolist())
+        weights, _ = nnls(normals[:count].T, deflection)
+        # The condition of the Gram matrix at a determinant of 1e-3 costs up to six digits of sixteen.
+        np.testing.assert_allclose(d, normals[:count].T @ weights, atol=1e-9)
+
+
+def test_a_demand_met_by_another_wall_gets_no_weight():
+    slanted = (0.6, 0.0, 0.8)
+    push, d = solve(2, (0.0, 0.0, 1.0), slanted, slanted, 1.0, 0.5, 0.0)
+    assert push == (1.0, 0.0, 0.0) and d == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 2e-6, 1e-5, 3e-5, 1e-4, 2e-3])
+def test_nearly_parallel_walls_push_as_one(angle):
+    """The sideways part of the second demand adds at most the difference of the demands."""
+    up, tilted = (0.0, 0.0, 1.0), (float(np.sin(angle)), 0.0, float(np.cos(angle)))
+    for more in (0.0, 1e-18, -1e-18, 1e-12, -1e-12, 1e-9, -1e-9):
+        for normals, demands in (((up, tilted, up), (0.04, 0.04 + more)), ((tilted, up, up), (0.04 + more, 0.04))):
+            for count in (2, 3):
+                push, d = solve(count, *normals, *demands, 0.04)
+                assert min(push) >= 0.0
+                # A demand may be missed by 1e-9 of itself if the normals are almost parallel.
+                for n, b in zip(normals, demands, strict=False):
+                    assert np.dot(n, d) > b - 1e-10
+                assert sum(push) < max(*demands) + 0.04 * angle**2 + abs(more) + 1e-10
+
+
+def test_parallel_and_opposite_normals_give_finite_weights():
+    up, down = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+    assert solve(2, up, up, up, 1.0, 1.0, 0.0)[1] == (0.0, 0.0, 1.0)
+    push, d = solve(2, up, down, up, 1.0, 0.5, 0.0)
+    assert push == (1.0, 0.5, 0.0) and d == (0.0, 0.0, 0.25)
+    assert np.isfinite(solve(3, up, down, (1.0, 0.0, 0.0), 1.0, 1.0, 1.0)[1]).all()

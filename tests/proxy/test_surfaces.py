@@ -1,7 +1,5 @@
 """Signed distance, nearest point, normal and curvature of every shape, at all scales, outside and inside."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -24,21 +22,12 @@ Triple = tuple[float, float, float]
 EPS = float(np.finfo(np.float64).eps)
 
 SHAPES: list[Any] = [
-    model.Plane((0.6, 0.0, 0.8), 0.3),
-    model.Sphere(0.7, 1.0),
-    model.Sphere(0.7, -1.0),
-    model.Cylinder(0.5, 1.0),
-    model.Cylinder(0.5, -1.0),
-    model.CappedCylinder(0.5, 0.8),
-    model.Capsule(0.4, 0.9, 1.0),
-    model.Capsule(0.4, 0.9, -1.0),
-    model.Box((0.5, 0.9, 0.3)),
-    model.Ellipsoid((0.9, 0.5, 0.7), 1.0),
-    model.Ellipsoid((0.9, 0.6, 0.7), -1.0),
-    model.Ellipsoid((0.8, 0.8, 0.5), 1.0),
-    model.Torus(0.8, 0.3, 1.0),
+    model.Plane((0.6, 0.0, 0.8), 0.3), model.Sphere(0.7, 1.0), model.Sphere(0.7, -1.0), model.Cylinder(0.5, 1.0),
+    model.Cylinder(0.5, -1.0), model.CappedCylinder(0.5, 0.8), model.Capsule(0.4, 0.9, 1.0),
+    model.Capsule(0.4, 0.9, -1.0), model.Box((0.5, 0.9, 0.3)), model.Ellipsoid((0.9, 0.5, 0.7), 1.0),
+    model.Ellipsoid((0.9, 0.6, 0.7), -1.0), model.Ellipsoid((0.8, 0.8, 0.5), 1.0), model.Torus(0.8, 0.3, 1.0),
     model.Torus(0.8, 0.3, -1.0),
-]
+]  # fmt: skip
 NAMES = [f"{type(s).__name__}{'-inside' if getattr(s, 'side', 1.0) < 0 else ''}" for s in SHAPES]
 
 BALL = ((1.0, 1.0, 1.0), -1.0)
@@ -270,8 +259,7 @@ def test_curvature_against_finite_differences(shape: Any) -> None:
             k1, k2, first = compiled_curvature(shape, r, triple(point), triple(normal))
             d1 = np.array(first)
             d2 = np.cross(normal, d1)
-            assert abs(d1 @ normal) <= 4 * EPS
-            assert np.linalg.norm(d1) == pytest.approx(1.0, abs=4 * EPS)
+            assert abs(d1 @ normal) <= 4 * EPS and np.linalg.norm(d1) == pytest.approx(1.0, abs=4 * EPS)
             h, center = 1e-4, point + r * normal
             for k, d in ((k1, d1), (k2, d2)):
                 ahead, behind = (np.array(compiled_closest(shape, triple(center + s * d))[2]) for s in (h, -h))
@@ -347,8 +335,7 @@ def test_transport_is_the_smallest_rotation(seed: int, nearness: float, opposite
     slack = 16 * EPS / max(float(np.linalg.norm(before + after)), 1e-14)
     assume(slack < 0.1)
     assert abs(np.linalg.norm(carried(tangent)) - np.linalg.norm(tangent)) <= 16 * EPS
-    assert np.linalg.norm(carried(before) - after) <= slack
-    assert abs(carried(tangent) @ after) <= slack
+    assert np.linalg.norm(carried(before) - after) <= slack and abs(carried(tangent) @ after) <= slack
     if sine > 1e-8:
         axis = across / sine
         assert np.linalg.norm(carried(axis) - axis) <= slack + 16 * EPS / sine
@@ -409,8 +396,7 @@ SAMPLED = 400
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", THIN)
 def test_no_path_crosses_a_thin_object(name: str) -> None:
-    """A path that takes the fingertip clearly inside a thin object is stopped, at a point outside of it. Start and end
-    are outside; the path may be nearly parallel to the object."""
+    """A path that takes the fingertip clearly inside is stopped outside; it may be nearly parallel to the object."""
     (shape, within), rng, radius, stopped = THIN[name], np.random.default_rng(8), 0.002, 0
     for _ in range(400):
         through = within(rng)

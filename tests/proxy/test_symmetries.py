@@ -1,8 +1,5 @@
-"""Symmetries of contact: another frame, order or size of a scene changes no force.
-
-Random scenes of two or three shapes, meshes and height maps around a fingertip that comes from outside, presses, slides
-and rolls on all of them. All quantities are compared in the frame of the first scene.
-"""
+"""Symmetries of contact: another frame, order or size of a scene changes no force. Random scenes of two or three
+shapes, meshes and height maps, touched from outside, with slips and rolls on all of them."""
 
 import numpy as np
 import pytest
@@ -68,9 +65,8 @@ def draw(seed, folder, kinds, fastest_rad_per_s=(25.0, 15.0), **material):
         place = -(R + height - rng.uniform(0.0, 1.5e-3)) * normal
         if kind == "torus":  # on the ring, not in the hole
             place = place + 0.03 * (matrix(turn) @ [1.0, 0.0, 0.0])
-        objects.append(
-            make_object(f"{kind} {index}", kind, position_m=place, orientation_wxyz=turn, **keys, material=material)
-        )
+        keys = keys | {"position_m": place, "orientation_wxyz": turn}
+        objects.append(make_object(f"{kind} {index}", kind, **keys, material=material))
     points = 2e-3 * smooth(rng, 4, fastest_rad_per_s[0])
     turns = quaternion(0.4 * smooth(rng, 3, fastest_rad_per_s[1]))
     arrival = np.sum(normals, axis=0)
@@ -172,12 +168,8 @@ def test_a_scene_ten_times_as_large(seed, folder):
 
 @pytest.mark.parametrize("seed", range(100))
 def test_a_new_order_of_loads_is_no_jump(seed, folder):
-    """When another contact becomes the one with the largest load, the force changes as in the ticks around.
-
-    Torsion that begins to slip in the same tick bends the force, too, by less than 1 mN.
-    """
-    friction = {"static": 1.0, "kinetic": 1.0}
-    records = record(*draw(seed, folder, SYMMETRIC, (6.0, 6.0), friction=friction))
+    """The force changes as in the ticks around; torsion that slips in the same tick bends it by less than 1 mN."""
+    records = record(*draw(seed, folder, SYMMETRIC, (6.0, 6.0), friction={"static": 1.0, "kinetic": 1.0}))
     order = records[:, [AT.contacts0_object, AT.contacts1_object, AT.contacts2_object]]
     modes = records[:, [AT.contacts0_mode, AT.contacts1_mode, AT.contacts2_mode]]
     bends = np.linalg.norm(np.diff(records[:, AT.force : AT.force + 3], 2, axis=0), axis=1)

@@ -1,10 +1,5 @@
-"""Textures: heights and friction from a file, compared with closed forms of sampled and filtered waves.
-
-Unless stated otherwise: a fingertip of 10 mm on an object of 1000 N/m without damping, with poses far apart if nothing
-depends on the velocity.
-"""
-
-from __future__ import annotations
+"""Textures: heights and friction from a file, compared with closed forms of sampled and filtered waves. A fingertip of
+10 mm on an object of 1000 N/m without damping; poses are far apart if nothing depends on the velocity."""
 
 import math
 import re
@@ -45,9 +40,7 @@ pytestmark = pytest.mark.plain
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Make = Callable[..., schema.Scene]
 
-R, K, HEIGHT, DEPTH = 0.01, 1000.0, 2e-4, 1e-3
-SIZE = 0.02
-SPEED = 0.5
+R, K, HEIGHT, DEPTH, SIZE, SPEED = 0.01, 1000.0, 2e-4, 1e-3, 0.02, 0.5
 CUTOFF = SPEED / FREQUENCY_MAX_HZ
 EPS = float(np.finfo(float).eps)
 ROUNDING = 1e-11
@@ -105,8 +98,7 @@ def test_ripple_above_the_cutoff_is_removed(scene: Make, speed: float) -> None:
     """A wave of 2 mm fades with the stroke speed as the filter prescribes, to 0.01 at the cutoff."""
     wave = Wave(100, 1, SIZE, SIZE, (10, 0))
     cutoff = speed / FREQUENCY_MAX_HZ
-    points = over_plane(400)
-    load = forces(Engine(scene(wave.samples(), texture={"speed_m_per_s": speed})), points)[:, 2]
+    load = forces(Engine(scene(wave.samples(), texture={"speed_m_per_s": speed})), over_plane(400))[:, 2]
     ripple = 0.5 * np.ptp(load) / (0.5 * K * HEIGHT)
     # Ten samples per wave: none on the crest. The spline retains sinc^4 of 0.1, with an image of 1 / 9^4 of it.
     sampled = np.sinc(0.1) ** 4 / np.cos(np.pi / 10.0)
@@ -151,8 +143,7 @@ def gauss(begin: Array, end: Array, pitch: float) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_work_on_a_closed_path_over_a_frictionless_texture_is_zero(scene: Make, seed: int) -> None:
-    """The path follows the edges of a box, into and out of the object. The force is a polynomial in each cell, so the
-    quadrature is exact."""
+    """Along the edges of a box, into and out of the object, where the force is a polynomial in each cell: exact."""
     rng = np.random.default_rng(seed)
     count = 15  # odd: the spline's pieces end at integer cells from the centre
     engine = Engine(scene(rng.uniform(size=(count, count))))
@@ -236,8 +227,7 @@ def test_force_is_the_gradient_of_its_potential_on_every_shape(scene: Make, case
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_wave_round_a_cylinder(scene: Make, inside: bool) -> None:
-    """u is the arc length on the cylinder from x; under a probe at rho from the axis it changes R / rho times as
-    fast."""
+    """u is the arc length from x; under a probe at rho from the axis it changes R / rho times as fast."""
     radius, wave = 0.03, Wave(32, 4, AROUND, SIZE, (2, 0))
     engine = Engine(scene(wave.samples(), SHAPES["hollow cylinder" if inside else "cylinder"] | extent(wave)))
     angle = np.linspace(-np.pi, np.pi, 41)
@@ -260,8 +250,7 @@ def test_each_face_of_a_box_has_the_two_other_coordinates(
 ) -> None:
     """u and v are the remaining coordinates in the order x, y, z from the centre of the face, outside and inside."""
     wave = OBLIQUE
-    box = SHAPES["box"] | extent(wave) | {"inside": inside}
-    engine = Engine(scene(wave.samples(), box))
+    engine = Engine(scene(wave.samples(), SHAPES["box"] | extent(wave) | {"inside": inside}))
     normal = -np.array(face, float) if inside else np.array(face, float)
     half = 0.5 * abs(np.array(SHAPES["box"]["size_m"]) @ face)
     at = np.zeros((20, 3))
@@ -299,8 +288,7 @@ def test_texture_moves_with_a_moving_object(scene: Make) -> None:
 
 
 def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
-    """A textured floor, a bare wall and another textured wall, pressed at once, give the sum of their separate
-    forces."""
+    """A textured floor, a bare wall and another textured wall give the sum of their separate forces."""
     grid = OBLIQUE.samples()
     stuff = {"material": {"stiffness_n_per_m": 2.0 * K}}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]} | stuff
@@ -337,8 +325,7 @@ def test_clamped_border_is_level(scene: Make) -> None:
 
 def test_clamped_border_of_a_cylinder_is_level_and_repeats_around_it(scene: Make) -> None:
     grid = np.random.default_rng(2).uniform(size=(9, 12))
-    texture = {"border": "clamp", "size_m": [AROUND, SIZE]}
-    engine = Engine(scene(grid, SHAPES["cylinder"], texture=texture))
+    engine = Engine(scene(grid, SHAPES["cylinder"], texture={"border": "clamp", "size_m": [AROUND, SIZE]}))
     angle = np.linspace(0.1, 0.1 + np.pi / 4.0, 9)
     out = (0.03 + R - DEPTH) * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     inside, near, far = (forces(engine, np.add(out, [0.0, 0.0, z])) for z in (0.3 * SIZE, 0.7 * SIZE, 9.0))
@@ -385,8 +372,7 @@ def test_sliding_friction_depends_on_the_sliding_point(scene: Make, law: str) ->
 
 @pytest.mark.parametrize(("x0", "value"), [(-0.25, 1.0 / 3.0), (0.25, 2.0 / 3.0)])
 def test_static_friction_is_scaled_too(scene: Make, x0: float, value: float) -> None:
-    """A finger slides when the drag reaches mu_s times the factor of its sticking point, from a spline of 0, 1, 0,
-    1."""
+    """The drag reaches mu_s times the factor of the sticking point, from a spline of 0, 1, 0, 1."""
     texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
     engine = Engine(scene(np.array([[0.0, 1.0]]), texture=texture, material={"friction": FRICTION}))
     x = x0 + np.linspace(0.0, 3e-3, 600)
@@ -456,8 +442,7 @@ def test_texture_stays_between_its_minimum_and_maximum(
 
 
 def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> None:
-    """The number and type of a scene's parameters do not depend on the array, and `tune` replaces it without
-    compiling."""
+    """The type of a scene does not depend on the array, and `tune` replaces it without compiling."""
     small, large = (build_scene(scene(np.random.default_rng(0).uniform(size=shape))) for shape in ((2, 2), (300, 200)))
     assert len(flatten(small)) == len(flatten(large)) and numba.typeof(small) == numba.typeof(large)
     first, second = scene(OBLIQUE.samples(), extent(OBLIQUE)), scene(-OBLIQUE.samples(), extent(OBLIQUE))
@@ -487,8 +472,7 @@ def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], messa
 
 
 def test_files_are_relative_to_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The documented array and scene, saved in one folder, load from another working directory, and the summary of
-    `check` has their values."""
+    """The documented array and scene load from another working directory; the summary of `check` has their values."""
     page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")
     blocks = [dedent(match[0]) for match in re.finditer(r"(?:^    .*\n|^\n(?=    ))+", page, re.MULTILINE)]
     program, table = blocks[:2]

@@ -6,23 +6,19 @@ slide ends at d sin a = mu (d cos a - h). On a sphere h = -(R + r) and d = depth
 the deflection is mu times the depth.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import SceneFactory
 from helpers.examples import Cases
-from helpers.touching import causes, engine, visit, wall
-from numpy.typing import NDArray
+from helpers.touching import Array, causes, engine, visit, wall
+from references.hand import plane_engine
 from scipy.optimize import brentq
 
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import CAUSE_NAMES
 
 pytestmark = pytest.mark.plain
-Array = NDArray[np.float64]
 R, K, DEPTH, MU_S, MU_D = 0.01, 1000.0, 0.001, 0.6, 0.5
 
 
@@ -31,10 +27,10 @@ def equilibrium_angle(h: float, d: float, mu: float) -> float:
     return float(brentq(lambda a: d * np.sin(a) - mu * sign * (d * np.cos(a) - h), 0.0, np.arccos(min(h / d, d / h))))
 
 
-def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: int) -> Array:
+def rolled(radius: float, inside: bool, turn: float, ticks: int) -> Array:
     """Records of a finger pressed 1 mm, held in position and rolled by `turn` rad about x, from the tick of touch."""
     table = {"shape": "sphere", "radius_m": radius, "inside": inside}
-    running = Engine(make(table=table, rolling={"method": "rotation_vector"}))
+    running = plane_engine(table=table, rolling={"method": "rotation_vector"})
     angles = np.concatenate([[0.0], np.linspace(0.0, turn, ticks + 1)])
     poses = np.zeros((len(angles), 7))
     poses[:, 2] = -(radius - R + DEPTH) if inside else radius + R - DEPTH
@@ -45,15 +41,10 @@ def rolled(make: SceneFactory, radius: float, inside: bool, turn: float, ticks: 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("ticks", [30, 100, 2000], ids=lambda n: f"{n} ticks")
 @pytest.mark.parametrize("clearance", [1e-7, 1e-5, 1e-4, 2e-3, 1e-2], ids=lambda h: f"{1e3 * h:g} mm")
-def test_a_roll_in_a_hollow_slides_to_the_limit_of_the_cone(
-    plane_scene: SceneFactory, clearance: float, ticks: int
-) -> None:
-    """After a roll of 1 rad about x, deflection, normal force, torque and cause match the closed form.
-
-    A tick turns the contact by up to 0.2 rad, and the friction limit uses the normal force before the slip, an error of
-    mu tan a times that turn.
-    """
-    records = rolled(plane_scene, R + clearance, True, 1.0, ticks)
+def test_a_roll_in_a_hollow_slides_to_the_limit_of_the_cone(clearance: float, ticks: int) -> None:
+    """A tick turns the contact by up to 0.2 rad, and the friction limit uses the normal force before the slip: an error
+    of mu tan a times that turn."""
+    records = rolled(R + clearance, True, 1.0, ticks)
     h, d = clearance, clearance + DEPTH
     a = equilibrium_angle(h, d, MU_D)
     turn = R / clearance / ticks
@@ -62,26 +53,25 @@ def test_a_roll_in_a_hollow_slides_to_the_limit_of_the_cone(
     assert records["contact.tangential_force"][-1] == pytest.approx(tangential, rel=1e-3 + missed)
     assert records["contact.normal_force"][-1] == pytest.approx(normal, rel=1e-3 + missed)
     # The roll carries the centre to -y over the floor of the hollow, as on a plane, and pulls the hand there.
-    y = records["proxy.position"][-1, 1]
-    assert y == pytest.approx(-h * np.sin(a), rel=1e-3 + 2.0 * missed)
+    assert records["proxy.position"][-1, 1] == pytest.approx(-h * np.sin(a), rel=1e-3 + 2.0 * missed)
     assert records["torque"][-1, 0] == pytest.approx(-R * tangential, rel=1e-3 + missed)
     assert causes(records) == ["touch", "theta_max"]
 
 
 @pytest.mark.parametrize("inside", [True, False])
-def test_a_wide_hollow_and_a_large_sphere_are_planes(plane_scene: SceneFactory, inside: bool) -> None:
+def test_a_wide_hollow_and_a_large_sphere_are_planes(inside: bool) -> None:
     """With R = 100 m the force is mu_d times 1 N, to the ratio of depth and R."""
-    records = rolled(plane_scene, 100.0, inside, 1.0, 1000)
+    records = rolled(100.0, inside, 1.0, 1000)
     assert records["contact.tangential_force"][-1] == pytest.approx(0.5, rel=1e-4)
     assert records["force"][-1] == pytest.approx([0.0, -0.5, 1.0], abs=2e-4)
 
 
 @pytest.mark.parametrize("clearance", [1e-4, 2e-3])
-def test_a_stuck_roll_deflects_by_the_turn_of_the_normal(plane_scene: SceneFactory, clearance: float) -> None:
+def test_a_stuck_roll_deflects_by_the_turn_of_the_normal(clearance: float) -> None:
     """While a roll by theta sticks, a = r theta / h and the force is K d sin a, d / h times K r theta for small a."""
     h, d = clearance, clearance + DEPTH
     turn = 0.8 * equilibrium_angle(h, d, MU_S) * h / R
-    records = rolled(plane_scene, R + clearance, True, turn, 200)
+    records = rolled(R + clearance, True, turn, 200)
     angle = np.linspace(0.0, turn, 201) * R / h
     np.testing.assert_allclose(records["contact.tangential_force"][1:], K * d * np.sin(angle), atol=1e-9)
     assert causes(records) == ["touch"]
@@ -154,8 +144,7 @@ NEARLY_FILLED: dict[str, Any] = {
 @pytest.mark.parametrize("clearance", [1e-4, 2e-3], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", NEARLY_FILLED)
 def test_proxy_in_a_hollow_is_the_nearest_point_to_the_probe(name: str, clearance: float, cases: Cases) -> None:
-    """At rest, the force is that of the spring to the nearest allowed centre, in closed form. The probe jumps to one
-    random position and then to another, up to ten clearances from the middle."""
+    """In closed form, after a jump between random positions up to ten clearances from the middle."""
     objects, nearest = NEARLY_FILLED[name]
     hollow, *others = objects(clearance)
     material = {"material": {"stiffness_n_per_m": K}}
@@ -180,14 +169,10 @@ ALONE: dict[str, Any] = {
 
 @pytest.mark.parametrize("clearance", [1e-4, 0.03], ids=lambda h: f"{1e3 * h:g} mm")
 @pytest.mark.parametrize("name", ALONE)
-def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, plane_scene: SceneFactory) -> None:
-    """A jump from the middle by up to thirty clearances, with friction, puts the proxy at the nearest point. The force
-    has no tangential part."""
-    table, nearest = ALONE[name]
-    running, rng = (
-        Engine(plane_scene(table={**table, "radius_m": R + clearance, "inside": True})),
-        np.random.default_rng(2),
-    )
+def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float) -> None:
+    """A jump from the middle by up to thirty clearances, with friction: no tangential part."""
+    (table, nearest), rng = ALONE[name], np.random.default_rng(2)
+    running = plane_engine(table={**table, "radius_m": R + clearance, "inside": True})
     for _ in range(50):
         towards = rng.normal(size=3)
         probe = towards / np.linalg.norm(towards[:2]) * clearance * rng.uniform(1.1, 30.0)
@@ -195,6 +180,5 @@ def test_a_hollow_touched_from_afar_starts_unwound(name: str, clearance: float, 
         running.step(0.3 * clearance * rng.uniform(-1.0, 1.0, 3), [1.0, 0.0, 0.0, 0.0])
         step = running.step(probe, [1.0, 0.0, 0.0, 0.0])
         wanted = nearest(probe, clearance)
-        assert step.cause == "touch"
-        assert step.proxy_position == pytest.approx(wanted, rel=0.0, abs=1e-12)
+        assert step.cause == "touch" and step.proxy_position == pytest.approx(wanted, rel=0.0, abs=1e-12)
         assert step.force == pytest.approx(K * (wanted - probe), rel=0.0, abs=1e-9)

@@ -1,22 +1,16 @@
-"""Distances of points from all triangles of a mesh, in float64.
-
-A triangle is skipped only if its bounding ball is farther than a corner of another triangle, which is exact. The
-formula is that of `triangles.py` (plane or edges) and shares nothing with the kernels. It is compiled and cached, for a
-million points on fifty thousand triangles; without compilation `triangles.py` is used.
-"""
-
-from __future__ import annotations
+"""Distances of points from all triangles of a mesh, in float64, by the formula of `triangles.py`; nothing is shared
+with the kernels. A triangle is skipped only if its bounding ball is farther than a corner of another, which is exact.
+Compiled and cached, for a million points on fifty thousand triangles."""
 
 from math import inf, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from references.rotation import Array
 from references.triangles import distances
 from softfinger.proxy.kernels.jit.decorators import PLAIN, entry, jit
-
-Array = NDArray[np.float64]
 
 SLACK = 1e-9
 """Share by which a bounding ball is taken for larger than it is: rounding."""

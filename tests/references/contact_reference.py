@@ -1,16 +1,13 @@
 """One tick of the contact on a plane by the equations of the model only: numpy vectors and matrices, no kernels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from references.rolling_reference import zxz_roll
-from references.rotation import matrix
+from references.rotation import Array, matrix
 
-Array = NDArray[np.float64]
 FREE, ROLLING, SLIDING = 0, 1, 2
 
 

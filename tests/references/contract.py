@@ -1,7 +1,5 @@
 """Names that users depend on: exports, command line, keys of files, telemetry fields, commands, driver options."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from typing import Any

@@ -10,19 +10,15 @@ curvature. W_f is evaluated at the point with the normal opposite to the object'
 agreement of s, integrated by its own equation, verifies the path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from references.rotation import matrix
+from references.rotation import Array, matrix
 from softfinger.proxy.kernels import model
 from softfinger.tools.accuracy.reference import compute_normal_and_curvature, integrate
-
-Array = NDArray[np.float64]
 
 
 class Rolled(NamedTuple):

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from conftest import paper_scene
 from numpy.typing import ArrayLike, NDArray
 
-from references.rotation import multiply, quaternion
+from references.rotation import Array, multiply, quaternion
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.step_result import Step
 
-Array = NDArray[np.float64]
-
 
 class Hand:
-    """Collects poses (n, 7) of the fingertip centre, one a tick; starts at `start` with no rotation."""
+    """Collects poses (n, 7) of the fingertip centre, one a tick, and the last index of each motion, from `start` on."""
 
     def __init__(self, start: ArrayLike) -> None:
+        self.ends: list[int] = []
         self.x = np.asarray(start, float)
         self.q = np.array([1.0, 0.0, 0.0, 0.0])
         self.poses = [np.concatenate([self.x, self.q])]
@@ -30,6 +31,7 @@ class Hand:
             self.x = x + part * np.asarray(move, float)
             self.q = multiply(quaternion(part * np.asarray(turn, float)), q)
             self.poses.append(np.concatenate([self.x, self.q]))
+        self.ends.append(self.at)
         return self
 
     def go_to(self, ticks: int, goal: ArrayLike) -> Hand:
@@ -53,6 +55,8 @@ class Trace:
 
     poses: Array
     steps: list[Step]
+    ends: list[int]
+    """Last tick of each motion of the hand."""
 
     @property
     def force(self) -> Array:
@@ -93,4 +97,14 @@ class Trace:
 def drive(engine: Engine, hand: Hand, dt: float | None = None) -> Trace:
     """Step the engine through all of the hand's poses."""
     poses = np.array(hand.poses)
-    return Trace(poses, [engine.step(pose[:3], pose[3:], dt) for pose in poses])
+    return Trace(poses, [engine.step(pose[:3], pose[3:], dt) for pose in poses], hand.ends)
+
+
+def plane_engine(**changes: Any) -> Engine:
+    """Return an engine of the paper's plane, changed as in `conftest.paper_mapping`."""
+    return Engine(paper_scene(**changes))
+
+
+def on_plane(hand: Hand, **changes: Any) -> Trace:
+    """Return the trace of a hand on that plane."""
+    return drive(plane_engine(**changes), hand)

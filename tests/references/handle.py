@@ -1,12 +1,11 @@
 """One axis of a handle with motor lag, hand and Coulomb friction, by a high-order integrator with events."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+
+from references.rotation import Array
 
 
 @dataclass(frozen=True)
@@ -21,9 +20,7 @@ class Handle:
     stiffness: float = 0.0
 
 
-def integrate(
-    handle: Handle, period: float, commands: NDArray[np.float64], goals: NDArray[np.float64], x: float, v: float = 0.0
-) -> NDArray[np.float64]:
+def integrate(handle: Handle, period: float, commands: Array, goals: Array, x: float, v: float = 0.0) -> Array:
     """Return position and velocity (n + 1, 2) at the ticks, for commands (n,) N and goals (n + 1,) m."""
     a, out = 0.0, [(x, v)]
     for n, u in enumerate(commands):
@@ -44,7 +41,7 @@ def _tick(
         return motors(t, a) + h.stiffness * (p0 + w * t - x) + h.hand_damping * w
 
     def rates(sense: float):
-        def f(t: float, y: NDArray[np.float64]) -> list[float]:
+        def f(t: float, y: Array) -> list[float]:
             total = applied(t, y[0], y[2]) - (h.damping + h.hand_damping) * y[1] - sense * h.friction
             fall = 0.0 if h.lag == 0.0 else (u - y[2]) / h.lag
             if sense == 0.0 and h.friction > 0.0:
@@ -71,9 +68,8 @@ def _tick(
                 events = [lambda t, y: abs(applied(t, y[0], y[2])) - limit]
                 events[0].direction = 1.0
             events[0].terminal = True
-        solution = solve_ivp(
-            rates(sense), (t, period), [x, v, a], "DOP853", rtol=1e-12, atol=1e-16, events=events, max_step=period / 8.0
-        )
+        options = {"rtol": 1e-12, "atol": 1e-16, "events": events, "max_step": period / 8.0}
+        solution = solve_ivp(rates(sense), (t, period), [x, v, a], "DOP853", **options)
         t, (x, v, a) = float(solution.t[-1]), solution.y[:, -1]
         if solution.status == 1:
             force = applied(t, x, a)

@@ -1,7 +1,5 @@
 """Friction and torsion laws to test, random handling of a plane, and the account of energy over it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -9,15 +7,12 @@ import numpy as np
 from helpers.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from references.hand import Hand
+from references.rotation import Array
 from softfinger.proxy.engine import Engine
 
-Array = NDArray[np.float64]
-
-R = 0.01
-K_Z = 0.05
+R, K_Z = 0.01, 0.05
 
 SPEED = {"stribeck_speed_m_per_s": 0.05, "viscous_s_per_m": 0.5}
 ANISOTROPIC = {"direction_x": [1.0, 0.0, 0.0], "static_scale": [1.0, 0.5], "kinetic_scale": [0.9, 0.4]}

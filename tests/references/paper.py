@@ -1,7 +1,5 @@
 """Read the published numbers; the data file names where they were printed."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,19 +1,14 @@
 """Shapes, methods and starting contacts that the rolling tests share, and the kernel compiled to be called."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.contact.rolling import Roll, roll
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import rotations
 from softfinger.proxy.kernels.shapes import closest
-
-Array = NDArray[np.float64]
 
 RADIUS = 0.01
 
@@ -82,11 +77,8 @@ def rolled_by(method: Any, shape: Any, center: model.Vec3, normal: model.Vec3, w
 
 @entry
 def roll_long(method: Any, shape: Any, radius: float, center: Any, normal: Any, w: Any, ticks: int) -> Any:
-    """Roll for many ticks by |w| rad about a wandering axis.
-
-    Returns the largest distance (m) of the contact point from the surface, that of the normal's length from 1,
-    and the last step.
-    """
+    """Roll for many ticks by |w| rad about a wandering axis; return the largest distance (m) from the surface, that of
+    the normal's length from 1, and the last step."""
     off, stretched = 0.0, 0.0
     turn = rotations.exp(w)
     out = Roll(center, normal, (0.0, 0.0, 0.0), 0.0, 0.0, True)
@@ -97,9 +89,8 @@ def roll_long(method: Any, shape: Any, radius: float, center: Any, normal: Any, 
             turn = rotations.exp(w)
         out = roll(method, shape, radius, center, normal, turn)
         center, normal = out.center, out.normal
-        gap, _, _ = closest(
-            shape, (center[0] - radius * normal[0], center[1] - radius * normal[1], center[2] - radius * normal[2])
-        )
+        x = (center[0] - radius * normal[0], center[1] - radius * normal[1], center[2] - radius * normal[2])
+        gap, _, _ = closest(shape, x)
         off = max(off, abs(gap))
         size = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]
         stretched = max(stretched, abs(size - 1.0))

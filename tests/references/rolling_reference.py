@@ -1,21 +1,15 @@
-"""The paper's Euler decomposition (eqs. 5-7) on matrices, and the rolling equation it approximates.
-
-Eqs. 5-7 are the z-x-z angles of the step's rotation in the contact frame: R = Rz(phi) Rx(theta) Rz(psi).
-"""
-
-from __future__ import annotations
+"""The paper's Euler decomposition (eqs. 5-7) on matrices, and the rolling equation it approximates. The angles are the
+z-x-z angles of the step's rotation in the contact frame: R = Rz(phi) Rx(theta) Rz(psi)."""
 
 import math
 from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from references.rotation import tangent_frame
-
-Array = NDArray[np.float64]
+from references.rotation import Array, tangent_frame
 
 
 def zxz_angles(rotation: Array) -> tuple[float, float, float]:

@@ -1,7 +1,5 @@
 """Rotations in plain numpy, by the textbook formulas: nothing here is shared with the kernels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -32,9 +30,8 @@ def multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Quaternion products a b (..., 4): rotate by b, then by a."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     scalar = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
-    return np.concatenate(
-        [scalar, a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])], axis=-1
-    )
+    vector = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
+    return np.concatenate([scalar, vector], axis=-1)
 
 
 def matrix(q: ArrayLike) -> Array:

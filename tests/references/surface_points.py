@@ -1,20 +1,14 @@
-"""Points of surfaces from parameters and formulas, from the surface outwards.
-
-Shapes are the kernels' named tuples; nothing else of the kernels is used.
-"""
-
-from __future__ import annotations
+"""Points of surfaces from parameters and formulas. Shapes are the kernels' named tuples; nothing else of the kernels is
+used."""
 
 from collections.abc import Iterator
 from decimal import Decimal, localcontext
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from references.rotation import Array
 from softfinger.proxy.kernels import model
-
-Array = NDArray[np.float64]
 
 AT_MOST = 0.9
 """Share of a feature that is sampled, so that small steps stay on it."""

@@ -5,14 +5,12 @@ Samples c_j = exp(2 pi i f u_j) at the spacing p, as coefficients of a B-spline 
 sinc^4. A Gaussian multiplies each wave by REST^((cutoff f)^2).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from references.rotation import Array
 
 TERMS = 4000
 REST = 0.01
@@ -20,10 +18,8 @@ REST = 0.01
 
 
 def tail(turns: int, count: int) -> float:
-    """Share of a derivative's largest that the terms left out come to at most, for count / turns samples a wave.
-
-    Each is under (pi k)^-4 2 pi k / p, on both sides.
-    """
+    """Bound of the terms left out, relative to a derivative's largest, for count / turns samples a wave: each is under
+    (pi k)^-4 2 pi k / p, on both sides."""
     return 2.0 / (np.pi**4 * TERMS**2) * count / abs(turns)
 
 

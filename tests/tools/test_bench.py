@@ -1,7 +1,5 @@
 """`bench`: what each measurement reports on small cases; times are not asserted."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -17,12 +15,8 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.server.cli import main
 from softfinger.tools.bench.commands import FORCE_N, count_torn
 from softfinger.tools.bench.loop import open_devices
+from softfinger.tools.bench.soak import SoakResult, compute_growth, evaluate
 from softfinger.tools.bench.view import TurnResult, summary
-
-
-def measured(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
-    assert main(["bench", *words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 def small(line: str, part: str, *marks: pytest.MarkDecorator) -> Any:
@@ -58,16 +52,14 @@ def test_a_scene_that_one_recording_cannot_run_on_is_refused(capsys: pytest.Capt
 def test_commands_are_all_seen_and_none_torn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The force returns after each change of scene, no faster than the guard allows."""
     drawing = tmp_path / "memory.svg"
-    words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing)]
-    content = measured(capsys, "commands", *words)
-    assert content["set_params"] == 100
-    assert content["ticks"] > 500
+    words = ["--seconds", "1", "--rate", "100", "--swaps", "1", "--plot", str(drawing), "--json"]
+    assert main(["bench", "commands", *words]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["set_params"] == 100 and content["ticks"] > 500 and content["torn"] == 0
     assert 50 < content["changes_felt"] <= 100  # of two within a tick, which a stall of the machine makes, one is felt
-    assert content["torn"] == 0
-    assert content["largest_step_n"] <= content["slew_n"] * (1.0 + 1e-9)  # rounding of the sum that makes a step
-    assert content["largest_step_n"] > 0.0
-    assert len(content["resident_mb"]) == 1
-    assert drawing.stat().st_size > 0
+    # Rounding of the sum that makes a step.
+    assert 0.0 < content["largest_step_n"] <= content["slew_n"] * (1.0 + 1e-9)
+    assert len(content["resident_mb"]) == 1 and drawing.stat().st_size > 0
 
 
 def test_a_torn_parameter_set_is_detected() -> None:
@@ -90,8 +82,7 @@ def test_misses_are_counted_among_the_ticks_that_were_due() -> None:
     """Of two turns with 2 misses each and 3 ticks each, 4 of 10 were missed; frames are the least and the median."""
     ticks = np.array([[1e-5, 1e-4, 5.0], [1e-5, 1e-4, 5.0], [1e-5, 1e-4, 7.0]])
     result = summary([TurnResult(ticks, 0.1, [20.0, 40.0]), TurnResult(ticks, 0.3, [30.0])])
-    assert result["missed_of_1000"] == pytest.approx(400.0)
-    assert result["viewer_load"] == pytest.approx(0.2)
+    assert result["missed_of_1000"] == pytest.approx(400.0) and result["viewer_load"] == pytest.approx(0.2)
     assert result["frames_per_s"] == {"least": 20.0, "median": 30.0}
 
 
@@ -102,3 +93,32 @@ def test_each_finger_has_the_device_of_its_own_hand() -> None:
         assert thumb is not index and thumb.info.name == index.info.name == "simulated omega.6"
     with open_devices(load_rig("replay"), scene) as (thumb, index):
         assert thumb is index
+
+
+HOURS = np.linspace(0.0, 2.0, 7200)
+
+
+def noisy(slope: float) -> np.ndarray:
+    return 100.0 + slope * HOURS + 4.0 * (np.random.default_rng(3).random(len(HOURS)) < 0.2)
+
+
+def soaked(memory: np.ndarray, lost: int = 0) -> SoakResult:
+    rows = np.column_stack([memory, np.full(len(memory), 20.0), np.full(len(memory), 8.0)])
+    return SoakResult(3600.0 * HOURS, {"daemon": rows}, 7_200_000, 3, 2, lost)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5, 3.0, 30.0])
+def test_growth_is_found_in_noise(slope: float) -> None:
+    estimate, at_least = compute_growth(HOURS, noisy(slope))
+    assert estimate == pytest.approx(slope, abs=0.1) and at_least <= estimate
+
+
+def test_more_than_a_megabyte_an_hour_is_a_fault() -> None:
+    assert evaluate(soaked(noisy(0.3)))["faults"] == []
+    (fault,) = evaluate(soaked(noisy(2.0)))["faults"]
+    assert fault.startswith("daemon: resident_mb grows by 2.0")
+    assert evaluate(soaked(noisy(0.0), lost=2))["faults"] == ["subscribers did not get 2 ticks"]
+    step, away = noisy(0.0), noisy(0.0)
+    step[4000:] += 10.0
+    away[3000:3050] = np.nan
+    assert evaluate(soaked(step))["faults"] == evaluate(soaked(away))["faults"] == []

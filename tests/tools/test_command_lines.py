@@ -1,7 +1,5 @@
 """Command lines of tools that cannot be run: one error each, exit code 2, and no file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

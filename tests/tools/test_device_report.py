@@ -1,7 +1,5 @@
 """`doctor --device-report`: contents of a report, omitted data, and its endings."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform
@@ -50,12 +48,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Home and working folder of a user."""
     folder = tmp_path / USER
     folder.mkdir()
-    for name, value in (
-        ("HOME", folder),
-        ("USER", USER),
-        ("LOGNAME", USER),
-        ("SOFTFINGER_CACHE_DIR", CACHE_DIR.parent),
-    ):
+    variables = {"HOME": folder, "USER": USER, "LOGNAME": USER, "SOFTFINGER_CACHE_DIR": CACHE_DIR.parent}
+    for name, value in variables.items():
         monkeypatch.setenv(name, str(value))
     monkeypatch.chdir(folder)
     return folder
@@ -78,8 +72,7 @@ def checked(file: Path, home: Path) -> dict[str, Any]:
     text = file.read_text(encoding="utf-8")
     content: dict[str, Any] = json.loads(text)
     assert content.keys() == KEYS
-    assert str(home) not in text
-    assert USER not in text
+    assert str(home) not in text and USER not in text
     assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(platform.node())}(?![A-Za-z0-9])", text)
     assert not re.search(r"/home/|/root\b", text)
     assert {row["id"] for row in content["questions"]} == {
@@ -95,10 +88,8 @@ def test_a_recording_is_reported(here: Here, home: Path) -> None:
     output = here("--rig", str(rig), "--seconds", "0.3")
     content = checked(home / "softfinger-replay-report.json", home)
     assert content["complete"] and content["ended"] == "in full" and content["fault"] is None
-    assert content["options"]["recording"] == "mine.csv"
-    assert content["device"]["name"] == "replay mine"
-    assert content["rest"]["ticks"] == 1000
-    assert content["exchange"]["ticks"] == 300
+    assert content["options"]["recording"] == "mine.csv" and content["device"]["name"] == "replay mine"
+    assert content["rest"]["ticks"] == 1000 and content["exchange"]["ticks"] == 300
     assert content["without_pauses"]["exchanges"] > 0
     assert content["counts"]["reads"] >= 1300 + content["without_pauses"]["exchanges"]
     assert content["moves"] == content["pushes"] == content["questions"] == content["identity"] == []
@@ -117,9 +108,8 @@ def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, h
     assert [push["seen"] for push in content["pushes"]] == ["+x", "+y", "+z"]
     assert all(1.5 < push["largest_n"] <= 2.0 for push in content["pushes"])
     # 2 N displace a hand of 1000 N/m by 2 mm; at 3 Hz its mass overshoots slightly.
-    for low, high, at in zip(
-        content["range"]["position_min_m"], content["range"]["position_max_m"], (0.0, 0.0, 0.03), strict=True
-    ):
+    ends = content["range"]["position_min_m"], content["range"]["position_max_m"]
+    for low, high, at in zip(*ends, (0.0, 0.0, 0.03), strict=True):
         assert -0.003 < low - at < 0.0 < high - at < 0.003
 
 
@@ -129,8 +119,7 @@ def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library
     assert result.returncode == 0, result.stderr
     content = checked(home / "softfinger-forcedimension-report.json", home)
     assert content["device"]["name"] == "omega.3, serial ...30"
-    assert content["maker_library"] == [stub_library.name]
-    assert "/" not in content["options"]["library_file"]
+    assert content["maker_library"] == [stub_library.name] and "/" not in content["options"]["library_file"]
     by_id = {row["id"]: row for row in content["questions"]}
     measured = {name for name, row in by_id.items() if row["measured"]}
     assert measured == {"exchange-time", "fd-library", "fd-force-on", "fd-held-back"}
@@ -151,19 +140,13 @@ def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
     _, saw = run_beside_device(case, *COMMAND, *words, code=4 if lost else 0)
     content = checked(file, home)
     (arm,) = content["identity"]
-    assert (arm["vendor_id"], arm["product_id"], arm["node"], arm["serial"]) == (
-        "16c0",
-        "0486",
-        "/dev/hidraw0",
-        "...42",
-    )
-    assert arm["report_descriptor"].startswith("06abff")
+    known = {"vendor_id": "16c0", "product_id": "0486", "node": "/dev/hidraw0", "serial": "...42"}
+    assert arm | known == arm and arm["report_descriptor"].startswith("06abff")
     assert content["counts"]["written"] >= 300
     assert not any(saw["last"]), "the last report was no zero"
     answers = {row["id"]: row for row in content["questions"]}
     assert answers["hid-descriptor"]["answer"] == arm["report_descriptor"]
-    assert answers["unplugged"]["measured"] is lost
-    assert content["complete"] is not lost
+    assert answers["unplugged"]["measured"] is lost and content["complete"] is not lost
     if lost:
         assert content["fault"]["kind"] == "DeviceLost" and content["fault"]["in_use"]
         assert "is gone" in content["fault"]["message"]
@@ -204,7 +187,6 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
         [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "2", "--with-force", "1"],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert process.stderr is not None
     for line in process.stderr:
         if line.startswith(f"recording {part}"):  # printed half a second after the part started
             break
@@ -213,13 +195,11 @@ def test_an_interrupted_report_is_written(number: signal.Signals, part: str, hom
     assert process.returncode == 128 + number
     content = checked(home / "softfinger-replay-report.json", home)
     assert content["ended"] == "stopped by the user" and not content["complete"]
-    assert content["rest"]["ticks"] == 1000
-    assert (content["exchange"] is not None) == (number == signal.SIGTERM)
+    assert content["rest"]["ticks"] == 1000 and (content["exchange"] is not None) == (number == signal.SIGTERM)
     assert content["pushes"] == []
     assert "stopped by the user" in output
     force = np.load(home / "forces.npz")["force"]
-    assert force.any() == (number == signal.SIGTERM)
-    assert not force[-1].any()
+    assert force.any() == (number == signal.SIGTERM) and not force[-1].any()
 
 
 def test_the_user_is_prompted_on_a_terminal(home: Path) -> None:
@@ -231,7 +211,6 @@ def test_the_user_is_prompted_on_a_terminal(home: Path) -> None:
         stdin=side, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     os.close(side)
-    assert process.stderr is not None
     prompts = []
     for line in process.stderr:
         if line.endswith("; Enter to begin\n"):

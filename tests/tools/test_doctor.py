@@ -1,7 +1,5 @@
 """`doctor`: the checks on this machine and on tables of another one, its exit code, its errors."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os
@@ -66,35 +64,26 @@ def open_folder() -> Iterator[Path]:
         yield Path(name)
 
 
-def named(result: dict[str, Any], name: str) -> dict[str, str]:
-    (check,) = (check for check in result["checks"] if check["name"] == name)
-    return check
-
-
 def test_every_check_is_made(result: dict[str, Any]) -> None:
     names = [check["name"] for check in result["checks"]]
     assert len(set(names)) == len(names)
-    real_time = {
-        f"real time, {name}" for name in ("timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity")
-    }
+    settings = ("timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity")
+    real_time = {f"real time, {name}" for name in settings}
     machine_checks = {"Python", "packages", "system", "bare machine", "processors", "processor frequency", "clock"}
     measured = {"kernel cache", "ticks in time", "wake-up lateness", "contact step", "telemetry endpoint"}
     assert real_time | machine_checks | measured | {"libusb", "hidapi", "Force Dimension's library"} <= set(names)
     for check in result["checks"]:
-        assert check.keys() == set(Check._fields)
-        assert check["state"] in STATES
-        assert check["seen"] and check["wanted"]
-        assert check["remedy"] or check["state"] == "good", check
+        assert check.keys() == set(Check._fields) and check["state"] in STATES
+        assert check["seen"] and check["wanted"] and (check["remedy"] or check["state"] == "good"), check
 
 
 def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, Any]) -> None:
-    check = named(result, "telemetry endpoint")
+    (check,) = (check for check in result["checks"] if check["name"] == "telemetry endpoint")
     assert check["state"] == "bad"
     assert str(result["port"]) in check["seen"] and "end the program that uses it" in check["remedy"]
     assert result["code"] == Unfit.exit_code
     bad = [check["name"] for check in result["checks"] if check["state"] == "bad"]
-    assert all(name in result["stderr"] for name in bad)
-    assert result["states"]["bad"] == len(bad)
+    assert all(name in result["stderr"] for name in bad) and result["states"]["bad"] == len(bad)
     assert "Traceback" not in result["stderr"]
 
 
@@ -102,10 +91,8 @@ def test_an_endpoint_in_use_is_bad_and_decides_the_exit_code(result: dict[str, A
 def test_a_refused_setting_is_bad_where_the_rig_requires_it(mode: str, state: str) -> None:
     rig = load_rig("replay", {"servo.cpu": 1023, "servo.realtime": mode})
     (check,) = (check for check in loop.check_settings(rig) if check.name == "real time, affinity")
-    assert check.state == state
-    assert "processor 1023" in check.seen
-    assert "servo.cpu" in check.remedy
-    assert "affinity" in realtime.REQUIRED
+    assert check.state == state and "affinity" in realtime.REQUIRED
+    assert "processor 1023" in check.seen and "servo.cpu" in check.remedy
 
 
 @pytest.mark.parametrize(
@@ -123,12 +110,10 @@ def test_the_loop_is_judged_against_the_period(missed: int, p99: float, states: 
     """The checks use the share of missed ticks and the p99 of the lateness at 1 kHz; a missing compiler is reported."""
     result = {"rate_hz": 1000.0, "servo": {"ticks": 10_000, "missed": missed, "late": {"p99": p99}}}
     checks = loop.judge_loop(result)
-    assert tuple(check.state for check in checks) == states
-    assert "install gcc" in checks[1].seen
+    assert tuple(check.state for check in checks) == states and "install gcc" in checks[1].seen
     if missed > 0:
         assert "isolcpus" in checks[0].remedy and "servo.cpu" in checks[1].remedy
-    with_c = loop.judge_loop(result | {"c": {"late": {"p99": 40e-6}}})
-    assert "the same loop in C 40 us" in with_c[1].seen
+    assert "the same loop in C 40 us" in loop.judge_loop(result | {"c": {"late": {"p99": 40e-6}}})[1].seen
 
 
 def test_another_machine_is_read(tmp_path: Path) -> None:
@@ -139,13 +124,8 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
         sys__devices__system__clocksource__clocksource0__current_clocksource="tsc", proc__cpuinfo="flags\t\t: fpu sse2",
         proc__1__cgroup="0::/init.scope",
     )  # fmt: skip
-    for check in (
-        machine.check_kernel(good),
-        machine.check_frequency(good),
-        machine.check_clock(good),
-        machine.check_virtual(good),
-    ):
-        assert check.state == "good", check
+    for examine in (machine.check_kernel, machine.check_frequency, machine.check_clock, machine.check_virtual):
+        assert examine(good).state == "good", examine
     worse = write(
         tmp_path / "worse", sys__kernel__realtime="0",
         sys__devices__system__cpu__cpu0__cpufreq__scaling_governor="powersave",
@@ -163,8 +143,7 @@ def test_another_machine_is_read(tmp_path: Path) -> None:
         assert check.state == "could be better", check
         assert remedy in check.remedy
     details = machine.check_virtual(worse).seen
-    assert "virtual machine (QEMU), 10.00% of its time taken by its host" in details
-    assert "container" in details
+    assert "virtual machine (QEMU), 10.00% of its time taken by its host" in details and "container" in details
     assert "two threads to a core, isolated: 3" in machine.check_processors(worse).seen
 
 
@@ -174,8 +153,7 @@ def test_a_missing_package_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
     required = ["numpy>=2.0", "no-such-package>=1", 'viser>=1.0; extra == "viewer"']
     monkeypatch.setattr(machine.metadata, "requires", lambda _: required)
     check = machine.check_packages()
-    assert check.state == "bad"
-    assert check.remedy == "pip install no-such-package"
+    assert check.state == "bad" and check.remedy == "pip install no-such-package"
     assert "MISSING" in check.seen and "viser" not in check.seen
 
 
@@ -183,8 +161,7 @@ def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(tmp_path / "hidraw5"))
     (own,) = attached.check_devices(load_rig("spacemouse"), [puck])
     (attached_puck,) = attached.check_devices(load_rig("replay"), [puck])
-    assert (own.state, attached_puck.state) == ("bad", "could be better")
-    assert "--device" in own.remedy
+    assert (own.state, attached_puck.state) == ("bad", "could be better") and "--device" in own.remedy
     (absent,) = attached.check_devices(load_rig("spacemouse"), [])
     assert (absent.name, absent.state) == ("device of the rig", "bad")
     (none,) = attached.check_devices(load_rig("replay"), [])
@@ -214,8 +191,7 @@ def test_a_node_that_cannot_be_used_is_bad(problem: str, reason: str, remedy: st
             (check,) = attached.check_devices(load_rig("spacemouse"), [puck])
         finally:
             os.seteuid(user)
-    assert check.state == "bad"
-    assert reason in check.seen and remedy in check.remedy
+    assert check.state == "bad" and reason in check.seen and remedy in check.remedy
 
 
 def test_a_cache_that_others_may_write_is_bad(open_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,6 +208,5 @@ def test_the_rig_selects_the_makers_library(tmp_path: Path, monkeypatch: pytest.
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
     check = attached.check_maker_library(load_rig("omega-3"), "forcedimension")
-    assert check.state == "bad"
-    assert "FDSDK" in check.remedy
+    assert check.state == "bad" and "FDSDK" in check.remedy
     assert attached.check_maker_library(load_rig("replay"), "forcedimension").state == "good"

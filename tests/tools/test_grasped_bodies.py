@@ -1,7 +1,5 @@
 """`stability --bodies`: measurement of a cell, its assessment, and the tables."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +20,7 @@ def test_a_closed_cycle_gives_the_hands_no_energy(tmp_path: Path) -> None:
     played = bodies.play(bodies.begin(cell, tmp_path), path)
     carried = played.force[len(approach) - 1].sum(axis=0)
     assert carried[2] == pytest.approx(-cell.mass * bodies.G, rel=0.05)  # it swings a little after the lift
-    assert played.unbalanced <= 1e-12
-    assert bodies.count_slips(played.mode[bodies.LEG : -bodies.LEG]) == 0
+    assert played.unbalanced <= 1e-12 and bodies.count_slips(played.mode[bodies.LEG : -bodies.LEG]) == 0
     assert np.sum(played.force[:-1] * np.diff(path, axis=0)) < 0.0
 
 
@@ -71,17 +68,15 @@ def test_a_body_too_light_for_the_tick_is_reported(monkeypatch: pytest.MonkeyPat
 )
 def test_the_motion_after_a_knock_is_classified(changes: dict[str, float], touching: bool, verdict: str) -> None:
     result = bodies.judge(CELL._replace(**changes), touching)  # type: ignore[arg-type]
-    assert result.verdict == verdict
-    assert bool(result.reason) == (verdict != "rests")
+    assert result.verdict == verdict and bool(result.reason) == (verdict != "rests")
 
 
 def test_the_table_names_bodies_that_do_not_come_to_rest() -> None:
     rests, stiff = CELL._replace(verdict="rests"), {"stiffness_n_per_m": 3000.0}
     lost = CELL._replace(mass_kg=1.0, verdict="lost", reason="too deep", ripple_n=2e-3, given_j=-2.0, left=None)
     results = [rests, rests._replace(**stiff), lost, rests._replace(mass_kg=1.0, unbalanced_n=3e-12, **stiff)]
-    assert bodies_table.format_cases(results).splitlines()[2] == (
-        "| hold | 2 mN | 0 | -0.1 mJ | 3e-12 N | lost in 1 of 4: too deep |"
-    )
+    row = bodies_table.format_cases(results).splitlines()[2]
+    assert row == "| hold | 2 mN | 0 | -0.1 mJ | 3e-12 N | lost in 1 of 4: too deep |"
     assert bodies_table.find_wrong(results) == [results[3]]
     assert bodies_table.find_wrong([rests._replace(given_j=1e-9)]) != []
     assert [line.split()[:3] for line in bodies_table.format_lines(results)[2:]][2] == ["hold", "1", "kg"]

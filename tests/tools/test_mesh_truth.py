@@ -1,7 +1,5 @@
 """The program that checks meshes accepts correct ones and detects errors."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -27,8 +25,7 @@ SCRIPT = Path(__file__).parents[1] / "mesh_truth.py"
 def test_a_ball_is_true(tmp_path: Path) -> None:
     """Distances to 1e-9 of its size, and a proxy that is never inside; exit code 0."""
     words = ["ball", "--points", "300", "--ticks", "1000", "--json"]
-    process = run_program((sys.executable, str(SCRIPT), *words), check=True)
-    result = json.loads(process.stdout)["ball"]
+    result = json.loads(run_program((sys.executable, str(SCRIPT), *words), check=True).stdout)["ball"]
     assert result["distances"]["points"] == 300 and result["distances"]["error"] < 1e-9
     assert result["hand"]["touching"] > 100 and result["hand"]["inside"] == result["hand"]["through"] == 0
 
@@ -42,16 +39,14 @@ def test_a_proxy_inside_a_mesh_is_detected(tmp_path: Path) -> None:
     away = mesh_truth.check_distances(scene, true, 200, rng)
     assert ticks["touching"] > 50 and not mesh_truth.is_wrong({"hand": ticks, "distances": away})
     result = mesh_truth.check_ticks(scene, larger, hand(ball, 500, R, rng), R)
-    assert result["inside"] > 0 and result["deepest"] > 0.01
-    assert mesh_truth.is_wrong({"hand": result})
+    assert result["inside"] > 0 and result["deepest"] > 0.01 and mesh_truth.is_wrong({"hand": result})
     assert mesh_truth.check_distances(scene, larger, 200, rng)["error"] > 1e-3
 
 
 def test_a_position_that_is_not_a_number_is_near_nothing(tmp_path: Path) -> None:
     """Compiled: a comparison with NaN is false, so the search would accept all boxes, also the empty ones."""
-    mesh = build_scene(
-        scene_with(make_object("part", "mesh", file=write_part(tmp_path, *meshes.geodesic(8, 0.05))))
-    ).objects.body
+    part = make_object("part", "mesh", file=write_part(tmp_path, *meshes.geodesic(8, 0.05)))
+    mesh = build_scene(scene_with(part)).objects.body
     values = [(x, y, z) for x in (0.0, np.nan, np.inf) for y in (0.1, np.nan) for z in (0.0, -np.inf, np.nan)]
     points = np.array([value for value in values if not np.isfinite(value).all()])
     results = np.zeros((len(points), 3))
@@ -62,8 +57,7 @@ def test_a_position_that_is_not_a_number_is_near_nothing(tmp_path: Path) -> None
 def test_a_path_through_a_sheet_is_detected() -> None:
     balls = balls_of(*meshes.sheet(0.1, 0.1, 3, 3))
     over, under, away = np.array([0.05, 0.05, 0.03]), np.array([0.05, 0.04, -0.04]), np.array([0.2, 0.05, 0.03])
-    assert mesh_truth.goes_through(balls, over, under, R)
-    assert not mesh_truth.goes_through(balls, over, away, R)
+    assert mesh_truth.goes_through(balls, over, under, R) and not mesh_truth.goes_through(balls, over, away, R)
 
 
 def test_pruned_search_equals_brute_force() -> None:

@@ -1,9 +1,8 @@
-"""`devices --probe`: a device without force at a glance, the report that it writes, and small pushes on demand."""
-
-from __future__ import annotations
+"""`devices --probe`: the report of a device without force, and small pushes on demand, for every driver and ending."""
 
 import os
 import pty
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
+from helpers.described_boards import settled
+from helpers.far_ends import FAR_RIGS, when_forced
 from helpers.hd_stub import HdStub, hd, hd_library
 from test_device_report import checked, home
 
@@ -63,8 +64,7 @@ def test_a_recording_is_probed(probing: Probing, home: Path) -> None:
     assert not np.load(home / "forces.npz")["force"].any()
     low, high = report["range"]["position_min_m"][2] * 1e3, report["range"]["position_max_m"][2] * 1e3
     assert f"z  up: {low:.1f} to {high:.1f} mm" in output and "x  right: " in output
-    assert "new samples a second, the rig requires 1000" in output
-    assert "attach it to an issue" in output
+    assert "new samples a second, the rig requires 1000" in output and "attach it to an issue" in output
 
 
 def test_answers_about_pushes_are_in_the_report(probing: Probing, home: Path) -> None:
@@ -95,8 +95,7 @@ def test_a_touch_is_probed(probing: Probing, home: Path, hd: HdStub) -> None:
     force = hd.journal()["force"]
     # the library's axes: x right, y up, z towards the user
     assert force.max(axis=0) == pytest.approx([0.2] * 3, rel=0.02)
-    assert force.min(axis=0) == pytest.approx([-0.2] * 3, rel=0.02)
-    assert not force[-1].any()
+    assert force.min(axis=0) == pytest.approx([-0.2] * 3, rel=0.02) and not force[-1].any()
 
 
 def test_a_rig_with_a_limit_below_the_push_is_refused(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,3 +112,40 @@ def test_without_a_rig_the_first_attached_device_is_used(monkeypatch: pytest.Mon
         probe.find_attached_rig()
     ports.append(SystemDevice("serial", 0x2988, 0x0302, "Geomagic Touch", "", "/dev/ttyACM0"))
     assert probe.find_attached_rig() == "touch"
+
+
+BRIEFLY = ("openhaptics", "haply", "haply-2diy", "hapkit")
+"""Drivers for which every way to end is tested each time; for the others only with the exhaustive tests."""
+CASES = [
+    pytest.param(course, name, marks=() if name in BRIEFLY or course == "Ctrl-C" else pytest.mark.exhaustive)
+    for course in ("whole", "Ctrl-C", "unplugged")
+    for name in FAR_RIGS
+]
+
+
+@pytest.mark.sampled(5)
+@pytest.mark.parametrize(("course", "name"), CASES)
+def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
+    course: str, name: str, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(probe, "PART_S", 0.1)
+    monkeypatch.setattr(probe, "PUSH_S", 0.4)
+    with open(os.devnull) as nobody, FAR_RIGS[name](home, monkeypatch) as far:
+        monkeypatch.setattr(sys, "stdin", nobody)
+        acts = {"whole": lambda: None, "Ctrl-C": lambda: os.kill(os.getpid(), signal.SIGINT), "unplugged": far.unplug}
+        with when_forced(far, 0.5 * probe.PUSH_N, acts[course]):
+            code = main(["devices", "--probe", "mine.json", "--push", "--rig", far.rig])
+        ends = course != "unplugged" or far.powerless
+        settled(far.newest, lambda size: size == 0.0 or not ends)
+        sizes = np.linalg.norm(far.forces_since(0)[:, 1:], axis=1)
+    output = capsys.readouterr()
+    assert code == {"whole": 0, "Ctrl-C": 130, "unplugged": 4}[course], output.err
+    assert sizes[-1] == 0.0 or not ends
+    assert 0.5 * probe.PUSH_N < sizes.max() <= probe.PUSH_N + far.resolution
+    report = checked(home / "mine.json", home)
+    assert report["ended"] == {"whole": "in full", "Ctrl-C": "stopped by the user", "unplugged": "by a fault"}[course]
+    assert "hold the handle lightly: it pushes with 0.2 N" in output.err
+    if course == "whole":
+        assert [push["axis"] for push in report["pushes"]] == [f"+{axis}" for axis in far.sees]
+        assert sizes.max() > 0.9 * probe.PUSH_N
+        assert bool(report["freedom"]) == (far.sees != "xyz") and ("it moves " in output.out) == (far.sees != "xyz")

@@ -1,7 +1,5 @@
 """Contents of the archive written by `softfinger report`."""
 
-from __future__ import annotations
-
 import getpass
 import json
 import logging

@@ -1,7 +1,5 @@
 """Analysis of the rows of a device report: motions, rotations, noise, pushes."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final
 
@@ -41,9 +39,7 @@ def test_a_motion_has_an_axis_and_a_sense(direction: tuple[float, float, float],
     share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
     path = share * np.array(direction) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
     result = motions.move("ask", "translation", "+x", poses(path))
-    assert result is not None
-    assert result["seen"] == motion
-    assert result["agrees"] == (motion == "+x")
+    assert result["seen"] == motion and result["agrees"] == (motion == "+x")
     np.testing.assert_allclose(result["vector"], direction, atol=1e-12)  # rounding of a median
 
 
@@ -55,18 +51,15 @@ def test_a_turn_is_the_rotation_between_first_and_last() -> None:
     orientation = np.array([np.roll(rotation.as_quat(), 1) for rotation in ways])  # scipy has w last
     orientation[25:] *= -1.0
     result = motions.move("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
-    assert result is not None
     np.testing.assert_allclose(result["vector"], turn, atol=1e-12)  # rounding of products
     assert result["seen"] == "+z" and result["unit"] == "rad"
 
 
 def test_noise_at_rest_and_range_of_known_rows() -> None:
     random = np.random.default_rng(1)
-    noise = random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6)
-    rows = poses(noise + np.array([0.0, 0.01, 0.0]))
+    rows = poses(random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6) + np.array([0.0, 0.01, 0.0]))
     rows[7, SAMPLE] = math.nan
     result = motions.measure_rest(rows, turns=False)
-    assert result is not None
     assert result["not_finite"] == 1
     # of 1e5 samples a deviation is known to 1/sqrt(2e5), 0.2 %: five times that
     np.testing.assert_allclose(result["position_std_m"], (1e-6, 2e-6, 3e-6), rtol=0.011)
@@ -106,7 +99,6 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
 def test_a_push_shows_axis_and_sign(holding: tuple[float, float, float], plus: str, minus: str) -> None:
     for sign, motion in ((1.0, plus), (-1.0, minus)):
         result = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *holding))
-        assert result is not None
         assert result["axis"] == "+z" and result["moved_axis"] == "y"
         assert motion in result["seen"], result
         assert result["share"] > 0.8  # a free mass also drifts off, which is not a part of the fit
@@ -116,11 +108,9 @@ def test_a_motion_of_the_hand_is_not_counted_as_a_push() -> None:
     rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
     rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)
     result = motions.push(2, 1.0, RATE_HZ, rows)
-    assert result is not None
     assert result["seen"].startswith(("not clear", "+y"))
     rows[:, SAMPLE + 1] = 0.0
     result = motions.push(2, 1.0, RATE_HZ, rows)
-    assert result is not None
     assert result["seen"].startswith("not clear")
     rows[:, SAMPLE] = 0.0
     assert motions.push(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"  # type: ignore[index]

@@ -1,7 +1,5 @@
 """Device reports contain no personal data, and answer the questions of the form."""
 
-from __future__ import annotations
-
 import platform
 import sys
 from pathlib import Path
@@ -80,8 +78,7 @@ def test_a_working_folder_with_a_space_is_removed(somebody: privacy.Redactor) ->
 def test_scenes_and_rigs_contain_no_folder(somebody: privacy.Redactor) -> None:
     dirty = {"object": [{"file": "My Project/a.obj"}], "world": {"model": "Project-X/m"}, "directory": "Project-X"}
     want = {"object": [{"file": "a.obj"}], "world": {"model": "m"}, "directory": "..."}
-    assert somebody.clean(dirty) == want
-    assert somebody.clean({"directory": "."}) == {"directory": "."}
+    assert somebody.clean(dirty) == want and somebody.clean({"directory": "."}) == {"directory": "."}
 
 
 def test_a_user_without_a_home_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,8 +90,7 @@ def test_the_questions_are_well_formed() -> None:
     ids = [question.id for question in load_questions()]
     assert len(set(ids)) == len(ids)
     drivers = {driver for question in load_questions() for driver in question.drivers}
-    assert drivers <= set(registry.list_names())
-    assert not drivers & {"replay", "simulated"}
+    assert drivers <= set(registry.list_names()) and not drivers & {"replay", "simulated"}
     assert ANSWERS.keys() <= set(ids)
 
 

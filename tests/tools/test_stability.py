@@ -1,7 +1,5 @@
 """Stability: limits found on the servo step against theory, theory against closed forms, and the verb."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -124,10 +122,8 @@ def test_linear_limit_is_the_first_crossing_of_the_unit_circle(loop: LinearLoop)
 @pytest.mark.parametrize("delay", [0, 1, 2, 5])
 @pytest.mark.parametrize("wall", [0.0, 0.5, 2.0])
 def test_linear_limit_of_a_slow_loop_is_the_published_one(delay: int, wall: float) -> None:
-    """Where the loop is slow against its ticks the limit is K (T / 2 + delay) = b + B.
-
-    Gil, Sanchez, Hulin, Preusche and Hirzinger (2009), Stability boundary for haptic rendering.
-    """
+    """K (T / 2 + delay) = b + B, where the loop is slow against its ticks: Gil, Sanchez, Hulin, Preusche and Hirzinger
+    (2009), Stability boundary for haptic rendering."""
     loop = LinearLoop(20.0, 1.0, wall, 1e-3, delay)
     # The neglected terms are of the order of K T^2 / m times the delays, here below 1e-3.
     assert find_linear_limit(loop) == pytest.approx((1.0 + wall) / (1e-3 * (0.5 + delay)), rel=2e-3)
@@ -210,8 +206,7 @@ def test_oscillations_of_encoder_steps_are_not_instability() -> None:
 
 def test_friction_may_stop_a_knock_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--friction", "10", "--damping", "1000", "--mass", "0.001", "--resolution", "1e-5"]
-    assert stability(capsys, *words)["cases"][0]["limit_n_per_m"] is None
-    assert main(["stability", *words]) == 0
+    assert stability(capsys, *words)["cases"][0]["limit_n_per_m"] is None and main(["stability", *words]) == 0
     assert "no limit" in capsys.readouterr().out
 
 

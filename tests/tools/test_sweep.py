@@ -1,7 +1,5 @@
 """Sweeps: the same results from every scheduler, and none computed twice."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math
@@ -98,10 +96,8 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 def test_a_dask_scheduler_resumes_with_the_same_bits(
     cluster: tuple[str, subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half of the cases are computed by threads into a file, the others by workers: the results equal those of one run.
-
-    Then the scheduler is killed during a longer run, and the error explains how to continue.
-    """
+    """Half of the cases by threads into a file, the others by workers; then the scheduler is killed during a longer
+    run."""
     scheduler, process = cluster
     results = tmp_path / "cases.mcap"
     run_cases(roots, CASES[::2], label="test", results=results)
