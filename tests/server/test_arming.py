@@ -4,8 +4,6 @@ A replay pushes a fingertip into a plane and drags it. Injected faults make the 
 its button. The device logs each wrench. All tests use one scene, so one loop is compiled (20 s).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Black box: its contents, its size limits, and the file named in the event of a fault."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -1,7 +1,5 @@
 """Data sent to Foxglove and Rerun, read back with their libraries; without a library, one line names the package."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import AbstractContextManager
 from pathlib import Path

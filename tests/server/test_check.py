@@ -1,7 +1,5 @@
 """`check`: meaning and errors of scene and rig files, recordings that a device cannot play, and the cost of a scene."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

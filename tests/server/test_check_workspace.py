@@ -1,7 +1,5 @@
 """`check` of a rig and a scene: position of the soft wall relative to the objects, as text and as a figure."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scene and simulated device in one loop, compared with the daemon, a linear sampled system, and records."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from math import inf
 from pathlib import Path

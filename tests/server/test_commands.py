@@ -1,7 +1,5 @@
 """Commands to a real daemon over real sockets: their effect on the force, and on nothing else."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

@@ -1,7 +1,5 @@
 """Commands that switch the force off do not wait for requests of other clients or for the Python interpreter."""
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import os

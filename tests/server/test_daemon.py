@@ -1,7 +1,5 @@
 """Daemon with failing sinks, devices and threads, and what it leaves behind."""
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import os

@@ -4,8 +4,6 @@ The daemon runs in a separate process; both boards and all clients are in this o
 frames that `make test-all` sends.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

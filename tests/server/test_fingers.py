@@ -1,7 +1,5 @@
 """Several fingers in one servo: separate guards and contacts, and zero for all on every shutdown path."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any

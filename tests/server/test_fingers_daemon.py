@@ -1,7 +1,5 @@
 """Two fingers end to end: opening and closing of devices, signals, losses, and the messages of each finger."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import signal

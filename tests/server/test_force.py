@@ -1,7 +1,5 @@
 """Switch of the force, arming computed from records, and the states of the daemon."""
 
-from __future__ import annotations
-
 from itertools import product
 from math import ceil
 from types import SimpleNamespace

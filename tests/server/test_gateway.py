@@ -1,7 +1,5 @@
 """Daemon open to other machines by key, for authorized and other clients; and forwarding by a program."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

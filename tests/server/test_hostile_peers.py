@@ -5,8 +5,6 @@ that publishes ticks at 1 kHz, restarts that process, counts restarts, does not 
 shared memory. A subscriber is served again, and the program ends in time.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

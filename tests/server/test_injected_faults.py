@@ -4,8 +4,6 @@ Forces are those that the device's far end has received (`helpers/far_ends.py`).
 compiled (20 s).
 """
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any, NamedTuple

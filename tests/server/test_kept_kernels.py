@@ -1,7 +1,5 @@
 """Freshly compiled loop of a shipped scene: the functions it may call, its files in the kernel cache, their reuse."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Access to a daemon: key files, and its own socket for commands if the rig names no address."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -1,7 +1,5 @@
 """`softfinger materials`: the list, an entry with its sources, its figure, and the rows of `check`."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path

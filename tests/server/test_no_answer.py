@@ -1,7 +1,5 @@
 """Commands without an answer: the clients wait for their time-out and no longer."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import os

@@ -1,7 +1,5 @@
 """Notifications of a daemon: to systemd on a datagram socket, and of devices that are plugged in and unplugged."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -6,8 +6,6 @@ the fault model. SOFTFINGER_KILLS is the number of kills at random times for `ma
 left and the next start works; each needs a start of the program with its page, 4 s.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import random

@@ -1,7 +1,5 @@
 """Parameters set during rendering, without a loop: their effect, and changes that need another model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 

@@ -4,8 +4,6 @@ One daemon with a page and metrics, and one gateway. Each attack runs at each so
 still the same one, has not stored the payload, and serves the next peer.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

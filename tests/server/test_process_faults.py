@@ -1,7 +1,5 @@
 """Faults of the machine during a run: processes sleep, clocks are set, the network is lost."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

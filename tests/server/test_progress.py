@@ -1,7 +1,5 @@
 """Progress display on a pseudo terminal, separate from the log, and lines on a standard error without a reader."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Real-time settings, read back from the kernel in separate processes, with and without privilege."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """Replacing scene or rig in a running daemon: the force starts at zero, and the process continues."""
 
-from __future__ import annotations
-
 import gc
 import os
 import threading

@@ -1,7 +1,5 @@
 """Requests that arrive while the daemon starts, for example while it compiles: they are answered once it runs."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Failing services, watches, a clock that is set, the queue of requests: the run continues, or ends with an error."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 from types import SimpleNamespace

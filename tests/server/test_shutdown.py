@@ -1,7 +1,5 @@
 """Shutdown: every step runs regardless of earlier failures, every device gets zero, and errors contain a remedy."""
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import os

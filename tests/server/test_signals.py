@@ -1,7 +1,5 @@
 """Signals that end or stop a program with a device: no force remains, and the program ends in order."""
 
-from __future__ import annotations
-
 import os
 import pty
 import signal

@@ -1,7 +1,5 @@
 """The supervisor: its actions when ticks stop, and a failure of itself; the watcher after the end of the daemon."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import fcntl

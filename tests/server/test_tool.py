@@ -1,7 +1,5 @@
 """Tool on the handle: pose of the tip, wrench at the handle, and limits of the guard at the handle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 Compiles a servo for a key on a spring, with friction and rolling.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

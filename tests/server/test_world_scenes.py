@@ -1,7 +1,5 @@
 """Shipped scenes with moving bodies, each played by its simulated hand and checked by mechanics and energy."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Command `zero`: exact offset of a probe, without motion, and never under a force."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

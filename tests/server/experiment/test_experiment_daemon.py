@@ -1,7 +1,5 @@
 """Sessions on a daemon with a simulated hand: forces, markers, recordings, answers at a terminal, and kills."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty

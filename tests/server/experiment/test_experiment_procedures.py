@@ -1,7 +1,5 @@
 """Staircases, QUEST+ and maximum likelihood fits against closed forms and SciPy; statistics of a study."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter, defaultdict
 from typing import Any

@@ -1,7 +1,5 @@
 """Sessions without a daemon: journal, resume after a kill, tables, figures, command line."""
 
-from __future__ import annotations
-
 import csv
 import json
 import random

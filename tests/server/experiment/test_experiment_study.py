@@ -1,7 +1,5 @@
 """Surveys, interleaved staircases, catch trials, consent, screen and typed answers, with the simulated observer."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

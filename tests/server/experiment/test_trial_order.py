@@ -1,7 +1,5 @@
 """Design of an experiment: conditions, orders, mistakes that are found before, and the hand motion of a shipped one."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """`install` below a folder: its files are written, recorded, updated and removed; other files are not changed."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -1,7 +1,5 @@
 """Files that `install` writes, checked by systemd, udev, man and the shells."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Replay of a recording: equal without changes, first difference at its tick, ticks that cannot be compared."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

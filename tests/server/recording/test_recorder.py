@@ -1,7 +1,5 @@
 """Recordings: read by other libraries, after a kill, on slow and full disks, and access to them."""
 
-from __future__ import annotations
-
 import os
 import random
 import resource

@@ -1,7 +1,5 @@
 """Import of tables from other programs: columns, units, dialects and refused files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Access to the page and its commands, tested with clients that send headers no browser would."""
 
-from __future__ import annotations
-
 import socket
 import threading
 from collections.abc import Iterator

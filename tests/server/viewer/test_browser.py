@@ -1,7 +1,5 @@
 """The page in a browser: its picture, buttons, keys, touch, gamepad and menus, with one daemon; menus come last."""
 
-from __future__ import annotations
-
 import re
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Experiments through the page: a session, a daemon and a page, controlled in Chromium."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

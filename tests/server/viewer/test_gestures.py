@@ -1,7 +1,5 @@
 """Motions of the hand without a page: gestures, the contacts that they cause, and two fingers controlled together."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, partial

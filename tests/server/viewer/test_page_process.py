@@ -1,7 +1,5 @@
 """The page as a process: its address, the secrecy of its token, and its restarts."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import random

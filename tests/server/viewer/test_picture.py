@@ -1,7 +1,5 @@
 """Geometry of the page against closed forms, targets of the hand from drags of the mouse, and the timeline."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from math import atan2, cos, pi, radians, sin, sqrt

@@ -1,7 +1,5 @@
 """Inputs of the page: recordings with their objects, and a daemon with its scene, events and refusals."""
 
-from __future__ import annotations
-
 import sys
 from collections import deque
 from collections.abc import Iterator
