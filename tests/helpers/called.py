@@ -25,3 +25,10 @@ def called(*words: str) -> VerbResult:
         except SystemExit as ended:  # argparse
             code = int(str(ended.code))
     return VerbResult(code, out.getvalue(), err.getvalue())
+
+
+def read_stdout(*words: str) -> str:
+    """Run a verb that must succeed; return its standard output."""
+    result = called(*words)
+    assert result.returncode == 0, result.stderr
+    return result.stdout

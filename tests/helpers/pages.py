@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
+from urllib.error import URLError
+from urllib.request import urlopen
 
 import pytest
 
@@ -23,6 +25,13 @@ CAMERA = {
     "up_direction": [0.0, 0.0, 1.0], "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
 }  # fmt: skip
 """First message of a browser; viser ignores messages before it."""
+
+
+def is_served(address: str) -> bool:
+    """Return True if a server answers with a page."""
+    with suppress(URLError), urlopen(address, timeout=60.0) as answer:
+        return bool(answer.status == 200)
+    return False
 
 
 def daemon_of(rig: str, scene: str) -> Callable[[], Iterator[Daemon]]:

@@ -39,3 +39,15 @@ def read_memory(pid: int, field: str = "VmRSS") -> int:
     """Return a size in /proc/PID/status, bytes; VmHWM is the peak of the resident memory."""
     (line,) = [line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith(field)]
     return 1024 * int(line.split()[1])
+
+
+def read_state(pid: int) -> str:
+    """Return the state of a process from the kernel, such as T (stopped) or Z (zombie); empty after its end."""
+    with suppress(FileNotFoundError, ProcessLookupError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    return ""
+
+
+def has_exited(pid: int) -> bool:
+    """Return True if a process has exited, also as a zombie."""
+    return read_state(pid) in ("", "Z")

@@ -160,7 +160,7 @@ def test_overshoot_at_a_step_is_reported(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_the_page_draws_one_vertex_per_height(tmp_path: Path) -> None:
-    """tests/server/viewer/test_world_drawn.py checks that drawn objects follow their bodies."""
+    """tests/server/viewer/test_drawn_scene.py checks that drawn objects follow their bodies."""
     path = str(write_model(tmp_path, joint="<freejoint/>"))
     (hills_object,) = load_scene({"fingertip": {"radius_m": R}, "world": {"model": path, "material": WOOD}}).object
     assert isinstance(hills_object, Filed) and isinstance(hills_object.motion, schema.Body)

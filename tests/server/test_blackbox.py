@@ -1,14 +1,10 @@
 """Black box: its contents, its size limits, and the file named in the event of a fault."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal
 import time
 import tracemalloc
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +19,6 @@ from softfinger.config.errors import ConfigError, DeviceLost
 from softfinger.config.load import build
 from softfinger.config.schema import Faults
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.app import Daemon
 from softfinger.server.recording import blackbox
 from softfinger.server.recording.blackbox import BYTES_MAX, FILES_MAX, HISTORY_S, BlackBox, list_files, prepare_folder
 from softfinger.server.recording.reader import Event, TickBlock, read_contents
@@ -80,12 +75,8 @@ def test_old_events_and_log_lines_are_not_written(tmp_path: Path) -> None:
         box.log.handle(record)
     box.write(tmp_path / "box.mcap", {"scene_name": "s"})
     with (tmp_path / "box.mcap").open("rb") as file:
-        messages = [
-            (channel.topic, message)
-            for _, channel, _, message in make_reader(
-                file, decoder_factories=[DecoderFactory()]
-            ).iter_decoded_messages()
-        ]
+        decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        messages = [(channel.topic, message) for _, channel, _, message in decoded]
     assert [message.name for topic, message in messages if topic == "event"] == ["1 s ago"]
     ((level, name, text),) = [(m.level, m.name, m.message) for topic, m in messages if topic == "log"]
     assert (level, name, text) == (4, "softfinger.test", "1 s ago")  # 4: ERROR in Foxglove's schema
@@ -123,12 +114,14 @@ def test_the_folder_is_bounded(tmp_path: Path) -> None:
         prepare_folder(place)
 
 
-@contextmanager
-def running(faults: list[dict[str, Any]] | None = None) -> Iterator[Daemon]:
-    injected = None if faults is None else build(Faults, {"fault": faults}, "faults")
-    with make_daemon(faults=injected) as daemon:
+def lose_device(at_tick: int) -> str:
+    """Run a daemon that loses its device; return the message of the error."""
+    faults = build(Faults, {"fault": [{"kind": "disconnect", "at_tick": at_tick}]}, "faults")
+    with make_daemon(faults=faults) as daemon:
         daemon.start()
-        yield daemon
+        with pytest.raises(DeviceLost) as lost:
+            daemon.wait(WAIT_S)
+    return str(lost.value)
 
 
 def read_faults(path: Path) -> dict[str, dict[str, Any]]:
@@ -138,21 +131,19 @@ def read_faults(path: Path) -> dict[str, dict[str, Any]]:
 
 @pytest.mark.real_time
 def test_a_lost_device_writes_a_file_named_in_its_event() -> None:
-    with pytest.raises(DeviceLost) as lost, running([{"kind": "disconnect", "at_tick": 700}]) as daemon:
-        daemon.wait(WAIT_S)
+    error = lose_device(700)
     path = list_files(blackbox.find_folder())[-1]
-    assert path.stat().st_mode & 0o777 == 0o600
-    assert read_ticks(path) == list(range(700))
+    assert path.stat().st_mode & 0o777 == 0o600 and read_ticks(path) == list(range(700))
     event = read_faults(path)["device_lost"]
-    assert event["message"] == str(lost.value) and event["blackbox"] == str(path)
-    assert event["tick"] == 699
+    assert (event["message"], event["blackbox"], event["tick"]) == (error, str(path), 699)
 
 
 @pytest.mark.real_time
 def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     # Another daemon of this process may have written a file.
     monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", str(tmp_path))
-    with running() as daemon:
+    with make_daemon() as daemon:
+        daemon.start()
         with subscribe(daemon.publisher.endpoint, timeout_s=WAIT_S) as samples:
             next(iter(samples))  # a publisher killed before it is ready is not restarted
         killed_at = daemon.servo.ticks
@@ -167,10 +158,7 @@ def test_a_killed_publisher_writes_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 
 @pytest.mark.real_time
-def test_the_error_is_the_same_without_a_folder(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_error_is_the_same_without_a_folder(monkeypatch, caplog):
     monkeypatch.setenv("SOFTFINGER_BLACKBOX_DIR", "/proc/nowhere")
-    with pytest.raises(DeviceLost), running([{"kind": "disconnect", "at_tick": 50}]) as daemon:
-        daemon.wait(WAIT_S)
+    lose_device(50)
     assert "/proc/nowhere" in caplog.text and "cannot be written" in caplog.text

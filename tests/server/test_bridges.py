@@ -1,7 +1,5 @@
 """Data sent to Foxglove and Rerun, read back with their libraries; without a library, one line names the package."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -9,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.called import called, read_stdout
 from helpers.recorded import event, recorded, run
 from helpers.waits import repeated
 from helpers.websocket import Viewer
@@ -19,7 +18,6 @@ from softfinger.config.load import describe, load_scene
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.bridges import foxglove
-from softfinger.server.cli import main
 from softfinger.server.recording import picture
 from softfinger.server.recording.reader import RecordedWorld, read_contents
 from softfinger.server.recording.schemas import FRAME, SCENE, TICK, make_message_class
@@ -63,23 +61,10 @@ def test_the_arrow_of_a_force(direction: tuple[float, ...], sample: Records) -> 
 
 
 @pytest.mark.parametrize(("viewer", "library"), [("rerun", "rerun"), ("foxglove", "foxglove")])
-def test_a_missing_library_is_named(
-    viewer: str, library: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_library_is_named(viewer: str, library: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    assert main(["bridge", viewer]) == ConfigError.exit_code
-    assert f"pip install 'softfinger[{viewer}]'" in capsys.readouterr().err
-
-
-def test_invalid_options_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bridge", "foxglove", "trial.mcap"]) == ConfigError.exit_code
-    assert "Foxglove opens a recording (.mcap) itself" in capsys.readouterr().err
-    with pytest.raises(SystemExit, match="2"):
-        main(["bridge", "rerun", "--duration", "0"])
-    assert "the duration must be above 0 s" in capsys.readouterr().err
-
-
-# --- Rerun ------------------------------------------------------------------------------------------
+    result = called("bridge", viewer)
+    assert result.returncode == ConfigError.exit_code and f"pip install 'softfinger[{viewer}]'" in result.stderr
 
 
 def read_batches(file: Path) -> dict[str, list[Any]]:
@@ -95,11 +80,11 @@ def values(batches: list[Any], ending: str) -> np.ndarray:
     return np.array([row for batch, name in named for row in batch.column(name).to_pylist()])
 
 
-def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason=WHY)
     mark = event("mark", "mark", 100, message="now")
     trial, out = recorded(tmp_path / "trial.mcap", run(), [mark]), tmp_path / "trial.rrd"
-    assert main(["bridge", "rerun", str(trial), "--save", str(out)]) == 0
+    read_stdout("bridge", "rerun", str(trial), "--save", str(out))
     batches, records = read_batches(out), Records(run())
     assert {"/world/fingertip", "/world/proxy", "/world/force", "/events", "/plots/contact.mode"} <= set(batches)
     assert any(path.startswith("/world/objects/table/") for path in batches)
@@ -116,24 +101,21 @@ def test_rerun_shows_every_tick_of_a_recording(tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize("words", [("--save", "no/such/folder/x.rrd"), ("--connect", "nowhere")])
-def test_rerun_errors_are_reported_in_one_line(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_rerun_errors_are_reported_in_one_line(words: tuple[str, str]) -> None:
     pytest.importorskip("rerun", reason=WHY)
-    assert main(["bridge", "rerun", *words]) == ConfigError.exit_code
-    assert f"{' '.join(words)}: Rerun reports: " in capsys.readouterr().err
+    result = called("bridge", "rerun", *words)
+    assert result.returncode == ConfigError.exit_code and f"{' '.join(words)}: Rerun reports: " in result.stderr
 
 
 def test_rerun_shows_a_running_daemon(tmp_path: Path, endpoints: tuple[str, str]) -> None:
     pytest.importorskip("rerun", reason=WHY)
     out = tmp_path / "live.rrd"
     words = ["--endpoint", endpoints[0], "--commands", endpoints[1], "--timeout", "60"]
-    assert main(["bridge", "rerun", *words, "--save", str(out), "--duration", "0.5"]) == 0
+    read_stdout("bridge", "rerun", *words, "--save", str(out), "--duration", "0.5")
     batches = read_batches(out)
     assert any(path.startswith("/world/objects/table/") for path in batches)
     ticks = values(batches["/plots/force"], "tick")
     assert len(ticks) > 100 and (np.diff(ticks) > 0).all()
-
-
-# --- Foxglove ---------------------------------------------------------------------------------------
 
 
 def test_foxglove_has_the_topics_of_a_recording() -> None:
@@ -180,9 +162,6 @@ def test_a_port_in_use_raises_an_error_with_advice() -> None:
         first.close()
 
 
-# --- bodies of a [world] -----------------------------------------------------------------------------
-
-
 def record_lift(path: Path) -> tuple[Path, dict[str, Any]]:
     box = {"name": "box", "position": [0.0, 0.0, 0.12], "orientation": [0.0, 0.0, 0.0, 1.0]}
     world = {"schema": 1, "timestamp": 1.7e9, "tick": 7, "bodies": [box | {"velocity": [0.0] * 3, "rate": [0.0] * 3}]}
@@ -217,7 +196,7 @@ def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: P
 def test_rerun_moves_objects_with_their_body(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason=WHY)
     path, _ = record_lift(tmp_path / "lift.mcap")
-    assert main(["bridge", "rerun", str(path), "--save", str(tmp_path / "lift.rrd")]) == 0
+    read_stdout("bridge", "rerun", str(path), "--save", str(tmp_path / "lift.rrd"))
     batches = read_batches(tmp_path / "lift.rrd")
     place = values(batches["/world/bodies/box"], "Transform3D:translation")
     np.testing.assert_allclose(place.reshape(-1), [0.0, 0.0, 0.12], rtol=1e-6)  # single precision

@@ -1,6 +1,4 @@
-"""`check`: meaning and errors of scene and rig files, and the cost of a scene."""
-
-from __future__ import annotations
+"""`check`: meaning and errors of scene and rig files, recordings that a device cannot play, and the cost of a scene."""
 
 import json
 import re
@@ -8,44 +6,45 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from helpers.called import called
+from helpers.called import called, read_stdout
 
 from softfinger.server.verbs.check import examine_file
 
+PLATE = """
+[fingertip]
+radii_m = [0.008, 0.007, 0.012]
+orientation_wxyz = [0.8, 0.6, 0.0, 0.0]
+[[object]]
+name = "plate"
+shape = "plane"
+material = { stiffness_n_per_m = 1000.0, normal = { exponent = 1.5 } }
+motion = { kind = "sinusoid", translation_m = [0.0, 0.0, 0.001], frequency_hz = 2.0 }
+"""
+PRINTED = {
+    "paper-plane": (
+        "paper-plane: scene, usable", "rolling +euler_zxz, torque stiffness 1000 N/m",
+        r"friction +static 0\.6, kinetic 0\.5",
+    ),
+    "frictionless-plane": ("rolling +absent", "friction +absent: frictionless"),
+    "replay": ("replay: rig, usable", "servo +1000 Hz, real time auto"),
+    "plate.toml": (
+        r"ellipsoid, radii .*0\.008.* m, turned by .*0\.8", r"normal force +.*exponent 1\.5",
+        "motion sinusoid +.*frequency_hz 2",
+    ),
+    # 82 trials of two touches, each of 2 s after a gap of 0.3 s.
+    "stiffness-discrimination": ("lasts +6 min and the answers, a break after each 40 trials",),
+    "curvature-by-rolling": (r"conditions +rolls; slides\n +trials +102, 2 of them practice; questplus",),
+}  # fmt: skip
+"""Effects that are modelled or omitted, shapes, laws, motions, and trials."""
+
 
 @pytest.mark.plain
-def test_check_prints_modelled_and_omitted_effects() -> None:
-    result = called("check", "paper-plane", "frictionless-plane", "replay")
-    assert result.returncode == 0, result.stderr
-    out = result.stdout
-    assert "paper-plane: scene, usable" in out
-    assert re.search(r"rolling +euler_zxz, torque stiffness 1000 N/m", out)
-    assert re.search(r"friction +static 0.6, kinetic 0.5", out)
-    assert re.search(r"rolling +absent", out)
-    assert re.search(r"friction +absent: frictionless", out)
-    assert "replay: rig, usable" in out
-    assert re.search(r"servo +1000 Hz, real time auto", out)
-
-
-@pytest.mark.plain
-def test_check_prints_shapes_laws_and_motions(tmp_path: Path) -> None:
-    file = tmp_path / "turned.toml"
-    file.write_text("""
-        [fingertip]
-        radii_m = [0.008, 0.007, 0.012]
-        orientation_wxyz = [0.8, 0.6, 0.0, 0.0]
-        [[object]]
-        name = "plate"
-        shape = "plane"
-        material = { stiffness_n_per_m = 1000.0, normal = { exponent = 1.5 } }
-        motion = { kind = "sinusoid", translation_m = [0.0, 0.0, 0.001], frequency_hz = 2.0 }
-    """)
-    result = called("check", str(file))
-    assert result.returncode == 0, result.stderr
-    out = result.stdout
-    assert re.search(r"ellipsoid, radii .*0\.008.* m, turned by .*0\.8", out)
-    assert re.search(r"normal force +.*exponent 1\.5", out)
-    assert re.search(r"motion sinusoid +.*frequency_hz 2", out)
+@pytest.mark.parametrize("name", PRINTED)
+def test_check_prints_the_content(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plate.toml").write_text(PLATE)
+    output = read_stdout("check", name)
+    assert [pattern for pattern in PRINTED[name] if not re.search(pattern, output)] == []
 
 
 @pytest.mark.plain
@@ -64,34 +63,20 @@ def test_check_reports_every_faulty_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_check_prints_the_trials_of_an_experiment() -> None:
-    result = called("check", "curvature-by-rolling", "stiffness-discrimination")
-    assert result.returncode == 0, result.stderr
-    assert re.search(r"conditions +rolls; slides\n +trials +102, 2 of them practice; questplus", result.stdout)
-    # 82 trials of two touches, each of 2 s after a gap of 0.3 s.
-    assert re.search(r"lasts +6 min and the answers, a break after each 40 trials", result.stdout)
-
-
-@pytest.mark.plain
 def test_check_as_json() -> None:
     result = called("check", "--json", "plane-at-60mm", "nothing-like-it")
     assert result.returncode == 2, result.stderr
     good, bad = json.loads(result.stdout)
-    assert good["kind"] == "scene"
-    assert good["errors"] == []
+    assert (good["kind"], good["errors"]) == ("scene", [])
     assert good["content"]["object"][0]["position_m"] == [0.0, 0.0, 0.06]
     assert bad["errors"][0].startswith("no scene, rig or experiment is named 'nothing-like-it'")
 
 
 def test_explain_prints_measured_costs() -> None:
-    result = called("check", "--explain", "frictionless-plane", "replay")
-    assert result.returncode == 0, result.stderr
-    for pattern in (
-        r"cost of a tick.*\d+ ns",
-        r"bare contact.*\d+ ns",
-        r"1000 N/m; passive at 1000 Hz .* more than 0\.5",
-    ):
-        assert len(re.findall(pattern, result.stdout)) == 1, result.stdout
+    output = read_stdout("check", "--explain", "frictionless-plane", "replay")
+    passive = r"1000 N/m; passive at 1000 Hz .* more than 0\.5"
+    for pattern in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", passive):
+        assert len(re.findall(pattern, output)) == 1, output
 
 
 @pytest.mark.plain
@@ -106,10 +91,9 @@ def test_check_prints_how_geoms_are_used(tmp_path: Path) -> None:
     )
     scene = '[fingertip]\nradius_m = 0.008\n[world]\nmodel = "cubes.xml"\n'
     (tmp_path / "cubes.toml").write_text(scene + "material = { stiffness_n_per_m = 500.0 }\n")
-    every = called("check", str(tmp_path / "cubes.toml"))
-    assert every.returncode == 0, every.stderr
-    assert re.search(r"11 of 11 geoms touched", every.stdout)
-    assert re.search(r"map +3 x 2 pixels, .* heights 0 to 0\.05 m", every.stdout)
+    output = read_stdout("check", str(tmp_path / "cubes.toml"))
+    assert "11 of 11 geoms touched" in output
+    assert re.search(r"map +3 x 2 pixels, .* heights 0 to 0\.05 m", output)
 
 
 @pytest.mark.plain
@@ -152,3 +136,13 @@ def test_an_error_names_its_file_once(tmp_path: Path) -> None:
     file = tmp_path / "missing.toml"
     result = called("check", str(file))
     assert result.returncode == 2 and result.stderr == f"{file}: not usable\n  no such file\n"
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("recording", ["", ".", "nothing", "none.csv", "/dev/zero"])
+@pytest.mark.parametrize("driver", ["replay", "simulated"])
+def test_an_unusable_recording_is_a_fault_of_the_rig(driver: str, recording: str, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(f'[device]\ndriver = "{driver}"\nrecording = "{recording}"\n')
+    (fault,) = examine_file(str(rig)).errors
+    assert "device.recording: " in fault and recording in fault

@@ -10,18 +10,16 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 import zmq
-from helpers.called import called
+from helpers.called import called, read_stdout
 from helpers.processes import COMMAND
 from helpers.programs import run_program
+from helpers.telemetry_records import synthetic
 
 from softfinger.server.cli import VERBS, make_parser
-from softfinger.server.recording.results import read_results
+from softfinger.server.recording.results import read_results, write_blocks
 from softfinger.tools.bench.options import KINDS
 
-FREE = ["--endpoint", "tcp://127.0.0.1:*"]
-"""Option for `run`: a free port."""
 SIMULATE = ["simulate", "--scene", "paper-plane", "--poses", "tap"]
-LOOP = ["bench", "loop", "--seconds", "600"]
 
 
 def run(*words, timeout=300):
@@ -117,42 +115,111 @@ def test_run_for_a_duration_logs_plain_lines():
     result = run("run", "--duration", "0.2", "--endpoint", "tcp://127.0.0.1:*", "--realtime", "auto")
     assert result.returncode == 0 and result.stdout == ""
     for piece in (
-        "paper-plane",
-        "replay",
-        "tcp://127.0.0.1:",
-        "monitor --endpoint",
-        "real time:",
-        "stopped after 200 ticks",
-    ):
+        "paper-plane", "replay", "tcp://127.0.0.1:", "monitor --endpoint", "real time:", "stopped after 200 ticks",
+    ):  # fmt: skip
         assert piece in result.stderr
     assert "\r" not in result.stderr and "\x1b" not in result.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "pieces"),
-    [
-        (["run", "--rate", "7"], 2, ["command line --rate", "7", "100"]),
-        (["run", "--scene", "moon"], 2, ["moon", "paper-plane"]),
-        (["run", *FREE, "--recording", "nothing"], 3, ["nothing", "tap"]),
-        (["run", *FREE, "--device", "omega"], 4, ["omega", "replay"]),
-        (["run", *FREE, "--rig", "omega-3", "--once"], 2, ["--once", "forcedimension", "--device replay"]),
-        (["run", "--endpoint", "tcp://0.0.0.0:5555"], 2, ["0.0.0.0", "127.0.0.1"]),
-        (["run", "--duration", "-1"], 2, ["duration"]),
-        (["run", *FREE, "--record", "nowhere/trial.mcap"], 2, ["--record nowhere/trial.mcap", "does not exist"]),
-        ([*SIMULATE, "--out", "x.doc"], 3, ["x.doc", ".csv", ".mcap"]),
-        ([*SIMULATE, "--out", "x.csv", "--method", "zxy"], 2, ["zxy", "euler_zxz"]),
-        (["fly"], 2, ["fly", "simulate"]),
-        ([*LOOP, "--plot", "out.txt"], 2, ["--plot: out.txt: a figure is .png or .svg by its file name"]),
-        ([*LOOP, "--plot", "no/such/out.png"], 2, ["--plot: no/such/out.png: the folder no/such does not exist"]),
-        (["bench", "step", "--features", "tosion*"], 2,
-         ["--features 'tosion*': no feature has such a name", "torsion linear"]),
-    ],
-)  # fmt: skip
-def test_bad_words_give_one_clear_error(words, code, pieces):
-    outcome = called(*words)
+POSES = "t,x,y,z,qw,qx,qy,qz\n0,0,0,0.02,1,0,0,0\n0.1,0,0,0.009,1,0,0,0\n"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Return the current folder, with poses and a link to them."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_text(POSES)
+    (tmp_path / "link.csv").symlink_to("a.csv")
+    return tmp_path
+
+
+REFUSED = [
+    ("fly", 2, "fly", "simulate"),
+    ("run --rate 7", 2, "command line --rate", "7", "100"),
+    ("run --scene moon", 2, "moon", "paper-plane"),
+    ("run --endpoint tcp://127.0.0.1:* --recording nothing", 3, "nothing", "tap"),
+    ("run --endpoint tcp://127.0.0.1:* --device omega", 4, "omega", "replay"),
+    ("run --endpoint tcp://127.0.0.1:* --rig omega-3 --once", 2, "--once", "forcedimension", "--device replay"),
+    ("run --endpoint tcp://0.0.0.0:5555", 2, "0.0.0.0", "127.0.0.1"),
+    ("run --duration -1", 2, "duration"),
+    ("run --endpoint tcp://127.0.0.1:* --record no/a.mcap", 2, "--record no/a.mcap", "does not exist"),
+    ("simulate --scene paper-plane --poses tap --out x.doc", 3, "x.doc", ".csv", ".mcap"),
+    ("simulate --scene paper-plane --poses tap --out x.csv --method zxy", 2, "zxy", "euler_zxz"),
+    ("simulate --poses tap --out results", 3, "results: has no suffix: use one of .csv, .npz, .mcap"),
+    ("simulate --poses tap --out results.txt", 3, "results.txt: '.txt' is no format of results: use one of .csv"),
+    ("simulate --scene paper-plane --out o.csv --device replay --rig replay", 2, "'replay' cannot run offline"),
+    ("simulate --scene paper-plane --out o.csv --poses tap --duration 1", 2, "--duration needs --device"),
+    ("simulate --scene pinch --out o.csv --poses tap", 2,
+     "do not match the fingers of the scene: use poses of thumb, index"),
+    ("simulate --scene pinch --out o.csv --poses thumb=tap", 2, "poses of thumb do not match the fingers"),
+    ("simulate --scene pinch --out o.csv --poses thumb=tap --poses thumb=tap", 2,
+     "--poses thumb=tap: use it once, or --poses NAME=FILE for each"),
+    ("simulate --scene pinch --out o.csv --poses tap --poses index=tap", 2, "--poses index=tap: use it once, or"),
+    ("bench loop --seconds 600 --plot out.txt", 2, "--plot: out.txt: a figure is .png or .svg by its file name"),
+    ("bench loop --seconds 600 --plot no/out.png", 2, "--plot: no/out.png: the folder no does not exist"),
+    ("bench step --features tosion*", 2, "--features 'tosion*': no feature has such a name", "torsion linear"),
+    ("check simulated paper-plane --plot wall.png", 2, "there are 0 and 1: select one of each"),
+    ("export run.mcap --out run.csv --finger thumb", 3, "no ticks of finger 'thumb': leave --finger out"),
+    ("replay nowhere", 3, "recording 'nowhere' is neither a file nor a shipped recording"),
+    ("replay tip", 3, "did you mean 'tap'?"),
+    ("replay tap --scene paper-plane --against a.npz --rate 1", 2, "command line --rate: servo.rate_hz = 1.0"),
+    ("info rum.mcap", 3, "recording 'rum.mcap': no such file (did you mean 'run.mcap'?)"),
+    ("info nowhere/run.mcap", 3, "recording 'nowhere/run.mcap': no such file; `softfinger recordings`"),
+    ("info tpa", 3, "'tpa' is neither a file nor a shipped recording (did you mean 'tap'?)"),
+    ("import table --out a.csv --columns t,x,y,z --unit-m inf", 2, "--unit-m inf: must be above 0 and finite"),
+    ("import table --out a.csv --columns t,x,y,z --rate 9", 2, "either a column t or --rate, not both"),
+    ("bridge foxglove trial.mcap", 2, "Foxglove opens a recording (.mcap) itself"),
+    ("bridge rerun --duration 0", 2, "the duration must be above 0 s"),
+    ("materials ruber", 2, "no material or fingertip is called 'ruber' (did you mean 'rubber'?); they are steel"),
+    ("materials --plot all.png", 2, "softfinger materials NAME --plot FILE"),
+    ("experiment friction-magnitude --no-daemon --out out", 2, "add --dry-run"),
+    ("experiment friction-magnitud --out out", 2, "did you mean 'friction-magnitude'"),
+    ("experiment friction-magnitude --participant 0 --out out", 2, "participant = 0"),
+    ("experiment friction-magnitude --set procedure.repetitions=0 --out out", 2, "must be an integer from 1"),
+    ("figure .", 2, "check that `softfinger experiment` wrote this folder"),
+    *((f"{verb} --duration {value}", 2, f"argument --duration: {value}: the duration must be above 0 s")
+      for verb in ("monitor", "record") for value in ("0", "nan")),
+    *((f"{verb} --timeout -1", 2, "argument --timeout: -1: the duration must be above 0 s")
+      for verb in ("monitor", "record")),
+    *((f"{words} {path}", 2, "choose another output file") for path in ("a.csv", "./a.csv", "link.csv") for words in (
+        "simulate --scene paper-plane --poses a.csv --out", "import a.csv --columns t,x,y,z --out",
+        "export a.csv --out", "run --endpoint tcp://127.0.0.1:* --recording a.csv --once --forces",
+    )),
+]  # fmt: skip
+"""Words, exit code, and parts of the message."""
+
+
+@pytest.mark.parametrize("row", REFUSED, ids=[line for line, *_ in REFUSED])
+def test_bad_words_give_one_clear_error_and_write_nothing(row, folder):
+    line, code, *pieces = row
+    (folder / "table").write_text("t x y z\n0 0 0 0\n1 0 0 0\n")
+    write_blocks("run.mcap", [""], [synthetic(3)[:, None]])
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    outcome = called(*line.split())
     assert outcome.returncode == code, outcome.stderr
-    assert all(piece in outcome.stderr for piece in pieces), outcome.stderr
-    assert "Traceback" not in outcome.stderr
+    assert [piece for piece in ("softfinger", *pieces) if piece not in outcome.stderr] == [], outcome.stderr
+    assert "Traceback" not in outcome.stderr and {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.real_time
+def test_a_recording_overwrites_no_file(endpoints, folder):
+    to = ["--endpoint", endpoints[0], "--timeout", "60"]
+    result = called("record", "a.csv", "--duration", "0.05", *to)
+    assert result.returncode == 3 and "already exists" in result.stderr and (folder / "a.csv").read_text() == POSES
+    result = called("record", "short.csv", "--duration", "0.0005", *to)
+    assert result.returncode == 3 and "at least 2" in result.stderr and not (folder / "short.csv").exists()
+    result = called("record", "--poses", "index=b.csv", "--poses", "thumb=./b.csv", *to)
+    assert result.returncode == 2 and "are the same file" in result.stderr and not (folder / "b.csv").exists()
+    assert called("record", "b.csv", "--duration", "0.05", *to).returncode == 0 and (folder / "b.csv").stat().st_size
+
+
+def test_a_name_that_the_terminal_cannot_encode_is_escaped(tmp_path):
+    scene = tmp_path / "scene.toml"
+    table = 'name = "стол"\nshape = "plane"\nmaterial = "rubber"\n'
+    scene.write_text(f"[fingertip]\nradius_m = 0.01\n[[object]]\n{table}", "utf-8")
+    result = run_program([*COMMAND, "check", str(scene)], env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    assert result.returncode == 0 and "Traceback" not in result.stderr
+    assert "\\u0441\\u0442\\u043e\\u043b" in result.stdout
 
 
 def test_an_endpoint_in_use_gives_exit_code_7():
@@ -175,9 +242,8 @@ print(code, int(peak.split()[1]) // 1024)
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".mcap"])
 def test_a_long_run_needs_bounded_memory(ending, tmp_path):
     t = np.arange(60_001) * 0.01
-    poses = np.column_stack(
-        [t, 0.01 * np.sin(t), 0.0 * t, 0.0095 + 0.001 * np.sin(7.0 * t), 1.0 + 0.0 * t, *[0.0 * t] * 3]
-    )
+    zero, z = np.zeros_like(t), 0.0095 + 0.001 * np.sin(7.0 * t)
+    poses = np.column_stack([t, 0.01 * np.sin(t), zero, z, zero + 1.0, zero, zero, zero])
     header = "t,x,y,z,qw,qx,qy,qz"
     np.savetxt(tmp_path / "poses.csv", poses, fmt="%.9g", delimiter=",", header=header, comments="")
     words = ["simulate", "--scene", "paper-plane", "--poses", "poses.csv", "--out", f"out{ending}"]
@@ -189,22 +255,16 @@ def test_a_long_run_needs_bounded_memory(ending, tmp_path):
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
 def test_a_shipped_recording_is_read_by_its_name(ending, tmp_path):
-    outcome = called("info", "tap")
-    assert outcome.returncode == 0 and "229 poses, 0 to 228, 2.280 s" in outcome.stdout
-    assert "x 0 to 0, y 0 to 0, z " in outcome.stdout and "unknown" not in outcome.stdout
+    output = read_stdout("info", "tap")
+    assert "229 poses, 0 to 228, 2.280 s" in output and "x 0 to 0, y 0 to 0, z " in output and "unknown" not in output
     poses, out = tmp_path / f"poses{ending}", tmp_path / "out.csv"
-    assert called("export", "tap", "--out", str(poses)).returncode == 0
+    read_stdout("export", "tap", "--out", str(poses))
     if ending != ".parquet":
-        assert called(*SIMULATE, "--out", str(out)).returncode == 0
-        words = ["tap", "--scene", "paper-plane", "--against", str(out)]
-        assert called("replay", *words).returncode == 0
+        read_stdout(*SIMULATE, "--out", str(out))
+        read_stdout("replay", "tap", "--scene", "paper-plane", "--against", str(out))
         before = out.read_bytes()
-        assert called("simulate", "--poses", str(poses), "--out", str(out)).returncode == 0
-        assert out.read_bytes() == before
-        assert "sliding" in called("info", str(out)).stdout
-    outcome = called("info", "tpa")
-    assert outcome.returncode == 3
-    assert "'tpa' is neither a file nor a shipped recording (did you mean 'tap'?)" in outcome.stderr
+        read_stdout("simulate", "--poses", str(poses), "--out", str(out))
+        assert out.read_bytes() == before and "sliding" in read_stdout("info", str(out))
 
 
 def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
@@ -266,7 +326,6 @@ def test_closed_streams_do_not_become_a_device(tmp_path):
 
 @pytest.mark.parametrize("words", [["check", "paper-plane"], ["run"]])
 def test_a_low_limit_of_open_files_is_reported(words):
-    """With a limit of eight open files, one line reports how many are needed; ZeroMQ would abort."""
     command = f"ulimit -n 8; exec {shlex.join([*COMMAND, *words])}"
     outcome = run_program(["bash", "-c", command])
     assert outcome.returncode == 11, outcome.stderr
@@ -282,10 +341,9 @@ def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
     monkeypatch.setattr(step, "make_touching_poses", lambda scene: poses(scene, 50))
     monkeypatch.setattr(step, "measure_reference_ns", lambda: 100.0)  # the reference chain is fast only when compiled
     plot = tmp_path / "plot.png"
-    outcome = called("bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear")
-    assert outcome.returncode == 0, outcome.stderr
+    words = ["bench", "step", "--json", "--plot", str(plot), "--blocks", "2", "--features", "torsion linear"]
+    result = json.loads(read_stdout(*words))
     assert plot.read_bytes().startswith(b"\x89PNG")
-    result = json.loads(outcome.stdout)
     # the costs of a shipped scene, its variants without one part each, and one feature; all in contact
     assert len(result["variants"]) == 5 and {"ns_per_step", "cpu_ns_per_step"} <= result["variants"][0].keys()
     assert all(row["in_contact"] == 1.0 for row in result["variants"])
@@ -297,8 +355,7 @@ def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
 def test_run_is_drawn(tmp_path):
     drawn = []
     for name in ("one.svg", "two.svg"):
-        outcome = called(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
-        assert outcome.returncode == 0, outcome.stderr
+        read_stdout(*SIMULATE, "--out", str(tmp_path / "out.csv"), "--plot", str(tmp_path / name))
         drawn.append((tmp_path / name).read_text())
     assert drawn[0] == drawn[1]
     assert all(f">{word}</text>" in drawn[0] for word in ("penetration", "norm", "torsion", "rolling", "time [s]"))

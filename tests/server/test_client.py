@@ -1,15 +1,22 @@
-"""Client against a real publisher, and against peers that send invalid messages."""
+"""Client against a real publisher and peers that send invalid messages; fixtures for other projects' tests."""
 
 import copy
 import gc
+import os
+import shutil
 import signal
+import subprocess
+import sys
 from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgpack
 import numpy as np
 import pytest
 import zmq
 from helpers.encoder import contact_map
+from helpers.programs import run_program
 from helpers.telemetry_records import put, synthetic
 from helpers.waits import WAIT_S
 
@@ -44,8 +51,7 @@ def test_iterator_gives_typed_samples_in_order(publisher):
     with join_subscription(publisher) as samples:
         publisher.publish(records)
         for record, sample in zip(records, samples, strict=False):
-            assert sample.topic == "contact"
-            assert sample.lost == 0
+            assert (sample.topic, sample.lost) == ("contact", 0)
             for field in FIELDS:
                 expected = tuple(record[field.at : field.at + field.size].tolist())
                 place, _, key = field.name.partition(".")
@@ -64,13 +70,10 @@ def test_other_topics_and_plain_maps(publisher):
         publisher.event("fault", "device lost", message="unplugged", detail={"code": -1})
         received = [next(samples) for _ in range(1003)]
     health, event = received[-2], received[-1]
-    assert health.topic == "health"
+    assert (health.topic, event.topic, event.as_map()["kind"]) == ("health", "event", "fault")
     assert health.modes.free == health["modes.free"] == 1000
     assert health.as_map()["late"]["p50"] == health.late.p50
-    assert event.topic == "event"
-    assert event["message"] == event.message == "unplugged"
-    assert event["detail.code"] == -1
-    assert event.as_map()["kind"] == "fault"
+    assert event["message"] == event.message == "unplugged" and event["detail.code"] == -1
     assert msgpack.unpackb(encode(received[0].as_map())) == contact_map(synthetic(1)[0])
 
 
@@ -120,11 +123,9 @@ def test_a_stalled_client_counts_its_losses_and_affects_no_other(tmp_path):
         publisher.publish(synthetic(1, first_tick=count))
         received.append(next(samples))
         received = [sample for sample in received if sample.topic == "contact"]
-        assert 1 <= publisher.figures.lost <= sum(s.lost for s in received)
-    assert received[0].tick == 0
-    assert received[-1].tick == count
-    assert sum(s.lost for s in received) > 0
-    assert len(received) + sum(s.lost for s in received) == count + 1
+        lost = sum(sample.lost for sample in received)
+        assert 1 <= publisher.figures.lost <= lost
+    assert (received[0].tick, received[-1].tick) == (0, count) and len(received) + lost == count + 1
 
 
 def test_missing_telemetry_raises_with_endpoint_and_remedy(publisher):
@@ -141,8 +142,7 @@ def test_receive_returns_none_without_a_message(publisher):
     with join_subscription(publisher) as samples:
         for wait_s in (1e9, None, 30.0):
             publisher.event("test", "here")
-            assert samples.receive(wait_s)["name"] == "here"
-            assert samples.receive(0.0) is None
+            assert samples.receive(wait_s)["name"] == "here" and samples.receive(0.0) is None
             assert samples.receive(-1.0) is None
 
 
@@ -176,11 +176,10 @@ def test_closed_subscription_ends_the_loop(publisher):
 
 
 def test_a_deleted_subscription_closes_its_socket(publisher):
-    """A deleted subscription closes its socket; a warning of an unclosed socket would fail this test."""
+    """A warning of an unclosed socket would fail this test."""
     samples = join_subscription(publisher)
     publisher.publish(synthetic(2))
-    for _ in samples:
-        break
+    next(samples)
     del samples
     gc.collect()
 
@@ -199,10 +198,6 @@ def test_unknown_topics_are_refused(topics):
 
 GOOD = contact_map(synthetic(1)[0])
 EVENT = {"schema": 1, "timestamp": 1.0, "tick": 1, "kind": "test", "name": "x"}
-
-
-def drop_key(key):
-    return {k: v for k, v in GOOD.items() if k != key}
 
 
 @contextmanager
@@ -231,7 +226,7 @@ def subscribed_peer(topics):
         ([b"contact", encode(GOOD) + b"\x00"], "trailing"),
         ([b"contact", b"\xdf\xff\xff\xff\xff"], "truncated"),
         ([b"contact", b"\x81\xa1x" + b"\x91" * 60000], "recursion"),
-        ([b"contact", msgpack.packb(drop_key("timestamp"))], "timestamp"),
+        ([b"contact", msgpack.packb({key: GOOD[key] for key in GOOD if key != "timestamp"})], "timestamp"),
         ([b"contact", msgpack.packb(GOOD | {"force": [1.0, 2.0]})], "force"),
         ([b"contact", msgpack.packb(GOOD | {"force": [1.0, 2.0, "3"]})], "force"),
         ([b"contact", msgpack.packb(GOOD | {"tick": 1.5})], "tick"),
@@ -260,8 +255,7 @@ def test_integers_and_unknown_keys_are_accepted():
     with subscribed_peer(["contact"]) as (peer, samples):
         peer.send_multipart([b"contact", msgpack.packb(message)])
         sample = next(samples)
-    assert sample.force == (0.0, 0.0, 2.0)
-    assert type(sample.force[2]) is float
+    assert sample.force == (0.0, 0.0, 2.0) and type(sample.force[2]) is float
 
 
 def fill_window(publisher, window):
@@ -311,3 +305,63 @@ def test_window_refuses_unknown_fields_and_lengths_below_one(publisher):
         window["colour"]
     with pytest.raises(ConfigError, match="samples = 0: must be an integer from 1"):
         Window(publisher.endpoint, 0)
+
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pytest"
+LIGHT = """
+import sys
+before = set(sys.modules)
+import softfinger.server.pytest_plugin
+heavy = {"numpy", "numba", "zmq", "msgspec", "msgpack", "google", "mcap"} & (set(sys.modules) - before)
+sys.exit(f"imported: {heavy}" if heavy else 0)
+"""
+
+DIES = """
+def test_dies(softfinger_daemon):
+    softfinger_daemon(recording="no-such-recording")
+
+def test_is_killed(softfinger_daemon):
+    daemon = softfinger_daemon(scene="frictionless-plane", recording="tap")
+    daemon.process.kill()
+    daemon.process.wait()
+
+def test_asserts(softfinger_daemon):
+    daemon = softfinger_daemon(scene="frictionless-plane", recording="tap")
+    assert daemon.control.get_state().sequence < 0
+
+def test_is_not_commanded(softfinger_daemon):
+    daemon = softfinger_daemon(scene="frictionless-plane", recording="tap", words=["--commands", "off"])
+    assert next(iter(daemon.subscribe())).tick >= 0
+"""
+
+
+def run_pytest(folder: Path) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rA", str(folder)]
+    with TemporaryDirectory(prefix="with spaces ") as runtime:  # commands use a socket in it
+        environment = os.environ | {"XDG_RUNTIME_DIR": runtime}
+        return run_program(words, cwd=folder, env=environment, timeout=600)
+
+
+def test_the_plugin_imports_no_large_modules() -> None:
+    """Every pytest in the environment loads the plugin, so it imports neither a compiler nor NumPy."""
+    run_program([sys.executable, "-c", LIGHT], check=True)
+
+
+@pytest.mark.exhaustive  # four daemons; `make test` has the fixture's passes and failures below
+def test_the_example_project_passes(tmp_path: Path) -> None:
+    project = tmp_path / "project"
+    shutil.copytree(EXAMPLE, project, ignore=shutil.ignore_patterns("__pycache__"))
+    completed = run_pytest(project)
+    assert completed.returncode == 0, completed.stdout
+    assert "4 passed" in completed.stdout
+
+
+def test_a_failed_daemon_fails_the_test_with_its_log(tmp_path: Path) -> None:
+    (tmp_path / "test_bad.py").write_text(DIES)
+    completed = run_pytest(tmp_path)
+    assert completed.returncode == 1
+    assert "ended with exit code 3" in completed.stdout and "'no-such-recording' is neither a file" in completed.stdout
+    assert "ERROR test_bad.py::test_is_killed - Failed: the daemon ended with exit code -9" in completed.stdout
+    assert "FAILED test_bad.py::test_asserts" in completed.stdout
+    assert "PASSED test_bad.py::test_is_not_commanded" in completed.stdout
+    assert "softfinger's log" in completed.stdout and "INFO scene frictionless-plane" in completed.stdout

@@ -1,7 +1,5 @@
 """Commands that switch the force off do not wait for requests of other clients or for the Python interpreter."""
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import os
@@ -44,18 +42,21 @@ BEFORE = 48
 """Requests queued before the one under test; each takes 1 to 2 ms to answer."""
 
 
-@contextmanager
-def running(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> Iterator[tuple[Daemon, FaultyDevice]]:
-    """Run a daemon whose device gets force; the slew limit lets it fall to zero within two ticks."""
+def make_daemon(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> Daemon:
+    """Return a daemon whose device gets force; the slew limit lets it fall to zero within two ticks."""
     registered(monkeypatch)
     rig = load_rig("replay", {
         "device.driver": "faulty", "telemetry.endpoint": f"ipc://{folder}/telemetry", "servo.realtime": "off",
         "guard.ramp_s": 0.01, "guard.force_slew_n_per_s": 20_000.0, "recording.directory": str(folder), **changes,
     })  # fmt: skip
-    with Daemon(rig, pressed_scene(), scene_name="pressed") as daemon:
+    return Daemon(rig, pressed_scene(), scene_name="pressed")
+
+
+@contextmanager
+def running(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> Iterator[tuple[Daemon, FaultyDevice]]:
+    with make_daemon(monkeypatch, folder, **changes) as daemon:
         daemon.start()
         (device,) = daemon.devices
-        assert isinstance(device, FaultyDevice)
         yield daemon, device
         daemon.stop()
         assert daemon.wait(WAIT_S)
@@ -91,11 +92,9 @@ class QueueingClient:
 def write_bodies(folder: Path) -> str:
     """Write a model that MuJoCo loads in tenths of a second, with more geoms than a scene may have."""
     body = '<body><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>'
+    bodies = f'<replicate count="900" offset="1 0 0">{body}</replicate>'
     path = folder / "many.xml"
-    path.write_text(
-        f'<mujoco><option timestep="0.001"/><worldbody><replicate count="900" offset="1 0 0">{body}</replicate>'
-        "</worldbody></mujoco>"
-    )
+    path.write_text(f'<mujoco><option timestep="0.001"/><worldbody>{bodies}</worldbody></mujoco>')
     return str(path)
 
 
@@ -283,10 +282,7 @@ def test_the_force_returns_when_a_process_of_commands_continues(monkeypatch, tmp
 @pytest.mark.real_time
 def test_no_tick_before_commands_can_be_received(monkeypatch, tmp_path):
     monkeypatch.setattr(commands, "START_S", 0.1)
-    registered(monkeypatch)
-    changes = {"device.driver": "faulty", "telemetry.endpoint": f"ipc://{tmp_path}/telemetry"}
-    rig = load_rig("replay", changes | {"servo.realtime": "off"})
-    with Daemon(rig, pressed_scene(), scene_name="pressed") as daemon:
+    with make_daemon(monkeypatch, tmp_path) as daemon:
         os.kill(daemon.publisher.pids["commands"], signal.SIGSTOP)
         daemon.publisher._switch.require_process()  # it may have started
         with pytest.raises(SafetyStop, match=r"^the process that receives commands is not ready"):

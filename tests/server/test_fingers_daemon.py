@@ -1,8 +1,5 @@
 """Two fingers end to end: opening and closing of devices, signals, losses, and the messages of each finger."""
 
-from __future__ import annotations
-
-import io
 import itertools
 import re
 import signal
@@ -25,7 +22,7 @@ from helpers.serial_devices import PLACE, RIG
 from helpers.telemetry_records import join, put, synthetic
 from helpers.two_fingers import NAMES, SCENE, two_devices, two_fingers
 from helpers.waits import WAIT_S, repeated, until
-from rich.console import Console
+from test_monitor import render_text
 
 from softfinger.config.errors import ConfigError, DeviceNotFound, SafetyStop
 from softfinger.config.schema import Rig
@@ -60,8 +57,7 @@ def test_a_second_device_that_cannot_be_opened_closes_the_first(driver: Driver) 
 
 
 def test_a_hanging_read_zeroes_both_devices(driver: Driver) -> None:
-    rig = two_devices(FAULTY, FAULTY | {"fault": "hang", "at": 300})
-    with Daemon(rig, two_fingers()) as running:
+    with Daemon(two_devices(FAULTY, FAULTY | {"fault": "hang", "at": 300}), two_fingers()) as running:
         try:
             running.start()
             with pytest.raises(SafetyStop, match="no tick for"):
@@ -70,7 +66,7 @@ def test_a_hanging_read_zeroes_both_devices(driver: Driver) -> None:
                 until(lambda device=device: not device.wrenches[-1].any())
                 assert device.wrenches.any() and "stop" in acts(device)
         finally:
-            driver.devices[1].release()
+            driver.device.release()
 
 
 def test_two_pauses_are_one_pause_that_zeroes_both_devices(driver: Driver) -> None:
@@ -111,12 +107,9 @@ def test_fingers_are_replaced_together(driver: Driver) -> None:
 
 
 def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> None:
-    rig = two_devices(
-        {"driver": "replay", "recording": "tap", "loop": False},
-        {"driver": "replay", "recording": "press-roll-spin-drag", "loop": False},
-    )
-    stored = RecordSink()
-    recorded: list[Any] = []
+    replay = {"driver": "replay", "loop": False}
+    rig = two_devices(replay | {"recording": "tap"}, replay | {"recording": "press-roll-spin-drag"})
+    stored, recorded = RecordSink(), list[Any]()
     files = {name: tmp_path / f"{name}.csv" for name in NAMES}
 
     def take(endpoint: str) -> None:
@@ -200,9 +193,7 @@ def test_clients_separate_the_fingers() -> None:
             assert health.missed == 5
     line = monitor.format_line(board)
     assert line.index("index: tick 1020 free") < line.index("thumb: tick 1020 sliding")
-    console = Console(width=100, record=True, file=io.StringIO())
-    console.print(monitor.render(board, 100, 60))
-    drawn = console.export_text()
+    drawn = "\n".join(render_text(board, 100, 60))
     assert re.search(r"finger +index(.|\n)*mode +free(.|\n)*finger +thumb(.|\n)*mode +sliding", drawn)
     content = board.summary()
     assert content["contact"] is None

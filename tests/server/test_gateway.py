@@ -1,7 +1,5 @@
 """Daemon open to other machines by key, for authorized and other clients; and forwarding by a program."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json
@@ -10,13 +8,13 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import msgpack
 import numpy as np
 import pytest
 import zmq
-from helpers.called import called
+from helpers.called import called, read_stdout
 from helpers.daemons import subscribed
 from helpers.encoder import contact_map
 from helpers.processes import COMMAND
@@ -49,9 +47,8 @@ class KeyRing:
         for name in ("server", "stranger"):
             make_pair(folder / "keys", name)
         for name, may in (("reader", "readers"), ("commander", "commanders")):
-            public, _ = make_pair(folder / "keys", name)
             (folder / may).mkdir()
-            (folder / may / public.name).write_bytes(public.read_bytes())
+            self.add(name, may)
         (folder / "rig.toml").write_text(
             '[device]\ndriver = "replay"\nrecording = "press-roll-spin-drag"\n[servo]\nrealtime = "off"\n'
             '[telemetry]\nendpoint = "tcp://0.0.0.0:*"\n'
@@ -61,6 +58,11 @@ class KeyRing:
     @property
     def rig(self) -> Path:
         return self.folder / "rig.toml"
+
+    def add(self, name: str, may: str) -> None:
+        """Make a key, and authorize it."""
+        public, _ = make_pair(self.folder / "keys", name)
+        (self.folder / may / public.name).write_bytes(public.read_bytes())
 
     def of(self, name: str) -> ClientKeys:
         return client_keys(self.folder / "keys" / f"{name}.key_secret", self.folder / "keys" / "server.key")
@@ -94,10 +96,9 @@ class Listener:
         self.messages = self.away = self.let_in = 0
         self.events: list[dict[str, Any]] = []
         if asks:
-            request = {"command_id": "1", "method": "stop", "params": {}}
-            self.socket.send_multipart([b"", msgpack.packb(request)])
+            self.socket.send_multipart([b"", msgpack.packb({"command_id": "1", "method": "stop", "params": {}})])
 
-    def look(self) -> Listener:
+    def look(self) -> Self:
         while self.socket.poll(0):
             topic, body = self.socket.recv_multipart()
             self.messages += 1
@@ -125,27 +126,22 @@ def test_clients_need_a_key_to_read_or_command(key_ring: KeyRing) -> None:
     with serving(key_ring) as (daemon, context):
         telemetry, commands = daemon.public["telemetry"], daemon.public["commands"]
         assert telemetry.startswith("tcp://0.0.0.0:") and not commands.endswith(":0")
-        nobodies = [
-            Listener(context, endpoint, keys, asks)
-            for endpoint, asks, wrong in ((telemetry, False, "commander"), (commands, True, "reader"))
-            for keys in (None, key_ring.of("stranger"), key_ring.of(wrong))
-        ]
+        strangers, nobodies = (None, key_ring.of("stranger")), list[Listener]()
+        nobodies += [Listener(context, telemetry, keys) for keys in (*strangers, key_ring.of("commander"))]
+        nobodies += [Listener(context, commands, keys, asks=True) for keys in (*strangers, key_ring.of("reader"))]
         reader = Listener(context, telemetry, key_ring.of("reader"))
         assert eventually(lambda: reader.look().messages > 500)
         assert eventually(lambda: all(nobody.look().away for nobody in nobodies))
         assert not any(nobody.messages or nobody.let_in for nobody in nobodies)
         with Control(commands.replace("0.0.0.0", "127.0.0.1"), WAIT_S, key_ring.of("commander")) as control:
             assert control.get_state().active_field == "unnamed" and control.mark("a").tick > 0
-        for words in (
-            ["monitor", "--once", "--json", "--endpoint", telemetry.replace("0.0.0.0", "127.0.0.1")],
-            ["ctl", "heartbeat", "--json", "--endpoint", commands.replace("0.0.0.0", "127.0.0.1")],
+        for words, who, endpoint in (
+            ("monitor --once --json --endpoint", "reader", telemetry),
+            ("ctl heartbeat --json --endpoint", "commander", commands),
         ):
-            who = "reader" if words[0] == "monitor" else "commander"
-            whole = [*COMMAND, *words, *key_ring.options(who)]
-            assert json.loads(subprocess.run(whole, capture_output=True, check=True, timeout=WAIT_S).stdout)
-        # The key of a second reader is removed later.
-        public, _ = make_pair(key_ring.folder / "keys", "second")
-        (key_ring.folder / "readers" / "second.key").write_bytes(public.read_bytes())
+            local = endpoint.replace("0.0.0.0", "127.0.0.1")
+            assert json.loads(read_stdout(*words.split(), local, *key_ring.options(who)))
+        key_ring.add("second", "readers")  # its key is removed later
         second = Listener(context, telemetry, key_ring.of("second"))
         assert eventually(lambda: second.look().messages > 100)
         (key_ring.folder / "readers" / "second.key").unlink()
@@ -182,14 +178,6 @@ def forwarding(*words: str) -> Iterator[tuple[subprocess.Popen, str]]:
     with Program([*COMMAND, "forward", "--json", *words], **pipes) as process:
         message = next((line for line in process.stderr if "forwarded on" in line), "")
         yield process, message.partition("forwarded on ")[2].partition(",")[0]
-
-
-BATCH = 50
-
-
-def ticking(publisher: Publisher) -> contextlib.AbstractContextManager[None]:
-    firsts = itertools.count(0, BATCH)
-    return repeated(lambda: publisher.publish(synthetic(BATCH, first_tick=next(firsts))))
 
 
 def test_forwarded_messages_equal_published_ones() -> None:
@@ -229,17 +217,13 @@ def test_forwarded_messages_equal_published_ones() -> None:
         (["--to", "tcp://127.0.0.1:*", "--from", "nowhere"], "cannot connect to endpoint 'nowhere'"),
     ],
 )  # fmt: skip
-def test_invalid_forwarding_options_are_refused(
-    key_ring: KeyRing, words: list[str], message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_invalid_forwarding_options_are_refused(key_ring, words, message, monkeypatch):
     monkeypatch.chdir(key_ring.folder)
     result = called("forward", *words)
     assert result.returncode == 2 and message in result.stderr and result.stderr.count("\n") == 1, result.stderr
 
 
 def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() -> None:
-    """With CLIENTS_MAX clients, another one ends the connection of the client with the oldest last request, not of the
-    one that connected first."""
     with contextlib.ExitStack() as stack:
         context = stack.enter_context(zmq.Context())
         stack.callback(context.destroy, 0)
@@ -270,11 +254,15 @@ def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() ->
 
 
 def test_a_key_that_floods_is_blocked(key_ring: KeyRing) -> None:
-    keys, readers = key_ring.folder / "keys", key_ring.folder / "readers"
-    second_key, _ = make_pair(keys, "second")
-    (readers / "second.key").write_bytes(second_key.read_bytes())
-    locked = ["--keys", str(keys / "server.key_secret"), "--readers", str(readers)]
-    with Publisher("tcp://127.0.0.1:*") as publisher, zmq.Context() as context, ticking(publisher):
+    key_ring.add("second", "readers")
+    locked = ["--keys", str(key_ring.folder / "keys" / "server.key_secret")]
+    locked += ["--readers", str(key_ring.folder / "readers")]
+    firsts = itertools.count(0, 50)
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        zmq.Context() as context,
+        repeated(lambda: publisher.publish(synthetic(50, first_tick=next(firsts)))),
+    ):
         with forwarding("--from", publisher.endpoint, "--to", "tcp://0.0.0.0:*", *locked) as (process, endpoint):
             reader = Listener(context, endpoint, key_ring.of("reader"))
             flood = Listener(context, endpoint, key_ring.of("second"))

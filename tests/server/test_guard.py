@@ -1,15 +1,29 @@
-"""Guard: its output is finite and bounded in norm and change, for any input."""
+"""Guard: output finite and bounded for any input, limits of rig and device; health of the loop: what ends a run."""
 
+import dataclasses
 import math
+from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from helpers.examples import examples
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from softfinger.config import schema
+from softfinger.config.load import load_scene
+from softfinger.drivers.base import DeviceInfo
+from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.model import State
 from softfinger.server.loop import guard as g
+from softfinger.server.loop import health as h
+from softfinger.server.loop.guard import NOT_FINITE, POSE_JUMPED, POSE_REFUSED, RAMPING, Guard
+from softfinger.server.loop.limits import SLOW_TIME_S, UNLIMITED, Limits, Workspace
+from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tuning import guard_limits, make_tuning
+from softfinger.tools.pages.hazards import compute_stall_range_s, compute_starvation_time_s
 
 DT = 0.001
 LIMITS = g.Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0)
@@ -90,20 +104,11 @@ def test_a_wrench_is_limited_along_its_direction(guard, wrench, expected, bits):
     assert bits or (after.force, after.torque) == expected
 
 
-def test_without_a_ramp_the_force_is_complete_at_once():
-    after, bits = limit(OPEN, g.INITIAL_GUARD_STATE, (11.0, 0.0, 0.0), (0.0, 0.0, 0.25), DT)
-    assert (after, bits) == (g.GuardState((11.0, 0.0, 0.0), (0.0, 0.0, 0.25), 1.0), 0)
-    after, bits = limit(OPEN, g.INITIAL_GUARD_STATE, (13.0, 0.0, 0.0), NONE, DT)
-    assert bits == g.FORCE_CLAMPED and after.force[0] == pytest.approx(12.0, rel=1e-14)
-
-
 @pytest.mark.parametrize("period", [0.01, 0.001, 0.000125])
 def test_slew_limit_is_a_speed(period):
-    after, bits = limit(
-        LIMITS._replace(force_max=1e3, torque_max=1e3), ENGAGED, (1e3, 0, 0), (0, 1e3, 0), period, period
-    )
-    assert bits & g.SLEW_LIMITED
-    assert after.force[0] == pytest.approx(LIMITS.force_slew * period, rel=1e-12)  # rounding of a norm
+    strong = LIMITS._replace(force_max=1e3, torque_max=1e3)
+    after, bits = limit(strong, ENGAGED, (1e3, 0, 0), (0, 1e3, 0), period, period)
+    assert bits & g.SLEW_LIMITED and after.force[0] == pytest.approx(LIMITS.force_slew * period, rel=1e-12)  # rounding
     assert after.torque[1] == pytest.approx(LIMITS.torque_slew * period, rel=1e-12)
 
 
@@ -142,3 +147,146 @@ def test_the_ramp_has_the_same_length_on_a_stiff_wall(newtons):
 
 def test_every_bit_has_a_name():
     assert [getattr(g, name.upper()) for name in g.GUARD_NAMES] == [1 << n for n in range(len(g.GUARD_NAMES))]
+
+
+FAR = (1.0, 1.0, 1.0)
+STRONG = DeviceInfo("strong", 6, 6, 100.0, 10.0, 1e4, 10.0, (-1.0, -1.0, -1.0), FAR)
+RIG = schema.Guard(
+    force_max_n=7.0, torque_max_nm=0.2, force_slew_n_per_s=1234.0, torque_slew_nm_per_s=56.0, ramp_s=0.25,
+    speed_max_m_per_s=4.0, turn_max_rad_per_s=30.0, frozen_s=2.0,
+    handle_speed_max_m_per_s=1.5, continuous_force_n=3.0, heat_time_s=20.0, energy_max_j=0.4,
+    workspace=schema.Workspace(center_m=(0.1, 0.0, 0.0), radius_m=0.05, stiffness_n_per_m=300.0, force_max_n=4.0),
+    arm="command",
+)  # fmt: skip
+WALL = Workspace((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), 0.05, 300.0, 4.0)
+HAND = Limits(1.5, math.inf, 3.0, 20.0, 0.4, WALL)
+RIG_LIMITS = Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0, 4.0, 30.0, 2.0, limits=HAND)
+
+
+def test_every_limit_of_the_rig_reaches_the_guard():
+    assert guard_limits(RIG, STRONG) == RIG_LIMITS
+    box = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
+    wall = Workspace((0.0, 0.0, 0.0), (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
+    assert guard_limits(box, STRONG).limits == Limits(2.0, SLOW_TIME_S, 3.0, 30.0, 0.2, wall)
+    assert guard_limits(schema.Guard(arm="button"), STRONG).limits.slow_s == math.inf
+
+
+def test_poses_are_checked_only_with_a_force_in_a_hand():
+    believing = RIG_LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0, limits=UNLIMITED)
+    recorded, puck = dataclasses.replace(STRONG, own_clock=True), dataclasses.replace(STRONG, actuated_dof=0)
+    assert guard_limits(RIG) == guard_limits(RIG, recorded) == believing
+    assert guard_limits(RIG, puck)._replace(displays_torque=1.0) == believing
+
+
+@pytest.mark.parametrize(("field", "limit"), [("force_max_n", "force_max"), ("torque_max_nm", "torque_max")])
+def test_limits_are_lowered_to_those_of_the_device(field, limit, caplog):
+    weak = dataclasses.replace(STRONG, **{field: 0.1})
+    assert guard_limits(RIG, weak) == RIG_LIMITS._replace(**{limit: 0.1})
+    assert make_tuning(load_scene("paper-plane"), RIG, [weak]).guards == (guard_limits(RIG, weak),)
+    assert f"guard.{field}" in caplog.text and "0.1" in caplog.text
+
+
+def test_devices_without_torque_are_known():
+    for driven, turns in ((3, 0.0), (6, 1.0)):
+        assert guard_limits(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).displays_torque == turns
+    assert guard_limits(RIG).displays_torque == 1.0
+
+
+@pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1000.0), (1.5, 1.5 * 12.0 ** (1 / 3) * 1000.0)])
+def test_an_object_stiffer_than_the_device_gives_a_warning(exponent, stiffness, caplog):
+    scene = load_scene("paper-plane", {"object.0.material.normal.exponent": exponent})
+    for limit, has_warning in ((1.001 * stiffness, False), (0.999 * stiffness, True)):
+        caplog.clear()
+        make_tuning(scene, schema.Guard(force_max_n=12.0), [dataclasses.replace(STRONG, stiffness_max_n_per_m=limit)])
+        assert (f"'table' has {stiffness:.0f} N/m at the guard's 12 N" in caplog.text) == has_warning
+
+
+def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    model = tmp_path / "model.xml"
+    model.write_text(
+        '<mujoco><asset><hfield name="h" nrow="3" ncol="3" size="2 1 1 1"/></asset><worldbody>'
+        '<geom name="hills" type="hfield" hfield="h"/><geom name="own" type="hfield" hfield="h"/><geom size="1"/>'
+        '<geom size="1" contype="0" conaffinity="0"/>'
+        '<flexcomp name="cloth" type="grid" count="2 2 1" spacing="1 1 1" dim="2"/></worldbody></mujoco>'
+    )
+    material = {"stiffness_n_per_m": 500.0}
+    own = {"name": "own", "shape": "plane", "material": material}
+    world = {"model": str(model), "geom": [{"name": name, "material": material} for name in ("hills", "own")]}
+    make_tuning(load_scene({"fingertip": {"radius_m": 0.01}, "world": world, "object": [own]}), RIG)
+    hills, cloth = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert hills.startswith("fingers pass through geom 'hills': it is a height field with pixels of 2 m along x and")
+    assert cloth == "fingers pass through geom 'cloth': it is a flexible body, which fingers cannot touch"
+
+
+@pytest.mark.parametrize("name", ["paper-plane", "ball-in-a-bowl"])
+def test_loop_and_engine_share_the_kernels_of_the_contact(name):
+    engine, tuning = Engine(name), make_tuning(load_scene(name), RIG)
+    memory = begin(tuning.scene)
+    start = State(memory.world, tuple(finger.contact for finger in memory.fingers))
+    assert numba.typeof((tuning.scene, start)) == numba.typeof((engine.scene, engine._begin))
+
+
+T = 0.001
+
+
+@entry
+def examine_tick(health, bits, late, dt, period):
+    return h.examine(health, bits, late, dt, period)
+
+
+def examine_ticks(ticks, health=h.HEALTHY):
+    """Return the health after ticks of (bits, late, dt), the first fault, and the ticks and time until then."""
+    elapsed = 0.0
+    for number, (bits, late, dt) in enumerate(ticks):
+        health, fault = examine_tick(health, bits, late, dt, T)
+        elapsed += dt
+        if fault:
+            return health, fault, number + 1, elapsed
+    return health, 0, len(ticks), elapsed
+
+
+GOOD, NO_POSE, NO_FORCE = (RAMPING, 0.0, T), (POSE_REFUSED | RAMPING, 0.0, T), (NOT_FINITE, 0.0, T)
+
+
+@pytest.mark.parametrize(("tick", "fault"), [(NO_POSE, h.NO_POSE), (NO_FORCE, h.NO_FORCE)])
+def test_half_a_second_without_a_force_is_a_fault(tick, fault):
+    _, first_fault, count, _ = examine_ticks([tick] * 2000)
+    assert (first_fault, abs(count - h.NO_FORCE_MAX_S / T) <= 2) == (fault, True)  # 500 additions; above the limit
+
+
+def test_frequent_bad_poses_are_a_fault_and_occasional_ones_are_not():
+    assert examine_ticks([NO_POSE, NO_POSE, GOOD] * 2000)[1] == h.NO_POSE
+    assert examine_ticks([NO_POSE, GOOD] * 5000)[1] == 0
+    assert examine_ticks(([NO_POSE] * 400 + [GOOD] * 600) * 20)[1] == 0
+
+
+def test_jumps_that_leave_nothing_to_render_are_a_fault():
+    jump = (POSE_JUMPED, 0.0, T)
+    assert examine_ticks([jump] * 5)[1:3] == (h.JUMPING, 5)
+    assert examine_ticks(([jump] * 4 + [GOOD] * 1000) * 5)[1] == 0
+    for a_second, fault in ((10, h.JUMPING), (9, 0)):
+        assert examine_ticks(([jump] + [GOOD] * (1000 // a_second - 1)) * 60 * a_second)[1] == fault
+
+
+def test_gaps_of_every_length_end_the_run_within_the_fault_model():
+    shortest, longest = compute_stall_range_s()
+    assert 1.0 < shortest < longest < 1.3
+    for gap in (h.GAP_MIN_S, 0.0337, 0.0611, 0.0977, 0.1533, 0.1999, 0.24, h.GAP_MAX_S):
+        _, fault, _, elapsed = examine_ticks([(0, 0.0, gap + T)] * 100)
+        assert fault == h.STARVED
+        assert elapsed == pytest.approx(compute_starvation_time_s(gap), rel=1e-9)  # sums of many periods
+        assert shortest - T <= elapsed <= longest + T  # the range of `compute_stall_range_s`
+    assert examine_ticks([(0, 0.0, h.GAP_MIN_S - 1e-6 + T)] * 1000)[1] == 0  # shorter ones are missed ticks
+
+
+def test_short_stalls_and_one_long_sleep_are_no_fault():
+    assert examine_ticks(([(0, 0.02, 0.021)] + [GOOD] * 180) * 300)[1] == 0
+    health, fault, _, _ = examine_ticks([(0, 3600.0, 3600.0)] + [GOOD] * 1000)
+    assert (fault, health) == (0, h.HEALTHY)
+
+
+@pytest.mark.parametrize(("late", "woken"), [(0.24, True), (0.0, False)])
+def test_the_cause_is_where_most_time_was_lost(late, woken):
+    health, fault, _, _ = examine_ticks([(0, late, 0.241)] * 20)
+    assert fault == h.STARVED
+    assert (health.late > 0.5 * health.lost) == woken

@@ -1,12 +1,10 @@
-"""Faults injected between every driver and the loop: the wrenches at the far end, the events, and the recovery.
+"""Faults injected between every driver and the loop, and silent devices: wrenches at the far end, events, recovery.
 
 Forces are those that the device's far end has received (`helpers/far_ends.py`). All tests use one scene, so one loop is
 compiled (20 s).
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +16,10 @@ from helpers.injected_run import FROZEN_S, RAMP_S, Seen, run
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
 from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
+from softfinger.drivers.haply.options import Options as HaplyOptions
 from softfinger.proxy.record import AT
 from softfinger.server.loop.health import NO_FORCE_MAX_S, STALL_MAX_S
+from softfinger.tools.pages.hazards import ABANDON_S, SILENCE_S, find_default
 
 pytestmark = pytest.mark.real_time
 
@@ -130,16 +130,14 @@ def check_end(name: str, at: int, result: Seen, withholds: bool = False) -> None
 def check_limits(forces: np.ndarray) -> np.ndarray:
     """Check the guard's limit, the slew of each tick, and the last zero; return the norms of the forces."""
     norms: np.ndarray = np.linalg.norm(forces, axis=1)
-    assert norms.max() <= FORCE_MAX_N
-    assert norms[-1] == 0.0
+    assert norms.max() <= FORCE_MAX_N and norms[-1] == 0.0
     steps = np.linalg.norm(np.diff(forces, axis=0, prepend=np.zeros((1, 3))), axis=1)
     assert np.all((steps <= STEP_N * (1.0 + 1e-9)) | (norms == 0.0))  # rounding; zero is always allowed
     return norms
 
 
 @pytest.mark.parametrize(
-    "moment",
-    [pytest.param(when, marks=[pytest.mark.exhaustive] * (when == "first")) for when in MOMENTS],
+    "moment", [pytest.param(when, marks=[pytest.mark.exhaustive] * (when == "first")) for when in MOMENTS]
 )
 @pytest.mark.parametrize("name", CASES)
 def test_an_injected_fault_leaves_no_unpermitted_force(name: str, moment: str, tmp_path: Path) -> None:
@@ -198,9 +196,7 @@ GROWS = 1.5
         if driver not in TIMELESS or name not in ("hang", "held for long")
     ],
 )
-def test_on_every_driver(
-    driver: str, name: str, tmp_path: Path, record_property: Callable[[str, object], None]
-) -> None:
+def test_on_every_driver(driver, name, tmp_path, record_property):
     case, at = CASES[name], 200
     result, far, wrenches = run_with_fault(driver, name, at, tmp_path)
     check_end(name, at, result, far.withholds)
@@ -242,3 +238,46 @@ def measure_ticks_to_zero(ticks: np.ndarray, norms: np.ndarray, at: int, at_once
     first = behind[np.flatnonzero(norms[behind] == 0.0)[0]]
     ticks_to_zero = int(ticks[first]) - at
     return min(ticks_to_zero, int(np.count_nonzero(behind < first))) if at_once else ticks_to_zero
+
+
+DRIVERS = {"serial": "serial", "hid": "hid", "falcon": "falcon", "haply": "haply", "haply-2diy": "serial",
+           "hapkit": "serial"}  # fmt: skip
+"""Driver of each device that can become silent."""
+PRESSED_TICKS = 200
+"""Ticks before the silence: enough for the ramp and a visible press."""
+ANSWERS = 2
+"""Ticks by which an answer in transit may delay the start of the silence."""
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_a_silent_device_gets_zero_and_then_counts_as_lost(name, tmp_path, record_property):
+    driver, hushed = DRIVERS[name], list[float]()
+    key = "kick_s" if driver in ("falcon", "hid") else "quiet_s"
+    stale = {"stale_s": find_default(HaplyOptions, "stale_s")} if driver == "haply" else {}
+    quiet = {key: SILENCE_S[driver], "timeout_s": ABANDON_S[driver], **stale}
+    with FAR_ENDS[name](tmp_path, **quiet) as far:
+
+        def hush(ticks: int) -> None:
+            if ticks >= PRESSED_TICKS and not hushed:
+                far.hush()
+                hushed.append(time.monotonic())
+
+        result = run(far.device, [], 20_000, RATE_HZ, tmp_path, hush)
+        wrenches = far.received()
+    assert type(result.error) is DeviceTimeout, result.error
+    (at,) = find_ticks(np.array(hushed), result)
+    ticks, norms = find_ticks(wrenches[:, 0], result), np.linalg.norm(wrenches[:, 1:], axis=1)
+    assert norms[ticks < at].max() > 0.0, "the hand did not press before the silence"
+    assert norms[-1] == 0.0
+    zero = np.flatnonzero(norms)[-1] + 1  # a board holds its last force until it receives another
+    zero_after = int(ticks[zero] - at)
+    assert zero_after <= round(SILENCE_S[driver] * RATE_HZ) + far.handover + TURN
+    assert result.ticks <= at + round(ABANDON_S[driver] * RATE_HZ) + ANSWERS + TURN
+    record_property(
+        SEEN,
+        {
+            "hazard": "a device that is silent, or sends invalid data", "driver": name, "fault": "silence",
+            "ticks": zero_after, "event": "state faulted", "state": "faulted", "recovery": "start again", "back": None,
+            "handover": far.handover,
+        },
+    )  # fmt: skip

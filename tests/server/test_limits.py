@@ -1,6 +1,7 @@
-"""Limits that depend on history or position: each against a closed form, and all of them for random wrenches."""
+"""Pose check, and limits that depend on history or position: closed forms, and all of them for random wrenches."""
 
 import math
+from collections.abc import Sequence
 from math import inf
 
 import numpy as np
@@ -13,19 +14,21 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.sources import list_shipped
-from softfinger.drivers.base import DeviceInfo
+from softfinger.drivers.base import OK, SAMPLE_SIZE, STALE, DeviceInfo
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.simulated.options import Simulation
 from softfinger.drivers.simulated.plant import Handle, Impedance, Intention, make_plant
 from softfinger.drivers.simulated.plant import make_rest_state as resting
-from softfinger.proxy.kernels.model import Pose
+from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
 from softfinger.server.loop import guard as g
 from softfinger.server.loop import limits as lim
+from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
 from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, limit_wrench
 from softfinger.server.loop.passivity import HandMotion
-from softfinger.server.loop.tick import begin, continue_memory
+from softfinger.server.loop.poses import check_pose, make_pose_memory
+from softfinger.server.loop.tick import POSITION_MAX_M, begin, continue_memory, has_pose
 from softfinger.server.loop.tuning import make_tuning, with_offsets
 from softfinger.server.offline.closed_loop import run_closed_loop
 from softfinger.server.offline.simulate import simulate
@@ -49,6 +52,15 @@ def tick(guard, passed, force=NONE, moved=NONE, mode=FREE, at=NONE, torque=NONE)
     before = tuple(a - m for a, m in zip(at, moved, strict=True))
     motion = HandMotion(Pose(before, LEVEL), Pose(at, LEVEL), None)
     return limit_wrench(guard, passed, motion, float(mode), force, torque, Instant(0, T, T))
+
+
+def exceed_speed(guard):
+    """Return the state after 0.1 s with 3 m/s, faster than the limit of these tests."""
+    passed = INITIAL_OUTPUT
+    for _ in range(100):
+        passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
+    assert bits & g.TOO_FAST
+    return passed
 
 
 @pytest.mark.parametrize("speed", [2.1, 3.0, 5.0])
@@ -75,11 +87,8 @@ def test_one_displaced_pose_is_not_too_fast():
 
 
 def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
-    guard, passed = make_guard(speed=2.0, slow_s=lim.SLOW_TIME_S, ramp=0.5), INITIAL_OUTPUT
-    for _ in range(100):
-        passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
-    assert bits & g.TOO_FAST
-    still = 0
+    guard = make_guard(speed=2.0, slow_s=lim.SLOW_TIME_S, ramp=0.5)
+    passed, still = exceed_speed(guard), 0
     for n in range(2000):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0), (1.5 * T if n == 300 else 0.0, 0.0, 0.0))
         slow = math.hypot(*passed.limit_state.velocity) <= 1.0
@@ -92,11 +101,9 @@ def test_the_force_comes_back_once_the_handle_is_slow_for_a_time():
 
 
 def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
-    guard, passed = make_guard(speed=2.0, slow_s=inf), INITIAL_OUTPUT
+    guard = make_guard(speed=2.0, slow_s=inf)
     off = guard._replace(armed=0.0)
-    for _ in range(100):
-        passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
-    passed, bits = tick(off, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
+    passed, bits = tick(off, exceed_speed(guard), (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
     assert bits == g.TOO_FAST | g.DISARMED
     for _ in range(2000):
         passed, bits = tick(guard, passed, (5.0, 0.0, 0.0))
@@ -109,9 +116,8 @@ def test_with_arming_by_hand_only_a_disarmed_and_slow_tick_ends_it():
 
 @pytest.mark.parametrize("slow_s", [lim.SLOW_TIME_S, inf])
 def test_a_tick_without_a_pose_ends_no_wait(slow_s):
-    guard, passed = make_guard(speed=2.0, slow_s=slow_s), INITIAL_OUTPUT
-    for _ in range(100):
-        passed, _ = tick(guard, passed, (5.0, 0.0, 0.0), (3.0 * T, 0.0, 0.0))
+    guard = make_guard(speed=2.0, slow_s=slow_s)
+    passed = exceed_speed(guard)
     blind = cool_limits(guard, passed.limit_state, T)
     assert blind.wait == passed.limit_state.wait == slow_s and blind.velocity == NONE
     _, bits = tick(guard, passed._replace(limit_state=blind), (5.0, 0.0, 0.0))
@@ -170,11 +176,8 @@ def test_a_tick_of_zero_length_keeps_the_velocity():
 
 def test_a_torque_fades_with_the_force():
     guard = make_guard(energy=0.2)
-    passed = INITIAL_OUTPUT._replace(
-        limit_state=lim.INITIAL_LIMITS._replace(
-            energy_given=0.3 * (lim.ENERGY_TIME_CONSTANT_S + T) / lim.ENERGY_TIME_CONSTANT_S
-        )
-    )
+    given = 0.3 * (lim.ENERGY_TIME_CONSTANT_S + T) / lim.ENERGY_TIME_CONSTANT_S
+    passed = INITIAL_OUTPUT._replace(limit_state=lim.INITIAL_LIMITS._replace(energy_given=given))
     passed, bits = tick(guard, passed, (50.0, 0.0, 0.0), mode=ROLLING, torque=(0.0, 0.0, 5.0))
     assert bits & g.ENERGY_SPENT
     assert passed.guard_state.force == pytest.approx((6.0, 0.0, 0.0), rel=1e-12)
@@ -284,11 +287,9 @@ def test_an_unstable_wall_fades(energy):
 
 def sum_with_decay(works):
     """Return the sums of works (J) after each work; positive sums decay as in the limit."""
-    total, sums = 0.0, []
+    total, sums, ratio = 0.0, [], lim.ENERGY_TIME_CONSTANT_S / (lim.ENERGY_TIME_CONSTANT_S + T)
     for work in works:
-        total = (total + work) * (
-            lim.ENERGY_TIME_CONSTANT_S / (lim.ENERGY_TIME_CONSTANT_S + T) if total + work > 0.0 else 1.0
-        )
+        total = (total + work) * (ratio if total + work > 0.0 else 1.0)
         sums.append(total)
     return np.array(sums)
 
@@ -318,10 +319,8 @@ def test_energy_of_a_wall_per_cycle_follows_colgate(hz, late):
         passed, bits = tick(guard, passed, (0.0, 0.0, forces[spent]), (0.0, 0.0, moved[spent]), ROLLING)
     assert spent > 4 * count  # and some more, because a part is forgotten
     stored = 0.5 * stiffness * depths[spent] ** 2
-    generated = sum_with_decay(works)[spent] + stored
-    assert generated <= (2 * late + 1) * (passed.limit_state.energy_given + stored) * (
-        1.0 + 1e-9
-    )  # rounding, for late = 0
+    generated, counted = sum_with_decay(works)[spent] + stored, passed.limit_state.energy_given + stored
+    assert generated <= (2 * late + 1) * counted * (1.0 + 1e-9)  # rounding, for late = 0
 
 
 @pytest.mark.parametrize("late", [1, 2, 4])
@@ -334,13 +333,6 @@ def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
     first = int(np.argmax(records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT != 0))
     assert first > 0 and energy < generated[first] <= (2 * late + 1) * energy
     assert generated.max() <= 2.0 * (2 * late + 1) * energy
-
-
-def compute_slewed(size, allowed):
-    """Return the largest norm (N) after 2 N from `size` along the tangent to the ball of radius `allowed`."""
-    if size <= allowed:
-        return allowed
-    return math.sqrt(size * size - 4.0 * math.sqrt(size * size - allowed * allowed) + 4.0)
 
 
 any_force = st.tuples(*[st.one_of(st.floats(-50, 50), st.floats(allow_nan=True, allow_infinity=True))] * 3)
@@ -360,9 +352,9 @@ def test_no_limit_is_exceeded(steps):
         size = math.hypot(*passed.guard_state.force)
         assert all(map(math.isfinite, (*passed.guard_state.force, *passed.guard_state.torque)))
         allowed = lim.compute_heat_limit(guard.limits, before.limit_state.heat, 12.0)
-        assert size <= min(12.0, max(allowed, compute_slewed(math.hypot(*before.guard_state.force), allowed))) * (
-            1 + 1e-9
-        )
+        if (earlier := math.hypot(*before.guard_state.force)) > allowed:  # 2 N along the tangent to that ball
+            allowed = math.sqrt(earlier**2 - 4.0 * math.sqrt(earlier**2 - allowed**2) + 4.0)
+        assert size <= min(12.0, allowed) * (1 + 1e-9)
         assert (size == 0.0) or not bits & g.TOO_FAST
         assert bool(bits & g.TOO_FAST) == (passed.limit_state.wait > 0.0)
         if before.limit_state.wait == 0.0 and math.hypot(*passed.limit_state.velocity) <= 2.0:
@@ -405,18 +397,14 @@ RECORDED = {
 """Recordings for scenes of several fingers."""
 ALONE = ("press-roll-spin-drag", "roll-follow", "tap")
 """Recordings for one finger, except intentions of a simulated hand, which are deep in the objects open loop."""
-
-
-def has_recordings(name):
-    """Return True if there is a recording for each finger of a scene."""
-    scene = load_scene(name)
-    return name in RECORDED or (len(scene.fingers) == 1 and scene.world is None)
+SCENES = {name: load_scene(name) for name in list_shipped(schema.Scene)}
+SIMPLE = [name for name, scene in SCENES.items() if len(scene.fingers) == 1 and scene.world is None]
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", [name for name in list_shipped(schema.Scene) if has_recordings(name)])
+@pytest.mark.parametrize("name", [*RECORDED, *SIMPLE])
 def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
-    scene = load_scene(name)
+    scene = SCENES[name]
     for recordings in [RECORDED[name]] if name in RECORDED else [(recording,) for recording in ALONE]:
         poses = [resample(load_poses(recording), 1000.0) for recording in recordings]
         count = min(map(len, poses))
@@ -424,3 +412,97 @@ def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
         records = simulate(tuning, np.stack([recording[:count] for recording in poses], axis=1), 1000.0)
         bits = records[:, :, AT.servo_guard].astype(int)
         assert not (bits & (g.TOO_FAST | g.ENERGY_SPENT | g.MOTOR_HOT)).any(), recordings
+
+
+TILTED = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, 0.5)
+"""A position (m), and a unit quaternion without zeros."""
+
+
+def make_sample(*numbers: float) -> np.ndarray:
+    row = np.zeros(SAMPLE_SIZE)
+    row[: len(numbers)] = numbers
+    return row
+
+
+def replace_number(place: int, value: float) -> np.ndarray:
+    row = make_sample(*TILTED)
+    row[place] = value
+    return row
+
+
+@pytest.mark.parametrize("place", range(7))
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_no_number_may_be_missing(place: int, value: float) -> None:
+    assert has_pose(make_sample(*TILTED)) and not has_pose(replace_number(place, value))
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_reach_ends_on_each_axis_on_both_sides(axis: int, side: float) -> None:
+    assert has_pose(replace_number(axis, side * POSITION_MAX_M))
+    assert not has_pose(replace_number(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
+
+
+@pytest.mark.parametrize("axis", range(4))
+def test_a_quaternion_is_about_unit(axis: int) -> None:
+    for length, is_accepted in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
+        quaternion = [0.0] * 4
+        quaternion[axis] = -length
+        assert bool(has_pose(make_sample(0.0, 0.0, 0.0, *quaternion))) == is_accepted
+
+
+LIMITED = Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0, speed_max=10.0, turn_max=100.0, frozen=0.0105)
+Poses = Sequence[Sequence[float]]
+PUSH = (0.0, 0.0, 1.0)
+UNHELD = LIMITED._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0)
+"""Limits of a device without a hand on it: `test_guard.py`."""
+
+
+def check(poses: Poses, statuses: Sequence[int] = (), force: Vec3 = NONE, guard: Guard = LIMITED) -> list[int]:
+    """Return the result of the check for each pose, one tick apart."""
+    memory, pairs = make_pose_memory(), zip(poses, statuses or [OK] * len(poses), strict=True)
+    return [int(check_pose(guard, memory, make_sample(*pose), status, force, T)) for pose, status in pairs]
+
+
+def pose_at(x: float) -> tuple[float, ...]:
+    return (x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+def turn_pose(angle: float) -> tuple[float, ...]:
+    return (0.0, 0.0, 0.0, math.cos(0.5 * angle), 0.0, math.sin(0.5 * angle), 0.0)
+
+
+def test_a_pose_faster_than_the_speed_limit_is_a_jump() -> None:
+    assert check([pose_at(5.0), pose_at(5.0099), pose_at(5.0)]) == [0, 0, 0]
+    assert check([pose_at(0.0), pose_at(0.0101), pose_at(0.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
+
+
+def test_a_rotation_faster_than_the_turn_limit_is_a_jump() -> None:
+    doubled = tuple(-2.0 * c if k > 2 else c for k, c in enumerate(turn_pose(0.099)))
+    assert check([turn_pose(0.0), turn_pose(0.099), turn_pose(0.0), doubled]) == [0, 0, 0, 0]
+    assert check([turn_pose(0.0), turn_pose(0.101), turn_pose(-3.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
+
+
+def test_a_held_pose_extends_the_time_for_the_next_one() -> None:
+    broken = (math.nan,) * 7
+    for waiting, status in ((pose_at(0.0), STALE), (broken, OK)):
+        for x, expected in ((0.059, 0), (0.061, POSE_JUMPED)):
+            assert check([pose_at(0.0), *[waiting] * 5, pose_at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [expected]
+    assert check([pose_at(0.0)] * 6 + [pose_at(0.059)])[-1] == POSE_JUMPED  # the driver reported them as new
+
+
+def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
+    same, moved = [pose_at(0.009)] * 20, pose_at(math.nextafter(0.009, 1.0))
+    assert check([*same, moved], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
+    assert check(same, force=(0.0, 0.0, 0.009)) == [0] * 20
+
+
+def test_recorded_poses_may_jump_and_stand_still() -> None:
+    assert check([pose_at(0.0)] * 20 + [pose_at(9.0), turn_pose(3.0)], force=PUSH, guard=UNHELD) == [0] * 22
+
+
+def test_a_frozen_pose_remains_frozen_without_the_force() -> None:
+    memory = make_pose_memory()
+    for _ in range(30):
+        check_pose(LIMITED, memory, make_sample(*pose_at(0.0)), OK, PUSH, T)
+    assert check_pose(LIMITED, memory, make_sample(*pose_at(0.0)), OK, NONE, T) == POSE_FROZEN

@@ -142,20 +142,19 @@ def test_program_on_the_page_runs():
     assert process.returncode == 0
 
 
+SLEEPING = """
+import sys
+from softfinger.server.wire.native.memory import Local
+ticks = Local(sys.argv[1])
+print('open', flush=True)
+while len(rows := ticks.take(1e6)):  # longer than the test
+    print(rows.tolist(), flush=True)
+"""
+
+
 def test_a_sleeping_reader_wakes_at_a_tick_and_at_the_end():
-    """A sleeping reader wakes at a tick and at the end; its time-out is longer than the test."""
-    forever_s = 1e6
     shared = make_memory(16, 4)
-    code = (
-        "import sys\n"
-        "from softfinger.server.wire.native.memory import Local\n"
-        "ticks = Local(sys.argv[1])\n"
-        "print('open', flush=True)\n"
-        f"while len(rows := ticks.take({forever_s})):\n"
-        "    print(rows.tolist(), flush=True)\n"
-    )
-    words = [sys.executable, "-c", code, shared.name]
-    with Program(words, stdout=subprocess.PIPE, text=True) as process:
+    with Program([sys.executable, "-c", SLEEPING, shared.name], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "open\n"
         shared.broadcast.slots[0] = 7.0
         shared.broadcast.head[0] = 1
@@ -204,22 +203,24 @@ def test_files_of_another_user_are_not_removed():
         theirs.unlink()
 
 
-def test_unreadable_rings_are_refused(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("../etc/passwd", "see softfinger ctl describe"),
+        ("softfinger-none", "check that the daemon is running"),
+        ("softfinger-empty", "cannot be read"),
+        ("softfinger-other", "layout 1"),
+    ],
+)
+def test_unreadable_rings_are_refused(name, message, tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "FOLDER", tmp_path)
-    with pytest.raises(ConfigError, match="see softfinger ctl describe"):
-        Local("../etc/passwd")
-    with pytest.raises(ConfigError, match="check that the daemon is running"):
-        Local("softfinger-none")
     (tmp_path / "softfinger-empty").touch()
-    with pytest.raises(ConfigError, match="cannot be read"):
-        Local("softfinger-empty")
     (tmp_path / "softfinger-other").write_bytes(bytes(8192))
-    with pytest.raises(ConfigError, match="layout 1"):
-        Local("softfinger-other")
+    with pytest.raises(ConfigError, match=message):
+        Local(name)
 
 
 def test_the_daemon_runs_without_shared_memory(tmp_path, monkeypatch, caplog):
-    """Without shared memory, as in some containers, the daemon logs it, and readers in the process get every tick."""
     monkeypatch.setattr(memory, "FOLDER", tmp_path / "none")
     with Publisher("tcp://127.0.0.1:*") as publisher:
         assert publisher.ring()["name"] == ""

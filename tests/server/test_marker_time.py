@@ -1,7 +1,5 @@
 """Time of a marker: the same tick and time for subscribers, recordings and Lab Streaming Layer, on the ticks' clock."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

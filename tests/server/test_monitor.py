@@ -1,27 +1,36 @@
-"""`monitor` against a real publisher: in a terminal, through pipes, and without data."""
+"""`monitor` and `record --poses` against a real publisher: in a terminal, through pipes, with losses, without data."""
 
 import itertools
 import json
+import logging
 import re
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers.called import called
+from helpers.called import read_stdout
+from helpers.daemons import make_daemon
 from helpers.programs import Program, run_program
-from helpers.telemetry_records import put, synthetic
+from helpers.telemetry_records import join, put, synthetic
 from helpers.terminal import on_terminal
 from helpers.waits import repeated
 from rich.console import Console
 
-from softfinger.proxy.record import CAUSE_NAMES
-from softfinger.server.cli import main
+from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.drivers.poses import load_poses
+from softfinger.drivers.replay.device import Options, Replay
+from softfinger.proxy.record import AT, CAUSE_NAMES
+from softfinger.server import cli
 from softfinger.server.verbs import monitor
-from softfinger.server.wire.client import subscribe
-from softfinger.server.wire.protocol import CONTACT, EVENT, HEALTH
+from softfinger.server.verbs.record import RecordingStats, record
+from softfinger.server.wire.client import NoTelemetry, subscribe
+from softfinger.server.wire.protocol import CONTACT, EVENT, HEALTH, ProtocolError
 from softfinger.server.wire.publisher import Publisher
 
 pytestmark = pytest.mark.real_time
@@ -55,52 +64,32 @@ def make_command(*arguments):
     return [sys.executable, "-W", "error", "-m", "softfinger.server.cli", "monitor", *arguments]
 
 
-def run_piped(*arguments):
-    return run_program(make_command(*arguments))
-
-
 def test_once_writes_one_line_with_everything(endpoint):
-    result = called("monitor", "--endpoint", endpoint, "--once")
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.count("\n") == 1
+    output = read_stdout("monitor", "--endpoint", endpoint, "--once")
+    assert output.count("\n") == 1 and "\x1b" not in output
     for part in (
-        "sliding object 3",
-        "normal 1.250 N tangential 0.625 N",
-        "depth 1.500 mm",
-        "late p99 12.0 us",
-        "exec p99 1.0 us",
-        "missed 7 drops 4",
-        "lost 0",
-        "contact slip",
-    ):
-        assert part in result.stdout
-    assert "\x1b" not in result.stdout
-    result = called("monitor", "--endpoint", endpoint, "--json", "--once")
-    assert result.returncode == 0, result.stderr
-    assert json.loads(result.stdout)["contact"]["contact"]["mode"] == 2
+        "sliding object 3", "normal 1.250 N tangential 0.625 N", "depth 1.500 mm", "late p99 12.0 us",
+        "exec p99 1.0 us", "missed 7 drops 4", "lost 0", "contact slip",
+    ):  # fmt: skip
+        assert part in output
+    assert json.loads(read_stdout("monitor", "--endpoint", endpoint, "--json", "--once"))["mode"] == "sliding"
 
 
 def test_json_writes_one_object_a_second(endpoint):
-    result = run_piped("--endpoint", endpoint, "--json", "--duration", "2.5")
-    assert result.returncode == 0, result.stderr
-    objects = [json.loads(line) for line in result.stdout.splitlines()]
-    assert len(objects) >= 2
-    last = objects[-1]
-    assert last["mode"] == "sliding"
-    assert last["endpoint"] == endpoint
-    assert last["contact"]["force"] == [0.5, -0.25, 1.25]
-    assert last["health"]["missed"] == 7
-    assert last["lost"] == 0
-    assert last["events"][-1]["name"] == "slip"
-    assert objects[0]["contact"]["tick"] < last["contact"]["tick"]
+    result = run_program(make_command("--endpoint", endpoint, "--json", "--duration", "2.5"), check=True)
+    first, *_, last = [json.loads(line) for line in result.stdout.splitlines()]
+    assert (last["mode"], last["endpoint"], last["lost"]) == ("sliding", endpoint, 0)
+    assert last["contact"]["force"] == [0.5, -0.25, 1.25] and last["contact"]["contact"]["mode"] == 2
+    assert last["health"]["missed"] == 7 and last["events"][-1]["name"] == "slip"
+    assert first["contact"]["tick"] < last["contact"]["tick"]
 
 
 def test_not_a_number_becomes_null():
     records = synthetic(1)
     put(records, "force", [np.nan, 0.0, np.inf])
     with Publisher("tcp://127.0.0.1:*") as publisher, repeated(lambda: publisher.publish(records)):
-        result = called("monitor", "--endpoint", publisher.endpoint, "--json", "--once")
-    assert json.loads(result.stdout)["contact"]["force"] == [None, 0.0, None]
+        output = read_stdout("monitor", "--endpoint", publisher.endpoint, "--json", "--once")
+    assert json.loads(output)["contact"]["force"] == [None, 0.0, None]
 
 
 def test_a_closed_pipe_ends_the_monitor(endpoint):
@@ -109,8 +98,7 @@ def test_a_closed_pipe_ends_the_monitor(endpoint):
     ) as process:
         assert "sliding" in process.stdout.readline()
         process.stdout.close()
-        assert process.stderr.read() == ""
-        assert process.wait(30) == 0
+        assert process.stderr.read() == "" and process.wait(30) == 0
 
 
 def test_a_stopped_stream_is_reported():
@@ -128,8 +116,7 @@ def test_a_stopped_stream_is_reported():
             assert "tick 41 free object -1" in line
         assert re.search(r"no data for [1-9]\.\d s; tick 41 free", line)
         process.send_signal(signal.SIGINT)
-        assert process.stderr.read() == ""
-        assert process.wait(30) == 0
+        assert process.stderr.read() == "" and process.wait(30) == 0
 
 
 def test_terminal_shows_the_dashboard(endpoint):
@@ -140,20 +127,12 @@ def test_terminal_shows_the_dashboard(endpoint):
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)
     screen = plain[plain.rindex("softfinger  tcp") :]
     for words in (
-        r"mode +sliding",
-        r"object +number 3 of the scene",
-        r"normal +█{32} +1\.250 N",
-        r"tangential +█{16}·{16} +0\.625 N",
-        r"force +0\.500 +-0\.250 +1\.250  N",
-        r"torque +0\.000 +0\.000 +2\.000  N mm",
-        r"penetration +1\.500  mm",
-        r"spin +45\.00  deg",
-        r"late +p50 +12\.00 +p99 +12\.00 +max +12\.00  us",
-        r"exec +p50 +1\.00 +p99 +1\.00 +max +1\.00  us",
-        r"missed 7 +drops 4",
-        r"lost here +0",
-        r"contact slip cause=drag from=1 to=2",
-    ):
+        r"mode +sliding", r"object +number 3 of the scene", r"normal +█{32} +1\.250 N",
+        r"tangential +█{16}·{16} +0\.625 N", r"force +0\.500 +-0\.250 +1\.250  N",
+        r"torque +0\.000 +0\.000 +2\.000  N mm", r"penetration +1\.500  mm", r"spin +45\.00  deg",
+        r"late +p50 +12\.00 +p99 +12\.00 +max +12\.00  us", r"exec +p50 +1\.00 +p99 +1\.00 +max +1\.00  us",
+        r"missed 7 +drops 4", r"lost here +0", r"contact slip cause=drag from=1 to=2",
+    ):  # fmt: skip
         assert re.search(words, screen), f"{words}\n{screen}"
     assert "\x1b[1A" in written
     assert all(len(line) <= 100 for line in screen.splitlines())
@@ -163,8 +142,7 @@ def test_escape_sequences_are_shown_as_text():
     board = monitor.Board("tcp://[::1]:5555")
     sample = monitor.Sample("event", {"schema": 1, "timestamp": 0.0, "tick": 1, "kind": "\x1b[2J", "name": "x"})
     board.update(sample)
-    assert "\x1b" not in monitor.format_line(board)
-    assert r"\x1b[2J" in monitor.format_line(board)
+    assert "\x1b" not in monitor.format_line(board) and r"\x1b[2J" in monitor.format_line(board)
 
 
 def make_board(*records, preparing=""):
@@ -209,9 +187,8 @@ def test_the_dashboard_fits_the_terminal(width, height):
     assert len(lines) < height and all(len(line) <= width for line in lines)
     assert "e-31" not in text and "-0.000" not in text and "…" not in text
     events = " ".join(text[text.index("events") :].replace("│", " ").split())
-    assert re.search(
-        r"1400 contact slip cause=drag from=1 to=2 object=0 force=\[0\.5, -?\S+, 0\] .* point=\[.*\]", events
-    )
+    slip = r"1400 contact slip cause=drag from=1 to=2 object=0 force=\[0\.5, -?\S+, 0\] .* point=\[.*\]"
+    assert re.search(slip, events)
     assert "number 0 of the scene" in text
 
 
@@ -236,9 +213,126 @@ def test_bars_are_empty_after_the_server_stopped():
     assert "no data for 2.0 s" in lines[0] and not any("█" in line for line in lines)
 
 
-@pytest.mark.parametrize("verb", ["monitor", "record"])
-@pytest.mark.parametrize("words", [("--duration", "0"), ("--duration", "nan"), ("--timeout", "-1")])
-def test_durations_that_are_not_positive_are_refused(verb, words, capsys):
-    with pytest.raises(SystemExit):
-        main([verb, *words])
-    assert f"argument {words[0]}: {words[1]}: the duration must be above 0 s" in capsys.readouterr().err
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("rate_hz", [1000.0, 700.0])
+def test_a_recording_of_a_replay_is_that_replay(rate_hz: float, tmp_path: Path) -> None:
+    file, changes = tmp_path / "again.csv", {"servo.rate_hz": rate_hz, "device.recording": "tap", "device.loop": False}
+
+    def take(endpoint: str) -> RecordingStats:
+        with subscribe(endpoint, ("contact", "event")) as wire:
+            return record(wire, {"": file}, timeout_s=60.0)[""]
+
+    with make_daemon(changes=changes) as daemon, ThreadPoolExecutor() as pool:
+        stats = pool.submit(take, daemon.publisher.endpoint)
+        daemon.start()
+        daemon.wait(60.0)
+        daemon.close()
+        totals, played = stats.result(30.0), daemon.devices[0].samples
+    assert (totals.end_reason, totals.lost) == ("the server stopped", 0)
+    assert totals.poses > len(played) - 500, "the recorder was too late for most of it"
+    samples = Replay(Options(recording=str(file), loop=False), rate_hz).samples
+    assert len(samples) == totals.poses
+    # after the end of the recording its last sample is read again
+    expected = played[np.minimum(np.arange(totals.first_tick, totals.last_tick + 1), len(played) - 1)]
+    assert samples.tobytes() == expected.tobytes()
+
+
+def record_rows(tmp_path: Path, records: np.ndarray, every: int = 1, **options: Any) -> tuple[RecordingStats, Path]:
+    file = tmp_path / "poses.csv"
+    with (
+        Publisher("tcp://127.0.0.1:*", every=every) as publisher,
+        subscribe(publisher.endpoint, ("contact", "event")) as wire,
+    ):
+        join(publisher, wire._socket)
+        publisher.publish(records)
+        publisher.event("lifecycle", "stopped")
+        return record(wire, {"": file}, **options)[""], file
+
+
+def make_moving(count: int) -> np.ndarray:
+    records = synthetic(count)
+    put(records, "dt", 0.001)
+    put(records, "probe.orientation", (1.0, 0.0, 0.0, 0.0))
+    records[:, AT.probe_position] = np.arange(count) * 1e-3
+    return records
+
+
+def test_gaps_are_reported_and_keep_their_time(tmp_path: Path) -> None:
+    totals, file = record_rows(tmp_path, np.delete(make_moving(400), [50, 51, 52, 300], axis=0))
+    assert (totals.poses, totals.lost, totals.gap_count, totals.worst) == (396, 4, 2, (49, 3))
+    assert "4 ticks in 2 gaps did not arrive, the longest 3 after tick 49" in totals.gaps()
+    poses = load_poses(file)
+    np.testing.assert_allclose(poses.t, poses.position[:, 0], rtol=0, atol=1e-15)  # both in whole milliseconds
+
+
+def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:
+    records = make_moving(250)
+    put(records[100:101], "dt", 0.003)
+    put(records[0:1], "dt", 0.002)  # late when the recording starts: not the period
+    _, file = record_rows(tmp_path, records)
+    t = load_poses(file).t
+    steps = np.diff(t)
+    assert steps[99] == pytest.approx(0.003, abs=1e-12)  # rounding of differences of times below 1 s
+    np.testing.assert_allclose(np.delete(steps, 99), 0.001, atol=1e-12)
+
+
+def test_one_tick_in_five_is_no_gap(tmp_path: Path) -> None:
+    totals, file = record_rows(tmp_path, make_moving(501), every=5)
+    assert (totals.poses, totals.lost, totals.every) == (101, 0, 5)
+    np.testing.assert_allclose(load_poses(file).t, np.arange(101) * 0.005, atol=1e-12)
+
+
+def test_a_server_that_restarts_ends_the_recording(tmp_path: Path) -> None:
+    """Decreasing tick numbers belong to another run, so the file ends before them."""
+    totals, file = record_rows(tmp_path, np.vstack([make_moving(100), make_moving(50)]))
+    assert totals.end_reason == "the server started again"
+    assert len(load_poses(file).t) == 100
+
+
+def test_an_invalid_pose_is_skipped(tmp_path: Path) -> None:
+    records = make_moving(100)
+    put(records[30:31], "probe.position", np.nan)
+    totals, file = record_rows(tmp_path, records)
+    assert (totals.poses, totals.unusable) == (99, 1) and "1 skipped" in str(totals)
+    assert len(load_poses(file).t) == 99
+
+
+def test_bad_files_and_a_missing_server_raise_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match=r"poses\.txt: the name of a recording must end in \.csv or \.mcap"):
+        record_by_cli(tmp_path / "poses.txt")
+    with pytest.raises(RecordingError, match=r"no/poses\.csv: cannot be written: No such file"):
+        record_by_cli(tmp_path / "no" / "poses.csv")
+    with subscribe("tcp://127.0.0.1:9") as wire, pytest.raises(NoTelemetry, match="softfinger run"):
+        record(wire, {"": tmp_path / "poses.csv"}, timeout_s=0.2)
+    assert not (tmp_path / "poses.csv").exists(), "no empty file is left behind"
+
+
+def record_by_cli(path: Path) -> None:
+    with Publisher("tcp://127.0.0.1:*") as publisher, subscribe(publisher.endpoint, ("contact", "event")) as wire:
+        join(publisher, wire._socket)
+        publisher.publish(make_moving(10))
+        record(wire, {"": path})
+
+
+def test_the_verb_reports_ticks_time_and_losses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    file, records = tmp_path / "poses.csv", make_moving(20_000)
+    firsts = itertools.count(0, 100)
+    with (
+        Publisher("tcp://127.0.0.1:*") as publisher,
+        repeated(lambda: publisher.publish(records[(first := next(firsts)) : first + 100]), 0.01),
+        caplog.at_level(logging.INFO),
+    ):
+        words = ["record", "--poses", str(file), "--endpoint", publisher.endpoint, "--duration", "0.5"]
+        assert cli.main(words) == 0
+    assert re.search(r"500 poses of ticks \d+ to \d+", caplog.text)
+    assert "no tick lost; 0.5 s are over" in caplog.text
+    assert len(load_poses(file).t) == 500
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("dt", [0.0, -0.001, 1e300, np.inf, np.nan])
+def test_a_stream_without_a_period_is_refused(dt: float, tmp_path: Path) -> None:
+    records = synthetic(300)
+    put(records, "dt", dt)
+    with pytest.raises(ProtocolError, match=r"tick \d+ has dt = "):
+        record_rows(tmp_path, records)

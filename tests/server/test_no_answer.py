@@ -1,7 +1,5 @@
 """Commands without an answer: the clients wait for their time-out and no longer."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import os
@@ -46,6 +44,21 @@ def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
         peer.linger = 0
         peer.bind(address)
         yield address
+
+
+@pytest.fixture
+def router(tmp_path: Path) -> Iterator[zmq.Socket[bytes]]:
+    """Socket of a daemon, at ipc://{tmp_path}/socket."""
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
+        socket.linger, socket.rcvtimeo = 0, 10_000
+        socket.bind(f"ipc://{tmp_path}/socket")
+        yield socket
+
+
+def answer_next(router: zmq.Socket[bytes], result: dict[str, int]) -> None:
+    client, empty, body = router.recv_multipart()
+    answer = {"command_id": msgpack.unpackb(body)["command_id"], "success": True, "result": result}
+    router.send_multipart([client, empty, msgpack.packb(answer)])
 
 
 def test_a_command_without_an_answer_ends(endpoint: str) -> None:
@@ -96,22 +109,19 @@ def run_in_a_fork(act: Callable[[], None]) -> int:
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-def test_clients_continue_in_a_forked_process(tmp_path: Path) -> None:
-    commands, telemetry = f"ipc://{tmp_path}/commands", f"ipc://{tmp_path}/telemetry"
+def test_clients_continue_in_a_forked_process(router: zmq.Socket[bytes], tmp_path: Path) -> None:
+    commands, telemetry = f"ipc://{tmp_path}/socket", f"ipc://{tmp_path}/telemetry"
     event = msgpack.packb({"schema": 1, "kind": "mark", "name": "mark", "tick": 1, "timestamp": 1.0})
     over = threading.Event()
 
     def serve() -> None:
-        with zmq.Context() as context, context.socket(zmq.ROUTER) as router, context.socket(zmq.PUB) as publisher:
-            router.linger = publisher.linger = 0
-            router.bind(commands)
+        with zmq.Context() as context, context.socket(zmq.PUB) as publisher:
+            publisher.linger = 0
             publisher.bind(telemetry)
             while not over.is_set():
                 publisher.send_multipart([b"event", event])
                 if router.poll(10):
-                    client, _, body = router.recv_multipart()
-                    answer = {"command_id": msgpack.unpackb(body)["command_id"], "success": True, "result": {}}
-                    router.send_multipart([client, b"", msgpack.packb(answer | {"result": {"timeout_ms": 7}})])
+                    answer_next(router, {"timeout_ms": 7})
 
     async def ask(control: AsyncControl) -> int:
         async with control:
@@ -171,21 +181,17 @@ def first_request(peer: zmq.Socket[bytes], ask: Callable[[float], object]) -> by
 
 
 @pytest.mark.parametrize("client", [Control, AsyncControl])
-def test_a_request_has_an_expiry_time(client: type, tmp_path: Path) -> None:
-    with zmq.Context() as context, context.socket(zmq.ROUTER) as peer:
-        peer.linger, peer.rcvtimeo = 0, 10_000
-        peer.bind(f"ipc://{tmp_path}/socket")
+def test_a_request_has_an_expiry_time(client: type, router: zmq.Socket[bytes], tmp_path: Path) -> None:
+    async def ask_async(wait_s: float) -> None:
+        async with AsyncControl(f"ipc://{tmp_path}/socket", wait_s) as control:
+            with pytest.raises(NoAnswer):
+                await control.arm()
 
-        async def ask_async(wait_s: float) -> None:
-            async with AsyncControl(f"ipc://{tmp_path}/socket", wait_s) as control:
-                with pytest.raises(NoAnswer):
-                    await control.arm()
+    def ask(wait_s: float) -> None:
+        with Control(f"ipc://{tmp_path}/socket", wait_s) as control, pytest.raises(NoAnswer):
+            control.arm()
 
-        def ask(wait_s: float) -> None:
-            with Control(f"ipc://{tmp_path}/socket", wait_s) as control, pytest.raises(NoAnswer):
-                control.arm()
-
-        body = first_request(peer, ask if client is Control else lambda wait_s: asyncio.run(ask_async(wait_s)))
+    body = first_request(router, ask if client is Control else lambda wait_s: asyncio.run(ask_async(wait_s)))
     with pytest.raises(DeclinedRequest, match=r"^expired: .* nothing was done"):
         parse(body)
     request = msgpack.unpackb(body)
@@ -195,26 +201,17 @@ def test_a_request_has_an_expiry_time(client: type, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wait_s", [math.inf, 3e6, 1e300])
-def test_a_time_out_may_be_arbitrarily_long(wait_s: float, tmp_path: Path) -> None:
+def test_a_time_out_may_be_arbitrarily_long(wait_s: float, router: zmq.Socket[bytes], tmp_path: Path) -> None:
     async def ask() -> None:
         async with AsyncControl(f"ipc://{tmp_path}/socket", wait_s) as control:
-            assert await control.ask("heard") == {}
+            assert await control.ask("heard") == {"number": 1}
 
-    with zmq.Context() as context, context.socket(zmq.ROUTER) as peer, ThreadPoolExecutor() as pool:
-        peer.linger, peer.rcvtimeo = 0, 10_000
-        peer.bind(f"ipc://{tmp_path}/socket")
-
-        def answer() -> None:
-            name, empty, body = peer.recv_multipart()
-            answer = {"command_id": msgpack.unpackb(body)["command_id"], "success": True, "result": {}}
-            peer.send_multipart([name, empty, msgpack.packb(answer)])
-
-        serving = pool.submit(answer)
+    with ThreadPoolExecutor() as pool, Control(f"ipc://{tmp_path}/socket", wait_s) as control:
+        serving = pool.submit(answer_next, router, {"number": 1})
         asyncio.run(ask())
         serving.result()
-        serving = pool.submit(answer)
-        with Control(f"ipc://{tmp_path}/socket", wait_s) as control:
-            assert control.ask("heard") == {}
+        serving = pool.submit(answer_next, router, {"number": 2})
+        assert control.ask("heard") == {"number": 2}
         serving.result()
 
 
@@ -235,18 +232,16 @@ def test_an_invalid_request_is_refused_before_sending(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("program", ["client", "ctl"])
-def test_disarm_is_sent_before_the_daemon_is_searched_or_verified(program: str, tmp_path: Path) -> None:
-    with zmq.Context() as context, context.socket(zmq.ROUTER) as daemon:
-        daemon.linger = 0
-        port = daemon.bind_to_random_port("tcp://127.0.0.1")
-        daemon.bind(f"ipc://{tmp_path}/t.commands")
+def test_disarm_is_sent_before_the_daemon_is_searched_or_verified(program, router, tmp_path):
+    port = router.bind_to_random_port("tcp://127.0.0.1")
+    router.bind(f"ipc://{tmp_path}/t.commands")
 
-        def by_client(wait_s: float) -> None:
-            with Client(f"ipc://{tmp_path}/t", timeout_s=wait_s) as client, pytest.raises(NoAnswer):
-                client.disarm()
+    def by_client(wait_s: float) -> None:
+        with Client(f"ipc://{tmp_path}/t", timeout_s=wait_s) as client, pytest.raises(NoAnswer):
+            client.disarm()
 
-        def by_ctl(wait_s: float) -> None:
-            words = ["ctl", "--endpoint", f"tcp://127.0.0.1:{port}", "--timeout", str(wait_s), "disarm"]
-            assert main(words) == NoAnswer.exit_code
+    def by_ctl(wait_s: float) -> None:
+        words = ["ctl", "--endpoint", f"tcp://127.0.0.1:{port}", "--timeout", str(wait_s), "disarm"]
+        assert main(words) == NoAnswer.exit_code
 
-        assert parse(first_request(daemon, by_client if program == "client" else by_ctl)).method == "disarm"
+    assert parse(first_request(router, by_client if program == "client" else by_ctl)).method == "disarm"

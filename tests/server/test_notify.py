@@ -1,13 +1,15 @@
-"""Notifications to systemd on a datagram socket, from a daemon process and from one whose device hangs."""
-
-from __future__ import annotations
+"""Notifications of a daemon: to systemd on a datagram socket, and of devices that are plugged in and unplugged."""
 
 import contextlib
 import os
+import shutil
 import signal
 import socket
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from helpers import faulty_device
@@ -15,9 +17,16 @@ from helpers.daemons import make_daemon
 from helpers.processes import COMMAND
 from helpers.programs import Program, run_program
 from helpers.waits import eventually, until
+from test_devices_verb import plug_hid, plug_serial, plug_usb, root  # noqa: F401  (a fixture)
 
 from softfinger.config.errors import SafetyStop
+from softfinger.drivers.system import discovery
+from softfinger.drivers.system.discovery import SystemDevice
+from softfinger.server import app
+from softfinger.server.services import hotplug
 from softfinger.server.services.notify import ServiceNotifier, _read_watchdog_s
+from softfinger.server.services.watches import Hotplug, HotplugWatch
+from softfinger.server.wire.client import subscribe
 
 pytestmark = pytest.mark.real_time
 
@@ -26,6 +35,7 @@ QUIET_S = 4 * WATCHDOG_S
 """Time without a message after which systemd would have killed a daemon."""
 WAIT_S = 300.0
 """A cold start compiles first."""
+RUN = [*COMMAND, "run", "--realtime", "off", "--commands", "off"]
 
 
 class Manager:
@@ -70,10 +80,8 @@ def test_a_service_manager_that_reads_nothing_delays_no_end(manager: Manager) ->
 
 
 def test_ready_and_watchdog_depend_on_ticks(manager: Manager, tmp_path: Path) -> None:
-    words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off"]
-    command = [*COMMAND, "run", *words]
-    log_path = tmp_path / "stderr"
-    environment = os.environ | manager.environment
+    log_path, environment = tmp_path / "stderr", os.environ | manager.environment
+    command = [*RUN, "--endpoint", f"ipc://{tmp_path}/t"]
     with log_path.open("w") as stderr, Program(command, env=environment, stderr=stderr, kill_at_end=True) as process:
         first = manager.until("READY=1")
         ticks = [int(line.split("=")[1].split()[0]) for line in first if line.startswith("STATUS=")]
@@ -98,7 +106,6 @@ def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monke
     faulty = {"device.driver": "faulty", "device.fault": "hang", "device.at": 1500}
     running = make_daemon(changes=faulty | {"commands.endpoint": "off"})
     (device,) = running.devices
-    assert isinstance(device, faulty_device.FaultyDevice)
     try:
         running.start()
         manager.until("READY=1")
@@ -121,7 +128,91 @@ def test_a_watchdog_for_another_process_is_ignored() -> None:
 
 def test_a_missing_manager_does_not_end_the_daemon(manager: Manager, tmp_path: Path) -> None:
     environment = os.environ | manager.environment | {"NOTIFY_SOCKET": str(tmp_path / "gone")}
-    words = ["--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--commands", "off", "--duration", "0.5"]
-    command = [*COMMAND, "run", *words]
-    completed = run_program(command, env=environment, timeout=WAIT_S)
-    assert completed.returncode == 0, completed.stderr
+    command = [*RUN, "--endpoint", f"ipc://{tmp_path}/t", "--duration", "0.5"]
+    run_program(command, env=environment, timeout=WAIT_S, check=True)
+
+
+PUCK = SystemDevice("hid", 0x046D, 0xC626, "Puck", "SN7", "/dev/hidraw3")
+TEENSY = SystemDevice("serial", 0x16C0, 0x0483, "Teensy", "SN42", "/dev/ttyACM0")
+OMEGA = SystemDevice("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/007")
+
+
+def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
+    plug_usb(root, "1-1", "1451", "0402")
+    hotplug_state = Hotplug(root)
+    assert hotplug_state.present == [OMEGA] and hotplug_state.changes() == []
+    name = plug_hid(root, 3, "0003:0000046D:0000C626")
+    assert hotplug_state.changes() == [("attached", PUCK)] and hotplug_state.changes() == []
+    shutil.rmtree(root / name)
+    shutil.rmtree(root / discovery.USB / "1-1")
+    assert hotplug_state.changes() == [("detached", OMEGA), ("detached", PUCK)]
+    name = plug_serial(root, "ttyACM0", "16c0", "0483", "SN42")
+    assert hotplug_state.changes() == [("attached", TEENSY)]
+    shutil.rmtree(root / name)
+    assert hotplug_state.changes() == [("detached", TEENSY)] and hotplug_state.changes() == []
+    plug_serial(root, "ttyACM5", "16c0", "0483", "SN42", product="Haply inverse3")
+    ((change, haply),) = hotplug_state.changes()
+    assert (change, hotplug.make_event_fields(haply)["driver"]) == ("attached", "haply")
+    assert hotplug.make_event_fields(TEENSY)["driver"] == "serial"
+
+
+@pytest.mark.parametrize("at_start", [False, True])
+def test_a_device_is_reported_when_its_ids_are_readable(at_start: bool, root: Path) -> None:  # noqa: F811
+    if at_start:
+        (root / discovery.USB / "1-1").mkdir()
+    usb = Hotplug(root)
+    assert usb.present == []
+    (root / discovery.USB / "1-1").mkdir(exist_ok=True)
+    plug_usb(root, "1-2", "2109", "2813", bDeviceClass="09")
+    assert usb.changes() == []
+    plug_usb(root, "1-1", "1451", "0402")
+    assert usb.changes() == [("attached", OMEGA)]
+
+
+def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> None:  # noqa: F811
+    plug_usb(root, "1-1", "1451", "0402")
+    usb = Hotplug(root)
+    plug_hid(root, 3, "0003:0000046D:0000C626")
+    events: list[tuple[str, Any]] = []
+
+    def event(kind: str, name: str, **fields: Any) -> None:
+        assert kind == "device"
+        events.append((name, fields["device"]))
+        if len(events) == 2:
+            watch.closing.set()
+
+    watch = HotplugWatch(usb, event)
+    watch.work()
+    assert events == [("present", OMEGA.name), ("attached", PUCK.name)]
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noqa: F811
+    monkeypatch.setattr(hotplug, "PERIOD_S", 0.02)
+    monkeypatch.setattr(app, "Hotplug", lambda: Hotplug(root))
+    return root
+
+
+def test_a_running_daemon_publishes_hotplug_events(quick: Path) -> None:
+    events: list[dict[str, Any]] = []
+    with make_daemon() as daemon:
+        with subscribe(daemon.publisher.endpoint, ("event",), timeout_s=20.0) as samples:
+            while samples.receive(0.01) is None:  # until the subscription has taken effect
+                daemon.publisher.event("test", "joined")
+            name = plug_hid(quick, 3, "0003:0000046D:0000C626")  # the daemon's threads start later
+            daemon.start()
+            until = time.monotonic() + 20.0  # other events arrive, too
+            for sample in samples:
+                assert time.monotonic() < until, events
+                if sample["kind"] == "device":
+                    events.append(sample.as_map())
+                    if len(events) == 2:
+                        break
+                    shutil.rmtree(quick / name)
+        assert daemon.servo.is_running
+    attached, detached = events
+    assert attached["name"] == "attached" and detached["name"] == "detached"
+    for event in events:
+        fields = [event[key] for key in ("device", "bus", "ids", "serial", "node", "driver")]
+        assert fields == ["Puck", "hid", "046d:c626", "SN7", "/dev/hidraw3", "spacemouse"]
+    assert not [thread for thread in threading.enumerate() if thread.name == "hotplug"]

@@ -1,10 +1,7 @@
 """Parameters set during rendering, without a loop: their effect, and changes that need another model."""
 
-from __future__ import annotations
-
-import threading
 from collections.abc import Callable, Iterator
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -15,8 +12,10 @@ from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema import Scene
 from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
 from softfinger.proxy.record import AT
+from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.offline.simulate import simulate
+from softfinger.server.services import rendering
 from softfinger.server.services.rendering import CHANGE_WAIT_S, Rendering, SceneReplacement
 
 pytestmark = pytest.mark.plain
@@ -25,6 +24,7 @@ RAMP_TICKS = 510
 """After this many ticks the guard of the rig `replay` transmits the full force."""
 ROUNDING = 1e-12
 """Relative; a force is the result of about ten operations on numbers of similar size."""
+MakeRendering = Callable[[Scene], Rendering]
 STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 NORMAL = "object.0.material.normal"
 
@@ -39,9 +39,7 @@ def make_soft_scene() -> Scene:
 @pytest.fixture
 def applied_tunings(monkeypatch: pytest.MonkeyPatch) -> list[Tuning]:
     tunings: list[Tuning] = []
-    monkeypatch.setattr(
-        "softfinger.server.loop.servo_thread.ServoThread.tune", lambda servo, tuning: tunings.append(tuning)
-    )
+    monkeypatch.setattr(ServoThread, "tune", lambda servo, tuning: tunings.append(tuning))
     return tunings
 
 
@@ -49,29 +47,22 @@ class AbsentDevice(Device):
     """Device without reads and writes, because no loop runs."""
 
     info = DeviceInfo("absent", 6, 6, 1e3, 1e2, 1e6, 1e3, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
-
-    def io(self) -> DeviceIO:
-        return DeviceIO(0, 0, 0)
-
-    def arm(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def close(self) -> None: ...
+    io = lambda self: DeviceIO(0, 0, 0)  # noqa: E731
+    arm = stop = close = lambda self: None
 
 
 @pytest.fixture
-def make_rendering(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Scene], Rendering]]:
+def make_rendering(monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeRendering]:
     renderings: list[Rendering] = []
-    monkeypatch.setattr("softfinger.server.services.rendering.open_devices", lambda scene, rig: (AbsentDevice(),))
+    monkeypatch.setattr(rendering, "open_devices", lambda scene, rig: (AbsentDevice(),))
 
     def make(scene: Scene) -> Rendering:
         renderings.append(Rendering(load_rig("replay"), scene, None, lambda: lambda: None))
         return renderings[-1]
 
     yield make
-    for rendering in renderings:
-        rendering.servo.close()
+    for made in renderings:
+        made.servo.close()
 
 
 def press_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
@@ -79,16 +70,14 @@ def press_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
     return simulate(tuning, np.array([[pose]] * RAMP_TICKS), 1000.0)[-1, 0]
 
 
-def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
-    applied_tunings: list[Tuning], make_rendering: Callable[[Scene], Rendering]
-) -> None:
-    rendering = make_rendering(make_soft_scene())
+def test_the_law_of_the_normal_force_and_the_patch_are_parameters(applied_tunings, make_rendering):
+    changed = make_rendering(make_soft_scene())
     for changes, force, radius in (
         ({"effect.0.force_n": [0.0, 0.0, 0.5]}, 4.0 * 0.25**1.5, 0.004),
         ({f"{NORMAL}.exponent": 2.0, f"{NORMAL}.depth_m": 2.0 * DEPTH_M}, 2.0 * 0.5**2.0, 0.004),
         ({"fingertip.patch.radius_m": 0.003, STIFFNESS: 500.0}, 0.5 * 2.0 * 0.5**2.0, 0.003),
     ):
-        rendering.set_parameters(changes, "set_params")
+        changed.set_parameters(changes, "set_params")
         last = press_to_rest(applied_tunings[-1])
         assert last[AT.contact_normal_force] == pytest.approx(force, rel=ROUNDING)
         assert last[AT.contact_patch_radius] == pytest.approx(radius * force**0.25, rel=ROUNDING)
@@ -104,39 +93,23 @@ def test_the_law_of_the_normal_force_and_the_patch_are_parameters(
         ({"fingertip.patch.rolling_loss": 0.3}, "another model, which must be compiled: use set_scene"),
     ],
 )
-def test_a_refused_change_changes_nothing(
-    changes: dict[str, Any], words: str, applied_tunings: list[Tuning], make_rendering: Callable[[Scene], Rendering]
-) -> None:
-    rendering = make_rendering(make_soft_scene())
-    before = rendering.scene
+def test_a_refused_change_changes_nothing(changes, words, applied_tunings, make_rendering):
+    changed = make_rendering(make_soft_scene())
+    before = changed.scene
     with pytest.raises(ConfigError) as refused:
-        rendering.set_parameters(changes, "set_params")
+        changed.set_parameters(changes, "set_params")
     assert words in str(refused.value), refused.value
-    assert rendering.scene is before and not applied_tunings
+    assert changed.scene is before and not applied_tunings
 
 
-def test_a_change_waits_for_a_replacement_and_no_longer(
-    applied_tunings: list[Tuning], make_rendering: Callable[[Scene], Rendering], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("softfinger.server.services.rendering.CHANGE_WAIT_S", 0.01)
+def test_a_change_waits_for_a_replacement_and_no_longer(applied_tunings, make_rendering, monkeypatch):
+    monkeypatch.setattr(rendering, "CHANGE_WAIT_S", 0.01)
     assert CHANGE_WAIT_S > 0.1  # a replacement in contact takes longer than the guard's ramp to zero
-    rendering = make_rendering(pressed_scene())
-    locked, go_on = threading.Event(), threading.Event()
-
-    def hand_over() -> None:
-        with rendering._tuning_lock:
-            locked.set()
-            go_on.wait(60.0)
-
-    thread = threading.Thread(target=hand_over)
-    thread.start()
-    assert locked.wait(60.0)
-    try:
+    changed = make_rendering(pressed_scene())
+    with ThreadPoolExecutor() as pool, changed._tuning_lock:
+        change = pool.submit(changed.set_parameters, {STIFFNESS: 500.0}, "set_params")
         with pytest.raises(SceneReplacement, match="try again"):
-            rendering.set_parameters({STIFFNESS: 500.0}, "set_params")
+            change.result(60.0)
         assert not applied_tunings
-    finally:
-        go_on.set()
-        thread.join()
-    rendering.set_parameters({STIFFNESS: 500.0}, "set_params")
+    changed.set_parameters({STIFFNESS: 500.0}, "set_params")
     assert press_to_rest(applied_tunings[-1])[AT.contact_normal_force] == pytest.approx(500.0 * DEPTH_M, rel=ROUNDING)

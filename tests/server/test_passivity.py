@@ -1,6 +1,7 @@
-"""Passivity observer against independently computed work, and controller against the energy it must dissipate."""
+"""Passivity observer against independent work, also of an elastic object, and controller against the energy it owes."""
 
 from itertools import pairwise
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
-from softfinger.config.load import build, load_rig, load_scene
+from softfinger.config.load import build, describe, load_rig, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.kernels.jit.pack import packed
@@ -25,7 +26,7 @@ from softfinger.server.loop.passivity import (
     compute_work_on_hand,
     keep_passive,
 )
-from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import DAMPING_MAX_NS_PER_M, make_tuning
 from softfinger.server.offline.simulate import run_ticks, simulate
 
@@ -58,9 +59,8 @@ def compute_works(records, turns=1.0):
     turned = Rotation.from_quat(column(records, "probe.orientation", 4), scalar_first=True)
     turn = (turned[1:] * turned[:-1].inv()).as_rotvec()
     steps = np.diff(column(records, "probe.position", 3), axis=0)
-    return -np.einsum("ni,ni->n", column(records, "force", 3)[:-1], steps) - np.einsum(
-        "ni,ni->n", column(records, "torque", 3)[:-1], turns * turn
-    )
+    force, torque = column(records, "force", 3)[:-1], column(records, "torque", 3)[:-1]
+    return -np.sum(force * steps, axis=1) - np.sum(torque * turns * turn, axis=1)
 
 
 @pytest.mark.sampled(1)
@@ -100,9 +100,8 @@ def test_a_deficit_is_dissipated_in_one_tick_at_the_same_speed():
 
 def test_damping_is_bounded_for_a_slow_hand():
     for step in (0.0, 1e-300, 1e-160, 1e-9):
-        energy, force = keep_passive(
-            Passivity(20.0), Energy(-1.0, 0.0), hold(), move(step, 0.0, 0.0), float(ROLLING), PUSH, T
-        )
+        motion = move(step, 0.0, 0.0)
+        energy, force = keep_passive(Passivity(20.0), Energy(-1.0, 0.0), hold(), motion, float(ROLLING), PUSH, T)
         assert energy.damping == 20.0
         assert force == (-20.0 / T * step, 0.0, 2.0)
 
@@ -163,7 +162,6 @@ def test_without_rolling_a_cycle_generates_the_work_of_the_torque():
 
 
 def test_a_torque_that_is_not_displayed_does_no_work():
-    """With a device that displays only forces, the measured rotation does no work."""
     _, energy = run_cycle({"radius_m": 0.01}, 0.009, 100, turns=0.0)
     assert energy == pytest.approx(-1000.0 * 0.001**2 / 100, rel=1e-9)
 
@@ -177,35 +175,11 @@ def test_with_rolling_a_cycle_generates_only_sampling_energy(fingertip):
     assert -1e-4 < coarse < 0.0
 
 
-def test_energy_of_a_stiffness_that_rises_in_contact():
-    scenes = [
-        msgspec.structs.replace(
-            load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": k}),
-            passivity=schema.Passivity(mode="observe"),
-        )
-        for k in (500.0, 1000.0)
-    ]
-    tunings = [make_tuning(scene, schema.Guard(ramp_s=0.01)) for scene in scenes]
-    n, depth = 500, 0.001
-    poses = np.zeros((100 + n, 1, 7))
-    poses[:, 0, 3], poses[:, 0, 2] = 1.0, 0.01
-    poses[100:, 0, 2] -= depth * np.arange(1, n + 1) / n
-    start, records = begin(tunings[0].scene), np.zeros((2, 100 + n, 1, RECORD_SIZE))
-    memory = packed(start)
-    for tuning, path, rows in zip(tunings, (poses, poses[::-1]), records, strict=True):
-        run_ticks(packed(tuning), memory, np.ascontiguousarray(path), np.full(len(path), T), T, 0, rows)
-    energy = records[1, n - 1, 0, NAMED["passivity.energy"].at]  # one step before release
-    # Sampling adds K d^2 / 2n in each direction.
-    assert energy == pytest.approx(-0.5 * 500.0 * depth**2 * (1.0 + 3.0 / n), rel=0.01)
-
-
 def test_release_forgets_what_was_taken_and_keeps_what_is_owed():
+    motion = move(1e-5, 0.0, 0.0)
     for before, after in ((0.5, 0.0), (-0.5, -0.5)):
-        energy, _ = keep_passive(
-            Passivity(20.0), Energy(before, 0.0), hold(), move(1e-5, 0.0, 0.0), float(FREE), PUSH, T
-        )
-        assert energy.work == after
-        assert (energy.damping > 0.0) == (after < 0.0)
+        energy, _ = keep_passive(Passivity(20.0), Energy(before, 0.0), hold(), motion, float(FREE), PUSH, T)
+        assert energy.work == after and (energy.damping > 0.0) == (after < 0.0)
 
 
 def test_a_tick_of_no_length_has_no_damping():
@@ -225,9 +199,8 @@ def test_largest_damping_is_only_for_control():
 
 
 def test_the_guard_limits_the_force_of_the_controller():
-    scene = msgspec.structs.replace(
-        load_scene("paper-plane"), passivity=schema.Passivity(mode="control", damping_max_ns_per_m=1000.0)
-    )
+    control = schema.Passivity(mode="control", damping_max_ns_per_m=1000.0)
+    scene = msgspec.structs.replace(load_scene("paper-plane"), passivity=control)
     guard = schema.Guard(force_max_n=3.0, force_slew_n_per_s=1000.0, ramp_s=0.01)
     poses = np.zeros((400, 7))
     poses[:, 3] = 1.0
@@ -239,3 +212,97 @@ def test_the_guard_limits_the_force_of_the_controller():
     assert np.abs(damper).max() > 10.0  # N: far beyond both limits
     assert np.linalg.norm(force, axis=1).max() <= 3.0 * (1 + 1e-12)  # rounding of a norm
     assert np.linalg.norm(np.diff(force, axis=0), axis=1).max() <= 1.0 * (1 + 1e-9)
+
+
+RATE_HZ = 1000.0
+STIFFNESS = 1000.0
+RADIUS = 0.01
+INSIDE = (0.002, 0.0045)
+"""x, y, m, in a facet of the pad, 2 mm from its edges."""
+
+
+def tune_pad(mode: str = "observe", **elastic: float) -> Tuning:
+    """Return the frictionless pad, whose top is z = 0, with a guard that limits nothing after 10 ticks."""
+    scene = describe(load_scene("press-a-pad"))
+    pad = scene["object"][0]
+    pad["elastic"] |= {"damping_s": 0.0} | elastic
+    pad["material"] = {"stiffness_n_per_m": STIFFNESS}
+    return tune_scene(pad, mode)
+
+
+def tune_scene(surface: dict[str, Any], mode: str) -> Tuning:
+    table = {"object": [surface], "fingertip": {"radius_m": RADIUS}, "passivity": {"mode": mode}}
+    return make_tuning(build(schema.Scene, table, "here"), schema.Guard(ramp_s=0.01, force_slew_n_per_s=1e5))
+
+
+def tune_plane(mode: str, stiffness: float) -> Tuning:
+    table = {"shape": "plane", "name": "a", "material": {"stiffness_n_per_m": stiffness}}
+    return tune_scene(table, mode)
+
+
+def make_poses(x: Any, y: Any, depth: Any) -> Any:
+    track = np.zeros((len(depth), 7))
+    track[:, 0], track[:, 1], track[:, 2], track[:, 3] = x, y, RADIUS - depth, 1.0
+    return track
+
+
+def test_a_closed_path_generates_the_energy_of_sampling_alone() -> None:
+    turn = np.concatenate([np.zeros(50), np.linspace(0.0, 2.0 * np.pi, 401)])
+    track = make_poses(INSIDE[0] + 0.0005 * np.sin(turn), INSIDE[1], 0.001 + 0.0005 * (1.0 - np.cos(turn)))
+    records = simulate(tune_pad(), track, RATE_HZ)[49:]
+    force, energy = column(records, "force", 3), column(records, "passivity.energy")
+    sampling = 0.5 * np.sum(np.diff(force, axis=0) * np.diff(track[49:, :3], axis=0))
+    assert np.ptp(energy) > 5e-4 and sampling < -1e-7
+    assert energy[-1] - energy[0] == pytest.approx(sampling, abs=1e-9)
+
+
+def test_a_damped_press_dissipates_the_work_of_its_time_constant() -> None:
+    """A cycle of amplitude a takes pi a^2 Im K, K = 1 / (1/k + C / (1 + i w T)), i w by the difference of two ticks."""
+    time, ticks, amplitude = 0.02, 100, 0.0003
+    turn = 2.0 * np.pi * np.arange(5 * ticks + 1) / ticks
+    track = make_poses(*INSIDE, 0.001 + amplitude * np.sin(turn))
+    still, moving = (simulate(tune_pad(damping_s=damping_s), track, RATE_HZ)[-ticks - 1 :] for damping_s in (0.0, time))
+    force, depth = column(still, "force", 3)[:, 2], RADIUS - track[-ticks - 1 :, 2]
+    compliance = amplitude / (0.5 * np.ptp(force)) - 1.0 / STIFFNESS
+    rate = (1.0 - np.exp(-1j * turn[1])) * RATE_HZ
+    stiffness = 1.0 / (1.0 / STIFFNESS + compliance / (1.0 + rate * time))
+    dissipated = [
+        column(records, "passivity.energy")[-1]
+        - column(records, "passivity.energy")[0]
+        - 0.5 * np.sum(np.diff(column(records, "force", 3)[:, 2]) * -np.diff(depth))  # of sampling
+        for records in (still, moving)
+    ]
+    assert abs(dissipated[0]) < 1e-9
+    assert dissipated[1] == pytest.approx(np.pi * amplitude**2 * stiffness.imag, rel=0.03)
+
+
+def press_and_release(tunings: list[Tuning], depth: Any) -> Any:
+    """Return the records (2, n) of a press under the first tuning and of the same path back under the second."""
+    track = make_poses(*INSIDE, depth)[:, None]
+    records, memory = np.zeros((2, len(track), 1, RECORD_SIZE)), packed(begin(tunings[0].scene))
+    for stage, part, rows in zip(tunings, (track, track[::-1]), records, strict=True):
+        dts = np.full(len(part), 1.0 / RATE_HZ)
+        run_ticks(packed(stage), memory, np.ascontiguousarray(part), dts, 1.0 / RATE_HZ, 0, rows)
+    return records[:, :, 0]
+
+
+def test_energy_of_a_stiffness_that_rises_in_contact() -> None:
+    n, depth = 500, 0.001
+    depths = depth * np.concatenate([np.zeros(100), np.arange(1, n + 1) / n])
+    _, back = press_and_release([tune_plane("observe", k) for k in (500.0, 1000.0)], depths)
+    # Sampling adds K d^2 / 2n in each direction; the energy is that of one step before release.
+    energy = column(back, "passivity.energy")[n - 1]
+    assert energy == pytest.approx(-0.5 * 500.0 * depth**2 * (1.0 + 3.0 / n), rel=0.01)
+
+
+def test_the_energy_of_a_modulus_that_rises_in_contact_is_dissipated_as_on_a_rigid_object() -> None:
+    n, depth = 200, 0.002
+    depths = depth * np.concatenate([np.full(50, -1.0 / n), np.arange(1, n + 1) / n])
+    energies = []
+    for mode in ("observe", "control"):
+        soft, stiff = press_and_release([tune_pad(mode, youngs_pa=modulus) for modulus in (5e4, 1e5)], depths)
+        rigid = [tune_plane(mode, column(rows, "contact.normal_force").max() / depth) for rows in (soft, stiff)]
+        _, back = press_and_release(rigid, depths)
+        energies.append([column(rows, "passivity.energy")[n - 1] for rows in (stiff, back)])
+        assert energies[-1][0] == pytest.approx(energies[-1][1], rel=0.03)
+    assert energies[0][0] < -2e-4 and energies[1][0] > 0.7 * energies[0][0]

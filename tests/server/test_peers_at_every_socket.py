@@ -4,8 +4,6 @@ One daemon with a page and metrics, and one gateway. Each attack runs at each so
 still the same one, has not stored the payload, and serves the next peer.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random
@@ -27,6 +25,7 @@ import zmq
 from helpers.processes import COMMAND, find_child, read_memory
 from helpers.programs import Program
 from helpers.raw_peers import GREETING, frame
+from helpers.waits import until
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
@@ -57,13 +56,9 @@ class Peers(NamedTuple):
 
 
 OWNERS = {
-    "telemetry": "publisher",
-    "commands": "receiver",
-    "forwarded telemetry": "gateway's telemetry",
-    "forwarded commands": "gateway",
-    "metrics": "daemon",
-    "page": "page",
-}
+    "telemetry": "publisher", "commands": "receiver", "forwarded telemetry": "gateway's telemetry",
+    "forwarded commands": "gateway", "metrics": "daemon", "page": "page",
+}  # fmt: skip
 """Owner of each socket: the process that reads it."""
 ZMTP = {"telemetry": b"SUB", "commands": b"DEALER", "forwarded telemetry": b"SUB", "forwarded commands": b"DEALER"}
 """Sockets of ZeroMQ with the socket type of their peers."""
@@ -71,7 +66,6 @@ ZMTP = {"telemetry": b"SUB", "commands": b"DEALER", "forwarded telemetry": b"SUB
 
 def read_after(program: Program, words: str) -> str:
     """Return the text up to a space after `words` in the stderr of a program, on the same line or the next."""
-    assert program.stderr is not None
     for line in program.stderr:
         if words in line:
             return str((line.split(words)[1].split() or next(program.stderr).split())[0].rstrip(";,"))
@@ -81,20 +75,11 @@ def read_after(program: Program, words: str) -> str:
 @pytest.fixture(scope="module")
 def peers() -> Iterator[Peers]:
     ends = ["--endpoint", "tcp://127.0.0.1:*", "--commands", "tcp://127.0.0.1:*", "--metrics", "0", "--view"]
-    daemon = Program(
-        [*COMMAND, "run", "--realtime", "off", "--rate", "100", "--rig", "replay", *ends],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    with daemon:
+    words = [*COMMAND, "run", "--realtime", "off", "--rate", "100", "--rig", "replay", *ends]
+    with Program(words, stderr=subprocess.PIPE, text=True) as daemon:
         try:
             addresses = {"page": read_after(daemon, "the page; to stop it: Ctrl-C")}
-            for name, words in (
-                ("telemetry", "telemetry on "),
-                ("commands", "commands on "),
-                ("metrics", "metrics on "),
-            ):
-                addresses[name] = read_after(daemon, words)
+            addresses |= {name: read_after(daemon, f"{name} on ") for name in ("telemetry", "commands", "metrics")}
             read_after(daemon, "real time: ")  # it is compiled and ticks
             words = ["forward", "--from", addresses["telemetry"], "--commands-from", addresses["commands"]]
             with socket.create_server(("127.0.0.1", 0)) as unused:
@@ -102,20 +87,17 @@ def peers() -> Iterator[Peers]:
             words += ["--to", addresses["forwarded telemetry"], "--commands-to", "tcp://127.0.0.1:*"]
             with Program([*COMMAND, *words], stderr=subprocess.PIPE, text=True) as gateway:
                 addresses["forwarded commands"] = read_after(gateway, "commands forwarded on ")
-                owners = {
-                    "daemon": daemon.pid,
-                    "gateway": gateway.pid,
-                    "gateway's telemetry": find_child(gateway.pid, b"\0--until-eof\0"),
-                    "publisher": find_child(daemon.pid, b"socket_process\0telemetry"),
-                    "receiver": find_child(daemon.pid, b"socket_process\0commands"),
-                    "page": find_child(daemon.pid, b"\0view\0"),
-                }
+                children = {
+                    "publisher": b"socket_process\0telemetry", "receiver": b"socket_process\0commands",
+                    "page": b"\0view\0",
+                }  # fmt: skip
+                owners = {name: find_child(daemon.pid, words) for name, words in children.items()}
+                owners |= {"daemon": daemon.pid, "gateway": gateway.pid}
+                owners["gateway's telemetry"] = find_child(gateway.pid, b"\0--until-eof\0")
                 try:
                     yield Peers(addresses, owners)
                     assert (daemon.poll(), gateway.poll()) == (None, None)
-                    assert owners["publisher"] == find_child(daemon.pid, b"socket_process\0telemetry")
-                    assert owners["receiver"] == find_child(daemon.pid, b"socket_process\0commands")
-                    assert owners["page"] == find_child(daemon.pid, b"\0view\0")
+                    assert all(owners[name] == find_child(daemon.pid, words) for name, words in children.items())
                 finally:
                     gateway.terminate()
                     gateway.communicate(timeout=60.0)
@@ -287,9 +269,7 @@ def test_the_page_has_a_bounded_number_of_browsers(peers: Peers) -> None:
             opened.enter_context(browser(address)).recv(timeout=CUT_S)
         assert get_refusal_code(address) == CloseCode.TRY_AGAIN_LATER
         first.close()
-        until = time.monotonic() + CUT_S
-        while get_refusal_code(address) is not None:  # until the page has noticed
-            assert time.monotonic() < until, "none is accepted after one has closed"
+        until(lambda: get_refusal_code(address) is None, CUT_S, "none is accepted after one has closed")
 
 
 def get_refusal_code(address: str) -> int | None:
@@ -311,24 +291,30 @@ def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
     assert peers.owners["gateway's telemetry"] != pid
 
 
-def test_subscribers_are_the_connections_that_subscribe() -> None:
-    chance, topics_read = random.Random(7), list[bytes]()
-    bound = listen("tcp://127.0.0.1:*", "endpoint")
-    with zmq.Context() as context, bound.files, contextlib.ExitStack() as ends:
+@contextlib.contextmanager
+def reading() -> Iterator[tuple[Readers, list[bytes], Callable[[Callable[[], bool]], None], str]]:
+    """Yield readers at a socket, the topics that they read, a function that runs them until a condition, the address"""
+    topics_read, bound = list[bytes](), listen("tcp://127.0.0.1:*", "endpoint")
+    with zmq.Context() as context, bound.files:
         readers = Readers(SocketContext(context, None), bound, None, 1000, topics_read.append)
-        ends.callback(readers.peers.close)
-        subscriptions: dict[socket.socket, dict[bytes, int]] = {}
 
-        def until(true: Callable[[], bool]) -> None:
+        def run_until(condition: Callable[[], bool]) -> None:
             end = time.monotonic() + CUT_S
-            while not true():
-                assert time.monotonic() < end, (readers.subscribers, subscriptions)
+            while not condition():
+                assert time.monotonic() < end, (readers.subscribers, topics_read)
                 readers.take()
                 readers.peers.process_events()
 
+        yield readers, topics_read, run_until, bound.endpoint
+        readers.peers.close()
+
+
+def test_subscribers_are_the_connections_that_subscribe() -> None:
+    chance, subscriptions = random.Random(7), dict[socket.socket, dict[bytes, int]]()
+    with reading() as (readers, topics_read, run_until, endpoint), contextlib.ExitStack() as ends:
         for number in range(120):
             if len(subscriptions) < 4 and chance.random() < 0.5:
-                subscriptions[ends.enter_context(greet(bound.endpoint, b"SUB"))] = {}
+                subscriptions[ends.enter_context(greet(endpoint, b"SUB"))] = {}
             if not subscriptions:
                 continue
             peer, topic = chance.choice([*subscriptions]), chance.choice([b"", b"a", b"ab"])
@@ -340,28 +326,21 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
                 subscriptions[peer][topic] = max(count - 1, 0) if ends_it else count + 1
                 sync = b"sync%d" % number
                 peer.sendall(frame((b"\0" if ends_it else b"\1") + topic) + frame(b"\1" + sync))
-                until(lambda sync=sync: sync in topics_read)
+                run_until(lambda sync=sync: sync in topics_read)
                 with_sync = sum(
                     subscriber is peer or any(topics.values()) for subscriber, topics in subscriptions.items()
                 )
                 assert readers.subscribers == with_sync
                 peer.sendall(frame(b"\0" + sync))
-            until(lambda: readers.subscribers == sum(any(topics.values()) for topics in subscriptions.values()))
+            run_until(lambda: readers.subscribers == sum(any(topics.values()) for topics in subscriptions.values()))
         assert len(topics_read) > 60
 
 
 def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
-    topics_read = list[bytes]()
-    bound = listen("tcp://127.0.0.1:*", "endpoint")
-    with zmq.Context() as context, bound.files:
-        readers = Readers(SocketContext(context, None), bound, None, 1000, topics_read.append)
-        with greet(bound.endpoint, b"SUB") as peer:
-            for number in range(2 * TOPICS_MAX):
-                peer.sendall(frame(b"\1%d" % number))
-            end = time.monotonic() + CUT_S
-            while len(topics_read) < 2 * TOPICS_MAX and time.monotonic() < end:
-                readers.take()
-            assert readers.subscribers == 1
-            (topics,) = readers._topics.values()
-            assert len(topics) == TOPICS_MAX
-        readers.peers.close()
+    with reading() as (readers, topics_read, run_until, endpoint), greet(endpoint, b"SUB") as peer:
+        for number in range(2 * TOPICS_MAX):
+            peer.sendall(frame(b"\1%d" % number))
+        run_until(lambda: len(topics_read) >= 2 * TOPICS_MAX)
+        assert readers.subscribers == 1
+        (topics,) = readers._topics.values()
+        assert len(topics) == TOPICS_MAX

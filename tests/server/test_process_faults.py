@@ -1,7 +1,5 @@
 """Faults of the machine during a run: processes sleep, clocks are set, the network is lost."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -18,11 +16,11 @@ from pathlib import Path
 import pytest
 from faults_seen import SEEN
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
-from helpers.processes import find_child, list_children
+from helpers.processes import find_child, list_children, read_state
 from helpers.programs import run_program
 from helpers.serial_devices import at_rest
 from helpers.waits import until
-from test_signals import END_S, FORCE_N, START_S, ZERO, pressing, read_state
+from test_signals import END_S, FORCE_N, START_S, ZERO, pressing
 
 from softfinger.proxy.record import AT
 from softfinger.server.loop.guard import RAMPING
@@ -46,6 +44,12 @@ def read_events(path: Path) -> list[str]:
     ticks = [int(row) for part in parts if isinstance(part, TickBlock) for row in part.records()[:, AT.tick]]
     assert ticks == list(range(len(ticks)))
     return [part.event["name"] for part in parts if isinstance(part, Event)]
+
+
+def note(record_property: Note, fault: str, ticks: int | None, event: str, recovery: str, **more: str) -> None:
+    """Record a reaction of a daemon with a serial board for the fault model."""
+    reaction = {"driver": "serial", "fault": fault, "ticks": ticks, "event": event, "state": "armed"}
+    record_property(SEEN, more | reaction | {"recovery": recovery})
 
 
 def stop_daemon(process: subprocess.Popen[str]) -> str:
@@ -86,8 +90,7 @@ def test_processes_that_sleep_wake_with_zero_force(tmp_path: Path, record_proper
         assert max(forces[first : first + RAMP_TICKS // 50]) < before / 2
         stop_daemon(process)
     assert "ramping" in read_events(recording)
-    reaction = {"driver": "serial", "fault": "every process is stopped for 0.6 s", "ticks": first}
-    record_property(SEEN, reaction | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
+    note(record_property, "every process is stopped for 0.6 s", first, "guard ramping", "the ramp")
 
 
 def test_a_stopped_publisher_delays_nothing(tmp_path: Path, record_property: Note) -> None:
@@ -115,9 +118,8 @@ def test_a_stopped_publisher_delays_nothing(tmp_path: Path, record_property: Not
         until(lambda: board.force == ZERO, END_S, "the zero")
     assert min(forces) > 0.0
     read_events(recording)
-    reaction = {"driver": "serial", "fault": "the publisher is stopped for a second", "ticks": None, "event": "none"}
-    hazard = {"hazard": "a publisher that hangs, a lost network"}  # it is a test of another one, too
-    record_property(SEEN, hazard | reaction | {"state": "armed", "recovery": "none needed"})
+    hazard = "a publisher that hangs, a lost network"  # it is a test of another one, too
+    note(record_property, "the publisher is stopped for a second", None, "none", "none needed", hazard=hazard)
 
 
 def make_clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None]]:
@@ -134,9 +136,7 @@ def make_clocks(folder: Path) -> tuple[dict[str, str], Callable[[int, int], None
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
 @pytest.mark.parametrize("slept_s", [pytest.param(1, marks=pytest.mark.exhaustive), 3600])
-def test_a_machine_that_was_suspended_wakes_with_zero_force(
-    slept_s: int, tmp_path: Path, record_property: Note
-) -> None:
+def test_a_machine_that_was_suspended_wakes_with_zero_force(slept_s, tmp_path, record_property):
     """Time stops during a suspension, so there is no gap, but the force ramps from zero in the tick that wakes."""
     recording = tmp_path / "slept.mcap"
     environment, set_clocks = make_clocks(tmp_path)
@@ -155,8 +155,7 @@ def test_a_machine_that_was_suspended_wakes_with_zero_force(
     assert [int(row[AT.tick]) for row in rows] == list(range(len(rows)))
     long = [row for row in rows if row[AT.dt] > 0.9]
     assert len(long) == 1 and int(long[0][AT.servo_guard]) & RAMPING  # a suspension counts as one second
-    reaction = {"driver": "serial", "fault": f"the machine is suspended for {slept_s} s", "ticks": 0}
-    record_property(SEEN, reaction | {"event": "guard ramping", "state": "armed", "recovery": "the ramp"})
+    note(record_property, f"the machine is suspended for {slept_s} s", 0, "guard ramping", "the ramp")
 
 
 @pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)
@@ -180,15 +179,13 @@ def test_a_clock_that_is_set_puts_nothing_out_of_order(jump_s: int, tmp_path: Pa
     times = {int(row[AT.tick]): row[AT.timestamp] for row in rows}
     assert list(times) == list(range(len(times)))
     assert all(later > earlier for earlier, later in zip(list(times.values()), list(times.values())[1:], strict=False))
-    marks = {
-        part.event["label"]: part.event for part in parts if isinstance(part, Event) and part.event["name"] == "mark"
-    }
+    events = [part.event for part in parts if isinstance(part, Event)]
+    marks = {event["label"]: event for event in events if event["name"] == "mark"}
     for mark in marks.values():
         # An event arrives within a few ticks; the limit excludes an hour between them.
         assert abs(mark["timestamp"] - times[mark["tick"]]) < 5.0
     assert marks["before"]["timestamp"] < marks["after"]["timestamp"]
-    reaction = {"driver": "serial", "fault": f"the clock is set by {jump_s} s", "ticks": None, "event": "none"}
-    record_property(SEEN, reaction | {"state": "armed", "recovery": "none needed"})
+    note(record_property, f"the clock is set by {jump_s} s", None, "none", "none needed")
 
 
 NETWORK = """
@@ -226,20 +223,13 @@ print(json.dumps({"whole": whole, "lost": sum(lost), "heard": after >= back, "st
 """
 
 
-def has_network() -> bool:
-    """Return True if this process may create a network namespace."""
-    words = ["unshare", "--net", "ip", "link", "set", "lo", "up"]
-    tools = shutil.which("unshare") and shutil.which("ip")
-    return bool(tools) and subprocess.run(words, capture_output=True, check=False).returncode == 0
-
-
 @pytest.mark.exhaustive
 def test_a_lost_network_affects_only_subscribers(record_property: Note) -> None:
-    if not has_network():
+    words = ["unshare", "--net", "ip", "link", "set", "lo", "up"]
+    if not all(map(shutil.which, words[:3:2])) or run_program(words).returncode:
         pytest.skip("no network of its own: it needs iproute2, and root")
     words = ["unshare", "--net", sys.executable, "-c", NETWORK]
-    completed = run_program(words, timeout=START_S)
-    assert completed.returncode == 0, completed.stderr
+    completed = run_program(words, timeout=START_S, check=True)
     assert json.loads(completed.stdout.splitlines()[-1]) == {"whole": True, "lost": 0, "heard": True, "state": "armed"}
     reaction = {"driver": "replay", "fault": "the link is down for 1000 ticks", "ticks": None, "event": "none"}
     record_property(SEEN, reaction | {"state": "armed", "recovery": "subscribers reconnect automatically"})

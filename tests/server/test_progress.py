@@ -1,9 +1,14 @@
-"""Progress display on a pseudo terminal: separate from the log, removed at the end, with the reason for a wait."""
+"""Progress display on a pseudo terminal, separate from the log, and lines on a standard error without a reader."""
 
-from __future__ import annotations
-
+import contextlib
+import os
 import re
+import select
 import sys
+import threading
+import time
+from collections.abc import Iterator
+from io import FileIO
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +26,7 @@ from softfinger.server.progress import name_warmup
 from softfinger.server.recording.export import export
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.tables import make_layout, read_table
+from softfinger.server.standard_error import write_line
 
 LOGGING = """
 import logging, sys, time
@@ -63,9 +69,7 @@ def test_log_and_progress_never_share_a_line(columns: int) -> None:
     assert screen.lines[-2:] == ["result", ""]
 
 
-def test_lines_without_a_terminal_show_the_share(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_without_a_terminal_show_the_share(monkeypatch, capsys):
     monkeypatch.setattr(display, "QUIET_S", 1e-3)
     monkeypatch.setattr(display, "PLAIN_PERIOD_S", 1e-3)
     with display.show_progress("work", 4) as report_progress:
@@ -95,8 +99,6 @@ def test_long_waits_report_their_share(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_an_inner_operation_advances_the_step_of_the_outer_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The share of an operation is added to the current step of the outer one, also over several levels, and never
-    decreases."""
     shown = collect_shares(monkeypatch)
     with display.show_progress("outer", 2) as report_outer:
         with display.show_progress("inner", 4) as report_inner:
@@ -124,13 +126,9 @@ def test_kernels_are_counted_towards_those_of_the_scene() -> None:
         act()
         texts.append(str(counted))
     assert texts == [
-        "compiling kernel 1 (about 2 with an empty cache)",
-        "compiling kernel 1 (about 2 with an empty cache)",
-        "compiling kernel 2 (about 2 with an empty cache)",
-        "",
-        "compiling kernel 3",
-        "",
-    ]
+        "compiling kernel 1 (about 2 with an empty cache)", "compiling kernel 1 (about 2 with an empty cache)",
+        "compiling kernel 2 (about 2 with an empty cache)", "", "compiling kernel 3", "",
+    ]  # fmt: skip
     assert started == [""]  # once, before the first
 
 
@@ -147,3 +145,48 @@ def test_the_first_compilation_names_the_command_that_compiles_ahead(caplog: pyt
         COMPILE_PROGRESS.end()
     (message,) = caplog.messages
     assert "`softfinger warmup mine.toml`" in message
+
+
+@contextlib.contextmanager
+def full_pipe() -> Iterator[FileIO]:
+    """Replace the standard error by a full pipe; yield its end for reading."""
+    reader, writer = os.pipe()
+    for end in (reader, writer):
+        os.set_blocking(end, False)  # a write that would wait raises instead
+    with open(reader, "rb", buffering=0) as log_file, open(writer, "w") as stream:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writer, bytes(select.PIPE_BUF))
+        with contextlib.redirect_stderr(stream):
+            yield log_file
+
+
+def test_the_last_line_waits_for_its_reader() -> None:
+    with full_pipe() as log_file:
+
+        def resume() -> None:
+            time.sleep(0.1)  # the line is waiting by then, usually
+            log_file.read(16 * select.PIPE_BUF)
+
+        resuming = threading.Thread(target=resume)
+        resuming.start()
+        write_line("last", wait_s=20.0)
+        resuming.join()
+        assert (log_file.read(32 * select.PIPE_BUF) or b"").endswith(b"last\n")
+
+
+def test_unread_lines_are_dropped_and_counted() -> None:
+    with full_pipe() as log_file:
+        write_line("first")
+        write_line("second", wait_s=0.01)
+        while log_file.read(select.PIPE_BUF):
+            pass
+        write_line("third")
+        assert log_file.read(200) == b"(2 lines are missing here: they were not read in time)\nthird\n"
+        write_line(1_000_000 * "x")  # longer than the pipe, such as a traceback
+        while log_file.read(select.PIPE_BUF):
+            pass
+        write_line("fourth")
+        assert log_file.read(200) == b"(1 lines are missing here: they were not read in time)\nfourth\n"
+        write_line("fourth")
+        assert log_file.read(200) == b"fourth\n"

@@ -27,27 +27,11 @@ from softfinger.server.socket_process.peer_socket import FILES_MAX, HANDSHAKE_MS
 from softfinger.server.socket_process.process import QUIET_S
 from softfinger.server.socket_process.readers import SUBSCRIPTION_MAX
 from softfinger.server.socket_process.setup import REQUEST_MAX
-from softfinger.server.wire import commands, envelope
+from softfinger.server.wire import commands, envelope, protocol
 from softfinger.server.wire.control import AsyncControl, Control
 from softfinger.server.wire.link import LOG_PERIOD_S
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.relay import CAPACITY_TICKS, WAKE_INTERVAL_MS
-from softfinger.server.wire.protocol import (
-    CONTACT_KEYS,
-    DEFORMATION_KEYS,
-    EVENT_EXTRA_KEYS,
-    EVENT_KEYS,
-    HEALTH_KEYS,
-    SCENE_TOPICS,
-    SCHEMA,
-    SCHEMA_KEYS,
-    SCHEMA_TOPIC,
-    STATE_HZ,
-    STATE_KEYS,
-    TOPICS,
-    WORLD_KEYS,
-    describe_messages,
-)
 from softfinger.server.wire.publisher import BACKLOG, LINGER_S, Publisher
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -57,15 +41,9 @@ RECORD = (DOCS / "reference" / "record.md").read_text(encoding="utf-8")
 HEADER = ("key", "type", "meaning")
 KINDS = ("kind", *HEADER)
 CODE_TABLES = {
-    "contact": CONTACT_KEYS,
-    "event": EVENT_KEYS,
-    "health": HEALTH_KEYS,
-    "state": STATE_KEYS,
-    "world": WORLD_KEYS,
-    "deformation": DEFORMATION_KEYS,
-    "schema": SCHEMA_KEYS,
-    **{f"event {kind}": keys for kind, keys in EVENT_EXTRA_KEYS.items()},
-}
+    topic: getattr(protocol, f"{topic.upper()}_KEYS")
+    for topic in ("contact", "event", "health", "state", "world", "deformation", "schema")
+} | {f"event {kind}": keys for kind, keys in protocol.EVENT_EXTRA_KEYS.items()}
 
 
 def split_cells(line):
@@ -137,15 +115,15 @@ def real_messages():
     put(records[30:], "servo.missed", 2)
     messages = []
     with (
-        Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES, extra=SCENE_TOPICS) as publisher,
-        subscribed(publisher.endpoint, *TOPICS[:-1], *SCENE_TOPICS) as socket,
+        Publisher("tcp://127.0.0.1:*", guard_names=GUARD_NAMES, extra=protocol.SCENE_TOPICS) as publisher,
+        subscribed(publisher.endpoint, *protocol.TOPICS[:-1], *protocol.SCENE_TOPICS) as socket,
     ):
         join(publisher, socket)
-        socket.subscribe(SCHEMA_TOPIC)
+        socket.subscribe(protocol.SCHEMA_TOPIC)
         publisher.publish(records)
         puck = SystemDevice("hid", 0x046D, 0xC626, "SpaceNavigator", "", "/dev/hidraw0")
         publisher.event("device", "attached", **make_event_fields(puck))
-        head = {"schema": SCHEMA, "timestamp": 1.7e9, "tick": 5}
+        head = {"schema": protocol.SCHEMA, "timestamp": 1.7e9, "tick": 5}
         publisher.send_message("world", head | {"bodies": decode_motion(["box"], np.arange(14.0))})
         load = ContactLoad("", 0, (0.0, 0.0, -1.0), (0.0, 0.0, 0.02), 0.004)
         publisher.send_message("deformation", head | {"loads": [load._asdict()]})
@@ -175,8 +153,8 @@ def test_real_messages_have_the_documented_keys_and_types():
 
 def test_numbers_in_the_text_equal_those_of_the_code():
     page = " ".join(DOC.split())  # independent of line breaks
-    assert f"`schema` is {SCHEMA}." in page
-    assert f"`state`: {STATE_HZ:g} times a second" in page and f"{CAPACITY_TICKS} ticks behind" in page
+    assert f"`schema` is {protocol.SCHEMA}." in page
+    assert f"`state`: {protocol.STATE_HZ:g} times a second" in page and f"{CAPACITY_TICKS} ticks behind" in page
     assert f"about {WAKE_INTERVAL_MS} ms of their tick" in page
     assert f"the latest {CAPACITY_TICKS} rows" in page and f"| 1 | version of the layout, {memory.LAYOUT};" in page
     assert f"{BACKLOG} messages are queued" in page and f"if none was sent for {QUIET_S:g} s" in page
@@ -201,9 +179,8 @@ def test_schema_of_the_commands_has_every_method():
 def test_both_clients_have_every_method():
     for name in commands.METHODS:
         blocking, asynchronous = getattr(Control, name), getattr(AsyncControl, name)
-        assert inspect.signature(blocking) == inspect.signature(asynchronous) and inspect.iscoroutinefunction(
-            asynchronous
-        ), name
+        assert inspect.signature(blocking) == inspect.signature(asynchronous), name
+        assert inspect.iscoroutinefunction(asynchronous), name
 
 
 @pytest.mark.real_time
@@ -219,8 +196,8 @@ def test_command_program_on_the_page_runs():
 
 
 def test_wire_schema_holds_every_table():
-    schema = describe_messages()
-    assert schema["schema"] == SCHEMA
+    schema = protocol.describe_messages()
+    assert schema["schema"] == protocol.SCHEMA
     listed = {name.replace(" of kind", ""): [key["name"] for key in keys] for name, keys in schema["messages"].items()}
     assert listed == {title: [key.name for key in keys] for title, keys in CODE_TABLES.items()}
 
@@ -235,15 +212,12 @@ def test_program_on_the_page_runs():
         repeated(lambda: publisher.publish(synthetic(50, first_tick=next(firsts))), 0.01),
     ):
         program = program.replace("tcp://127.0.0.1:5555", publisher.endpoint)
-        completed = run_program([sys.executable, "-W", "error", "-c", program])
-    assert completed.returncode == 0, completed.stderr
+        completed = run_program([sys.executable, "-W", "error", "-c", program], check=True)
     ticks = [int(line.split()[0]) for line in completed.stdout.splitlines()]
-    assert len(ticks) > 0
-    assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
+    assert ticks and ticks == list(range(ticks[0], ticks[0] + len(ticks)))
 
 
 def test_no_topic_is_a_prefix_of_another():
     """ZeroMQ filters by prefix, so such a topic would deliver both."""
-    assert not [
-        (a, b) for a in (*TOPICS, *SCENE_TOPICS) for b in (*TOPICS, *SCENE_TOPICS) if a != b and b.startswith(a)
-    ]
+    topics = (*protocol.TOPICS, *protocol.SCENE_TOPICS)
+    assert not [(a, b) for a in topics for b in topics if a != b and b.startswith(a)]

@@ -4,6 +4,7 @@ import resource
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,10 +27,7 @@ FULL_N = 1.2
 
 
 def make_servo(
-    options: Options,
-    ticks: int | None,
-    prepare: Callable[[], Callable[[], None]] | None = None,
-    rate: float = 1000.0,
+    options: Options, ticks: int | None, prepare: Callable[[], Any] | None = None, rate: float = 1000.0
 ) -> tuple[FaultyDevice, s.ServoThread]:
     device = FaultyDevice(options)
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])
@@ -64,8 +62,7 @@ def test_every_end_of_the_loop_writes_zero(fault, ending, status):
     ended, _ = finish(servo)
     assert (ended.ending, ended.status, ended.error) == (ending, status, None)
     wrenches = device.wrenches
-    assert np.abs(wrenches[-10:-2]).max() > 0.1
-    assert not wrenches[-1].any()
+    assert np.abs(wrenches[-10:-2]).max() > 0.1 and not wrenches[-1].any()
 
 
 def test_exception_in_the_servo_thread_zeroes_the_device():
@@ -137,8 +134,7 @@ def test_after_a_long_pause_the_force_fades_in():
     _, servo = make_servo(Options(fault="stall", at=700, stall_us=150_000), 900)
     _, records = finish(servo)
     force = np.linalg.norm(records[:, FORCE : FORCE + 3], axis=1)
-    assert force[699] > 0.9
-    assert force[701] < 0.01
+    assert force[699] > 0.9 and force[701] < 0.01
     assert int(records[701, AT.servo_guard]) & RAMPING
     assert (force[701:] <= 0.002 * np.arange(1, 200) * FULL_N).all()
 
@@ -162,18 +158,15 @@ def test_missed_deadlines_are_counted_and_not_caught_up(own_clock):
 
 def test_no_page_fault_in_the_loop():
     def count_page_faults(ticks: int) -> int:
-        fault_counts = []
+        counts = list[int]()
 
-        def count_faults() -> None:
-            fault_counts.append(resource.getrusage(resource.RUSAGE_THREAD).ru_minflt)
-
-        def prepare() -> Callable[[], None]:
-            count_faults()
+        def count_faults() -> Callable[[], Any]:
+            counts.append(resource.getrusage(resource.RUSAGE_THREAD).ru_minflt)
             return count_faults
 
-        _, servo = make_servo(Options(), ticks, prepare, rate=8000.0)
+        _, servo = make_servo(Options(), ticks, count_faults, rate=8000.0)
         finish(servo)
-        return fault_counts[1] - fault_counts[0]
+        return counts[1] - counts[0]
 
     count_page_faults(50)
     # The device stores its wrenches in new memory: 48 bytes per tick, a page every 85 ticks.

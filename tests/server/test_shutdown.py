@@ -1,25 +1,22 @@
 """Shutdown: every step runs regardless of earlier failures, every device gets zero, and errors contain a remedy."""
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import os
 import threading
 import tty
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import nan
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.waits import WAIT_S
 
-from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, HapticError, SafetyStop
+from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
 from softfinger.drivers import open_devices
-from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, Device, DeviceIO
+from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, DeviceIO
 from softfinger.server.loop import health, shutdown
 from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, LoopEnd
 from softfinger.server.watcher import write_zero_force
@@ -48,7 +45,6 @@ class Motor:
 
     def io(self) -> DeviceIO:
         address = ctypes.cast(self._write, ctypes.c_void_p).value
-        assert address is not None
         return DeviceIO(address, address, 77)
 
     def reason(self) -> str:
@@ -66,10 +62,6 @@ class Motor:
         self.stop()
 
 
-def device(motor: Motor) -> Device:
-    return cast(Device, motor)
-
-
 @pytest.fixture
 def short_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(open_devices, "STOP_TIMEOUT_S", 0.2)
@@ -85,14 +77,9 @@ def make_failing(error: BaseException) -> Any:
 def test_every_step_runs_and_the_first_error_is_returned(caplog: pytest.LogCaptureFixture) -> None:
     steps_run: list[int] = []
     first = ValueError("one")
+    done, interrupted = (lambda: steps_run.append(1), lambda: steps_run.append(2)), make_failing(KeyboardInterrupt())
     with caplog.at_level(logging.ERROR):
-        steps = (
-            make_failing(first),
-            lambda: steps_run.append(1),
-            make_failing(KeyboardInterrupt()),
-            lambda: steps_run.append(2),
-        )
-        assert shutdown.run_all_steps(*steps) is first
+        assert shutdown.run_all_steps(make_failing(first), done[0], interrupted, done[1]) is first
     assert steps_run == [1, 2]
     assert [record.getMessage() for record in caplog.records] == ["during shutdown, besides: KeyboardInterrupt"]
     assert shutdown.run_all_steps(lambda: None) is None
@@ -110,7 +97,7 @@ def test_an_earlier_error_remains_the_first(caplog: pytest.LogCaptureFixture) ->
 
 def test_a_successful_stop_writes_one_zero() -> None:
     motor = Motor()
-    shutdown.stop(device(motor))
+    shutdown.stop(motor)
     assert motor.handles == [0]
 
 
@@ -118,7 +105,7 @@ def test_a_successful_stop_writes_one_zero() -> None:
 def test_a_failing_stop_is_followed_by_a_plain_zero(error: BaseException) -> None:
     motor = Motor(error)
     with pytest.raises(BaseException) as caught:  # noqa: PT011
-        shutdown.stop(device(motor))
+        shutdown.stop(motor)
     assert motor.handles == [77] and motor.wrenches == [[0.0] * 6]
     if isinstance(error, OSError):
         assert type(caught.value) is DeviceError and caught.value.__cause__ is error
@@ -136,10 +123,10 @@ def test_an_unconfirmed_zero_is_an_error() -> None:
             return self.why
 
     sound, dead = Quiet(), Quiet()
-    shutdown.confirm_zero([device(sound), device(dead)])
+    shutdown.confirm_zero([sound, dead])
     dead.why = "8 bytes have been pending"
     with pytest.raises(DeviceError, match=r"^Motor: .* not confirmed \(8 bytes have been pending\): .*switch it off"):
-        shutdown.confirm_zero([device(sound), device(dead)])
+        shutdown.confirm_zero([sound, dead])
 
 
 def test_a_watcher_discards_queued_bytes_before_its_zero() -> None:
@@ -160,13 +147,11 @@ def test_a_watcher_discards_queued_bytes_before_its_zero() -> None:
 
 @pytest.mark.usefixtures("short_timeout")
 @pytest.mark.parametrize(("act", "acted"), [(shutdown.stop_all, "stopped"), (shutdown.close_all, "closed")])
-def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(
-    act: Callable[[Sequence[Device]], None], acted: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_all_devices_are_stopped_or_closed_if_some_fail_or_hang(act, acted, caplog):
     hangs, broken, sound = Motor(hangs=True), Motor(OSError("no power")), Motor()
     message = rf"be {acted} \(the call has not returned for 0\.2 s.*switch"
     with caplog.at_level(logging.ERROR), pytest.raises(DeviceError, match=message):
-        act([device(hangs), device(broken), device(sound)])
+        act([hangs, broken, sound])
     assert f"could not be {acted} (OSError: no power)" in caplog.text and caplog.text.count("besides") == 1
     assert hangs.handles == broken.handles == ([77] if acted == "stopped" else [])
     assert sound.handles == [0] and sound.closed == (acted == "closed")
@@ -235,20 +220,18 @@ SAID = "its driver said why"
         (WRITE_FAILED, LOST, DeviceLost, ["is gone", "on write"]),
     ],
 )
-def test_a_device_failure_is_reported_with_a_remedy(
-    ending: int, status: int, kind: type[HapticError], words: list[str]
-) -> None:
+def test_a_device_failure_is_reported_with_a_remedy(ending, status, kind, words):
     ended = LoopEnd(ending, status)
-    error = shutdown.describe_failure(device(Motor(reply=SAID)), ended, "thumb")
+    error = shutdown.describe_failure(Motor(reply=SAID), ended, "thumb")
     assert type(error) is kind
     assert all(word in str(error) for word in [*words, "Motor, finger 'thumb'", f"({SAID})", "start again"])
-    plain = str(shutdown.describe_failure(device(Motor()), ended))
+    plain = str(shutdown.describe_failure(Motor(), ended))
     assert "finger" not in plain.replace("fingertip", "") and "()" not in plain
 
 
 @pytest.mark.parametrize("ending", [STOPPED, health.NO_FORCE, health.STARVED])
 def test_other_failures_are_not_errors_of_the_device(ending: int) -> None:
-    assert shutdown.describe_failure(device(Motor()), LoopEnd(ending, 0)) is None
+    assert shutdown.describe_failure(Motor(), LoopEnd(ending, 0)) is None
 
 
 def test_a_loop_failure_is_reported_with_a_remedy() -> None:

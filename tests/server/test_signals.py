@@ -1,7 +1,5 @@
 """Signals that end or stop a program with a device: no force remains, and the program ends in order."""
 
-from __future__ import annotations
-
 import os
 import pty
 import signal
@@ -15,7 +13,7 @@ from pathlib import Path
 import pytest
 from emulators.serialboard import Board, Cable
 from helpers.called import called
-from helpers.processes import COMMAND, find_child, list_children
+from helpers.processes import COMMAND, find_child, list_children, read_state
 from helpers.programs import Program, run_program
 from helpers.rig_files import write_rig
 from helpers.serial_devices import PLACE, RIG
@@ -84,17 +82,21 @@ def find_watcher(process: subprocess.Popen[str]) -> int:
     return find_child(process.pid, b"watcher.py\0")
 
 
+def wait_for_zero(board: Board) -> None:
+    until(lambda: board.force == ZERO, END_S, "the zero")
+
+
 def end_by_signal(process: subprocess.Popen[str], board: Board, number: int) -> None:
     """End a daemon by a signal, of which all share a handler; others during its shutdown have no effect."""
     process.send_signal(number)
-    until(lambda: board.force == ZERO, END_S, "the zero")  # of pending signals Python takes the lowest number first
+    wait_for_zero(board)  # of pending signals Python takes the lowest number first
     for another in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, number):
         time.sleep(0.01)
         process.send_signal(another)
     stderr = process.communicate(timeout=END_S)[1]
     assert process.returncode == 128 + number, stderr
     assert "force is zero" in stderr and "Traceback" not in stderr and "has died" not in stderr
-    until(lambda: board.force == ZERO, END_S, "the zero")
+    wait_for_zero(board)
     assert board.faults == []
 
 
@@ -114,7 +116,7 @@ def test_no_force_while_the_process_is_stopped(tmp_path: Path) -> None:
         process.send_signal(signal.SIGTSTP)
         until(lambda: read_state(process.pid) == "T" or process.poll() is not None, END_S, "the stop")
         assert process.poll() is None, process.communicate()[1]
-        until(lambda: board.force == ZERO, END_S, "the zero")
+        wait_for_zero(board)
         count = len(board.sent)
         time.sleep(0.2)
         assert not any(any(frame[:3]) for frame in board.sent[count:])
@@ -135,7 +137,7 @@ def test_a_killed_watcher_is_restarted(tmp_path: Path) -> None:
         process.kill()
         stderr = process.communicate(timeout=END_S)[1]
         assert "ended unexpectedly (-9) and was restarted" in stderr
-        until(lambda: board.force == ZERO, END_S, "the zero")
+        wait_for_zero(board)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.exhaustive)])
@@ -147,27 +149,25 @@ def test_watcher_takes_the_force_off_a_killed_daemon(number: int, tmp_path: Path
         stderr = process.communicate(timeout=END_S)[1]
         assert process.returncode == -number
         assert "the daemon has died: zero force was written to /dev/pts/" in stderr
-        until(lambda: board.force == ZERO, END_S, "the zero")
+        wait_for_zero(board)
         assert board.sent[-1] == (0, 0, 0, 2, 0, 0, 0)
     refused = called("run", "--watcher", "--endpoint", f"ipc://{tmp_path}/t")
     assert refused.returncode == 2 and "no other process can remove the force of replay" in refused.stderr
 
 
+SIMULATE = "simulate --scene paper-plane --poses tap --out FOLDER/out.csv"
+
+
 @pytest.mark.parametrize(
-    ("verb", "number"),
+    ("line", "number", "last_kernel"),
     [
-        ("run", signal.SIGINT),
-        ("warmup", signal.SIGTERM),
-        pytest.param("simulate", signal.SIGINT, marks=pytest.mark.exhaustive),
+        ("run --endpoint ipc://FOLDER/t --realtime off", signal.SIGINT, "run_servo_loop"),
+        ("warmup", signal.SIGTERM, "run_servo_loop"),
+        pytest.param(SIMULATE, signal.SIGINT, "run_ticks", marks=pytest.mark.exhaustive),
     ],
 )
-def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) -> None:
-    words = {
-        "run": ["run", "--endpoint", f"ipc://{tmp_path}/t", "--realtime", "off"],
-        "warmup": ["warmup"],
-        "simulate": ["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(tmp_path / "out.csv")],
-    }[verb]
-    last_kernel = "run_ticks" if verb == "simulate" else "run_servo_loop"
+def test_a_compilation_is_interrupted(line: str, number: int, last_kernel: str, tmp_path: Path) -> None:
+    words = [word.replace("FOLDER", str(tmp_path)) for word in line.split()]
     environment = os.environ | {"SOFTFINGER_CACHE_DIR": str(tmp_path / "cache")}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with Program([*COMMAND, *words], env=environment, **pipes) as process:
@@ -176,10 +176,8 @@ def test_a_compilation_is_interrupted(verb: str, number: int, tmp_path: Path) ->
                 break
         process.send_signal(number)
         output = process.communicate(timeout=END_S)[1]
-    assert process.returncode == 128 + number, output
-    assert (
-        output.splitlines()[-1] == f"softfinger: ended by {signal.Signals(number).name}" and "Traceback" not in output
-    )
+    assert process.returncode == 128 + number and "Traceback" not in output, output
+    assert output.splitlines()[-1] == f"softfinger: ended by {signal.Signals(number).name}"
     assert not list((tmp_path / "cache").rglob(f"{last_kernel}-*.kernel")), "it ended after the compilation"
 
 
@@ -274,8 +272,7 @@ with signals.handle_signals():
 
 
 def test_a_swallowed_signal_is_not_lost() -> None:
-    completed = run_program([sys.executable, "-c", SWALLOWED], timeout=END_S)
-    assert completed.returncode == 0, completed.stderr
+    run_program([sys.executable, "-c", SWALLOWED], timeout=END_S, check=True)
 
 
 def test_a_second_signal_raises_nothing() -> None:
@@ -346,11 +343,6 @@ def test_ctrl_z_on_a_terminal_zeroes_devices_that_do_not_pause() -> None:
     lines = output.decode().split("\r\n")
     assert lines[:4] == ["ready", "zero", "stopped", "closed"], output
     assert lines[-2:] == [f"left with {128 + signal.SIGTSTP}", ""], output
-
-
-def read_state(pid: int) -> str:
-    """Return the state of a process from the kernel: T is stopped."""
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
 HANGING = """

@@ -1,15 +1,28 @@
-"""The supervisor: its actions when ticks stop, and a failure of itself."""
+"""The supervisor: its actions when ticks stop, and a failure of itself; the watcher after the end of the daemon."""
 
-from __future__ import annotations
-
+import ctypes
+import errno
+import fcntl
+import os
+import queue
+import signal
+import struct
+import subprocess
 import sys
+import termios
 import threading
+import tty
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
+from helpers.waits import ends_within
 
 from softfinger.config.errors import HapticError, SafetyStop
+from softfinger.server import watcher
 from softfinger.server.loop.health import STALL_MAX_S, STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND
 from softfinger.server.services import supervisor as supervising
 from softfinger.server.services.supervisor import Supervisor
@@ -19,72 +32,60 @@ pytestmark = pytest.mark.plain
 WAIT_S = 20.0
 
 
-class BrokenServo:
+class Servo:
+    """Servo whose number of ticks is computed by a function; its devices display a force that persists, or do not."""
+
     is_ticking = True
+
+    def __init__(self, read_ticks: Callable[[], int], *persists: bool, is_armed: bool = True) -> None:
+        self.read_ticks, self.is_armed, self.looks = read_ticks, is_armed, 0
+        infos = [SimpleNamespace(has_persistent_force=force) for force in persists]
+        self.devices = tuple(SimpleNamespace(info=info, stop=lambda: None) for info in infos)
 
     @property
     def ticks(self) -> int:
-        raise OSError("gone")
+        self.looks += 1
+        return self.read_ticks()
+
+
+def make_supervisor(servo: Any, fail: Callable[[HapticError], Any], event: Any = lambda *_, **__: None) -> Supervisor:
+    return Supervisor(servo, fail, event)
 
 
 def test_a_supervisor_that_fails_ends_the_run() -> None:
-    """A stall would go unnoticed, so the run ends with the error of the supervisor."""
-    errors: list[HapticError] = []
-    failed = threading.Event()
+    errors = queue.Queue[HapticError]()
 
-    def fail(error: HapticError) -> None:
-        errors.append(error)
-        failed.set()
+    def break_down() -> int:
+        raise OSError("gone")
 
-    supervisor = Supervisor(cast(Any, BrokenServo()), fail, lambda *words, **fields: None)
+    supervisor = make_supervisor(Servo(break_down), errors.put)
     supervisor.start()
-    assert failed.wait(WAIT_S)
+    error = errors.get(timeout=WAIT_S)
     supervisor.stop()
-    (error,) = errors
-    assert (
-        isinstance(error, SafetyStop)
-        and "gone" in str(error)
-        and "a stall of the servo would not be detected" in str(error)
-    )
+    assert errors.empty() and isinstance(error, SafetyStop)
+    assert "gone" in str(error) and "a stall of the servo would not be detected" in str(error)
 
 
 def test_a_stall_is_reported_and_every_device_stopped_if_anything_fails() -> None:
     calls: list[str] = []
     ended = threading.Event()
 
-    class Device:
-        info = SimpleNamespace(has_persistent_force=True)
-
-        def __init__(self, name: str) -> None:
-            self.name = name
-
-        def stop(self) -> None:
-            calls.append(f"stop {self.name}")
-            raise OSError("the port has gone")
+    def stop(name: str) -> None:
+        calls.append(f"stop {name}")
+        raise OSError("the port has gone")
 
     def event(kind: str, name: str, **fields: Any) -> None:
         calls.append(f"{kind} {name}")
         ended.set()
 
-    servo = SimpleNamespace(is_ticking=True, ticks=7, is_armed=True, devices=(Device("a"), Device("b")))
-    supervisor = Supervisor(cast(Any, servo), lambda error: calls.append(str(error).partition(" for ")[0]), event)
+    servo = Servo(lambda: 7, True, True)
+    for device, name in zip(servo.devices, "ab", strict=True):
+        device.stop = partial(stop, name)
+    supervisor = make_supervisor(servo, lambda error: calls.append(str(error).partition(" for ")[0]), event)
     supervisor.start()
     assert ended.wait(WAIT_S)
     supervisor.stop()
     assert calls[0] == "no tick" and sorted(calls[1:3]) == ["stop a", "stop b"] and calls[3:] == ["fault stalled"]
-
-
-class StalledServo:
-    is_ticking, is_armed, looks = True, True, 0
-
-    def __init__(self, *hold_a_force: bool) -> None:
-        infos = [SimpleNamespace(has_persistent_force=holds) for holds in hold_a_force]
-        self.devices = tuple(SimpleNamespace(info=info, stop=lambda: None) for info in infos)
-
-    @property
-    def ticks(self) -> int:
-        self.looks += 1
-        return 7
 
 
 @pytest.mark.parametrize(
@@ -98,71 +99,123 @@ class StalledServo:
         ((False,), STALL_POLLS_WITHOUT_HAND),
     ],
 )
-def test_a_stall_is_longer_without_a_hand(
-    hold_a_force: tuple[bool, ...], looks: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stall_is_longer_without_a_hand(hold_a_force, looks, monkeypatch):
     rests: list[float] = []
     monkeypatch.setattr(supervising.time, "sleep", rests.append)
-    servo, errors = StalledServo(*hold_a_force), list[HapticError]()
-    Supervisor(cast(Any, servo), errors.append, lambda *words, **fields: None).work()
+    servo, errors = Servo(lambda: 7, *hold_a_force), list[HapticError]()
+    make_supervisor(servo, errors.append).work()
     assert servo.looks == 1 + looks and rests == [STALL_POLL_S] * (1 + looks)
     assert f"no tick for {looks * STALL_POLL_S:.2f} s after tick 7:" in str(errors[0])
 
 
-class Clock:
-    def __init__(self, turn: float) -> None:
-        self.now, self._turn = 0.0, turn
-
-    def sleep(self, seconds: float) -> None:
-        self.now += seconds + self._turn
-
-
 @pytest.mark.parametrize("turn", [0.0, sys.getswitchinterval()])
 @pytest.mark.parametrize("share", [1e-9, 0.3, 0.7, 1.0])
-def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(
-    turn: float, share: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stall_ends_with_zero_within_the_bound_of_the_fault_model(turn, share, monkeypatch):
     """From the last tick to the stop: STALL_POLLS intervals and the supervisor's turns, at most STALL_MAX_S."""
-    clock, stopped = Clock(turn), list[float]()
-    monkeypatch.setattr(supervising.time, "sleep", clock.sleep)
+    rests, stopped = list[float](), list[float]()
+    monkeypatch.setattr(supervising.time, "sleep", lambda seconds: rests.append(seconds + turn))
     step = STALL_POLL_S + turn
     last = (3.0 + share) * step  # a tick every millisecond before it, and none afterwards
-
-    class Running:
-        is_ticking, is_armed = True, True
-        devices = (
-            SimpleNamespace(
-                info=SimpleNamespace(has_persistent_force=True), stop=lambda: stopped.append(clock.now + turn)
-            ),
-        )
-
-        @property
-        def ticks(self) -> int:
-            return int(min(clock.now, last) * 1000.0) + (clock.now >= last)
-
-    Supervisor(cast(Any, Running()), lambda error: None, lambda *words, **fields: None).work()
+    servo = Servo(lambda: int(min(sum(rests), last) * 1000.0) + (sum(rests) >= last), True)
+    servo.devices[0].stop = lambda: stopped.append(sum(rests) + turn)
+    make_supervisor(servo, lambda error: None).work()
     (reaction,) = (when - last for when in stopped)
     assert reaction == pytest.approx((1.0 - share + STALL_POLLS) * step + turn, abs=1e-9)  # rounding of sums
     assert STALL_POLLS * STALL_POLL_S - 1e-9 <= reaction <= STALL_MAX_S
 
 
-class UnarmedServo:
-    ticks, is_armed = 0, False
-    devices = (SimpleNamespace(info=SimpleNamespace(has_persistent_force=True)),)
-
-    def __init__(self, looks: int) -> None:
-        self._looks = looks
-
-    @property
-    def is_ticking(self) -> bool:
-        self._looks -= 1
-        return self._looks > 0
-
-
 def test_a_servo_that_waits_for_its_devices_is_not_stalled() -> None:
     calls: list[Any] = []
-    supervisor = Supervisor(
-        cast(Any, UnarmedServo(8 * STALL_POLLS)), calls.append, lambda *words, **_: calls.append(words)
+    servo = Servo(lambda: 0, True, is_armed=False)
+
+    def read_ticks() -> int:
+        servo.is_ticking = servo.looks < 8 * STALL_POLLS
+        return 0
+
+    servo.read_ticks = read_ticks
+    make_supervisor(servo, calls.append, lambda *words, **_: calls.append(words)).work()
+    assert calls == [] and servo.looks == 8 * STALL_POLLS
+
+
+ZERO = b"zero\n"
+_PR_CAPBSET_DROP, _CAP_SYS_ADMIN = 24, 21
+
+
+def as_an_ordinary_user() -> None:
+    ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, _CAP_SYS_ADMIN, 0, 0, 0)
+
+
+@pytest.fixture
+def port() -> Iterator[tuple[int, int]]:
+    far, near = os.openpty()
+    tty.setraw(near)
+    fcntl.ioctl(near, termios.TIOCEXCL)
+    yield far, near
+    os.close(near)
+    os.close(far)
+
+
+def watch(name: str, fd: int, stdin: bytes) -> str:
+    words = [sys.executable, "-I", "-S", watcher.__file__, name, str(fd), ZERO.hex()]
+    process = subprocess.run(
+        words, input=stdin, capture_output=True, pass_fds=(fd,), preexec_fn=as_an_ordinary_user, check=True
     )
-    supervisor.work()
-    assert calls == []
+    return process.stderr.decode()
+
+
+def test_an_exclusively_open_port_gets_the_zero(port: tuple[int, int]) -> None:
+    far, near = port
+    name = os.ttyname(near)
+    fcntl.ioctl(far, termios.TIOCPKT, struct.pack("i", 1))  # each read has a byte of status
+    assert watch(name, near, b"") == f"softfinger watcher: the daemon has died: zero force was written to {name}\n"
+    assert os.read(far, 100)[0] & termios.TIOCPKT_FLUSHWRITE
+    received = b""
+    while len(received) < watcher.ZERO_WRITES * len(ZERO):  # one read may return fewer writes
+        status, *data = os.read(far, 100)
+        assert status == termios.TIOCPKT_DATA
+        received += bytes(data)
+    assert received == watcher.ZERO_WRITES * ZERO
+    opened = [sys.executable, "-c", f"import os; os.open({name!r}, os.O_RDWR | os.O_NOCTTY)"]
+    assert subprocess.run(opened, preexec_fn=as_an_ordinary_user, check=False).returncode == 0
+
+
+def test_a_device_that_was_closed_is_not_written_to(port: tuple[int, int]) -> None:
+    far, near = port
+    os.set_blocking(far, False)
+    assert watch(os.ttyname(near), near, watcher.CLOSED_MESSAGE) == ""
+    with pytest.raises(BlockingIOError):
+        os.read(far, 100)
+
+
+def test_a_failed_zero_is_reported() -> None:
+    far, near = os.openpty()
+    name = os.ttyname(near)
+    os.close(far)
+    stderr = watch(name, near, b"")
+    os.close(near)
+    why = f"zero force could not be written to {name}: {os.strerror(errno.EIO)}"
+    assert stderr == f"softfinger watcher: the daemon has died: {why}\n"
+
+
+def test_a_stopped_watcher_does_not_delay_the_end(port: tuple[int, int]) -> None:
+    _, near = port
+    watching = watcher.Watcher(os.ttyname(near), near, ZERO)
+    pid = watching._process.pid
+    os.kill(pid, signal.SIGSTOP)
+    with ends_within(60):
+        watching.dismiss()
+    assert not Path(f"/proc/{pid}").exists()
+
+
+def test_a_watcher_that_ends_repeatedly_is_reported_once(port: tuple[int, int]) -> None:
+    _, near = port
+    watching = watcher.Watcher(os.ttyname(near), near, ZERO)
+    reports = [watching.supervise()]
+    for _ in range(watcher.RESTARTS + 1):
+        watching._process.kill()
+        watching._process.wait()
+        reports.append(watching.supervise())
+    reports.append(watching.supervise())
+    watching.dismiss()
+    acts = [report.rpartition("(-9) and ")[2].partition(":")[0] for report in reports]
+    assert acts == ["", *["was restarted"] * watcher.RESTARTS, "is not restarted", ""]

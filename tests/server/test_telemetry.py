@@ -1,18 +1,35 @@
-"""Publisher over sockets: frames, values, events, health, endpoints, stalled subscribers."""
+"""Publisher over sockets: frames, values, events, health, endpoints, stalled subscribers; metrics."""
 
+import json
 import os
+import re
+import socket
 import stat
 import threading
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
 
 import msgpack
 import numpy as np
 import pytest
 from helpers.daemons import subscribed
 from helpers.encoder import contact_map
+from helpers.pages import running
 from helpers.telemetry_records import join, put, synthetic
+from helpers.waits import until
+from prometheus_client.parser import text_string_to_metric_families
 
-from softfinger.config.errors import ConfigError
-from softfinger.proxy.record import AT, CAUSE_NAMES, NAMED
+from softfinger.config.errors import AddressInUse, ConfigError
+from softfinger.proxy.record import AT, CAUSE_NAMES, MODE_NAMES, NAMED
+from softfinger.server.app import Daemon
+from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.metrics.counts import FORCE_N, LATENESS_S, ROWS, STATUSES, MetricsCollector
+from softfinger.server.metrics.service import make_dashboard
+from softfinger.server.recording.recorder import RecorderState
+from softfinger.server.recording.summary import summarize
+from softfinger.server.socket_process.setup import Figures
+from softfinger.server.states import DaemonState
 from softfinger.server.wire.client import Sample, record_of
 from softfinger.server.wire.health import compute_work_of_hand
 from softfinger.server.wire.protocol import decode, encode
@@ -61,8 +78,7 @@ def test_missing_patches_are_omitted_and_restored():
     body = encode(contact_map(record))
     assert [patch["object"] for patch in msgpack.unpackb(body)["contacts"]] == [4, 2]
     sample = Sample("contact", decode(b"contact", body), 0)
-    assert record_of(sample) == record.tolist()
-    assert [patch.object for patch in sample["contacts"]] == [4, 2]
+    assert record_of(sample) == record.tolist() and [patch.object for patch in sample["contacts"]] == [4, 2]
 
 
 def test_transitions_become_events_with_cause_and_modes():
@@ -128,18 +144,15 @@ def test_health_sums_up_each_second():
     first, second = publish_and_receive(records, "health", 2)
     for health, ticks in ((first, slice(1, 1001)), (second, slice(1001, 2001))):
         rows = records[ticks]
-        assert health["tick"] == ticks.stop - 1
-        assert health["timestamp"] == rows[-1, AT.timestamp]
+        assert (health["tick"], health["timestamp"]) == (ticks.stop - 1, rows[-1, AT.timestamp])
         # an epoch time of 1.7e9 s resolves 2.4e-7 s
         assert health["rate"] == pytest.approx(1000.0, rel=1e-6)
         for name, at in (("late", AT.servo_late), ("exec", AT.servo_exec)):
             expected = np.percentile(rows[:, at], [50, 99, 99.9, 100])
-            assert list(health[name]) == ["p50", "p99", "p999", "max"]
-            assert list(health[name].values()) == expected.tolist()
+            assert list(health[name].items()) == list(zip(("p50", "p99", "p999", "max"), expected, strict=True))
         counts = np.bincount(mode[ticks], minlength=3)
         assert health["modes"] == {"free": counts[0], "rolling": counts[1], "sliding": counts[2]}
-        assert health["missed"] == (ticks.stop - 1) // 100
-        assert health["drops"] == 7
+        assert (health["missed"], health["drops"]) == ((ticks.stop - 1) // 100, 7)
     assert (first["guarded"], second["guarded"]) == (0, 801)
 
 
@@ -153,9 +166,8 @@ def test_health_energy_is_the_work_of_the_hand():
     put(records, "probe.position", position)
     first, second = publish_and_receive(records, "health", 2)
     # 1000 sums of terms rounded to 1e-16 relative
-    assert first["energy"] == pytest.approx(0.06, rel=1e-12)
-    assert second["energy"] == pytest.approx(0.06, rel=1e-12)
-    assert second["energy_total"] == pytest.approx(0.12, rel=1e-12)
+    energies = [first["energy"], second["energy"], second["energy_total"]]
+    assert energies == pytest.approx([0.06, 0.06, 0.12], rel=1e-12)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -166,10 +178,8 @@ def test_work_of_a_torque_is_torque_times_angle(sign):
     turned = []
     for i, half in enumerate(angle / 2.0):
         w, v = np.cos(half), np.sin(half) * axis
-        product = np.concatenate(
-            ([w * start[0] - v @ start[1:]], w * start[1:] + start[0] * v + np.cross(v, start[1:]))
-        )
-        turned.append(product * (sign if i % 2 else 1.0))
+        product = [w * start[0] - v @ start[1:], *(w * start[1:] + start[0] * v + np.cross(v, start[1:]))]
+        turned.append(np.array(product) * (sign if i % 2 else 1.0))
     records = synthetic(101)
     put(records, "force", 0.0)
     put(records, "torque", -0.1 * axis)
@@ -264,3 +274,128 @@ def test_link_at_an_ipc_path_is_not_followed(planted, tmp_path):
     with pytest.raises(ConfigError, match=r"telemetry"):
         Publisher(f"ipc://{tmp_path}/telemetry")
     assert not (tmp_path / "elsewhere").exists()
+
+
+UNITS = ("seconds", "newtons", "info", "total")
+COUNTED = re.compile(r"softfinger_[a-z_]+")
+
+
+def index_samples(families) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+    return {
+        (sample.name, tuple(sorted(sample.labels.items()))): sample.value
+        for family in families
+        for sample in family.samples
+    }
+
+
+@pytest.mark.parametrize("batch", [1, 300, 5000])
+def test_figures_equal_those_computed_from_records(batch: int) -> None:
+    count, random = 2 * ROWS + 77, np.random.default_rng(5)
+    fingers = [synthetic(count, seed=seed) for seed in (1, 2)]
+    for rows in fingers:
+        put(rows, "contact.mode", random.integers(0, 3, count))
+        put(rows, "servo.guard", random.integers(0, 1 << len(GUARD_NAMES), count))
+        put(rows, "servo.device", random.choice([0, *STATUSES], count))
+        put(rows, "dt", 0.125)
+    late = random.exponential(1e-4, count)
+    put(fingers[0], "servo.late", late)
+    put(fingers[0], "servo.missed", np.arange(count))
+    recorded = RecorderState(6, 8, 7, "", True, 9, 0.25)
+    names, figures = ["thumb", "index"], (Figures(3, 4, 5), 6)
+    counts = MetricsCollector(names, lambda: figures, lambda: recorded, lambda: DaemonState.ARMED)
+    together = np.concatenate(fingers, axis=1)
+    for start in range(0, count, batch):
+        counts.add_records(together[start : start + batch], 9)
+    stats = index_samples(counts.collect())
+    totals = {
+        "ticks_total": count, "deadlines_missed_total": count - 1, "records_dropped_total": 9, "subscribers": 3,
+        "messages_lost_total": 4, "connections_refused_total": 5, "recorded_ticks_total": 6, "recorded_bytes_total": 7,
+        "unrecorded_ticks_total": 8, "unrecorded_events_total": 9, "recording_worst_write_seconds": 0.25,
+    }  # fmt: skip
+    assert {name: stats[f"softfinger_{name}", ()] for name in totals} == totals
+    for end in LATENESS_S:
+        assert stats["softfinger_lateness_seconds_bucket", (("le", f"{end:g}"),)] == np.count_nonzero(late <= end)
+    for name, rows in zip(("thumb", "index"), fingers, strict=True):
+        label, norm = ("finger", name), np.linalg.norm(rows[:, AT.force : AT.force + 3], axis=1)
+        for end in FORCE_N:
+            key = (label, ("le", f"{end:g}"))
+            assert stats["softfinger_force_newtons_bucket", key] == np.count_nonzero(norm <= end)
+        for number, mode in enumerate(MODE_NAMES):
+            spent = 0.125 * np.count_nonzero(rows[:, AT.contact_mode] == number)
+            assert stats["softfinger_mode_seconds_total", (label, ("mode", mode))] == spent
+        for bit, cause in enumerate(GUARD_NAMES):
+            ticks = np.count_nonzero(rows[:, AT.servo_guard].astype(int) >> bit & 1)
+            assert stats["softfinger_guarded_ticks_total", (("cause", cause), label)] == ticks
+        for status, text in STATUSES.items():
+            ticks = np.count_nonzero(rows[:, AT.servo_device] == status)
+            assert stats["softfinger_device_errors_total", (label, ("status", text))] == ticks
+
+
+def scrape(daemon: Daemon) -> dict:
+    with urllib.request.urlopen(f"{daemon.metrics_endpoint}/metrics", timeout=60.0) as answer:
+        return index_samples(text_string_to_metric_families(answer.read().decode()))
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    changes = {"metrics__endpoint": "127.0.0.1:0", "recording__directory": str(tmp_path_factory.mktemp("recordings"))}
+    with running("replay", "paper-plane", **changes) as daemon:
+        yield daemon
+
+
+def test_a_running_daemon_is_scraped(daemon: Daemon) -> None:
+    host, port = daemon.metrics_endpoint.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port))):
+        first = scrape(daemon)["softfinger_ticks_total", ()]
+        until(lambda: scrape(daemon)["softfinger_ticks_total", ()] > first)
+    stats = scrape(daemon)
+    assert stats["softfinger_execution_seconds_count", ()] == stats["softfinger_ticks_total", ()]
+    modes = sum(value for (name, _), value in stats.items() if name == "softfinger_mode_seconds_total")
+    # Ticks of a recording are a period each; rounding of sums of thousands.
+    assert modes == pytest.approx(1e-3 * stats["softfinger_ticks_total", ()], rel=1e-9)
+    with (
+        pytest.raises(AddressInUse, match=r"\[metrics\] endpoint"),
+        running("replay", "paper-plane", metrics__endpoint=f"{host}:{port}"),
+    ):
+        pass
+
+
+def test_recordings_add_up(daemon: Daemon) -> None:
+    files = [Path(daemon.rendering.rig.recording.directory) / name for name in ("first.mcap", "second.mcap")]
+    for file in files:
+        before = scrape(daemon)["softfinger_recorded_ticks_total", ()]
+        daemon.recordings.begin(file.name, "paper-plane")
+        until(lambda before=before: scrape(daemon)["softfinger_recorded_ticks_total", ()] > before)
+        daemon.recordings.end()
+    until(lambda: daemon.recordings.collect_totals().bytes >= sum(file.stat().st_size for file in files))
+    stats = scrape(daemon)
+    assert stats["softfinger_recorded_bytes_total", ()] == sum(file.stat().st_size for file in files)
+    assert stats["softfinger_recorded_ticks_total", ()] == sum(summarize(file)["ticks"] for file in files)
+    assert stats["softfinger_unrecorded_ticks_total", ()] == stats["softfinger_unrecorded_events_total", ()] == 0
+    assert stats["softfinger_recording_worst_write_seconds", ()] > 0.0
+
+
+def strip_endings(names: set[str]) -> set[str]:
+    return {re.sub("_(bucket|sum|count)$", "", name) for name in names}
+
+
+def test_the_dashboard_uses_all_metrics(daemon: Daemon) -> None:
+    with urllib.request.urlopen(f"{daemon.metrics_endpoint}/dashboard.json", timeout=60.0) as answer:
+        board = json.load(answer)
+    assert board == make_dashboard()
+    queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
+    queried = {name for query in queries for name in COUNTED.findall(query)}
+    published = {name for name, _ in scrape(daemon)}
+    assert queried <= published and strip_endings(published) == strip_endings(queried)
+
+
+def test_names_follow_prometheus_rules_and_are_on_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "operate" / "metrics.md").read_text("utf-8")
+    rows = {row[0]: set(re.findall(r"`(\w+)`", row[1])) for row in re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.M)}
+    stats: dict[str, set[str]] = {}
+    for family in MetricsCollector([""], lambda: (Figures(), 0), RecorderState, lambda: DaemonState.READY).collect():
+        for sample in family.samples:
+            name = re.sub("_(bucket|sum|count)$", "", sample.name)
+            assert name.endswith(UNITS) or name in ("softfinger_subscribers", "softfinger_state"), name
+            stats.setdefault(name, set()).update(sample.labels.keys() - {"le"})
+    assert rows == stats

@@ -1,7 +1,5 @@
 """Tool on the handle: pose of the tip, wrench at the handle, and limits of the guard at the handle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,8 @@ from helpers.faulty_device import FaultyDevice, Options
 from hypothesis import given
 from hypothesis import strategies as st
 from references.rotation import matrix, quaternion
+from scipy.spatial.transform import Rotation
+from test_servo import finish
 
 from softfinger.config import schema
 from softfinger.config.load import build, describe, load_rig, load_scene
@@ -72,9 +72,7 @@ def test_press_at_the_end_of_a_stylus_turns_the_handle_by_its_arm() -> None:
 @pytest.mark.plain
 @examples(100, 300)
 @given(offset=vectors, turn=turns, position=vectors, handle=turns, force=vectors, torque=vectors, v=vectors, w=vectors)
-def test_power_is_equal_at_tip_and_handle(
-    offset: Any, turn: Any, position: Any, handle: Any, force: Any, torque: Any, v: Any, w: Any
-) -> None:
+def test_power_is_equal_at_tip_and_handle(offset, turn, position, handle, force, torque, v, w):
     """F . v_tip + tau_tip . w = F . v_handle + tau_handle . w for every pose, twist and wrench, in both directions."""
     tool, unit = make_tool(offset, turn), tuple(np.array(handle) / np.linalg.norm(handle))
     tip = tip_of(tool, Pose(position, unit))
@@ -125,15 +123,8 @@ def test_the_contact_is_that_of_the_tip() -> None:
     back = np.array([1.0, -1.0, -1.0, -1.0]) * turn
     handles = tips.copy()
     handles[:, :3] -= np.array([rotation @ tool.offset_m for rotation in rotations])
-    a, b = tips[:, 3:].T, back
-    handles[:, 3:] = np.array(
-        [
-            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-        ]
-    ).T
+    turned = Rotation.from_quat(tips[:, 3:], scalar_first=True) * Rotation.from_quat(back, scalar_first=True)
+    handles[:, 3:] = turned.as_quat(scalar_first=True)
     expected = simulate(tune_scene("paper-plane", None), tips, SLOW_HZ)
     records = simulate(tune_scene("paper-plane", tool), handles, SLOW_HZ)
     for name, size in (("probe_position", 3), ("force", 3), ("torque", 3), ("contact_mode", 1), ("contact_rolled", 1)):
@@ -149,11 +140,7 @@ def test_the_servo_writes_the_wrench_at_the_handle(fault: Any) -> None:
     arm = (0.05, 0.0, 0.0)  # the device does not turn its handle
     servo = ServoThread([device], tune_scene("paper-plane", schema.Tool(offset_m=arm)), 1000.0, 600)
     servo.compile()
-    servo.start()
-    assert servo.join(60.0) is not None
-    records = np.empty((600, RECORD_SIZE))
-    assert servo.records.take(records) == 600
-    servo.close()
+    _, records = finish(servo)
     wrenches = device.wrenches[:600]
     force = records[:, AT.force : AT.force + 3]
     np.testing.assert_array_equal(wrenches[:, :3], force)
@@ -173,9 +160,8 @@ def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     )
     rig = load_rig(file)
     assert rig.device.options == {} and build(schema.Rig, describe(rig), "again") == rig
-    assert (
-        dict(summarize_rig(rig))["  tool"] == "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 1.0, 0.0, 0.0]"
-    )
+    text = "tip at [0.0, 0.0, -0.1] m of the handle, turned by [0.0, 1.0, 0.0, 0.0]"
+    assert dict(summarize_rig(rig))["  tool"] == text
     replay_rig = load_rig(file, {"device.driver": "replay", "device.recording": "tap"})
     assert replay_rig.device.tool is None  # the tool belongs to the other device
     scene = load_scene("paper-plane")
@@ -185,6 +171,5 @@ def test_a_rig_gives_its_device_a_tool(tmp_path: Path) -> None:
     handle = matrix(without[0, orientation])
     expected = without[0, position] + handle @ [0.0, 0.0, -0.1]
     np.testing.assert_allclose(having[0, position], expected, rtol=0.0, atol=4.0 * EPS)
-    np.testing.assert_allclose(
-        matrix(having[0, orientation]), handle @ np.diag([1.0, -1.0, -1.0]), rtol=0.0, atol=8.0 * EPS
-    )
+    turned = handle @ np.diag([1.0, -1.0, -1.0])
+    np.testing.assert_allclose(matrix(having[0, orientation]), turned, rtol=0.0, atol=8.0 * EPS)

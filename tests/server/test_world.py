@@ -1,9 +1,7 @@
-"""Simulated bodies in the daemon: published poses, agreement with `simulate`, and failing simulations.
+"""Simulated bodies in the daemon: published poses and loads, agreement with `simulate`, and failing simulations.
 
 Compiles a servo for a key on a spring, with friction and rolling.
 """
-
-from __future__ import annotations
 
 import itertools
 import math
@@ -16,22 +14,29 @@ import mujoco
 import numpy as np
 import pytest
 from helpers.allocations import HAS_COMPILER, counted
-from helpers.daemons import QUIET, RecordSink
+from helpers.daemons import QUIET, RecordSink, make_daemon, subscribed
 from helpers.key_world import KEY, ROLLING, key_world
+from helpers.telemetry_records import join, put, synthetic
 from helpers.waits import eventually
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from softfinger.config import schema
 from softfinger.config.load import apply_overrides, load_rig, load_scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
+from softfinger.proxy import record
+from softfinger.proxy.elastic.deformed import Deformed
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.recording.compare import READ_FIELDS, compare, compare_run
 from softfinger.server.recording.run import load_run
-from softfinger.server.wire.client import Subscription, subscribe
+from softfinger.server.services.scene_topics import Deformation
+from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
+from softfinger.server.wire.protocol import DEFORMATION, decode
 
 pytestmark = pytest.mark.real_time
 
@@ -90,7 +95,6 @@ def test_a_pressed_body_moves_and_is_published(scene: schema.Scene, tmp_path: Pa
     assert (outcome.different, outcome.largest["key.position"]) == (0, 0.0)
     past.bodies.poses[5, 0, 2] += 1e-12
     first = compare(past, now, {"": {}}, 0.0).first
-    assert first is not None
     assert (first.tick, first.key) == (past.bodies.ticks[5], "key.position[2]")
 
 
@@ -162,23 +166,13 @@ def test_bodies_are_reset_by_command(scene: schema.Scene, tmp_path: Path) -> Non
         running.start()
         samples = receive_heights(running.publisher.endpoint)
         start_heights = [height for _, height in itertools.islice(samples, 5)]
-        bodies = running.servo.tuning.scene.bodies
-        assert bodies is not None
-        bodies.block.owner.data.ctrl[0] = 0.0
+        running.servo.tuning.scene.bodies.block.owner.data.ctrl[0] = 0.0
         assert next(height for _, height in samples if height > -0.015)
         with Control(f"ipc://{tmp_path}/c") as control:
             tick = control.reset_world().tick
         after = [height for at, height in itertools.islice(samples, 60) if at >= tick]
         assert len(after) > 10
         assert start_heights + after == pytest.approx([-0.025] * len(start_heights + after), abs=1e-9)
-
-
-def next_fault(events: Subscription) -> str:
-    return next(
-        str(event.data["message"])
-        for event in events
-        if (event.data["kind"], event.data["name"]) == ("fault", "bodies")
-    )
 
 
 SLEW = 20.0
@@ -204,7 +198,7 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
                     owner.data.qvel[0] = math.inf
                 else:
                     owner.model.opt.solver = 77
-                message = next_fault(events)
+                message = next(e.message for e in events if (e.kind, e.name) == ("fault", "bodies"))
                 assert failure in message and "softfinger ctl reset_world" in message and "key.xml" in message
                 let_go = running.servo.ticks
                 wait_for(running, let_go + 1500)
@@ -229,7 +223,6 @@ def wait_for(running: Daemon, ticks: int) -> None:
 
 
 def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
-    assert scene.world is not None
     hasty = msgspec.structs.replace(scene, world=msgspec.structs.replace(scene.world, budget_us=1.0))
     with Daemon(make_rig(), hasty) as running:
         running.start()
@@ -241,7 +234,6 @@ def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
 
 def test_a_step_by_address_equals_that_of_mujoco(scene: schema.Scene) -> None:
     tuning, away = make_tuning(scene, make_rig().guard), [0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
-    assert tuning.scene.bodies is not None
     owner = tuning.scene.bodies.block.owner
     owner.model.opt.gravity[2] = -9.81
     simulate(tuning, np.array([away] * 150), 1000.0)
@@ -252,3 +244,71 @@ def test_a_step_by_address_equals_that_of_mujoco(scene: schema.Scene) -> None:
         mujoco.mj_step1(owner.model, data)
     np.testing.assert_array_equal(owner.data.qpos, data.qpos)
     assert data.qpos[0] < -1e-4
+
+
+FORCE = (0.1, -0.2, 1.5)
+
+
+def make_press(count: int) -> Any:
+    rows = synthetic(count)
+    for name in ("contacts0.force", "contacts1.force", "contacts2.force", "contact.displacement"):
+        put(rows, name, 0.0)
+    pressing = rows[100 : count - 100]
+    put(pressing, "contact.mode", record.ROLLING)
+    put(pressing, "contact.object", 0)
+    put(pressing, "contacts0.force", FORCE)
+    put(pressing, "contacts0.point", (0.003, 0.002, -0.0005))
+    put(pressing, "contact.displacement", (0.0, 0.0, -0.0005))
+    put(pressing[200:], "contacts0.force", (0.1, -0.2, 1.5 + 1e-5))  # below the published resolution
+    return rows
+
+
+def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path: Path) -> None:
+    changes = {"commands.endpoint": "off", "device.recording": "tap"}
+    path, messages = tmp_path / "a.mcap", []
+    with (
+        make_daemon(scene="press-a-pad", changes=changes) as daemon,
+        subscribed(daemon.publisher.endpoint, DEFORMATION, "event") as socket,
+    ):
+        daemon.recordings.record(path, "press-a-pad")
+        join(daemon.publisher, socket)
+        # The daemon is not started; these ticks arrive in batches as from a hand.
+        for batch in np.array_split(make_press(600), 60):
+            daemon.deformation.sink.take(batch, 0)
+        daemon.publisher.event("test", "end")
+        while (frames := socket.recv_multipart())[0] != b"event":
+            messages.append(decode(*frames))
+        sent: list[tuple[int, int]] = []
+
+        def publish(topic: str, tick: int, content: dict[str, Any]) -> None:
+            sent.append((tick, len(content["loads"])))
+
+        changing = Deformation(daemon.rendering, [""], publish)
+        rows = make_press(1200)
+        rows[:, AT.contacts0_force] = np.linspace(1.0, 2.0, len(rows))
+        for row in rows:
+            changing.sink.take(row[None], 0)
+        with subscribed(daemon.publisher.endpoint, DEFORMATION) as late:  # a late subscriber gets the last message
+            assert late.poll(60_000) and decode(*late.recv_multipart()).loads == ()
+    ticks = [tick for tick, count in sent if count]
+    assert (ticks[0], sent[-1][1]) == (100, 0) and set(np.diff(ticks)) == {17}
+    assert [len(message.loads) for message in messages] == [1, 0]
+    assert messages[0].tick < 120 and 500 <= messages[1].tick < 520
+    (load,) = messages[0].loads
+    assert (load.finger, load.object, load.patch_radius) == ("", 0, 0.0075)
+    # The object is at z = -0.02 m and not turned.
+    assert load.force == pytest.approx([-x for x in FORCE], rel=1e-12)
+    assert load.point == pytest.approx((0.003, 0.002, 0.02), abs=1e-12)
+
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        recorded = [(schema, message) for schema, _, _, message in reader.iter_decoded_messages(topics=[DEFORMATION])]
+    assert {schema.name for schema, _ in recorded if schema is not None} == {"softfinger.Deformation"}
+    assert [message.tick for _, message in recorded] == [message.tick for message in messages]
+    assert tuple(recorded[0][1].loads[0].force) == load.force and not recorded[1][1].loads
+
+    surface = Deformed.of_scene("press-a-pad")
+    moved = surface.at(messages[0].loads) - surface.vertices
+    deepest = int(moved[:, 2].argmin())
+    assert np.linalg.norm(surface.vertices[deepest] - load.point) < load.patch_radius
+    assert moved[deepest, 2] < -1e-4 and (surface.at(messages[1].loads) == surface.vertices).all()

@@ -1,25 +1,27 @@
-"""Shipped scenes with moving bodies, each played by its simulated hand and checked by elementary mechanics."""
-
-from __future__ import annotations
+"""Shipped scenes with moving bodies, each played by its simulated hand and checked by mechanics and energy."""
 
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from helpers.called import read_stdout
 from helpers.simulated_hands import DT, SimulatedHands
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from numpy.typing import NDArray
 
-from softfinger.config.load import describe, load_scene
+from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
 from softfinger.config.sources import FOLDERS, list_shipped
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.scene import build_scene
-from softfinger.server import cli
+from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.scene_messages import SceneMessages
+from softfinger.server.offline.simulate import simulate
 from softfinger.server.recording.writer import list_package_versions
 from softfinger.server.viewer.driven import RecordedBodies
 from softfinger.server.viewer.playback import load
@@ -33,8 +35,7 @@ G = 9.81
 
 def test_every_scene_with_bodies_has_hands_that_play_it() -> None:
     worlds = [name for name in list_shipped(Scene) if "[world]" in (FOLDERS[Scene] / f"{name}.toml").read_text("utf-8")]
-    assert len(worlds) == 8
-    assert {f"simulated-{name}" for name in worlds} <= set(list_shipped(Rig))
+    assert len(worlds) == 8 and {f"simulated-{name}" for name in worlds} <= set(list_shipped(Rig))
 
 
 @PLAIN_ONLY
@@ -111,8 +112,7 @@ def test_a_pencil_rolls_half_as_far_as_the_finger() -> None:
     end = hands.until(2.35)[""]["probe.position"][-1, 0]
     rolled = 2.0 * math.atan2(hands.data.qpos[5], hands.data.qpos[3]) - turn
     travel = hands.data.qpos[0] - place
-    assert end - start > 0.0099
-    assert travel == pytest.approx(0.5 * (end - start), rel=0.02)
+    assert end - start > 0.0099 and travel == pytest.approx(0.5 * (end - start), rel=0.02)
     sunk = 0.004 - hands.data.qpos[2]  # into MuJoCo's soft table, so that it rolls on a smaller radius
     assert travel / 0.004 < rolled < travel / (0.004 - sunk)
 
@@ -134,8 +134,7 @@ def test_a_ball_rolls_back_and_rests_at_the_bottom() -> None:
     hands.until(6.2)
     # rolling friction of 0.1 mm, and half a facet's slope
     bound = (0.0001 / 0.015 + 0.5 * 0.002 / 0.1) * (0.1 - 0.015)
-    assert np.hypot(*hands.data.qpos[:2]) < bound
-    assert np.abs(hands.data.qvel[:3]).max() < 0.01
+    assert np.hypot(*hands.data.qpos[:2]) < bound and np.abs(hands.data.qvel[:3]).max() < 0.01
 
 
 @pytest.mark.exhaustive
@@ -154,15 +153,9 @@ def test_three_boxes_are_stacked_and_stay() -> None:
 
 
 SECONDS = {
-    "turn-a-knob": 1.0,
-    "open-a-drawer": 1.5,
-    "open-a-door": 1.0,
-    "press-a-button": 1.5,
-    "roll-a-pencil": 1.0,
-    "ball-in-a-bowl": 1.8,
-    "lift-a-box": 1.0,
-    "stack-boxes": 1.5,
-}
+    "turn-a-knob": 1.0, "open-a-drawer": 1.5, "open-a-door": 1.0, "press-a-button": 1.5, "roll-a-pencil": 1.0,
+    "ball-in-a-bowl": 1.8, "lift-a-box": 1.0, "stack-boxes": 1.5,
+}  # fmt: skip
 """Time (s) until each hand has pressed, rolled or pushed for some tenths of a second."""
 
 
@@ -174,27 +167,20 @@ SECONDS = {
         for scene_id in SECONDS
     ],
 )
-def test_scenes_played_by_hands_are_replayed_exactly(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_scenes_played_by_hands_are_replayed_exactly(name: str, tmp_path: Path) -> None:
     file, seconds = str(tmp_path / "run.mcap"), SECONDS[name]
     hands = ["--scene", name, "--device", "simulated", "--duration", str(seconds)]
-    assert cli.main(["simulate", *hands, "--out", file]) == 0
-    assert "no contact" not in capsys.readouterr().out
-    scene = ["--scene", name, "--rig", f"simulated-{name}"]
-    assert cli.main(["replay", file, *scene, "--tolerance", "0", "--json"]) == 0
-    content = json.loads(capsys.readouterr().out)
+    assert "no contact" not in read_stdout("simulate", *hands, "--out", file)
+    replay, scene = ["replay", file, "--tolerance", "0", "--json"], ["--scene", name, "--rig", f"simulated-{name}"]
+    content = json.loads(read_stdout(*replay, *scene))
     assert content["equal"] and content["compared"] == round(seconds / DT)
-    assert cli.main(["replay", file, "--tolerance", "0", "--json"]) == 0  # the file has scene and rig
-    assert json.loads(capsys.readouterr().out) == content
+    assert json.loads(read_stdout(*replay)) == content  # the file has scene and rig
 
 
 @PLAIN_ONLY
 def test_simulate_stores_the_poses_of_bodies(tmp_path: Path) -> None:
     file, name = tmp_path / "run.mcap", "turn-a-knob"
-    assert (
-        cli.main(["simulate", "--scene", name, "--device", "simulated", "--duration", "1.5", "--out", str(file)]) == 0
-    )
+    read_stdout("simulate", "--scene", name, "--device", "simulated", "--duration", "1.5", "--out", str(file))
     with file.open("rb") as opened:
         decoded = make_reader(opened, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
         messages = [(channel.topic, message.log_time, data) for _, channel, message, data in decoded]
@@ -226,7 +212,62 @@ def test_messages_of_an_elastic_object_follow_its_loads() -> None:
     messages = SceneMessages(scene, 1000.0)
     parts = [(first, part.stop - part.start) for first, part in messages.split(build_scene(tuning), 0, records)]
     assert sum(count for _, count in parts) == 200 and parts[:3] == [(0, 1), (1, 17), (18, 17)]
-    assert [(topic, content["tick"], len(content["loads"])) for topic, content in messages.pending] == [
-        ("deformation", 50, 1),
-        ("deformation", 84, 0),
-    ]
+    sent = [(topic, content["tick"], len(content["loads"])) for topic, content in messages.pending]
+    assert sent == [("deformation", 50, 1), ("deformation", 84, 0)]
+
+
+R, HALF, MASS, STIFFNESS, PRESS = 0.008, 0.02, 0.1, 500.0, 3.0
+BOX = f"""
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1"/>
+    <body name="box" pos="0 0 {HALF}">
+      <freejoint/><geom name="box" type="box" size="0.02 0.02 0.02" mass="{MASS}"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+SCENE: dict[str, Any] = {
+    "finger": [{"name": name, "radius_m": R} for name in ("thumb", "index")],
+    "coupling": {
+        "stiffness_n_per_m": STIFFNESS, "damping_ns_per_m": 1.0, "torsional_damping_nms_per_rad": 1.5e-3,
+    },
+    "rolling": {"method": "midpoint"},
+    "passivity": {"mode": "observe"},
+}  # fmt: skip
+MATERIAL = {
+    "stiffness_n_per_m": STIFFNESS,
+    "damping_ns_per_m": 2.0,
+    "friction": {"static": 0.8, "kinetic": 0.7},
+    "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004},
+}
+RISE = 0.05
+
+
+def make_transition(ticks: NDArray[np.int64], first: int, length: int) -> NDArray[np.float64]:
+    """Return a transition from 0 to 1 with continuous acceleration."""
+    u = np.clip((ticks - first) / length, 0.0, 1.0)
+    return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+
+
+@PLAIN_ONLY
+def test_lowering_a_box_and_a_closed_cycle_generate_no_contact_energy(tmp_path: Path) -> None:
+    (tmp_path / "box.xml").write_text(BOX)
+    scene = load_scene(SCENE | {"world": {"model": str(tmp_path / "box.xml"), "material": MATERIAL}})
+    ticks = np.arange(1200)
+    poses = np.zeros((len(ticks), 2, 7))
+    depth = PRESS / STIFFNESS * (make_transition(ticks, 0, 100) - make_transition(ticks, 1000, 100))
+    for finger, side in enumerate((-1.0, 1.0)):
+        poses[:, finger, 0], poses[:, finger, 3] = side * (HALF + R + 1e-3 - depth * (1.0 + 1e-3 / depth.max())), 1.0
+        poses[:, finger, 2] = HALF + RISE * (make_transition(ticks, 200, 300) - make_transition(ticks, 600, 300))
+    records = simulate(make_tuning(scene, load_rig("replay", {"guard.ramp_s": 0.01}).guard), poses, 1000.0)
+    observed, force = records[:, :, AT.passivity_energy], records[:, :, AT.force : AT.force + 3]
+    by_hands = -np.einsum("tfi,tfi->tf", force[:-1], np.diff(poses[:, :, :3], axis=0)).cumsum(axis=0)
+    weight = 0.5 * MASS * 9.81 * RISE
+    lifted, lowered = by_hands[550] - by_hands[150], by_hands[950] - by_hands[550]
+    np.testing.assert_allclose(lifted, weight, rtol=0.05)  # plus the work of the dampers
+    np.testing.assert_allclose(lowered, -weight, rtol=0.05)
+    assert np.ptp(observed[150:950], axis=0).max() < 0.05 * weight  # the sag is 0.4 mJ, the dampers take 0.5 mJ
+    assert observed.min() > -1e-9
+    assert (by_hands[-1] > 0.0).all() and not force[-1].any()

@@ -1,18 +1,13 @@
 """Command `zero`: exact offset of a probe, without motion, and never under a force."""
 
-from __future__ import annotations
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.pressed import DEPTH_M, pressed_scene
 from helpers.two_fingers import pressed_by_two, two_devices
-from test_commands import (
-    ROUNDING,
-    events,
-    eventually,
-    rig,  # noqa: F401 - a fixture
-    running,
-)
+from helpers.waits import eventually
+from test_commands import ROUNDING, events, rig, running  # noqa: F401 - rig is a fixture
 
 from softfinger.config.errors import CommandRefused
 from softfinger.config.load import describe
@@ -27,18 +22,17 @@ SWAY_M_PER_S = 0.005 * 0.02 * 1000.0
 
 def zero_when_off(control: Control, **arguments):
     """Send `zero` as soon as the force is off."""
-    answers = []
 
-    def is_zeroed() -> bool:
+    def zero() -> Any:
         try:
-            answers.append(control.zero(**arguments))
+            return control.zero(**arguments)
         except CommandRefused as error:
             if not str(error).startswith("busy: "):
                 raise
-        return bool(answers)
 
-    assert eventually(is_zeroed)
-    return answers[0]
+    answer = eventually(zero)
+    assert answer
+    return answer
 
 
 def test_a_zero_offset_changes_no_bit():
@@ -58,7 +52,7 @@ def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
         assert message["name"] == "zero" and message["what"] == {"finger": "", "offset_m": list(answer.offset_m)}
         assert answer.offset_m[2] == pytest.approx(0.0005, rel=1e-9)  # a difference of numbers 20 times as large
         assert control.describe()["fingers"][0]["offset_m"] == list(answer.offset_m)
-        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > answer.tick + 20)
+        recorder.wait_for_tick(answer.tick + 20)
         rows = recorder.since(answer.tick + 2)
         np.testing.assert_allclose(rows[:, AT.probe_position + 2], HELD_M + 0.0005, rtol=ROUNDING)
         # The tick in which the offset is applied is among these; moving 0.5 mm in a tick would be 0.5 m/s.
@@ -75,7 +69,7 @@ def test_the_probe_is_at_the_requested_position(rig):  # noqa: F811
         assert zero_when_off(control, reset=True).offset_m == (0.0, 0.0, 0.0)
         control.arm()
         assert eventually(lambda: recorder.force_n == pytest.approx(2000.0 * DEPTH_M + 1.0, rel=ROUNDING))
-        assert recorder.batches[-1][-1, AT.probe_position + 2] == HELD_M
+        assert recorder.latest(AT.probe_position + 2) == HELD_M
 
 
 def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
@@ -86,6 +80,6 @@ def test_one_of_several_fingers_is_shifted(rig):  # noqa: F811
         with pytest.raises(CommandRefused, match="set finger to one of thumb, index"):
             control.zero()
         answer = zero_when_off(control, position_m=(0.0, 0.0, 0.0085), finger="index")
-        assert eventually(lambda: recorder.batches[-1][-1, AT.tick] > answer.tick + 2)
+        recorder.wait_for_tick(answer.tick + 2)
         heights = recorder.batches[-1][-1].reshape(2, -1)[:, AT.probe_position + 2]
         assert heights[0] == HELD_M and heights[1] == pytest.approx(0.0085, rel=ROUNDING)

@@ -155,7 +155,7 @@ HAZARDS: Final = (
         "a force that is not finite", "the guard", "0 ticks", "zero", _RAMP,
         ("guard not_finite", FAILED),
         ("tests/server/test_guard.py::test_a_force_that_is_not_finite_becomes_zero_and_ramps_up_again",
-         "tests/server/test_health.py::test_half_a_second_without_a_force_is_a_fault"),
+         "tests/server/test_guard.py::test_half_a_second_without_a_force_is_a_fault"),
     ),
     Hazard(
         "a pose that is not finite, out of range or short", "before the contact step", "0 ticks", "zero",
@@ -184,7 +184,7 @@ HAZARDS: Final = (
     Hazard(
         "a device that warns", f"the driver, every {watches.DEVICE_PERIOD_S:g} s",
         f"{watches.DEVICE_PERIOD_S:g} s", "as before", "as described by its message",
-        ("fault device_warning",), ("tests/server/test_device_warnings.py::test_each_warning_is_reported_once",),
+        ("fault device_warning",), ("tests/server/test_service_faults.py::test_each_warning_is_reported_once",),
     ),
     Hazard(
         "the end of the workspace", "`[guard.workspace]`", "0 ticks", "a soft wall pushes back", "automatic",
@@ -202,7 +202,7 @@ HAZARDS: Final = (
         "the driver: `quiet_s`, `kick_s` of falcon and hid, then `timeout_s`", list_by_driver(SILENCE_S),
         f"{_LOST}, after {list_by_driver(ABANDON_S)}; until then the previous force",
         "the ramp; start again after the end", ("guard ramping", FAILED),
-        ("tests/server/test_silent_devices.py::test_a_silent_device_gets_zero_and_then_counts_as_lost",
+        ("tests/server/test_injected_faults.py::test_a_silent_device_gets_zero_and_then_counts_as_lost",
          "tests/drivers/test_openhaptics_exchange.py::test_a_silent_library_counts_as_lost"),
         within=_QUIET,
     ),
@@ -251,7 +251,7 @@ HAZARDS: Final = (
         f"{floor(10 * _STARVED[0]) / 10} to {ceil(10 * _STARVED[1]) / 10} s of nothing but gaps, later with fewer",
         f"{_STOPPED}; until then the previous force in each gap", _START, (FAILED,),
         ("tests/server/test_daemon.py::test_repeated_stalls_end_the_run",
-         "tests/server/test_health.py::test_gaps_of_every_length_end_the_run_within_the_fault_model"),
+         "tests/server/test_guard.py::test_gaps_of_every_length_end_the_run_within_the_fault_model"),
         within=ceil(_STARVED[1] / TICK_S),
     ),
     Hazard(
@@ -352,7 +352,7 @@ HAZARDS: Final = (
         "memory of the daemon in swap", f"VmSwap, at the start and every {watches.SWAP_PERIOD_S:g} s",
         f"{watches.SWAP_PERIOD_S:g} s", "as before",
         "end the programs that fill the memory, or let the daemon lock its memory", ("fault swapped",),
-        ("tests/server/test_swapping.py::test_memory_in_swap_is_reported_once",),
+        ("tests/server/test_service_faults.py::test_memory_in_swap_is_reported_once",),
     ),
     Hazard(
         "a reader of ticks that fails", "the relay thread", "none", "as before, without that reader",

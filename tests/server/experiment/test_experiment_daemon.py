@@ -1,23 +1,26 @@
-"""Sessions on a daemon with a simulated hand: forces, markers, recordings, answers at a terminal."""
-
-from __future__ import annotations
+"""Sessions on a daemon with a simulated hand: forces, markers, recordings, answers at a terminal, and kills."""
 
 import json
 import os
 import pty
+import random
 import re
 import resource
 import signal
 import subprocess
-from contextlib import AbstractContextManager
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.called import read_stdout
 from helpers.faulty_device import registered
-from helpers.processes import COMMAND
+from helpers.processes import COMMAND, list_children
 from helpers.programs import Program
 from helpers.waits import WAIT_S, repeated
 from test_trial_order import STIFFNESS, make_tables
@@ -25,7 +28,6 @@ from test_trial_order import STIFFNESS, make_tables
 from softfinger.config.errors import CommandRefused, DeviceLost, HapticError, RecordingError, SafetyStop
 from softfinger.config.materials import load_materials
 from softfinger.config.sources import EXPERIMENTS, list_names
-from softfinger.server import cli
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment, load_results
 from softfinger.server.experiment.haptics import START_TOLERANCE_M, START_TOLERANCE_RAD, Haptics
@@ -66,20 +68,19 @@ def settings(folder: Path) -> RunOptions:
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a session."""
     folder = tmp_path_factory.mktemp("session")
     Experiment(experiment()).run(folder / "out", 1, settings(folder))
-    recording = folder / "out" / "sub-01" / "sub-01_run-01_ticks.mcap"
-    fields = (
-        "force",
-        "contact.normal_force",
-        "contact.mode",
-        "servo.guard",
-        "servo.missed",
-        "probe.position",
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path) -> Run:
+    return load_run(folder / "sub-01" / "sub-01_run-01_ticks.mcap", (
+        "force", "contact.normal_force", "contact.mode", "servo.guard", "servo.missed", "probe.position",
         "probe.orientation",
-    )
-    return folder / "out", load_run(recording, fields)
+    ))  # fmt: skip
 
 
 def select_marks(run: Run, label: str) -> list[dict[str, Any]]:
@@ -90,8 +91,7 @@ def find_tick(run: Run, tick: int) -> int:
     return int(np.searchsorted(run.first["tick"], tick))
 
 
-def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
-    _, run = session
+def test_every_touch_is_marked_in_its_order(run: Run) -> None:
     touches = [(event["data"]["trial"], event["data"]["touch"]) for event in select_marks(run, "touch")]
     assert touches == [(1, 1), (1, 2), (2, 1), (2, 2)]
     assert [(event["data"]["trial"], event["data"]["touch"]) for event in select_marks(run, "release")] == touches
@@ -99,8 +99,7 @@ def test_every_touch_is_marked_in_its_order(session: tuple[Path, Run]) -> None:
     assert sorted(values) == [500.0, 500.0, 1000.0, 1000.0]
 
 
-def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, Run]) -> None:
-    _, run = session
+def test_a_change_meets_no_force_and_the_force_never_jumps(run: Run) -> None:
     force = run.first["force"]
     changed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "set_params"]
     assert len(changed) >= 2
@@ -112,8 +111,7 @@ def test_a_change_meets_no_force_and_the_force_never_jumps(session: tuple[Path, 
     assert damping == [{"from": 0.0, "to": 2.0}, {"from": 2.0, "to": 0.0}]
 
 
-def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> None:
-    _, run = session
+def test_from_zero_to_touch_within_half_a_second(run: Run) -> None:
     missed = run.first["servo.missed"]
     armed = [event["tick"] for event in run.events if event["kind"] == "command" and event["name"] == "arm"]
     for tick, end in zip(armed, select_marks(run, "release"), strict=True):
@@ -125,8 +123,7 @@ def test_from_zero_to_touch_within_half_a_second(session: tuple[Path, Run]) -> N
         assert force == pytest.approx(wanted, abs=1e-12)
 
 
-def test_a_guided_hand_starts_on_its_path_turns_and_turns_back(session: tuple[Path, Run]) -> None:
-    _, run = session
+def test_a_guided_hand_starts_on_its_path_turns_and_turns_back(run: Run) -> None:
     w, _, _, z = run.first["probe.orientation"].T
     angle = 2.0 * np.arctan2(z, w)
     for begin, end in zip(select_marks(run, "touch"), select_marks(run, "release"), strict=True):
@@ -159,10 +156,6 @@ def test_a_limit_of_the_rig_and_a_material_are_levels_of_a_factor(tmp_path: Path
     assert len(replaced) >= 2 and not run.first["force"][replaced].any()
 
 
-def vary_force_limit(limit: float) -> dict[str, Any]:
-    return {"factor": [{"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.5, limit]}]}
-
-
 SEVERAL = {"name": "hand", "levels": ["one", "two"], "scenes": {"one": "paper-plane", "two": "pinch"}}
 WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
 
@@ -171,7 +164,8 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
 @pytest.mark.parametrize(
     ("changes", "rig", "message"),
     [
-        (vary_force_limit(2.0), WEAK, "condition 2.0, level 1: rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
+        ({"factor": [{"name": "limit", "parameter": "rig.guard.force_max_n", "levels": [0.5, 2.0]}]}, WEAK,
+         "condition 2.0, level 1: rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
         ({"overrides": {"rig.guard.force_max_n": 2.0}}, WEAK,
          "rig.guard.force_max_n = 2 N: simulated .* displays 1 N"),
         ({"factor": [SEVERAL], "task": {"kind": "rate", "question": "?", "parameter": "coupling.damping_ns_per_m"}}, {},
@@ -180,9 +174,7 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
         ({"rig": "falcon"}, {}, "no Falcon .* is attached"),
     ],
 )  # fmt: skip
-def test_an_unusable_experiment_is_refused_before_writing(
-    changes: dict[str, Any], rig: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_an_unusable_experiment_is_refused_before_writing(changes, rig, message, tmp_path):
     running = settings(tmp_path)
     with pytest.raises(HapticError, match=message):
         Experiment(experiment() | changes).run(tmp_path / "out", 1, running._replace(rig={**running.rig, **rig}))
@@ -254,10 +246,8 @@ def test_a_session_whose_device_is_lost_repeats_that_trial(tmp_path: Path, monke
     rating = {"kind": "rate", "parameter": DAMPING, "question": "How heavy?"}
     pressing = experiment() | {"rig": "replay", "motion": {}, "turn": {}, "task": rating}
     pressing["factor"] = [{"name": "push", "parameter": STIFFNESS, "levels": [500.0, 1000.0]}]
-    running = settings(tmp_path)
-    running = running._replace(
-        rig={**running.rig, "device.driver": "faulty", "device.fault": "lost", "device.at": 10**9}
-    )
+    running, faulty = settings(tmp_path), {"device.driver": "faulty", "device.fault": "lost", "device.at": 10**9}
+    running = running._replace(rig={**running.rig, **faulty})
 
     def touch_and_unplug(self: Haptics, stimulus: Stimulus) -> TouchResult:
         if stimulus.trial == 2 and len(driver.devices) == 1:
@@ -274,8 +264,7 @@ def test_a_session_whose_device_is_lost_repeats_that_trial(tmp_path: Path, monke
     assert [(row["trial"], row["attempt"]) for row in rows] == [(1, 1), (2, 2)]
 
 
-def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path, Run]) -> None:
-    folder, run = session
+def test_the_table_of_a_trial_has_the_ticks_of_the_recording(folder: Path, run: Run) -> None:
     for row in load_results(folder):
         ticks = pd.read_csv(folder / "sub-01" / "trials" / f"sub-01_trial-{row['trial']:04d}.csv")
         places = np.searchsorted(run.first["tick"], ticks["tick"])
@@ -284,19 +273,16 @@ def test_the_table_of_a_trial_has_the_ticks_of_the_recording(session: tuple[Path
         assert row["lost_ticks"] == 0 and row["peak_force_n"] == pytest.approx(test["fz_n"].max())
 
 
-def test_the_recording_of_a_session_is_replayed(session: tuple[Path, Run], capsys: pytest.CaptureFixture[str]) -> None:
-    folder, run = session
+def test_the_recording_of_a_session_is_replayed(folder: Path, run: Run) -> None:
     recording = folder / "sub-01" / "sub-01_run-01_ticks.mcap"
-    assert cli.main(["replay", "--tolerance", "0", "--json", str(recording)]) == 0
-    content = json.loads(capsys.readouterr().out)
+    content = json.loads(read_stdout("replay", "--tolerance", "0", "--json", str(recording)))
     armed_ticks = int((run.first["servo.guard"].astype(int) & DISARMED == 0).sum())
     late = run.first["servo.missed"][-1] > run.first["servo.missed"][0]
     assert content["different"] == 0 and (0 if late else armed_ticks / 2) <= content["compared"] <= armed_ticks
 
 
-def test_measured_forces_are_plotted_by_condition(session: tuple[Path, Run]) -> None:
-    folder, _ = session
-    assert cli.main(["figure", str(folder)]) == 0
+def test_measured_forces_are_plotted_by_condition(folder: Path) -> None:
+    read_stdout("figure", str(folder))
     figures = folder / "figures"
     assert {path.name for path in figures.glob("felt.*")} == {"felt.png", "felt.svg"}
     content = json.loads((figures / "numbers.json").read_text())
@@ -312,28 +298,14 @@ def program(file: Path, folder: Path, *words: str) -> list[str]:
     return [*common, "--out", str(folder / "out"), *ends, *words]
 
 
-EXPERIMENT = """
+EXPERIMENT = f"""
 title = "at a terminal"
 scene = "paper-plane"
-[task]
-kind = "compare"
-parameter = "object.table.material.stiffness_n_per_m"
-reference = 500.0
-question = "Which?"
-[procedure]
-kind = "constant"
-levels = [0.5, 1.0]
-[design]
-seed = 1
-practice = 1
-[trial]
-touch_s = 0.1
-gap_s = 0.0
+task = {{ kind = "compare", parameter = "{STIFFNESS}", reference = 500.0, question = "Which?" }}
+procedure = {{ kind = "constant", levels = [0.5, 1.0] }}
+design = {{ seed = 1, practice = 1 }}
+trial = {{ touch_s = 0.1, gap_s = 0.0 }}
 """
-
-
-def hold_key(terminal: int, key: bytes) -> AbstractContextManager[None]:
-    return repeated(lambda: os.write(terminal, key), 0.033)
 
 
 def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path) -> None:
@@ -342,9 +314,8 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
     ours, theirs = pty.openpty()
     try:
         with Program(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
             assert "Which?" in process.stdout.readline()
-            with hold_key(ours, b"1"):
+            with repeated(lambda: os.write(ours, b"1"), 0.033):  # a key that is held
                 assert "Release the key." in process.stdout.readline()
             practised = process.stdout.readline()
             os.write(ours, b"\n")
@@ -356,7 +327,6 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
             process.send_signal(signal.SIGINT)
             assert process.wait(WAIT_S) == 130 or process.returncode == 0
         with Program(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
             assert "Which?" in process.stdout.readline()
             with Client(f"ipc://{tmp_path}/t", f"ipc://{tmp_path}/c", timeout_s=WAIT_S) as client:
                 with pytest.raises(CommandRefused, match="give one of first, second"):
@@ -386,3 +356,73 @@ def test_each_shipped_experiment_runs_on_a_daemon(name: str, tmp_path: Path) -> 
     changes |= {"procedure.repetitions": 1, "procedure.starts": [], "design.practice": 0}
     rows = Experiment(name, changes).run(tmp_path / "out", 1, settings(tmp_path))
     assert all(row["peak_force_n"] > 0.1 and row["lost_ticks"] == 0 for row in rows)
+
+
+KILLED = """
+title = "killed"
+scene = "paper-plane"
+rig = "rig.toml"
+task = {{ kind = "rate", parameter = "object.table.material.stiffness_n_per_m", question = "How stiff?" }}
+procedure = {{ kind = "constant", levels = [200.0, 500.0, 900.0], repetitions = {repetitions} }}
+design = {{ seed = 3 }}
+trial = {{ touch_s = 0.03, gap_s = 0.0 }}
+motion = {{ fingertip = [[0.0, 0.0, 0.0, 0.009]] }}
+"""
+RIG = """
+guard = { ramp_s = 0.01 }
+commands = { ramp_s = 0.0 }
+servo = { realtime = "off" }
+[device]
+driver = "simulated"
+preset = "omega.6"
+position_m = [0.0, 0.0, 0.009]
+hand = { mass_kg = 0.1, damping_ns_per_m = 8.0, stiffness_n_per_m = 1000.0 }
+"""
+
+
+def kill_while_running(words: list[str], journal: Path, rng: random.Random) -> None:
+    size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
+    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    until = size() + (rng.randrange(1, 1500) if rng.random() < 0.8 else 0)
+    over = time.monotonic() + 300.0
+    while size() < until and process.poll() is None:
+        time.sleep(1e-3)
+        if time.monotonic() > over:
+            process.kill()
+            pytest.fail("the session does not go on")
+    time.sleep(rng.random() * (0.1 if until else 2.0))
+    if rng.random() < 0.3:
+        for child in list_children(process.pid):
+            with suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
+        time.sleep(rng.random() * 0.1)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+
+@pytest.mark.scaled
+@pytest.mark.exhaustive
+def test_a_session_with_a_daemon_survives_kills(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
+    kills = cases(1, 50)  # each kill costs a start of the program, about 2 s of processor time
+    (tmp_path / "rig.toml").write_text(RIG)
+    file = tmp_path / "killed.toml"
+    file.write_text(KILLED.format(repetitions=2 * kills))
+    words = [*COMMAND, "-q", "experiment", str(file), "--dry-run", "--no-doctor"]
+    words += ["--out", str(tmp_path / "out"), "--endpoint", f"ipc://{tmp_path}/t", "--commands", f"ipc://{tmp_path}/c"]
+    own, rng = tmp_path / "out" / "sub-01", random.Random(11)
+    for _ in range(kills):
+        kill_while_running(words, own / "sub-01_journal.jsonl", rng)
+    assert subprocess.run(words, check=False, stdout=subprocess.DEVNULL, timeout=300.0).returncode == 0
+    rows, rehearsed, keys = load_results(tmp_path / "out"), Experiment(file).rehearse(), ("trial", "level", "answer")
+    assert [[row[key] for key in keys] for row in rows] == [[row[key] for key in keys] for row in rehearsed]
+    steps = [entry for entry in read(own / "sub-01_journal.jsonl") if entry["kind"] in ("begun", "done")]
+    for number, (trial, group) in enumerate(groupby(steps, lambda entry: entry["trial"]), 1):
+        entries = list(group)
+        assert trial == number  # never an earlier trial
+        assert [entry["kind"] for entry in entries] == ["begun"] * (len(entries) - 1) + ["done"]
+        assert [entry["attempt"] for entry in entries[:-1]] == list(range(1, len(entries)))
+        assert entries[-1]["attempt"] == len(entries) - 1
+    for row in rows:
+        suffix = f"_attempt-{row['attempt']}" if row["attempt"] > 1 else ""
+        ticks = pd.read_csv(own / "trials" / f"sub-01_trial-{row['trial']:04d}{suffix}.csv")
+        assert len(ticks) + row["lost_ticks"] == row["last_tick"] - row["first_tick"] + 1

@@ -1,7 +1,5 @@
 """Sessions without a daemon: journal, resume after a kill, tables, figures, command line."""
 
-from __future__ import annotations
-
 import csv
 import json
 import random
@@ -15,8 +13,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from helpers.called import called, read_stdout
 from helpers.processes import COMMAND
 from PIL import Image
 from test_trial_order import make_tables
@@ -37,6 +37,10 @@ pytestmark = pytest.mark.plain
 OFFLINE = RunOptions(dry_run=True, no_daemon=True)
 
 
+def read_table(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
 def check_figure(figure: Path) -> None:
     with Image.open(figure.with_suffix(".png")) as picture:
         assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50
@@ -49,31 +53,30 @@ def check_figure(figure: Path) -> None:
     "name", [name for name in list_names(EXPERIMENTS) if name != "stiffness-and-workload"]
 )  # tested elsewhere
 def test_each_shipped_experiment_runs_from_design_to_figure(name: str, tmp_path: Path) -> None:
-    assert cli.main(["experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out")]) == 0
-    assert cli.main(["figure", str(tmp_path / "out")]) == 0
+    read_stdout("experiment", name, "--dry-run", "--no-daemon", "--out", str(tmp_path / "out"))
+    read_stdout("figure", str(tmp_path / "out"))
     figures = tmp_path / "out" / "figures"
     # Without a device there are no forces, so the figure `felt` is not drawn.
     assert {path.name for path in figures.iterdir()} == {"fit.png", "fit.svg", "numbers.csv", "numbers.json"}
     check_figure(figures / "fit")
     numbers = json.loads((figures / "numbers.json").read_text())
-    with (figures / "numbers.csv").open() as file:
-        same = list(csv.DictReader(file))
+    same = read_table(figures / "numbers.csv")
     assert [row["condition"] for row in same] == [entry["condition"] for entry in numbers]
     for row, entry in zip(same, numbers, strict=True):
         key = "threshold" if "threshold" in entry else "exponent"
         assert float(row[key]) == entry[key] and entry[f"{key}_95_low"] <= entry[key] <= entry[f"{key}_95_high"]
-    with (tmp_path / "out" / "trials.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = read_table(tmp_path / "out" / "trials.csv")
     assert [int(row["trial"]) for row in rows] == list(range(1, len(rows) + 1))
     assert sum(entry["trials"] for entry in numbers) == sum(row["practice"] == "False" for row in rows)
 
 
-def kill_and_resume(folder: Path, kills: int, seed: int) -> None:
-    words = [*COMMAND, "-q", "experiment", "friction-magnitude", "--dry-run"]
-    words += ["--no-daemon", "--out", str(folder)]
-    rng, journal = random.Random(seed), folder / "sub-01" / "sub-01_journal.jsonl"
+REHEARSAL = [*COMMAND, "-q", "experiment", "friction-magnitude", "--dry-run", "--no-daemon", "--out"]
+
+
+def test_a_killed_session_resumes_without_loss_or_repetition(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
+    words, rng, journal = [*REHEARSAL, str(tmp_path)], random.Random(7), tmp_path / "sub-01" / "sub-01_journal.jsonl"
     size = lambda: journal.stat().st_size if journal.exists() else 0  # noqa: E731
-    for _ in range(kills):
+    for _ in range(cases(3, 50)):
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
         until = size() + rng.randrange(1, 400)
         while size() < until and process.poll() is None:
@@ -81,17 +84,11 @@ def kill_and_resume(folder: Path, kills: int, seed: int) -> None:
         process.send_signal(signal.SIGKILL)
         process.wait()
     assert subprocess.run(words, check=False, stdout=subprocess.DEVNULL).returncode == 0
-
-
-def test_a_killed_session_resumes_without_loss_or_repetition(tmp_path: Path, cases: Callable[[int, int], int]) -> None:
-    kill_and_resume(tmp_path / "killed", cases(3, 50), seed=7)
-    rows = load_results(tmp_path / "killed")
+    rows = load_results(tmp_path)
     assert [row["trial"] for row in rows] == list(range(1, len(rows) + 1))
-    whole = Experiment("friction-magnitude").rehearse()
-    assert [(row["trial"], row["level"], row["answer"]) for row in rows] == [
-        (row["trial"], row["level"], row["answer"]) for row in whole
-    ]
-    assert len(read(tmp_path / "killed" / "sub-01" / "sub-01_journal.jsonl")) > 2 * len(rows)
+    whole, keys = Experiment("friction-magnitude").rehearse(), ("trial", "level", "answer")
+    assert [[row[key] for key in keys] for row in rows] == [[row[key] for key in keys] for row in whole]
+    assert len(read(journal)) > 2 * len(rows)
 
 
 def cut_journal(own: Path, entries: int, rest: bytes = b"") -> None:
@@ -112,32 +109,46 @@ def test_an_adaptive_session_resumes_at_the_same_level(tmp_path: Path) -> None:
     assert [row["answer"] for row in resumed] == [row["answer"] for row in rows]
 
 
-def test_a_finished_session_is_not_repeated(tmp_path: Path) -> None:
-    experiment = Experiment(make_tables())
-    rows = experiment.run(tmp_path, 1, OFFLINE)
-    before = (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_bytes()
-    assert experiment.run(tmp_path, 1, OFFLINE) == rows
-    assert (tmp_path / "sub-01" / "sub-01_journal.jsonl").read_bytes() == before
+class FinishedSession:
+    """Session of participant 1 with 36 trials, and its journal."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.experiment = folder, Experiment(make_tables())
+        self.rows = self.run()
+        self.journal = folder / "sub-01" / "sub-01_journal.jsonl"
+        self.lines = self.journal.read_bytes().splitlines(keepends=True)
+
+    def run(self, participant: int = 1) -> list[dict[str, Any]]:
+        return self.experiment.run(self.folder, participant, OFFLINE)
+
+    def write(self, *lines: bytes) -> None:
+        self.journal.write_bytes(b"".join(lines))
 
 
-def test_a_folder_keeps_to_one_experiment(tmp_path: Path) -> None:
-    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
+@pytest.fixture
+def finished(tmp_path: Path) -> FinishedSession:
+    return FinishedSession(tmp_path)
+
+
+def test_a_finished_session_is_not_repeated(finished: FinishedSession) -> None:
+    assert finished.run() == finished.rows and finished.journal.read_bytes() == b"".join(finished.lines)
+
+
+def test_a_folder_keeps_to_one_experiment(finished: FinishedSession) -> None:
+    finished.experiment = Experiment(make_tables(), {"task.reference": 600.0, "design.seed": 6})
+    message = r"belongs to an experiment with other values \(task.reference, design.seed\)"
     for participant in (1, 2):
-        with pytest.raises(
-            ConfigError, match=r"belongs to an experiment with other values \(task.reference, design.seed\)"
-        ):
-            Experiment(make_tables(), {"task.reference": 600.0, "design.seed": 6}).run(tmp_path, participant, OFFLINE)
+        with pytest.raises(ConfigError, match=message):
+            finished.run(participant)
 
 
-def test_a_folder_does_not_mix_rehearsals_with_participants(tmp_path: Path) -> None:
-    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
+def test_a_folder_does_not_mix_rehearsals_with_participants(finished: FinishedSession) -> None:
     for participant in (1, 2):
         with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): use another folder"):
-            Experiment(make_tables()).run(tmp_path, participant)
-    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
-    journal.write_bytes(journal.read_bytes().replace(b'"dry_run":true', b'"dry_run":false'))
+            finished.experiment.run(finished.folder, participant)
+    finished.write(*(line.replace(b'"dry_run":true', b'"dry_run":false') for line in finished.lines))
     with pytest.raises(ConfigError, match="answers of participants: use another folder"):
-        Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
+        finished.run()
 
 
 @contextmanager
@@ -183,13 +194,12 @@ def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
 
 
 def test_sessions_at_once_in_one_folder_leave_one_table(tmp_path: Path) -> None:
-    words = [*COMMAND, "-q", "experiment", "friction-magnitude", "--dry-run"]
-    words += ["--no-daemon", "--out", str(tmp_path / "out"), "--participant"]
+    words = [*REHEARSAL, str(tmp_path / "out"), "--participant"]
     processes = [subprocess.Popen([*words, str(number)], stdout=subprocess.DEVNULL) for number in (1, 2, 3)]
     assert [process.wait(100.0) for process in processes] == [0, 0, 0]
     Experiment("friction-magnitude").run(tmp_path / "out", 1, OFFLINE)  # writes the tables again
-    with (tmp_path / "out" / "trials.csv").open() as file:
-        assert {row["participant"] for row in csv.DictReader(file)} == {"sub-01", "sub-02", "sub-03"}
+    names = {row["participant"] for row in read_table(tmp_path / "out" / "trials.csv")}
+    assert names == {"sub-01", "sub-02", "sub-03"}
     assert not list((tmp_path / "out").rglob("*.part"))
 
 
@@ -217,54 +227,45 @@ def test_an_edited_journal_entry_is_refused(line: str, message: str, tmp_path: P
         read(tmp_path / "j.jsonl")
 
 
-def test_a_lost_line_of_a_journal_is_noticed(tmp_path: Path) -> None:
+def test_a_lost_line_of_a_journal_is_noticed(finished: FinishedSession) -> None:
     """Any lost line but the last, which a kill may also lose; and a line that occurs twice."""
-    experiment = Experiment(make_tables())
-    experiment.run(tmp_path, 1, OFFLINE)
-    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
-    lines = journal.read_bytes().splitlines(keepends=True)
+    lines = finished.lines
     for lost in range(len(lines) - 1):
-        journal.write_bytes(b"".join(lines[:lost] + lines[lost + 1 :]))
+        finished.write(*lines[:lost], *lines[lost + 1 :])
         with pytest.raises(ConfigError, match=f"line {lost + 1}: entry {lost + 1} is missing between .* restore"):
-            experiment.run(tmp_path, 1, OFFLINE)
+            finished.run()
     answer = next(index for index, line in enumerate(lines) if b'"done","entry":5,' in line)
-    journal.write_bytes(b"".join(lines[:answer] + lines[answer + 3 :]))
-    with pytest.raises(
-        ConfigError, match="line 5: entries 5 to 7 are missing between 'begun' of trial 2 and 'begun' of"
-    ):
-        load_results(tmp_path)
-    journal.write_bytes(b"".join(lines[:5] + lines[4:]))
+    finished.write(*lines[:answer], *lines[answer + 3 :])
+    message = "line 5: entries 5 to 7 are missing between 'begun' of trial 2 and 'begun' of"
+    with pytest.raises(ConfigError, match=message):
+        load_results(finished.folder)
+    finished.write(*lines[:5], *lines[4:])
     with pytest.raises(ConfigError, match="line 6: is entry 5, must be entry 6: restore"):
-        load_results(tmp_path)
+        load_results(finished.folder)
 
 
 @pytest.mark.parametrize("remaining", [None, b"", b"[]\n", b"\xff\xfe\0\n\xff\n", 8])
-def test_the_end_of_a_lost_journal_is_noticed(remaining: bytes | int | None, tmp_path: Path) -> None:
+def test_the_end_of_a_lost_journal_is_noticed(remaining: bytes | int | None, finished: FinishedSession) -> None:
     """The tables of a finished session have the answers: they must not be replaced."""
-    experiment = Experiment(make_tables())
-    experiment.run(tmp_path, 1, OFFLINE)
-    own, before = tmp_path / "sub-01", (tmp_path / "trials.csv").read_bytes()
-    journal = own / "sub-01_journal.jsonl"
-    lines = journal.read_bytes().splitlines(keepends=True)
+    table = finished.folder / "trials.csv"
+    before = table.read_bytes()
     if remaining is None:
-        journal.unlink()
+        finished.journal.unlink()
     else:
-        journal.write_bytes(remaining if isinstance(remaining, bytes) else b"".join(lines[:remaining]))
+        finished.write(*([remaining] if isinstance(remaining, bytes) else finished.lines[:remaining]))
     lost = "lacks the answers of trial (1|4, 5), .* restore|line 1 is not an entry of a journal: restore"
     for participant in (1, 2):
         with pytest.raises(ConfigError, match=rf"sub-01_journal\.jsonl: ({lost}|line 1: .*missing)"):
-            experiment.run(tmp_path, participant, OFFLINE)
+            finished.run(participant)
     with pytest.raises(ConfigError, match=lost):
-        load_results(tmp_path)
-    assert (tmp_path / "trials.csv").read_bytes() == before and not (tmp_path / "sub-02").exists()
+        load_results(finished.folder)
+    assert table.read_bytes() == before and not (finished.folder / "sub-02").exists()
 
 
-def test_a_journal_may_end_with_zeros_after_a_power_failure(tmp_path: Path) -> None:
-    experiment = Experiment(make_tables())
-    rows = experiment.run(tmp_path, 1, OFFLINE)
+def test_a_journal_may_end_with_zeros_after_a_power_failure(finished: FinishedSession) -> None:
     for rest in (bytes(300), b'{"kin' + bytes(40), b"{"):
-        cut_journal(tmp_path / "sub-01", 7, rest)
-        assert [row["answer"] for row in experiment.run(tmp_path, 1, OFFLINE)] == [row["answer"] for row in rows]
+        cut_journal(finished.journal.parent, 7, rest)
+        assert [row["answer"] for row in finished.run()] == [row["answer"] for row in finished.rows]
 
 
 @pytest.mark.parametrize(
@@ -275,17 +276,14 @@ def test_a_journal_may_end_with_zeros_after_a_power_failure(tmp_path: Path) -> N
         ('"level":', '"level":-', r"line 3: Expected `float` > 0.0 - at `\$.level`"),
     ],
 )
-def test_an_edited_answer_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
-    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
-    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
-    journal.write_text(journal.read_text().replace('"right":false', '"right":true').replace(old, new))
+def test_an_edited_answer_is_refused(old: str, new: str, message: str, finished: FinishedSession) -> None:
+    text = finished.journal.read_text()
+    finished.journal.write_text(text.replace('"right":false', '"right":true').replace(old, new))
     with pytest.raises(ConfigError, match=rf"sub-01_journal\.jsonl: {message}.*: restore the file from a copy"):
-        load(tmp_path)
+        load(finished.folder)
 
 
-def test_damaged_files_of_a_folder_are_named(tmp_path: Path) -> None:
-    experiment = Experiment(make_tables())
-    experiment.run(tmp_path, 1, OFFLINE)
+def test_damaged_files_of_a_folder_are_named(tmp_path: Path, finished: FinishedSession) -> None:
     about, described = tmp_path / "sub-01" / "sub-01_run-01_about.json", tmp_path / "experiment.json"
     whole = about.read_bytes()
     about.write_bytes(whole[:10])
@@ -296,13 +294,13 @@ def test_damaged_files_of_a_folder_are_named(tmp_path: Path) -> None:
     for damaged in (whole[:100], whole.replace(b"title", b"\xffitle"), b"[" * 100_000):
         described.write_bytes(damaged)
         with pytest.raises(ConfigError, match=r"experiment\.json: is damaged: .*: restore the file from a copy"):
-            experiment.run(tmp_path, 1, OFFLINE)
+            finished.run()
         with pytest.raises(ConfigError, match=r"experiment\.json: cannot be read: "):
             load(tmp_path)
     shutil.copytree(tmp_path / "sub-01", tmp_path / "sub-07")
     described.unlink()
     with pytest.raises(ConfigError, match=r"sub-01_journal\.jsonl: is in the folder sub-07 of another participant"):
-        experiment.run(tmp_path, 1, OFFLINE)
+        finished.run()
 
 
 def test_a_title_of_any_characters_is_drawn(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -312,44 +310,39 @@ def test_a_title_of_any_characters_is_drawn(tmp_path: Path, caplog: pytest.LogCa
     assert caplog.text.count("the font of the figures lacks the characters \u6f22\u5b57: set font.family") == 1
 
 
-def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    Experiment(make_tables()).run(tmp_path, 1, OFFLINE)
+@pytest.mark.usefixtures("finished")
+def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path) -> None:
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "numbers.csv").touch()
     with limit_file_size(2000, tmp_path / "figures" / "numbers.csv"):
-        assert cli.main(["figure", str(tmp_path)]) == ConfigError.exit_code
+        result = called("figure", str(tmp_path))
     fault = f"{tmp_path / 'figures'}: the figures cannot be written: File too large: make room, or name another folder"
-    assert fault in capsys.readouterr().err
+    assert result.returncode == ConfigError.exit_code and fault in result.stderr
 
 
-def test_a_session_continues_without_a_lost_answer(tmp_path: Path) -> None:
-    experiment = Experiment(make_tables())
-    rows = experiment.run(tmp_path, 1, OFFLINE)
-    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
-    lines = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join(lines[:4] + lines[5:-1]))
+def test_a_session_continues_without_a_lost_answer(finished: FinishedSession) -> None:
+    first, rest = finished.lines[:4], finished.lines[5:-1]
+    finished.write(*first, *rest)
     with pytest.raises(ConfigError) as refused:
-        experiment.run(tmp_path, 1, OFFLINE)
+        finished.run()
     line = re.search(r"insert a line (\{.*\})", str(refused.value))
-    assert line is not None
-    journal.write_bytes(b"".join([*lines[:4], f"{line[1]}\n".encode(), *lines[5:-1]]))
+    finished.write(*first, f"{line[1]}\n".encode(), *rest)
     with pytest.raises(ConfigError, match=r"lacks the answers of trial 2, which sub-01_trials\.csv has: restore"):
-        experiment.run(tmp_path, 1, OFFLINE)
-    (tmp_path / "sub-01" / "sub-01_trials.csv").unlink()
-    resumed = experiment.run(tmp_path, 1, OFFLINE)
+        finished.run()
+    (finished.folder / "sub-01" / "sub-01_trials.csv").unlink()
+    resumed = finished.run()
     assert [(row["trial"], row["attempt"]) for row in resumed if row["attempt"] > 1] == [(2, 2)]
-    assert sorted((row["trial"], row["level"]) for row in resumed) == [(row["trial"], row["level"]) for row in rows]
+    levels = [(row["trial"], row["level"]) for row in finished.rows]
+    assert sorted((row["trial"], row["level"]) for row in resumed) == levels
 
 
-def test_a_journal_of_an_earlier_version_is_continued(tmp_path: Path) -> None:
-    experiment = Experiment(make_tables())
-    rows = experiment.run(tmp_path, 1, OFFLINE)
-    journal = tmp_path / "sub-01" / "sub-01_journal.jsonl"
-    journal.write_bytes(re.sub(rb'"entry":\d+,', b"", journal.read_bytes()))
-    cut_journal(journal.parent, 9)
-    assert [row["answer"] for row in experiment.run(tmp_path, 1, OFFLINE)] == [row["answer"] for row in rows]
-    assert b'"entry":10,' in journal.read_bytes() and b'"entry":9,' not in journal.read_bytes()
-    assert "entry" not in (tmp_path / "trials.csv").read_text()
+def test_a_journal_of_an_earlier_version_is_continued(finished: FinishedSession) -> None:
+    finished.write(*(re.sub(rb'"entry":\d+,', b"", line) for line in finished.lines))
+    cut_journal(finished.journal.parent, 9)
+    assert [row["answer"] for row in finished.run()] == [row["answer"] for row in finished.rows]
+    journal = finished.journal.read_bytes()
+    assert b'"entry":10,' in journal and b'"entry":9,' not in journal
+    assert "entry" not in (finished.folder / "trials.csv").read_text()
 
 
 def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path) -> None:
@@ -385,16 +378,5 @@ def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
     assert Experiment(file).run(out, 1, OFFLINE) == rows
 
 
-def test_the_verb_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["experiments"]) == 0
-    listed = capsys.readouterr().out
-    assert [line.split()[0] for line in listed.splitlines()] == list_names(EXPERIMENTS)
-    for words, message in (
-        (["experiment", "friction-magnitude", "--no-daemon"], "add --dry-run"),
-        (["experiment", "friction-magnitud"], "did you mean 'friction-magnitude'"),
-        (["experiment", "friction-magnitude", "--participant", "0"], "participant = 0"),
-        (["experiment", "friction-magnitude", "--set", "procedure.repetitions=0"], "must be an integer from 1"),
-        (["figure", str(tmp_path)], "check that `softfinger experiment` wrote this folder"),
-    ):
-        assert cli.main([*words, *(["--out", str(tmp_path)] if words[0] == "experiment" else [])]) == 2
-        assert message in capsys.readouterr().err
+def test_the_verb_lists_shipped_experiments() -> None:
+    assert [line.split()[0] for line in read_stdout("experiments").splitlines()] == list_names(EXPERIMENTS)

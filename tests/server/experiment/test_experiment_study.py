@@ -1,11 +1,10 @@
-"""Surveys, interleaved staircases, catch trials, consent and screen, with the simulated observer."""
-
-from __future__ import annotations
+"""Surveys, interleaved staircases, catch trials, consent, screen and typed answers, with the simulated observer."""
 
 import csv
 import hashlib
 import io
 import json
+import os
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path
@@ -13,19 +12,22 @@ from typing import Any
 
 import msgspec
 import pytest
+from helpers.called import read_stdout
 from helpers.shares import collect_shares
 from PIL import Image
 from test_experiment_session import check_figure
-from test_trial_order import make_file, make_tables
+from test_trial_order import PLAIN, make_file, make_tables
 
 from softfinger.config.errors import ConfigError
-from softfinger.server import cli
 from softfinger.server.experiment.analysis import fit_groups
+from softfinger.server.experiment.answers import CHOICES, parse_answer, read_keyboard
 from softfinger.server.experiment.daemon import RunOptions
 from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.experiment.folder import load
+from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.session import Stopped
 from softfinger.server.experiment.trial_order import plan_trials
+from softfinger.server.wire.commands import Prompt
 
 pytestmark = pytest.mark.plain
 
@@ -46,13 +48,8 @@ HAND = {"name": "hand", "kind": "multi-choice", "prompt": "?", "options": ["left
 CATCH = {"rate": 0.5, "level": 1.0, "min_right": 0.75}
 
 
-def _png() -> bytes:
-    file = io.BytesIO()
-    Image.new("RGB", (2, 2), "red").save(file, "PNG")
-    return file.getvalue()
-
-
-PNG = _png()
+Image.new("RGB", (2, 2), "red").save(_png := io.BytesIO(), "PNG")
+PNG = _png.getvalue()
 
 
 def hash_values(values: Any) -> str:
@@ -130,15 +127,11 @@ def test_the_test_comes_first_in_half_of_the_trials_of_each_level() -> None:
 
 
 def test_a_study_runs_from_consent_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two participants give tables, figures, and a single report page in which texts are escaped; the share of the
-    drawing that is done is shown for each file and section."""
     out, script = tmp_path / "out", "<script>alert(1)</script>"
     for number in ("1", "2"):
         words = ["experiment", STUDY, "--dry-run", "--no-daemon", "--out", str(out), "--participant", number]
-        words += ["--set", f"observer.answers.strategy={script}", "--set", f"task.question=Which {script}?"]
-        assert cli.main(words) == 0
-    with (out / "surveys.csv").open() as table:
-        answers = list(csv.DictReader(table))
+        read_stdout(*words, "--set", f"observer.answers.strategy={script}", "--set", f"task.question=Which {script}?")
+    answers = list(csv.DictReader((out / "surveys.csv").read_text().splitlines()))
     assert [row["question"] for row in answers[:3]] == ["age", "hand", "mental-demand"]
     assert Counter((row["survey"], row["at"], row["block"], row["condition"]) for row in answers) == {
         ("demographics", "before", "0", ""): 4,
@@ -146,17 +139,15 @@ def test_a_study_runs_from_consent_to_report(tmp_path: Path, monkeypatch: pytest
         ("workload", "after", "2", "4.0"): 6, ("workload", "after", "2", "0.0"): 6,
         ("remarks", "after", "2", ""): 2,
     }  # fmt: skip
-    with (out / "trials.csv").open() as table:
-        assert {"staircase", "catch", "confidence"} <= set(next(csv.DictReader(table)))
+    assert {"staircase", "catch", "confidence"} <= set((out / "trials.csv").read_text().splitlines()[0].split(","))
     (out / "sub-03").mkdir()
     (out / "sub-03" / "sub-03_journal.jsonl").write_text('{"kind": "consent", "agreed": false}\n')
     shares = collect_shares(monkeypatch)
-    assert cli.main(["figure", str(out), "--report"]) == 0
+    read_stdout("figure", str(out), "--report")
     assert len(set(shares["drawing"])) > 12 and shares["drawing"][-1] == 1.0
-    figures = {path.name for path in (out / "figures").iterdir()}
     for name in ("staircases", "confidence", "surveys"):
         check_figure(out / "figures" / name)
-    assert {"staircases.png", "confidence.svg", "surveys.png", "surveys.csv", "report.html"} <= figures
+    assert (out / "figures" / "surveys.csv").exists()
     page = (out / "figures" / "report.html").read_text()
     assert "<script" not in page and page.count("&lt;script&gt;alert(1)") >= 3
     assert page.count("data:image/png;base64,") == 4 and 'src="http' not in page and "<link" not in page
@@ -235,12 +226,7 @@ def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
     (folder / "text.png").write_text("no image")
     (folder / "large.png").write_bytes(PNG + bytes(200_000))
     (folder / "good.png").write_bytes(PNG)
-    text = (
-        'title = "t"\nscene = "paper-plane"\ndesign = { seed = 1 }\nscreen = { image = "NAME" }\n'
-        'procedure = { kind = "constant", levels = [0.1] }\n'
-        'task = { kind = "compare", parameter = "object.table.material.stiffness_n_per_m", reference = 500.0, '
-        'question = "?" }\n'
-    )
+    text = PLAIN.replace("scene.toml", "paper-plane") + 'screen = { image = "NAME" }\n'
     for name, message in (
         ("../outside.png", "outside the folder of the experiment"),
         (str(outside), "outside the folder of the experiment"),
@@ -257,3 +243,46 @@ def test_an_image_is_a_file_of_the_study(tmp_path: Path) -> None:
     (folder / "good.png").write_bytes(PNG + b"\0")
     with pytest.raises(ConfigError, match=r"other values \(good\.png\)"):
         Experiment(folder / "e.toml").run(tmp_path / "out", 2, OFFLINE)
+
+
+NUMBER = Prompt("t", "?", number=(0.5, 2.5))
+TEXT = Prompt("t", "?", text_length=5)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "typed", "answer", "rest"),
+    [
+        (NUMBER, "1,75\n", 1.75, ""),
+        (NUMBER, " 1.75 \n2", 1.75, "2"),
+        (NUMBER, "1.000,5\n", "1.000,5", ""),  # not a number: the daemon refuses it
+        (NUMBER, "1.7", None, "1.7"),
+        (NUMBER, "\n", None, ""),
+        (TEXT, "größer\n", "größe", ""),
+        (TEXT, "  \n", None, ""),
+        (Prompt("t", "?", choices=CHOICES), "x2", "second", ""),
+        (Prompt("t", "?", choices=("a b", "c")), "a b\n", "a b", ""),
+    ],
+)
+def test_a_line_is_an_answer(prompt: Prompt, typed: str, answer: Any, rest: str) -> None:
+    assert parse_answer(prompt, typed, 0) == (answer, rest)
+
+
+def test_a_character_split_between_two_reads_is_complete(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A read returns at most 256 bytes, which splits an ü."""
+    text = "a" + 300 * "ü" + "\n"
+    reader, writer = os.pipe()
+    with os.fdopen(reader) as stdin, os.fdopen(writer, "w") as typed:
+        monkeypatch.setattr("sys.stdin", stdin)
+        typed.write(text)
+        typed.flush()
+        with read_keyboard(single=False) as keys:
+            assert "".join(keys() for _ in range(4)) == text
+
+
+def test_simulated_numbers_are_within_their_bounds() -> None:
+    height = {"name": "height", "kind": "number", "prompt": "?", "min": 0.5, "max": 2.5}
+    survey = {"name": "s", "at": ["before"], "question": [height]}
+    for changes, expected in (({}, {1.0, 2.0}), ({"observer": {"answers": {"height": 0.5}}}, {0.5, 1.0})):
+        file = Experiment(make_tables(survey=[survey], **changes)).file
+        (question,) = file.survey[0].question
+        assert {SimulatedObserver(file, 1).survey(question, None, number) for number in range(200)} == expected

@@ -1,7 +1,5 @@
 """`install` below a folder: its files are written, recorded, updated and removed; other files are not changed."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat
@@ -10,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from helpers.called import called
 from helpers.forgotten import forget_user
 
 from softfinger.config.errors import ConfigError
@@ -22,15 +21,11 @@ UNIT = "etc/systemd/system/softfinger.service"
 RULES = "etc/udev/rules.d/70-softfinger.rules"
 RECORD = str(SYSTEM.record.relative_to("/"))
 FILES = {
-    UNIT,
-    RULES,
-    "etc/security/limits.d/70-softfinger.conf",
-    "etc/sysusers.d/softfinger.conf",
-    "usr/local/share/man/man1/softfinger.1",
-    "usr/local/share/bash-completion/completions/softfinger",
+    UNIT, RULES, "etc/security/limits.d/70-softfinger.conf", "etc/sysusers.d/softfinger.conf",
+    "usr/local/share/man/man1/softfinger.1", "usr/local/share/bash-completion/completions/softfinger",
     "usr/local/share/zsh/site-functions/_softfinger",
-}
-Install = Callable[..., int]
+}  # fmt: skip
+Install = Callable[..., str]
 
 
 @pytest.fixture
@@ -42,20 +37,24 @@ def root() -> Iterator[Path]:
 
 @pytest.fixture
 def install(root: Path) -> Install:
-    return lambda *words: main(["install", "--system", "--root", str(root), *words])
+    """Return a function that installs below `root`, checks the exit code and returns the output."""
+
+    def run(*words: str, code: int = 0) -> str:
+        result = called("install", "--system", "--root", str(root), *words)
+        assert result.returncode == code, result.stderr
+        return result.stdout + result.stderr
+
+    return run
 
 
 def content(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_dry_run_shows_what_an_install_writes(
-    root: Path, install: Install, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert install("--dry-run") == 0
-    shown = capsys.readouterr().out
+def test_a_dry_run_shows_what_an_install_writes(root: Path, install: Install) -> None:
+    shown = install("--dry-run")
     assert not root.exists()
-    assert install() == 0
+    install()
     written = content(root)
     assert set(written) == FILES | {RECORD}
     for name in FILES:
@@ -70,7 +69,7 @@ def test_a_dry_run_shows_what_an_install_writes(
 def test_every_user_may_read_installed_files(root: Path, install: Install) -> None:
     before = os.umask(0o077)
     try:
-        assert install() == 0
+        install()
     finally:
         os.umask(before)
     for path in (root / "etc").rglob("*"):
@@ -78,45 +77,35 @@ def test_every_user_may_read_installed_files(root: Path, install: Install) -> No
 
 
 @pytest.mark.parametrize("edited", [False, True])
-def test_removal_keeps_foreign_and_edited_files(
-    root: Path, install: Install, edited: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_removal_keeps_foreign_and_edited_files(root: Path, install: Install, edited: bool) -> None:
     foreign = root / "etc/udev/rules.d/99-other.rules"
     foreign.parent.mkdir(parents=True)
     foreign.write_text("# somebody else's\n")
-    assert install() == 0
+    install()
     if edited:
         (root / UNIT).write_text("[Service]\nExecStart=/bin/true\n")
-    capsys.readouterr()
-    assert install("--remove") == 0
-    output = capsys.readouterr().out
+    output = install("--remove")
     assert set(content(root)) == {str(foreign.relative_to(root))} | ({UNIT, RECORD} if edited else set())
     assert (f"edited, therefore not removed; remove it yourself: {root / UNIT}" in output) == edited
     if not edited:
         assert {path.name for path in root.rglob("*") if path.is_dir()} == {"etc", "udev", "rules.d"}
         return
     (root / UNIT).unlink()
-    assert install("--remove") == 0  # the record lists edited files until they are deleted
+    install("--remove")  # the record lists edited files until they are deleted
     assert set(content(root)) == {str(foreign.relative_to(root))}
 
 
-def test_a_second_install_changes_nothing(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
-    assert install() == 0
+def test_a_second_install_changes_nothing(root: Path, install: Install) -> None:
+    install()
     before = content(root)
-    capsys.readouterr()
-    assert install() == 0
+    assert install().count("as it was /") == len(FILES)
     assert content(root) == before
-    assert capsys.readouterr().out.count("as it was /") == len(FILES)
 
 
-def test_an_edited_file_remains_and_is_reported(
-    root: Path, install: Install, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert install() == 0
+def test_an_edited_file_remains_and_is_reported(root: Path, install: Install) -> None:
+    install()
     (root / RULES).write_text("# mine\n")
-    capsys.readouterr()
-    assert install("--rig", "omega-6", "--scene", "sphere") == 0
-    output = capsys.readouterr().out
+    output = install("--rig", "omega-6", "--scene", "sphere")
     assert (root / RULES).read_text() == "# mine\n"
     assert f"edited, therefore not replaced; move it away to install the new one: {root / RULES}" in output
     assert f"renewed {root / UNIT}" in output
@@ -124,9 +113,7 @@ def test_an_edited_file_remains_and_is_reported(
 
 
 @pytest.mark.parametrize("kind", ["file", "link", "folder"])
-def test_a_foreign_file_is_not_overwritten(
-    root: Path, install: Install, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_foreign_file_is_not_overwritten(root: Path, install: Install, kind: str) -> None:
     unit = root / UNIT
     unit.parent.mkdir(parents=True)
     if kind == "file":
@@ -136,20 +123,19 @@ def test_a_foreign_file_is_not_overwritten(
     else:
         unit.mkdir()
     before = content(root)
-    assert install() == 2
+    (line,) = install(code=2).splitlines()
     assert content(root) == before
-    (line,) = capsys.readouterr().err.splitlines()
     assert str(unit) in line and "move it away first; nothing was written" in line
 
 
 def test_files_of_an_earlier_version_are_removed(root: Path, install: Install) -> None:
-    assert install() == 0
+    install()
     old = root / "etc/old.conf"
     old.write_bytes((root / UNIT).read_bytes())
     record = json.loads((root / RECORD).read_text())
     record["files"]["/etc/old.conf"] = record["files"][f"/{UNIT}"]
     (root / RECORD).write_text(json.dumps(record))
-    assert install() == 0
+    install()
     assert set(content(root)) == FILES | {RECORD}
 
 
@@ -178,21 +164,14 @@ def test_without_permission_there_is_one_clear_line(root: Path, removes: bool) -
     assert content(root) == before
 
 
-def test_a_damaged_record_is_reported(root: Path, install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_record_is_reported(root: Path, install: Install) -> None:
     (root / RECORD).parent.mkdir(parents=True)
     (root / RECORD).write_text("{")
-    assert install() == 2
-    assert f"{root / RECORD} is damaged" in capsys.readouterr().err
+    assert f"{root / RECORD} is damaged" in install(code=2)
 
 
-def test_a_wrong_rig_is_refused_before_installing(
-    root: Path, install: Install, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert install("--rig", "omega-66") == 2
-    assert "omega-66" in capsys.readouterr().err and not root.exists()
-
-
-# --- for one user -----------------------------------------------------------------------------------
+def test_a_wrong_rig_is_refused_before_installing(root: Path, install: Install) -> None:
+    assert "omega-66" in install("--rig", "omega-66", code=2) and not root.exists()
 
 
 @pytest.fixture
@@ -212,9 +191,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_user_installs_without_root(home: Path) -> None:
     call_log = home.parent / "asked"
     assert main(["install"]) == 0
-    assert {path.rpartition("/")[2] for path in content(home)} == {
-        *("softfinger.service", "softfinger.1", "softfinger", "_softfinger", "installed.json")
-    }
+    files = {"softfinger.service", "softfinger.1", "softfinger", "_softfinger", "installed.json"}
+    assert {path.rpartition("/")[2] for path in content(home)} == files
     assert call_log.read_text() == "--user daemon-reload\n"
     assert main(["install", "--remove"]) == 0
     assert list(home.rglob("*")) == []
@@ -226,24 +204,17 @@ def test_a_users_folders_follow_xdg() -> None:
     assert named.units == Path("/c/systemd/user") and named.manuals == Path("/h/.local/share/man/man1")
 
 
-def test_a_missing_home_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_home_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     forget_user(monkeypatch)
-    assert main(["install", "--dry-run"]) == 2
-    assert "no home folder" in capsys.readouterr().err
+    result = called("install", "--dry-run")
+    assert result.returncode == 2 and "no home folder" in result.stderr
     for name in ("CONFIG", "DATA", "STATE"):
         monkeypatch.setenv(f"XDG_{name}_HOME", str(tmp_path / name))
-    assert main(["install", "--dry-run"]) == 0
-    assert str(tmp_path / "CONFIG") in capsys.readouterr().out
+    result = called("install", "--dry-run")
+    assert result.returncode == 0 and str(tmp_path / "CONFIG") in result.stdout
 
 
-# --- commands ---------------------------------------------------------------------------------------
-
-
-def test_commands_that_are_missing_or_fail_are_reported(
-    home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commands_that_are_missing_or_fail_are_reported(home, capsys, monkeypatch):
     tools = home.parent / "bin"
     (tools / "udevadm").write_text("#!/bin/sh\necho no udev runs here >&2\nexit 1\n")
     (tools / "udevadm").chmod(0o755)

@@ -1,7 +1,5 @@
 """Files that `install` writes, checked by systemd, udev, man and the shells."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -48,14 +46,10 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-# --- udev -------------------------------------------------------------------------------------------
-
-
 def test_every_line_is_in_the_grammar_of_udev() -> None:
     """Checked by a regular expression, because udev may be missing."""
     lines = [line for line in make_udev_rules([OWN]).splitlines() if line and not line.startswith("#")]
-    assert len(lines) > 10
-    assert not [line for line in lines if not LINE.fullmatch(line)]
+    assert len(lines) > 10 and not [line for line in lines if not LINE.fullmatch(line)]
 
 
 def test_every_device_that_a_driver_claims_has_a_rule() -> None:
@@ -94,9 +88,6 @@ def test_udev_takes_the_rules(root: Path) -> None:
         assert len(lines) == complaints, lines
 
 
-# --- systemd, limits --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("system", [True, False])
 def test_systemd_takes_the_unit(root: Path, tmp_path: Path, system: bool) -> None:
     analyze = tool("systemd-analyze")
@@ -124,11 +115,11 @@ def test_the_exposure_of_the_service_is_limited(tmp_path: Path) -> None:
 
 
 def test_the_unit_has_the_settings_of_the_daemon() -> None:
-    text = make_unit(["/bin/softfinger"], True)
-    for line in ("Type=notify", "WatchdogSec=2s", "Restart=no", "NoNewPrivileges=yes", "ProtectSystem=strict"):
-        assert f"\n{line}\n" in text
-    for line in ("DevicePolicy=closed", "LimitRTPRIO=95", "LimitMEMLOCK=infinity", "RuntimeDirectory=softfinger"):
-        assert f"\n{line}\n" in text
+    lines = {
+        "Type=notify", "WatchdogSec=2s", "Restart=no", "NoNewPrivileges=yes", "ProtectSystem=strict",
+        "DevicePolicy=closed", "LimitRTPRIO=95", "LimitMEMLOCK=infinity", "RuntimeDirectory=softfinger",
+    }  # fmt: skip
+    assert lines <= set(make_unit(["/bin/softfinger"], True).splitlines())
     assert "Limit" not in make_unit(["/bin/softfinger"], False).partition("[Service]")[2].partition("# Limits")[0]
 
 
@@ -140,13 +131,9 @@ def test_limits_equal_those_of_the_unit() -> None:
 def test_sysusers_takes_the_account(root: Path, tmp_path: Path) -> None:
     sysusers = tool("systemd-sysusers")
     (tmp_path / "etc").mkdir()
-    result = run(sysusers, f"--root={tmp_path}", root / "etc/sysusers.d/softfinger.conf")
-    assert result.returncode == 0, result.stderr
+    run_program([sysusers, f"--root={tmp_path}", str(root / "etc/sysusers.d/softfinger.conf")], check=True)
     assert "\nsoftfinger:" in "\n" + (tmp_path / "etc/group").read_text()
     assert ":/var/lib/softfinger:" in (tmp_path / "etc/passwd").read_text()
-
-
-# --- man, completion --------------------------------------------------------------------------------
 
 
 def test_the_man_page_has_every_verb_and_option() -> None:
@@ -178,11 +165,7 @@ def test_shells_take_the_completion(shell: str, tmp_path: Path) -> None:
     assert (result.returncode, result.stderr) == (0, "")
     if shell == "bash":
         function = re.search(r"complete .*-F (\w+)", script.read_text())
-        assert function is not None
-        for words, wanted in ((["inst"], "install"), (["run", "--rig", "omega"], "omega-6")):
-            commands = (
-                f"source {shlex.quote(str(script))}; "
-                f"COMP_WORDS=(softfinger {' '.join(words)}); COMP_CWORD={len(words)}; "
-                f"COMP_LINE='softfinger {' '.join(words)}'; {function[1]} softfinger; echo ${{COMPREPLY[@]}}"
-            )
+        for words, wanted in (("inst", "install"), ("run --rig omega", "omega-6")):
+            line = f"COMP_WORDS=(softfinger {words}); COMP_CWORD={len(words.split())}; COMP_LINE='softfinger {words}'"
+            commands = f"source {shlex.quote(str(script))}; {line}; {function[1]} softfinger; echo ${{COMPREPLY[@]}}"
             assert wanted in run("bash", "-c", commands).stdout.split()

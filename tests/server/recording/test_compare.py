@@ -1,13 +1,12 @@
 """Replay of a recording: equal without changes, first difference at its tick, ticks that cannot be compared."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from helpers.called import called, read_stdout
 from helpers.recorded import EPOCH_S, about, event, printed, recorded, run
 
 from softfinger.config.errors import Different
@@ -17,7 +16,6 @@ from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, CAUSE_TOUCH, FREE
-from softfinger.server import cli
 from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import begin
 from softfinger.server.loop.tuning import make_tuning
@@ -63,9 +61,8 @@ def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
     peak = np.abs(run()[:, AT.force + 2]).max()
     assert outcome.largest["force"] == pytest.approx(0.1 * peak, rel=1e-6)
     in_contact = np.count_nonzero(run()[:, AT.contact_mode] != FREE)
-    assert (
-        0.9 * in_contact <= outcome.different <= in_contact + 3
-    )  # includes slides at which forces differ; no tick in free space
+    # It includes slides at which forces differ, and no tick in free space.
+    assert 0.9 * in_contact <= outcome.different <= in_contact + 3
 
 
 @pytest.mark.plain
@@ -91,10 +88,8 @@ def test_ticks_after_a_gap_are_skipped_until_the_state_is_known(tmp_path: Path) 
     assert outcome.first is None
     (span,) = outcome.left_out
     assert span.first == middle + 2 and span.why == "2 ticks before it are missing"
-    assert span.last - span.first + 1 >= SETTLE_TICKS
-    assert run()[span.last + 1, AT.contact_mode] == FREE
-    assert outcome.compared == len(holed) - (span.last - span.first + 1)
-    assert outcome.compared > middle
+    assert span.last - span.first + 1 >= SETTLE_TICKS and run()[span.last + 1, AT.contact_mode] == FREE
+    assert outcome.compared == len(holed) - (span.last - span.first + 1) and outcome.compared > middle
 
 
 @pytest.mark.plain
@@ -124,32 +119,23 @@ def test_ticks_after_a_change_of_the_rig_are_skipped(tmp_path: Path) -> None:
     assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, OTHER)
 
 
-def simulate_change(tick: int, stiffness: float) -> np.ndarray:
-    poses = resample(load_poses("tap"), 1000.0)
-    scene = load_scene("paper-plane")
-    softer = apply_overrides(scene, {STIFFNESS: stiffness}, "test")
-    after = simulate(make_tuning(softer, load_rig("replay").guard), poses, 1000.0)
-    assert run()[tick, AT.contact_mode] == FREE
-    records = np.vstack([run()[:tick], after[tick:]])
-    records[:, AT.timestamp] = after[:, AT.timestamp]
-    return records
-
-
 @pytest.mark.plain
 def test_commands_are_replayed(tmp_path: Path) -> None:
     tick = (find_touches()[1] + find_touches()[2]) // 2
     while run()[tick, AT.contact_mode] != FREE:
         tick += 1
-    records = simulate_change(tick, 700.0)
+    softer = apply_overrides(load_scene("paper-plane"), {STIFFNESS: 700.0}, "test")
+    after = simulate(make_tuning(softer, load_rig("replay").guard), resample(load_poses("tap"), 1000.0), 1000.0)
+    records = np.vstack([run()[:tick], after[tick:]])
+    records[:, AT.timestamp] = after[:, AT.timestamp]
     changes = {"object.table.material.stiffness_n_per_m": {"from": 1000.0, "to": 700.0}}
     set_params = event("command", "set_params", tick, command_id="a", what=changes)
     quiet = replay_and_compare(recorded(tmp_path / "quiet.mcap", records))
     assert quiet.first is not None and quiet.first.tick > tick
     outcome = replay_and_compare(recorded(tmp_path / "told.mcap", records, [set_params]))
     assert outcome.first is None and outcome.compared > 0
-    assert {span.why for span in outcome.left_out} >= {
-        "the time of the following command is not recorded, or it was not yet executed"
-    }
+    why = "the time of the following command is not recorded, or it was not yet executed"
+    assert why in {span.why for span in outcome.left_out}
     set_scene = event("command", "set_scene", tick, command_id="a", what={"scene": "sphere", "tick": tick})
     outcome = replay_and_compare(recorded(tmp_path / "other.mcap", records, [set_scene]))
     assert outcome.first is None
@@ -163,8 +149,7 @@ def test_forces_withheld_by_the_driver_are_skipped(tmp_path: Path) -> None:
     records[at, AT.servo_device] = HELD
     records[at, AT.force : AT.force + 3] = 0.0
     outcome = replay_and_compare(recorded(tmp_path / "held.mcap", records))
-    assert outcome.first is None and outcome.compared < len(records)
-    assert "withheld" in outcome.left_out[-1].why
+    assert outcome.first is None and outcome.compared < len(records) and "withheld" in outcome.left_out[-1].why
 
     poses = resample(load_poses("tap"), 1000.0)
     poses[at] = np.nan
@@ -202,74 +187,68 @@ def test_several_fingers(tmp_path: Path) -> None:
 
 
 @pytest.mark.plain
-def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verb(tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.mcap", run())
-    assert cli.main(["replay", str(path)]) == 0
-    assert f"{len(run())} of {len(run())} ticks compared, 0 differ" in capsys.readouterr().out
+    assert f"{len(run())} of {len(run())} ticks compared, 0 differ" in read_stdout("replay", str(path))
     path.write_bytes(path.read_bytes()[:-2000])
-    assert cli.main(["replay", str(path), "--json"]) == 0
-    assert printed(capsys.readouterr().out)["equal"] is True
+    assert printed(read_stdout("replay", str(path), "--json"))["equal"] is True
 
     softer = describe(apply_overrides(load_scene("paper-plane"), {STIFFNESS: 700.0}, "test"))
     softer_path = recorded(tmp_path / "b.mcap", run(), scene=softer)
     picture = tmp_path / "b.svg"
-    assert cli.main(["replay", str(softer_path), "--json", "--plot", str(picture)]) == Different.exit_code
-    captured = capsys.readouterr()
-    report = printed(captured.out)
+    result = called("replay", str(softer_path), "--json", "--plot", str(picture))
+    report = printed(result.stdout)
+    assert result.returncode == Different.exit_code
     assert report["equal"] is False and report["first"]["tick"] == find_touches()[0]
-    assert f"softfinger: tick {find_touches()[0]} (" in captured.err and "force[2]" in captured.err
+    assert f"softfinger: tick {find_touches()[0]} (" in result.stderr and "force[2]" in result.stderr
     assert "difference [N]" in picture.read_text()
 
-    results = tmp_path / "golden.npz"
-    assert cli.main(["simulate", "--scene", "paper-plane", "--poses", "tap", "--out", str(results)]) == 0
-    assert cli.main(["replay", "tap", "--scene", "paper-plane", "--against", str(results)]) == 0
-    assert cli.main(["replay", "tap", "--scene", "plane-at-60mm", "--against", str(results)]) == Different.exit_code
-    assert cli.main(["replay", "tap", "--scene", "paper-plane"]) == 2
+    results = str(tmp_path / "golden.npz")
+    read_stdout("simulate", "--scene", "paper-plane", "--poses", "tap", "--out", results)
+    read_stdout("replay", "tap", "--scene", "paper-plane", "--against", results)
+    result = called("replay", "tap", "--scene", "plane-at-60mm", "--against", results)
+    assert result.returncode == Different.exit_code
+    assert called("replay", "tap", "--scene", "paper-plane").returncode == 2
 
 
-def test_against_the_forces_sent_to_a_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_against_the_forces_sent_to_a_device(tmp_path: Path) -> None:
     for ending in ("csv", "npz"):
-        forces = tmp_path / f"forces.{ending}"
-        words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", str(forces)]
-        assert cli.main([*words, "--endpoint", f"ipc://{tmp_path}/t"]) == 0
-        words = ["replay", "tap", "--scene", "paper-plane", "--tolerance", "0", "--against", str(forces), "--json"]
-        assert cli.main(words) == 0
-        report = printed(capsys.readouterr().out)
+        forces = str(tmp_path / f"forces.{ending}")
+        words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", forces]
+        read_stdout(*words, "--endpoint", f"ipc://{tmp_path}/t")
+        words = ["replay", "tap", "--scene", "paper-plane", "--tolerance", "0", "--against", forces, "--json"]
+        report = printed(read_stdout(*words))
         assert report["compared"] == len(run()) and set(report["largest"]) == {"force", "torque"}
 
 
 @pytest.mark.plain
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
-def test_exports_have_every_bit(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_exports_have_every_bit(ending: str, tmp_path: Path) -> None:
     path, out = recorded(tmp_path / "a.mcap", run()), tmp_path / f"out{ending}"
+    assert f"{len(run())} ticks" in read_stdout("export", str(path), "--out", str(out))
     if ending == ".parquet":
         from pyarrow import parquet
 
-        assert cli.main(["export", str(path), "--out", str(out)]) == 0
         table = parquet.read_table(out)
         assert str(table.schema.field("tick").type) == "int64"
         assert np.column_stack([column.to_numpy() for column in table.columns]).tobytes() == run().tobytes()
     else:
-        assert cli.main(["export", str(path), "--out", str(out)]) == 0
         assert read_results(out).tobytes() == run().tobytes()
-    assert f"{len(run())} ticks" in capsys.readouterr().out
-    assert cli.main(["export", str(path), "--out", str(out), "--finger", "thumb"]) == 3
-    assert cli.main(["export", str(path), "--out", str(tmp_path / "out.txt")]) == 2
+    assert called("export", str(path), "--out", str(out), "--finger", "thumb").returncode == 3
+    assert called("export", str(path), "--out", str(tmp_path / "out.txt")).returncode == 2
 
 
 @pytest.mark.plain
-def test_info_summarizes_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_summarizes_a_recording(tmp_path: Path) -> None:
     holed = np.delete(run(), slice(100, 110), axis=0)
     mark = event("mark", "mark", 9, command_id="a", label="trial 7", data={})
     path = recorded(tmp_path / "a.mcap", holed, [mark], versions={"softfinger": "0.0"})
-    assert cli.main(["info", str(path), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(read_stdout("info", str(path), "--json"))
     assert (report["ticks"], report["missing"], report["gaps"], report["whole"]) == (len(holed), 10, 1, True)
     force = np.linalg.norm(holed[:, AT.force : AT.force + 3], axis=1).max()
     assert report["fingers"][""]["force_max_n"] == force
     assert sum(report["fingers"][""]["modes"].values()) == len(holed)
     assert report["duration_s"] == pytest.approx((len(run()) - 1) * 1e-3, abs=1e-6)  # difference of clock readings
     assert report["scene"] == about()["scene"] and report["marks"] == [{"tick": 9, "label": "trial 7"}]
-    assert cli.main(["info", str(path)]) == 0
-    output = capsys.readouterr().out
+    output = read_stdout("info", str(path))
     assert "10 ticks are missing in 1 gaps" in output and "scene paper-plane" in output and "softfinger 0.0" in output

@@ -1,7 +1,5 @@
 """Recordings: read by other libraries, after a kill, on slow and full disks, and access to them."""
 
-from __future__ import annotations
-
 import os
 import random
 import resource
@@ -12,12 +10,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
+from io import FileIO
 from itertools import count, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from google.protobuf import descriptor_pb2
 from helpers.daemons import QUIET
 from helpers.processes import COMMAND
 from helpers.programs import Program
@@ -35,6 +35,7 @@ from softfinger.proxy.record import AT, FIELDS, RECORD_SIZE
 from softfinger.server import cli
 from softfinger.server.app import Daemon
 from softfinger.server.recording import schemas
+from softfinger.server.recording.mcapfile import INDEX_MEMORY_BYTES, McapFile
 from softfinger.server.recording.poses_file import CsvPoses, open_poses_file
 from softfinger.server.recording.reader import End, Event, Note, TickBlock, read_contents
 from softfinger.server.recording.recorder import NEW_RECORDING_REMEDY, PERIOD_S, QUEUE_EVENTS, QUEUE_ROWS, Recorder
@@ -62,9 +63,6 @@ def read(path: Path) -> tuple[np.ndarray, list[dict[str, Any]], dict[str, Any], 
     return np.concatenate(ticks), events, notes, parts[-1]
 
 
-# --- contents of a file ----------------------------------------------------------------------------
-
-
 def test_other_readers_find_everything(tmp_path: Path) -> None:
     touch = {"cause": "touch", "from": 0, "to": 1, "object": 0, "finger": ""}
     touch |= {"force": [0.0, 0.0, 1.0], "point": [0.0, 0.0, 0.0], "normal_force": 1.0, "tangential_force": 0.0}
@@ -73,7 +71,6 @@ def test_other_readers_find_everything(tmp_path: Path) -> None:
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         summary_ = reader.get_summary()
-        assert summary_ is not None and summary_.statistics is not None
         assert reader.get_header().library == f"softfinger {version('softfinger')}"
         assert summary_.statistics.chunk_count > 5  # 64 KiB each
         messages: dict[str, list[Any]] = {}
@@ -134,10 +131,6 @@ def test_every_event_survives_encoding() -> None:
 
 
 def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
-    from google.protobuf import descriptor_pb2
-
-    from softfinger.server.recording.mcapfile import McapFile
-
     files = descriptor_pb2.FileDescriptorSet.FromString(schemas.make_descriptor_set(schemas.TICK))
     (tick,) = files.file[0].message_type
     fields = [field for field in tick.field if field.name != "torque"]
@@ -163,10 +156,6 @@ def test_ticks_of_another_version_are_read_by_name(tmp_path: Path) -> None:
 
 
 def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
-    from mcap.reader import make_reader
-
-    from softfinger.server.recording.mcapfile import INDEX_MEMORY_BYTES, McapFile
-
     chunk_index = 87  # bytes of one with a single channel, by the specification
     count = 2 * INDEX_MEMORY_BYTES // chunk_index
     path = tmp_path / "long.mcap"
@@ -179,7 +168,6 @@ def test_an_index_larger_than_memory_is_complete(tmp_path: Path) -> None:
         mcap.finish()
     with path.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
-        assert summary is not None and summary.statistics is not None
         assert [entry.message_start_time for entry in summary.chunk_indexes] == list(range(count))
         assert summary.statistics.message_count == summary.statistics.chunk_count == count
     assert [entry.name for entry in tmp_path.iterdir()] == ["long.mcap"]
@@ -191,11 +179,7 @@ def test_its_poses_are_played_to_the_bit(tmp_path: Path) -> None:
     poses = resample(load_poses(path), 1000.0)
     pose = slice(AT.probe_position, AT.probe_position + 7)
     at = holed[:, AT.tick].astype(int)
-    assert len(poses) == len(run())
-    assert poses[at].tobytes() == np.ascontiguousarray(holed[:, pose]).tobytes()
-
-
-# --- a daemon records ------------------------------------------------------------------------------
+    assert len(poses) == len(run()) and poses[at].tobytes() == np.ascontiguousarray(holed[:, pose]).tobytes()
 
 
 def test_a_daemon_records_by_command(tmp_path: Path) -> None:
@@ -290,37 +274,24 @@ def test_a_kill_loses_little(seed: int, tmp_path: Path) -> None:
                     ticks.append(decoded.tick)
         except Exception:  # of many classes, if a chunk is torn
             pass
-    assert ticks == list(range(len(ticks)))
-    assert ticks[-1] >= last_tick - LOST_MAX_TICKS
+    assert ticks == list(range(len(ticks))) and ticks[-1] >= last_tick - LOST_MAX_TICKS
     report = summarize(path)
     assert not report["whole"] and report["ticks"] == len(ticks) and report["scene_name"] == "paper-plane"
 
 
-class SlowFile:
+class SlowFile(FileIO):
     """File on a disk that blocks writes while `free` is not set."""
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("wb", buffering=0)
-        self.free = threading.Event()
+        super().__init__(path, "w")
+        self.free, self.writing = threading.Event(), threading.Event()
         self.free.set()
-        self.writing = threading.Event()
-        self.name, self.fileno, self.close = self._file.name, self._file.fileno, self._file.close
-
-    @property
-    def closed(self) -> bool:
-        return self._file.closed
-
-    def __enter__(self) -> SlowFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
 
     def write(self, data: Any) -> int:
         if not self.free.is_set():
             self.writing.set()
             self.free.wait()
-        return self._file.write(data)
+        return super().write(data)
 
 
 @contextmanager
@@ -381,9 +352,8 @@ def test_a_stalled_disk_loses_ticks_but_delays_nothing(tmp_path: Path) -> None:
     assert end.cut == "" and notes["end"] == {"ticks": len(records), "dropped": dropped, "events_dropped": 0}
     assert records[-1, AT.tick] == last[-1, AT.tick] == len(records) + dropped - 1
     (at,) = np.flatnonzero(np.diff(records[:, AT.tick]) != 1.0)
-    assert reports == [
-        f"{dropped} ticks from tick {records[at, AT.tick] + 1:.0f} on were not recorded: the disk was too slow"
-    ]
+    first = int(records[at, AT.tick]) + 1
+    assert reports == [f"{dropped} ticks from tick {first} on were not recorded: the disk was too slow"]
     info = summarize(tmp_path / "slow.mcap")
     assert (info["missing"], info["gaps"], info["longest_gap"], info["dropped"]) == (dropped, 1, dropped, dropped)
 
@@ -424,7 +394,6 @@ def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> Non
     path = tmp_path / "cut.mcap"
     command = [*COMMAND, "run", "--realtime", "off", "--endpoint", f"ipc://{tmp_path}/t", "--record", str(path)]
     with Program(command, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
         with subscribe(f"ipc://{tmp_path}/t", timeout_s=WAIT_S) as samples:
             assert next(sample for sample in samples if sample.tick > 200)  # it runs and has written
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (path.stat().st_size, resource.RLIM_INFINITY))
@@ -461,12 +430,16 @@ def ticks_by_library(path: Path) -> list[int]:
         return [decoded.tick for _, _, _, decoded in messages]
 
 
-def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
-    path = tmp_path / "limited.mcap"
-    rows = run()  # compiled before, because the kernel cache cannot be written under the limit
+def open_recorder(path: Path) -> tuple[Recorder, list[str]]:
+    """Return a recorder, and its reports."""
     reports: list[str] = []
+    return Recorder(open_recording(path), [""], about(), lambda text, _: reports.append(text)), reports
+
+
+def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
+    path, rows = tmp_path / "limited.mcap", run()  # compiled before: the limit also applies to the kernel cache
     with file_size_limit(40_000):
-        recorder = Recorder(open_recording(path), [""], about(), lambda text, _: reports.append(text))
+        recorder, reports = open_recorder(path)
         for first in range(0, 2000, 40):
             recorder.ticks(rows[first : first + 40])
             time.sleep(PERIOD_S / 20)
@@ -482,9 +455,8 @@ def test_a_file_that_may_not_grow_ends_whole_chunks(tmp_path: Path) -> None:
 
 
 def test_a_disk_without_room_for_the_index_loses_no_tick(tmp_path: Path) -> None:
-    path = tmp_path / "limited.mcap"
-    rows = run()
-    recorder = Recorder(open_recording(path), [""], about(), lambda text, _: None)
+    path, rows = tmp_path / "limited.mcap", run()
+    recorder, _ = open_recorder(path)
     recorder.ticks(rows)
     assert eventually(lambda: recorder.recorded.ticks == len(rows))
     with file_size_limit(path.stat().st_size + 1000):  # room for the end of the data, not for the schemas of the index
@@ -498,11 +470,9 @@ def test_a_disk_without_room_for_the_index_loses_no_tick(tmp_path: Path) -> None
 @pytest.mark.parametrize("limit", [0, 4, 1000, 2000])
 def test_a_recording_without_a_tick_leaves_no_file(limit: int, tmp_path: Path) -> None:
     """The limits are in the first bytes, in the description, and in the first chunk."""
-    path = tmp_path / "limited.mcap"
     rows = run()
-    reports: list[str] = []
     with file_size_limit(limit):
-        recorder = Recorder(open_recording(path), [""], about(), lambda text, _: reports.append(text))
+        recorder, reports = open_recorder(tmp_path / "limited.mcap")
         recorder.ticks(rows)
         assert eventually(lambda: reports)
         assert recorder.stop(WAIT_S).ticks == 0
@@ -524,11 +494,8 @@ def test_poses_on_a_full_disk_end_with_a_whole_line(tmp_path: Path) -> None:
         add_all()
     file.close()
     poses = load_poses(path)
-    assert (
-        lines == list(range(2, len(lines) + 2))
-        and len(poses.t) == len(lines) > 10
-        and (poses.position[:, 2] == 1 / 3).all()
-    )
+    assert lines == list(range(2, len(lines) + 2)) and len(poses.t) == len(lines) > 10
+    assert (poses.position[:, 2] == 1 / 3).all()
 
 
 def test_results_on_a_full_disk_end_with_whole_chunks(tmp_path: Path) -> None:
@@ -548,9 +515,6 @@ def test_poses_without_a_row_leave_no_file(name: str, limit: int, tmp_path: Path
     with file_size_limit(limit), pytest.raises(RecordingError, match=f"{name}: cannot be written: File too large"):
         open_poses_file(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
-
-
-# --- from the wire ---------------------------------------------------------------------------------
 
 
 def test_record_writes_what_a_daemon_sends(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -1,17 +1,16 @@
 """Import of tables from other programs: columns, units, dialects and refused files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.called import called, read_stdout
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.drivers.poses import load_poses
-from softfinger.server.cli import main
 from softfinger.server.recording.tables import TableFormat, make_layout, read_table
 
+TXYZ = TableFormat(("t", "x", "y", "z"))
 COUNT = 200
 TIME = np.arange(COUNT) * 1e-3
 PLACE = np.stack([0.03 * np.sin(TIME), 0.02 * np.cos(TIME), 0.01 + TIME / 7.0], axis=1)
@@ -40,15 +39,14 @@ def test_decimal_commas_are_read(between: str, tmp_path: Path) -> None:
     heading, empty = between.join(["Zeit(s)", "X(m)", "Y(m)", "Z(m)"]), between.strip(" ") * 2
     file = tmp_path / "theirs.csv"
     file.write_bytes(b"\xef\xbb\xbf" + "\r\n".join([heading, *(line + empty for line in lines), ""]).encode())
-    with pytest.raises(
-        RecordingError, match=r"line 1, column 't': 'Zeit\(s\)' is not a number; --skip N skips a heading"
-    ):
-        read_table(file, TableFormat(("t", "x", "y", "z")))
+    message = r"line 1, column 't': 'Zeit\(s\)' is not a number; --skip N skips a heading"
+    with pytest.raises(RecordingError, match=message):
+        read_table(file, TXYZ)
     poses = read_table(file, TableFormat(("t", "x", "y", "z"), skip=1))
     np.testing.assert_array_equal(poses.position, PLACE)
     file.write_text("\n".join([*lines[:3], lines[3].replace(",", "."), ""]))
     with pytest.raises(RecordingError, match="line 4: has decimal commas and decimal points"):
-        read_table(file, TableFormat(("t", "x", "y", "z")))
+        read_table(file, TXYZ)
 
 
 def test_quoted_cells_may_have_decimal_commas(tmp_path: Path) -> None:
@@ -64,7 +62,7 @@ def test_a_column_that_is_sometimes_empty_is_skipped(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"line 4, column 'x': the cell is empty"):
         read_table(file, TableFormat(("t", "x", "y", "z", "-")))
     with pytest.raises(RecordingError, match="line 3: 5 values where --columns has 4: give a name or - for each"):
-        read_table(file, TableFormat(("t", "x", "y", "z")))
+        read_table(file, TXYZ)
     file.write_bytes(file.read_bytes().replace(b",,", b",0,"))
     assert read_table(file, TableFormat(("t", "x", "y", "z", "-"))).position[:, 2].tolist() == [0.01, 0.02, 0.03, 0.04]
 
@@ -83,17 +81,17 @@ def test_a_column_that_is_sometimes_empty_is_skipped(tmp_path: Path) -> None:
 def test_dialects_of_spreadsheets(text: str, columns: str, tmp_path: Path) -> None:
     file, out = tmp_path / "theirs.csv", tmp_path / "poses.csv"
     file.write_text(text, "utf-8")
-    assert main(["import", str(file), "--columns", columns, "--out", str(out)]) == 0
+    read_stdout("import", str(file), "--columns", columns, "--out", str(out))
     poses = load_poses(out)
     assert poses.t.tolist() == [0.0, 0.1] and poses.position.tolist() == [[0.0, 0.0, 0.01]] * 2
 
 
-def test_the_verb_writes_poses_for_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verb_writes_poses_for_a_replay(tmp_path: Path) -> None:
     file = write_table(tmp_path / "theirs.txt", np.column_stack((PLACE, TURN)), before="Haptic Table 1.0\n7 columns\n")
     out = tmp_path / "poses.csv"
     words = ["--columns", "x,y,z,qw,qx,qy,qz", "--rate", "1000", "--skip", "2", "--out", str(out)]
-    assert main(["import", str(file), *words]) == 0
-    assert "200 poses over 0.199 s; x 0 to 5.931, y 19.61 to 20, z 10 to 38.43 mm" in capsys.readouterr().out
+    output = read_stdout("import", str(file), *words)
+    assert "200 poses over 0.199 s; x 0 to 5.931, y 19.61 to 20, z 10 to 38.43 mm" in output
     poses = load_poses(out)
     np.testing.assert_array_equal(poses.t, np.arange(COUNT) / 1000.0)
     np.testing.assert_array_equal(poses.position, PLACE)
@@ -151,12 +149,12 @@ def test_a_file_that_is_no_such_table_is_refused_where_it_is_wrong(text: bytes, 
     file = tmp_path / "theirs.txt"
     file.write_bytes(text)
     with pytest.raises(RecordingError, match=fault):
-        read_table(file, TableFormat(("t", "x", "y", "z")))
+        read_table(file, TXYZ)
 
 
 def test_a_refused_table_writes_no_file(tmp_path: Path) -> None:
-    file = write_table(tmp_path / "theirs.txt", np.zeros((3, 4)))
-    for out in ("poses.csv", "poses.npz"):
-        assert main(["import", str(file), "--columns", "t,x,y,z", "--out", str(tmp_path / out)]) != 0
-    assert main(["import", str(tmp_path / "none"), "--columns", "t,x,y,z", "--out", str(tmp_path / "poses.csv")]) != 0
+    write_table(tmp_path / "theirs.txt", np.zeros((3, 4)))
+    for file, out in (("theirs.txt", "poses.csv"), ("theirs.txt", "poses.npz"), ("none", "poses.csv")):
+        words = ["import", str(tmp_path / file), "--columns", "t,x,y,z", "--out", str(tmp_path / out)]
+        assert called(*words).returncode != 0
     assert [path.name for path in tmp_path.iterdir()] == ["theirs.txt"]

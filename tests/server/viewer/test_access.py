@@ -1,7 +1,5 @@
 """Access to the page and its commands, tested with clients that send headers no browser would."""
 
-from __future__ import annotations
-
 import socket
 import threading
 from collections.abc import Iterator
@@ -15,8 +13,10 @@ import msgspec
 import pytest
 import viser
 from helpers.browser import browser, shown, why_none
+from helpers.called import called
 from helpers.live_pages import step_until
 from helpers.pages import CAMERA
+from helpers.waits import ends_within
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
@@ -173,6 +173,14 @@ def test_each_page_has_its_own_token() -> None:
 def test_an_unguarded_server_is_refused() -> None:
     with pytest.raises(ConfigError, match="cannot be protected"), Access("127.0.0.1").guard_server():
         pass
+
+
+@pytest.mark.parametrize("host", ["nowhere.invalid", "192.0.2.1", "a..b", "x" * 300])
+def test_an_unusable_host_is_an_error(host: str) -> None:
+    with ends_within(30):
+        result = called("view", "tap", "--no-open", "--duration", "0.1", "--port", "0", "--host", host)
+    assert result.returncode == 2
+    assert result.stderr.startswith(f"softfinger: --host {host}: ") and "of this machine" in result.stderr
 
 
 def send_value(stream: ClientConnection, control: Any, value: Any) -> None:

@@ -1,7 +1,5 @@
 """Experiments through the page: a session, a daemon and a page, controlled in Chromium."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 
@@ -16,21 +14,11 @@ from softfinger.server.viewer.prompt import assign_keys
 from softfinger.tools.bench.view import run_viewer
 
 
-@pytest.fixture
-def through_chromium() -> None:
-    if why := why_none():
-        pytest.skip(why)
-
-
 @pytest.mark.real_time
 @pytest.mark.exhaustive
-def test_a_whole_experiment_through_the_page(tmp_path: Path, through_chromium: None) -> None:
-    """Consent, a survey, instructions, two blocks of two trials with a break and a survey between them, the end.
-
-    Answers are given by button and by key. Colour, image and noise are those of the condition. A second page, of a
-    watcher, shows the same and has nothing to answer with. The folder has everything. The prompt is in the middle of a
-    window of any width.
-    """
+@pytest.mark.skipif(bool(why_none()), reason=why_none())
+def test_a_whole_experiment_through_the_page(tmp_path: Path) -> None:
+    """Answers are given by button and by key; the page of a watcher shows the same and has nothing to answer with."""
     with session(tmp_path, STUDY) as run:
         assert run.waits("Which plate is stiffer?", "Your answers are stored without <b>your name</b>.")
         for width in (390, 2560, 840):

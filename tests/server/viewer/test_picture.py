@@ -1,7 +1,7 @@
-"""Geometry of the page against closed forms, and targets of the hand from drags of the mouse."""
+"""Geometry of the page against closed forms, targets of the hand from drags of the mouse, and the timeline."""
 
-from __future__ import annotations
-
+import gc
+import weakref
 from math import atan2, cos, pi, radians, sin, sqrt
 from types import SimpleNamespace
 from typing import Any
@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from softfinger.config import schema
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
-from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING, SLIDING
 from softfinger.server.surface_meshes import SurfaceMesh, make_cone, make_surface
+from softfinger.server.viewer import page
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes import glyphs
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
@@ -32,6 +33,7 @@ from softfinger.server.viewer.nodes.looks import (
 )
 from softfinger.server.viewer.plots import LINES
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
+from softfinger.server.viewer.timeline import COLUMNS, Events, find_state_runs, format_band, format_pointer
 
 pytestmark = pytest.mark.plain
 
@@ -44,7 +46,6 @@ SOLIDS = [
     ({"shape": "torus", "major_radius_m": 0.04, "minor_radius_m": 0.01}, 2 * pi**2 * 0.04 * 0.01**2),
 ]
 UP = np.array([0.0, 0.0, 1.0])
-BALL_TIP = {"fingertip": {"radius_m": 0.01}}
 units = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1)
 
 
@@ -59,9 +60,7 @@ def compute_volume(mesh: SurfaceMesh) -> float:
     return float((a * np.cross(b, c)).sum() / 6.0)
 
 
-@pytest.mark.parametrize(
-    ("table", "exact"), SOLIDS, ids=lambda value: value["shape"] if isinstance(value, dict) else ""
-)
+@pytest.mark.parametrize(("table", "exact"), SOLIDS, ids=[table["shape"] for table, _ in SOLIDS])
 def test_solids_have_their_volume_and_face_outwards(table: dict[str, Any], exact: float) -> None:
     """A polygon of 40 corners lacks 0.4 % of a circle's area; a meridian lacks half as much again."""
     assert compute_volume(make_surface(make_object(table))) == pytest.approx(exact, rel=0.015)
@@ -102,19 +101,20 @@ def test_angles_of_the_sliders_round_trip(x: float, y: float, z: float) -> None:
 @example([(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (-1.0, -1.0, -1.0)])  # out and back along one line
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=2, max_size=60))
 def test_a_trace_extends_a_segment_only_along_a_line(steps: list[tuple[float, ...]]) -> None:
-    trace = glyphs.Trace(0.01, segments=80)
     points = [np.zeros(3), *np.cumsum(0.02 * np.array(steps), axis=0)]
-    for point in points:
-        trace.add(point, (1, 2, 3))
-    drawn = trace.segments[np.linalg.norm(trace.segments[:, 1] - trace.segments[:, 0], axis=1) > 0.0]
+    drawn = trace_segments(glyphs.Trace(0.01, segments=80), points)
     if len(drawn):
         np.testing.assert_array_equal(drawn[1:, 0], drawn[:-1, 1])
     for point in points:
         assert min((distance_to_segment(point, *segment) for segment in drawn), default=0.0) < 0.02
-    line = glyphs.Trace(0.01)
-    for x in np.arange(0.0, 0.2, 0.01):
-        line.add(np.array([x, 0.0, 0.0]), (1, 2, 3))
-    assert np.count_nonzero(np.linalg.norm(line.segments[:, 1] - line.segments[:, 0], axis=1)) == 1
+    assert len(trace_segments(glyphs.Trace(0.01), [np.array([x, 0.0, 0.0]) for x in np.arange(0.0, 0.2, 0.01)])) == 1
+
+
+def trace_segments(trace: glyphs.Trace, points: list[np.ndarray]) -> np.ndarray:
+    """Return the drawn segments of a trace through points."""
+    for point in points:
+        trace.add(point, (1, 2, 3))
+    return trace.segments[np.linalg.norm(trace.segments[:, 1] - trace.segments[:, 0], axis=1) > 0.0]
 
 
 def distance_to_segment(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
@@ -155,13 +155,18 @@ def test_an_object_on_a_body_is_drawn_in_the_frame_of_the_body() -> None:
     mapping = {"fingertip": {"radius_m": 0.01}, "world": {"model": "arm.xml"}, "object": [ball]}
     bodies = BodyNodes(Frames(), build(schema.Scene, mapping, "test scene"), SceneStart(0, 0, 1e-3, True))
     half = np.sqrt(0.5).item()
-    bodies.move_bodies(
-        {"arm": ((1.0, 2.0, 3.0), (half, 0.0, 0.0, half)), "leg": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))}
-    )
+    leg = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    bodies.move_bodies({"arm": ((1.0, 2.0, 3.0), (half, 0.0, 0.0, half)), "leg": leg})
     position, turn = bodies.poses[0]
     assert position == pytest.approx((0.9, 2.0, 3.0)) and turn == pytest.approx((half, 0.0, 0.0, half))
     bodies.move_bodies({})
     assert bodies.poses[0] == (position, turn)
+
+
+def make_bodies(*objects: dict[str, Any]) -> BodyNodes:
+    tables = [table | {"material": {"stiffness_n_per_m": 1000.0}} for table in objects]
+    scene = build(schema.Scene, {"fingertip": {"radius_m": 0.01}, "object": tables}, "test scene")
+    return BodyNodes(Frames(), scene, SceneStart(0, 0, 1e-3, True))
 
 
 @given(units, st.floats(-0.9, 0.9), st.floats(0.0, 2.0 * pi))
@@ -172,13 +177,10 @@ def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn
     ball, centre, radius = {"shape": "sphere", "radius_m": 0.02, "name": "ball"}, np.array([0.01, -0.03, 0.05]), 0.02
     turned = glyphs.rotate_about(axis, turn)
     place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
-    material = {"stiffness_n_per_m": 1000.0}
-    scene = build(schema.Scene, BALL_TIP | {"object": [ball | place | {"material": material}]}, "test scene")
-    bodies = BodyNodes(Frames(), scene, SceneStart(0, 0, 1e-3, True))
+    bodies = make_bodies(ball | place)
     offset = share * radius * np.array([cos(turn), sin(turn), 0.0])
     exact = np.array([*offset[:2], sqrt(radius**2 - offset @ offset)])
     foot = bodies.below(centre + offset + 0.1 * UP)
-    assert foot is not None
     np.testing.assert_allclose(foot.point, centre + exact, atol=2.9e-4)
     assert foot.normal @ exact / radius > cos(radians(9.0))
     assert bodies.below(centre + offset - 0.1 * UP) is None
@@ -186,16 +188,12 @@ def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn
 
 
 def test_a_plumb_line_ends_on_the_highest_object_and_follows_it() -> None:
-    material = {"stiffness_n_per_m": 1000.0}
     box = {"shape": "box", "size_m": [0.02, 0.02, 0.02], "position_m": [0.0, 0.0, 0.01], "name": "box"}
-    floor = {"shape": "plane", "name": "floor"}
-    objects = [table | {"material": material} for table in (floor, box | {"motion": {"kind": "driven"}})]
-    bodies = BodyNodes(Frames(), build(schema.Scene, BALL_TIP | {"object": objects}, "x"), SceneStart(0, 0, 1e-3, True))
+    bodies = make_bodies({"shape": "plane", "name": "floor"}, box | {"motion": {"kind": "driven"}})
     point = np.array([0.005, -0.005, 0.1])
     for place, height in (((0.0, 0.0, 0.01), 0.02), ((0.0, 0.0, 0.05), 0.06), ((0.03, 0.0, 0.01), 0.0)):
         bodies.drive(1, place)
         foot = bodies.below(point)
-        assert foot is not None
         np.testing.assert_allclose(foot.point, [0.005, -0.005, height], atol=1e-15)
         np.testing.assert_allclose(foot.normal, UP, atol=1e-15)
 
@@ -223,9 +221,8 @@ def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: V
     assert classify_contact(before, now, 0.01) == state
     if state in (VisibleState.ROLLING, VisibleState.SPINNING):
         late = make_record(timestamp=9.0, **after)
-        assert {classify_contact(*two, 0.01) for two in ((make_record(), now), (now, now), (before, late))} == {
-            VisibleState.STICKING
-        }
+        for pair in ((make_record(), now), (now, now), (before, late)):
+            assert classify_contact(*pair, 0.01) == VisibleState.STICKING
     assert set(COLOURS) == set(VisibleState) and len(set(COLOURS.values())) == len(COLOURS)
 
 
@@ -261,10 +258,7 @@ GRABBED = np.array([0.01, -0.01, 0.02])
 
 
 def aim(to: np.ndarray) -> np.ndarray:
-    look = GRABBED - EYE
-    point = intersect_plane(EYE, to, GRABBED, look)
-    assert point is not None
-    return point
+    return intersect_plane(EYE, to, GRABBED, GRABBED - EYE)
 
 
 QUARTER = 0.5 * pi * 0.01
@@ -281,7 +275,6 @@ QUARTER = 0.5 * pi * 0.01
 )
 def test_a_drag_moves_presses_or_rolls(moved: Any, gesture: Any, turn: Any) -> None:
     target = drag_target(START, EYE, GRABBED, aim(GRABBED + moved), gesture, 0.01)
-    assert target is not None
     np.testing.assert_allclose(target.position, START.position + moved, atol=1e-12)
     np.testing.assert_allclose(target.orientation, turn, atol=1e-9 if gesture == "roll" else 0.0)
 
@@ -322,3 +315,85 @@ def test_the_drawn_fingertip_is_the_rendered_ellipsoid() -> None:
     lower = unit @ (0.0, sin(radians(45.0)), cos(radians(45.0))) <= 1e-12  # relative to the axis, tilted by 45 degrees
     assert lower.any() and np.allclose(distance[lower], 1.0, rtol=1e-12)
     assert (np.linalg.norm(nail(radii).vertices / radii, axis=1) > 1.0).all()
+
+
+RADIUS = 0.01
+
+
+def rows(modes: list[int], rolled: float = 0.0) -> np.ndarray:
+    records = np.zeros((len(modes), RECORD_SIZE))
+    records[:, AT.tick] = np.arange(len(modes)) + 40
+    records[:, AT.timestamp] = 0.001 * np.arange(len(modes))
+    records[:, AT.contact_mode] = modes
+    records[:, AT.contact_rolled] = rolled * np.arange(len(modes))
+    return records
+
+
+def test_a_band_has_each_state_where_it_is() -> None:
+    records = rows([FREE] * 200 + [ROLLING] * 400)
+    records[400:, AT.contact_rolled] = 0.01 * np.arange(200)
+    states = [VisibleState.FREE, VisibleState.STICKING, VisibleState.ROLLING]
+    assert find_state_runs(records, RADIUS) == list(zip((0, 200, 403), states, strict=True))
+
+
+def test_a_slide_shorter_than_a_column_is_visible() -> None:
+    modes = [ROLLING] * (20 * COLUMNS)
+    modes[5555] = SLIDING
+    runs = find_state_runs(rows(modes), RADIUS)
+    assert [state for _, state in runs] == [VisibleState.STICKING, VisibleState.SLIDING, VisibleState.STICKING]
+    assert runs[1][0] <= 5555 < runs[2][0] <= runs[1][0] + 20
+
+
+def test_the_band_and_its_pointer_as_html() -> None:
+    drawn = format_band({"a<b": rows([FREE] * 10 + [SLIDING] * 30)}, {"a<b": RADIUS})
+    free, sliding = (f"rgb{COLOURS[state]}" for state in (VisibleState.FREE, VisibleState.SLIDING))
+    assert f'<rect x="0" width="10" height="1" fill="{free}"/><rect x="10" width="30"' in drawn
+    assert f'fill="{sliding}"' in drawn and "a&lt;b" in drawn and "a<b" not in drawn
+    assert "margin-left: 50.00%" in format_pointer(0.5)
+
+
+def test_events_can_be_reached_from_both_sides() -> None:
+    event_maps = (
+        {"tick": 60, "kind": "mark", "name": "mark", "label": "<here>"},
+        {"tick": 45, "kind": "contact", "name": "touch", "cause": "touch"},
+        {"tick": 9999, "kind": "lifecycle", "name": "stopped"},
+    )
+    events = Events({"": rows([FREE] * 100)}, event_maps, 1000.0)
+    assert [events.after(-1), events.after(5), events.after(20), events.after(99)] == [5, 20, 99, None]
+    assert [events.before(5), events.before(20), events.before(99)] == [None, 5, 20]
+    assert "no event yet" in events.format_html(4)
+    text = events.format_html(20)
+    assert text.index("0.020 s · mark mark, label &lt;here&gt;") < text.index("0.005 s · contact touch")
+    assert "<here>" not in text
+
+
+def test_events_follow_from_the_ticks_if_none_are_recorded() -> None:
+    records = rows([ROLLING] * 10 + [FREE] * 10)
+    records[10, AT.contact_cause] = 6
+    events = Events({"": records}, (), 1000.0)
+    assert events.after(0) == 10 and "release" in events.format_html(10)
+
+
+class Circle:
+    def __init__(self) -> None:
+        self.itself = self
+
+
+def test_a_page_collects_its_garbage_while_it_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A collection also frees CPython's free lists of tuples, which programs cannot clear directly."""
+    monkeypatch.setattr(page, "COLLECT_S", 2.5 * page.FRAME_S)
+    references: list[weakref.ref[Circle]] = []
+    alive: list[int] = []
+
+    def work(dt: float) -> None:
+        references.append(weakref.ref(Circle()))
+        alive.append(sum(reference() is not None for reference in references))
+
+    gc.disable()  # nothing else collects
+    try:
+        page.run_frames(work, [], 20.0 * page.FRAME_S)
+    finally:
+        gc.enable()
+        gc.unfreeze()
+    assert len(alive) > 10  # a busy machine runs fewer frames
+    assert max(alive) < 6

@@ -1,36 +1,45 @@
-"""Inputs of the page: recordings of every kind, and a daemon with its scene, events and refusals."""
-
-from __future__ import annotations
+"""Inputs of the page: recordings with their objects, and a daemon with its scene, events and refusals."""
 
 import sys
 from collections import deque
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
+import zmq
+from conftest import paper_mapping
+from helpers import meshes
+from helpers.called import read_stdout
 from helpers.live_pages import step_until
 from helpers.pages import running
 from helpers.pressed import pressed_scene
 from helpers.programs import run_program
+from helpers.recorded import EPOCH_S, about, event, run
+from helpers.waits import WAIT_S
 
+from softfinger.config import schema
 from softfinger.config.errors import RecordingError
-from softfinger.config.load import load_scene
-from softfinger.proxy.record import AT
+from softfinger.config.load import build, describe, load_scene
+from softfinger.config.schema import Scene
+from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.app import Daemon
 from softfinger.server.cli import main
 from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.offline.simulate import run_recording
 from softfinger.server.recording.results import write_blocks
-from softfinger.server.viewer.driven import ObjectControls
+from softfinger.server.recording.writer import RecordingFile
+from softfinger.server.surface_meshes import decode_mesh
+from softfinger.server.viewer.driven import DrivenPoses, ObjectControls, RecordedBodies
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.live import NEW_SCENE_TEXT, NO_TICKS_TEXT, SILENCE_S, LivePage
 from softfinger.server.viewer.nodes.bodies import SceneStart
 from softfinger.server.viewer.page import Page
-from softfinger.server.viewer.playback import TRACE_TICKS, Player, load
+from softfinger.server.viewer.playback import TRACE_TICKS, LoadedRecording, Player, RecordedPage, load
 from softfinger.server.viewer.wire import ReceivedData
 from softfinger.server.wire.client_requests import NoAnswer
 
@@ -109,11 +118,22 @@ def live_page(page: Page, daemon: Daemon) -> closing[LivePage]:
     return closing(LivePage(page, Addresses(daemon.publisher.endpoint, str(daemon.commands_endpoint))))
 
 
+def set_stiffness(endpoints: tuple[str, str], value: int) -> None:
+    read_stdout("ctl", "set_params", f"object.0.material.stiffness_n_per_m={value}", "--endpoint", endpoints[1])
+
+
+@contextmanager
+def silenced(live: LivePage) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
+        yield
+
+
 def test_a_page_follows_its_daemon(page: Page, live: LivePage, endpoints: tuple[str, str]) -> None:
     assert step_until(live, lambda: page.fingers)
     knob = live._tuning._knobs["stiffness"].slider
     assert step_until(live, lambda: knob.value == 1000.0)
-    assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
+    set_stiffness(endpoints, 640)
     assert step_until(live, lambda: knob.value == 640.0)
     live._set_params("stiffness", {"object.0.material.stiffness_n_per_m": -1.0})
     assert step_until(live, lambda: "Not done:" in page.refusal and "stiffness_n_per_m" in page.refusal)
@@ -123,9 +143,7 @@ def test_a_page_follows_its_daemon(page: Page, live: LivePage, endpoints: tuple[
     assert step_until(live, lambda: knob.value == 1000.0)
 
 
-def test_a_page_catches_up_after_lost_messages(
-    page: Page, live: LivePage, endpoints: tuple[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_catches_up_after_lost_messages(page, live, endpoints, monkeypatch):
     """It requests the description again after a gap in the ticks, because the event of a change may be lost with them,
     and after a request without an answer."""
     assert step_until(live, lambda: page.fingers)
@@ -141,25 +159,21 @@ def test_a_page_catches_up_after_lost_messages(
         return ask(method, params)
 
     monkeypatch.setattr(live._commands._control, "ask", ask_or_fail)
-    assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=640", "--endpoint", endpoints[1]]) == 0
+    set_stiffness(endpoints, 640)
     samples._ticks.update({topic: tick - 10 for topic, tick in samples._ticks.items()})
     assert step_until(live, lambda: knob.value == 640.0) and not failures
-    assert main(["ctl", "set_params", "object.0.material.stiffness_n_per_m=1000", "--endpoint", endpoints[1]]) == 0
+    set_stiffness(endpoints, 1000)
 
 
-def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
-    page: Page, live: LivePage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_reports_that_ticks_are_missing_until_they_arrive(page: Page, live: LivePage) -> None:
     assert step_until(live, lambda: page._newest) and not page._message.visible
-    with monkeypatch.context() as silence:
-        silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
+    with silenced(live):
         live.step(0.5 * SILENCE_S)
         assert not page._message.visible
         live.step(SILENCE_S)
         assert page._message.visible and page._message.content == NO_TICKS_TEXT
     assert step_until(live, lambda: not page._message.visible)
-    with monkeypatch.context() as silence:
-        silence.setattr(live._telemetry, "take", lambda: ReceivedData({}, [], {}, "", False))
+    with silenced(live):
         live.step(2.0 * SILENCE_S)
     page.show_message("force off")
     newest = page._newest[""][AT.tick]
@@ -170,8 +184,7 @@ def test_a_page_reports_that_ticks_are_missing_until_they_arrive(
 def test_the_message_of_a_scene_that_is_prepared_ends_with_a_refusal(page: Page, live: LivePage) -> None:
     assert step_until(live, lambda: page.fingers)
     live._set_scene("scene", {"scene": "no-such-scene"})
-    assert page._message.content == NEW_SCENE_TEXT
-    assert step_until(live, lambda: "no-such-scene" in page.refusal)
+    assert page._message.content == NEW_SCENE_TEXT and step_until(live, lambda: "no-such-scene" in page.refusal)
     assert not page._message.visible
 
 
@@ -252,3 +265,112 @@ def test_a_hand_without_a_wrist_can_be_moved(page: Page) -> None:
         nudged_at = daemon.rendering.servo.ticks
         assert step_until(live, lambda: daemon.rendering.servo.ticks > nudged_at + 1000)
         assert not page.refusal
+
+
+def test_the_force_is_switched_off_while_no_other_command_is_answered(page: Page, tmp_path: Path) -> None:
+    """The daemon gets `disarm` by a connection on which no other request of the page waits for its answer."""
+    endpoint, received = f"ipc://{tmp_path}/commands", dict[str, bytes]()
+    with (
+        zmq.Context() as context,
+        context.socket(zmq.ROUTER) as daemon,
+        closing(LivePage(page, Addresses(f"ipc://{tmp_path}/telemetry", endpoint))) as live,
+    ):
+
+        def receive(*methods: str) -> None:
+            """Receive requests until these have arrived."""
+            while not received.keys() >= set(methods):
+                assert daemon.poll(1000.0 * WAIT_S), received
+                client, _, body = daemon.recv_multipart()
+                request = msgpack.unpackb(body)
+                received[request["method"]] = client
+                if request["method"] == "get_state":  # a request that may take minutes first checks for a daemon
+                    refusal = {"command_id": request["command_id"], "success": False, "error": "refused: "}
+                    daemon.send_multipart([client, b"", msgpack.packb(refusal | {"result": None})])
+
+        daemon.linger = 0
+        daemon.bind(endpoint)
+        live._request_description()
+        live._reset_world()
+        receive("reset_world", "get_prompt")
+        live._switch_force(SimpleNamespace(target=SimpleNamespace(value="off")))
+        receive("disarm")
+        assert list(received.values()).count(received["disarm"]) == 1
+
+
+LID = {"name": "lid", "shape": "plane", "motion": {"kind": "driven"}, "position_m": [0.0, 0.0, 0.01]}
+
+
+def drive_event(tick: int, **changes: Any) -> dict[str, Any]:
+    return event("command", "drive", tick, what=changes)
+
+
+def test_events_set_the_poses_of_driven_objects() -> None:
+    scene = build(Scene, paper_mapping(table=LID), "test scene")
+    events = [
+        drive_event(5, object="lid", position_m=[0.0, 0.0, 0.02], orientation_wxyz=list(HALF)),
+        drive_event(6, object="chair", position_m=[1.0, 0.0, 0.0]),
+        drive_event(7, object="lid", position_m="here"),
+        drive_event(8, keys=2),
+        event("command", "arm", 9, what={"object": "lid", "position_m": [1.0, 0.0, 0.0]}),
+        drive_event(10, object="lid", position_m=[0.0, 1, 0.02]),
+    ]
+    drives = DrivenPoses(scene, events)
+    rest, turned = ((0.0, 0.0, 0.01), (1.0, 0.0, 0.0, 0.0)), ((0.0, 0.0, 0.02), HALF)
+    assert [drives.at(tick)[0] for tick in (0, 4, 5, 9)] == [rest, rest, turned, turned]
+    assert drives.at(10) == {0: ((0.0, 1.0, 0.02), HALF)}
+    assert DrivenPoses(load_scene("paper-plane"), events).at(10) == {}
+
+
+def test_bodies_of_a_recording_have_their_recorded_poses(tmp_path: Path) -> None:
+    scene = load_scene("turn-a-knob")
+    file = tmp_path / "turned.mcap"
+    with file.open("wb", buffering=0) as out:
+        recording = RecordingFile(out, ("",), about(scene=describe(scene), scene_name="turn-a-knob"))
+        recording.ticks(run())
+        for tick, turn in ((100, (1.0, 0.0, 0.0, 0.0)), (500, HALF)):
+            body = {"name": "knob", "position": (0.0, 0.0, 0.0075), "orientation": turn}
+            body |= {"velocity": (0.0, 0.0, 0.0), "rate": (0.0, 0.0, 0.0)}
+            world = {"schema": 1, "timestamp": EPOCH_S + tick / 1000.0, "tick": tick, "bodies": [body]}
+            recording.message("world", world)
+        recording.close()
+    loaded = load(str(file), None)
+    assert RecordedBodies(loaded.worlds).at(99) == {}
+    with closing(Page("127.0.0.1", 0)) as page:
+        for tick, pointer in ((499, (0.026, 0.0)), (500, (0.0, 0.026)), (1500, (0.0, 0.026))):
+            RecordedPage(page, loaded, tick).step(0.0)
+            np.testing.assert_allclose(page.bodies.poses[-1][0], [*pointer, 0.0085], atol=1e-9)
+
+
+def parse_scene(path: Path) -> schema.Scene:
+    mapping = paper_mapping(rolling=None)
+    part = {"name": "part", "shape": "mesh", "file": str(path), "material": {"stiffness_n_per_m": 500.0}}
+    return build(schema.Scene, mapping | {"object": [*mapping["object"], part]}, "test scene")
+
+
+@pytest.mark.parametrize(
+    ("vertices", "triangles"), [(bytes(13), bytes(12)), (bytes(12), bytes(11)), (bytes(12), b"\x01" + bytes(11))]
+)
+def test_an_invalid_mesh_is_refused(vertices: bytes, triangles: bytes) -> None:
+    with pytest.raises(ValueError, match=r"buffer size|reshape|a triangle has vertex 1, but there are 1"):
+        decode_mesh(vertices, triangles)
+
+
+def find_surfaces(page: Page) -> dict[str, Any]:
+    handles = page.server.scene._handle_from_node_name
+    return {name: handle for name, handle in handles.items() if name.startswith("/objects/")}
+
+
+def test_a_recording_shows_its_mesh(page: Page, tmp_path: Path) -> None:
+    path = meshes.write_ply(tmp_path / "ball.ply", meshes.geodesic(5, 0.04))
+    records = {"": np.zeros((3, RECORD_SIZE))}
+    RecordedPage(page, LoadedRecording(records, parse_scene(path), "part", 1000.0, BEGAN), 0)
+    drawn = find_surfaces(page)["/objects/1/surface"]
+    reach = np.abs(meshes.geodesic(5, 0.04).vertices).max()
+    np.testing.assert_allclose(np.abs(drawn.vertices).max(), 100 * reach, rtol=1e-6)
+    assert len(drawn.faces) == 500
+    assert drawn.opacity is None, "browsers draw transparent surfaces in an order that hides parts of the shadow"
+    missing = parse_scene(tmp_path / "gone.ply")
+    page.change(missing, BEGAN)
+    assert "/objects/1/surface" not in find_surfaces(page)
+    RecordedPage(page, LoadedRecording(records, missing, "part", 1000.0, BEGAN), 0)
+    assert "No such file" in page._message.content and "/objects/0/surface" in find_surfaces(page)

@@ -1,7 +1,5 @@
 """A box lifted in a browser by button, mouse and keys; compiles the shipped scene `lift-a-box`."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 

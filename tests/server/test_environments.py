@@ -1,9 +1,10 @@
-"""Environment of Gymnasium: Gymnasium's checker, and its contact compared with the engine's for the same poses."""
+"""Environments of Gymnasium: its checker, the contact of the engine for the same poses, and a lift by script."""
 
-from __future__ import annotations
-
+import copy
 import doctest
+import pickle
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.pose_checks import PoseError
 from softfinger.proxy.records import Records
-from softfinger.server.bridges import environment
+from softfinger.server.bridges import environment, lift_environment
 from softfinger.server.bridges.environment import Touch
 
 pytestmark = pytest.mark.plain
@@ -72,9 +73,8 @@ def test_the_goal_stays_within_reach() -> None:
     env.reset()
     for _ in range(30):
         observation = env.step(np.array([9.0, -9.0, 9.0, 0.0, 0.0, 0.0]))[0]
-    np.testing.assert_allclose(
-        observation["goal.position"], [0.01, -0.01, HOME[2] + 0.01], atol=1e-12
-    )  # rounding of a sum
+    expected = [0.01, -0.01, HOME[2] + 0.01]
+    np.testing.assert_allclose(observation["goal.position"], expected, atol=1e-12)  # rounding of a sum
 
 
 @pytest.mark.parametrize("action", [[np.nan] * 6, [0.0] * 5, [[0.0] * 6], "up", [np.inf] * 6])
@@ -130,3 +130,59 @@ def test_the_example_of_the_docs_runs() -> None:
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(program, names := {})
     assert names["reward"] == -0.5  # in the air; 0.5 N are the target
+
+
+def move(thumb: tuple[float, float, float], index: tuple[float, float, float]) -> np.ndarray:
+    return np.array([*thumb, *index])
+
+
+def test_gymnasium_checker_accepts_the_lift() -> None:
+    env = gymnasium.make(lift_environment.NAME, episode_steps=2, step_ticks=5)
+    check_env(env.unwrapped)
+    env.reset(seed=1)
+    assert [env.step(env.action_space.sample())[3] for _ in range(2)] == [False, True]
+
+
+@pytest.mark.parametrize(("scene", "why"), [("paper-plane", "fingers of the scene: 1"), ("pinch", r"no \[world\]")])
+def test_a_scene_without_a_grasp_is_refused(scene: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        lift_environment.Lift(scene)
+
+
+@pytest.mark.exhaustive
+def test_a_script_lifts_the_box() -> None:
+    env = gymnasium.make(lift_environment.NAME).unwrapped
+    squeeze, up, hold = move((1, 0, 0), (-1, 0, 0)), move((0, 0, 1), (0, 0, 1)), move((0, 0, 0), (0, 0, 0))
+    ends = []
+    for _ in range(2):
+        start, _ = env.reset(seed=0)
+        for action in [squeeze] * 8 + [hold] * 5 + [up] * 50 + [hold] * 10:
+            observation, reward, terminated, _, info = env.step(action)
+        ends.append(observation)
+    height = observation["body.position"][2] - start["body.position"][2]
+    assert height == pytest.approx(0.1, abs=0.002)  # less the sag of contacts and hands
+    assert reward == pytest.approx(-abs(height - 0.1), abs=1e-3) and not terminated
+    assert observation["thumb.force"][0] < -2.0 and observation["index.force"][0] > 2.0
+    assert abs(observation["body.orientation"][0]) > 0.999
+    assert len(info["records"]["thumb"]) == 20
+    for name, value in ends[0].items():
+        np.testing.assert_array_equal(value, ends[1][name])
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_continues_the_lift(duplicate: Callable[[Any], Any]) -> None:
+    env = lift_environment.Lift(step_ticks=10)
+    env.reset(seed=0)
+    for _ in range(16):
+        env.step(move((1, 0, 0), (-1, 0, 0)))
+    copied = duplicate(env)
+    assert copied.world is not env.world
+    ahead = [env.step(move((0, 0, 1), (0, 0, 1))) for _ in range(3)]
+    for observation, reward, *_ in ahead:
+        copied_observation, copied_reward, *_ = copied.step(move((0, 0, 1), (0, 0, 1)))
+        assert copied_reward == reward
+        for name, value in observation.items():
+            np.testing.assert_array_equal(copied_observation[name], value)
+    start, copied_start = env.reset(seed=0)[0], copied.reset(seed=0)[0]
+    np.testing.assert_array_equal(start["body.position"], copied_start["body.position"])
