@@ -23,7 +23,7 @@ from softfinger.config.errors import SafetyStop
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server import app
-from softfinger.server.services import hotplug
+from softfinger.server.services import watches
 from softfinger.server.services.notify import ServiceNotifier, _read_watchdog_s
 from softfinger.server.services.watches import Hotplug, HotplugWatch
 from softfinger.server.wire.client import subscribe
@@ -152,8 +152,8 @@ def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
     assert hotplug_state.changes() == [("detached", TEENSY)] and hotplug_state.changes() == []
     plug_serial(root, "ttyACM5", "16c0", "0483", "SN42", product="Haply inverse3")
     ((change, haply),) = hotplug_state.changes()
-    assert (change, hotplug.make_event_fields(haply)["driver"]) == ("attached", "haply")
-    assert hotplug.make_event_fields(TEENSY)["driver"] == "serial"
+    assert (change, watches.make_event_fields(haply)["driver"]) == ("attached", "haply")
+    assert watches.make_event_fields(TEENSY)["driver"] == "serial"
 
 
 @pytest.mark.parametrize("at_start", [False, True])
@@ -188,7 +188,7 @@ def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> No
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noqa: F811
-    monkeypatch.setattr(hotplug, "PERIOD_S", 0.02)
+    monkeypatch.setattr(watches, "PERIOD_S", 0.02)
     monkeypatch.setattr(app, "Hotplug", lambda: Hotplug(root))
     return root
 
