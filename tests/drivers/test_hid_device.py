@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
 from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, described, ends, rig_options, woody
-from helpers.stopping import stop_during_writes
 from helpers.waits import repeated
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DeviceTimeout
@@ -182,16 +181,6 @@ def test_the_last_report_ends_the_force() -> None:
         assert node == "/dev/hidraw7" and os.fstat(fd)
         arm.answer(zero)
         assert not any(arm.sent[-1])
-
-
-def test_stop_while_the_loop_writes() -> None:
-    for _ in range(20):
-        with woody() as (device, arm, answering):
-            stop_during_writes(
-                device,
-                lambda arm=arm: [any(words[:3]) for words in arm.sent],
-                lambda device=device, answering=answering: answering.settle(device),
-            )
 
 
 def test_calibration_of_a_board_that_pauses() -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.stopping import stop_during_writes
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.base import END, OK, WITHHELD
@@ -92,14 +91,6 @@ def test_the_log_of_a_long_loop_contains_the_latest_wrenches() -> None:
         assert device.overwritten_count == 15_001 - len(forces)
     assert forces[-1, 0] == 0.0
     assert forces[:-1, 0].tolist() == list(range(15_001 - len(forces), 15_000))
-
-
-def test_a_stop_during_writes_ends_with_zero() -> None:
-    for _ in range(30):
-        with opened() as device:
-            stop_during_writes(device, lambda device=device: device.forces().any(axis=1).tolist(), lambda: None)
-            forces = device.forces()
-            assert not forces[-1].any() and (forces[:-1, 2] == 1.0).all()
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])

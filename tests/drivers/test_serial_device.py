@@ -18,7 +18,6 @@ import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.serial_devices import PLACE, board, opened, rig_options, settle
-from helpers.stopping import stop_during_writes
 from helpers.waits import fresh
 
 from softfinger.config.errors import ConfigError, DeviceError
@@ -121,16 +120,6 @@ def test_an_empty_port_is_not_read() -> None:
             os.dup2(terminal, fd)
             for descriptor in (terminal, out, into):
                 os.close(descriptor)
-
-
-def test_stop_while_the_loop_writes() -> None:
-    for _ in range(20):
-        with board() as (device, itself, cable):
-            stop_during_writes(
-                device,
-                lambda itself=itself: [any(words[:3]) for words in itself.sent],
-                lambda device=device, cable=cable: settle(device, cable),
-            )
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
