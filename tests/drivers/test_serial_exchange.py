@@ -14,7 +14,7 @@ from helpers.serial_devices import rig_options
 
 from softfinger.config.load import build
 from softfinger.drivers import board_exchange, described_board
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, WITHHELD
+from softfinger.drivers.base import HELD, LOST, OK, STALE, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.described_board import DESCRIBED
 from softfinger.drivers.serial import device, exchange
