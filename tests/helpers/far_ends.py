@@ -67,7 +67,7 @@ class Far(NamedTuple):
     withholds     whether the driver sends zero if its answers are not read
     hush          makes the device receive without answering; None if it has no such fault
     tremble       moves a hand that `press` leaves at rest
-    frames        number of received frames, if the forces are those of changes only
+    frames        number of received frames, without conversion of their forces: polled, that would delay the emulator
     """
 
     rig: str
@@ -238,7 +238,7 @@ def hid(folder: Path, patch: pytest.MonkeyPatch, rig: str = "woodenhaptics-2019"
         # half a milliampere in each of three motors
         yield Far(
             rig_file(folder, rig, **keys), answering, lambda first: rows_from(first, arm.sent_at, arm.sent, force_of),
-            hand.press, answering.unplug, 0.01, withholds=True, hush=answering.mute.set,
+            hand.press, answering.unplug, 0.01, withholds=True, hush=answering.mute.set, frames=lambda: len(arm.sent),
         )  # fmt: skip
 
 
@@ -270,7 +270,9 @@ def serial(folder: Path, patch: pytest.MonkeyPatch, early_end: bool = False, **k
         def forces_since(first: int) -> Array:
             return rows_from(first, board.sent_at, board.sent, lambda words: np.multiply(words[:3], 1e-3))
 
-        yield Far(rig, cable, forces_since, hand.press, cable.pull, 1e-3, hush=cable.hush)
+        yield Far(
+            rig, cable, forces_since, hand.press, cable.pull, 1e-3, hush=cable.hush, frames=lambda: len(board.sent)
+        )
 
 
 @contextmanager
@@ -285,7 +287,7 @@ def two_diy(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Fa
         yield Far(
             rig_file(folder, "haply-2diy", path=port.path, **PATIENT | keys), port, forces_since,
             partial(lower, board), port.pull, 1e-6, "xz", lambda force: (force[0], 0.0, force[2]), powerless=True,
-            hush=port.mute.set,
+            hush=port.mute.set, frames=lambda: len(board.given),
         )  # fmt: skip
 
 
