@@ -127,13 +127,13 @@ bench: $(STAMP) ## Measure step cost, wake-up lateness (also in C, and with bodi
 	$(BIN)/softfinger bench telemetry --seconds $(BENCH_SECONDS)
 
 handover-age: $(STAMP) ## Measure the age of poses and forces at use, with a thread or library in between (ARGS=--json)
-	@exec $(BIN)/python tests/handover_age.py $(ARGS)
+	@exec $(BIN)/python tests/driver_times.py age $(ARGS)
 
 soak: $(STAMP) ## Run everything for ten minutes: memory, descriptors, threads, missed and lost ticks (ARGS="--minutes 120 --plot FILE --json")
 	@exec $(BIN)/softfinger bench soak $(ARGS)
 
-exchange-cost: $(STAMP) ## Measure the tick of each driver in addition to its C calls, with test doubles (ARGS=--json, --plot FILE)
-	@exec $(BIN)/python tests/exchange_cost.py $(ARGS)
+exchange-cost: $(STAMP) ## Measure the tick of each driver in addition to its C calls, with test doubles (ARGS=--json)
+	@exec $(BIN)/python tests/driver_times.py cost $(ARGS)
 
 study: $(STAMP) ## Repeat the measurements for figures and tables of docs/ (15 minutes; ARGS=--quick for a short check)
 	@exec $(BIN)/python -m softfinger.tools.study docs $(ARGS)

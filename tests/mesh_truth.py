@@ -5,8 +5,7 @@ presses, drags and lifts at random, with friction, torsion and rolling. In every
 triangles must be at least the radius of the fingertip, and the proxy must not have crossed a triangle since the
 previous tick. `softfinger bench mesh` measures the time of a tick.
 
-By default this is done for ten meshes made from formulas; with --hostile for malformed ones, and for sockets that fit
-the fingertip, where all triangles are equally close. Exit code 1 if an error was found.
+By default this is done for ten meshes made from formulas. Exit code 1 if an error was found.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from helpers import hostile_meshes, meshes
+from helpers import meshes
 from helpers.surface_hand import hand
-from helpers.touching import make_object, posed, scene_with, wander, write_part
+from helpers.touching import make_object, scene_with, write_part
 from numpy.typing import NDArray
 from references.brute_force import Balls, balls_of, brute_distances
 
@@ -57,15 +56,6 @@ MADE: Final = {
 }
 """Ten meshes: smooth, bumpy, with sharp edges, open, one-sided, of needles, self-intersecting, far away, of two
 parts."""
-HOSTILE: Final = hostile_meshes.MADE | hostile_meshes.MANY
-SOCKETS: Final = {
-    "exact socket": (1e-6, 60),
-    "close socket": (0.01, 60),
-    "fine socket": (0.01, 200),
-    "wide socket": (0.3, 60),
-}
-"""Clearance of each, as a fraction of the fingertip's radius, and its frequency: 20 times the square is the number of
-triangles."""
 BLOCK: Final = 10_000
 INSIDE: Final = 1e-9
 """Fraction of the radius that counts as inside, and of the mesh's size that counts as another distance."""
@@ -171,23 +161,16 @@ def check_ticks(scene: schema.Scene, balls: Balls, poses: Array, radius: float) 
     return counts | {"deepest": deepest, "first_inside": first}
 
 
-def in_socket(ticks: int, radius: float) -> Array:
-    """Return poses (ticks, 7) of a hand that crosses the wall of a socket from its centre in all directions."""
-    ways = wander(6, ticks, 2.0 * radius)
-    return posed((ways - ways[0]) * np.minimum(np.arange(ticks) / 200.0, 1.0)[:, None])
-
-
 def judge(file: str, args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
-    tip, socket = {"fingertip": {"radius_m": args.radius}}, Path(file).stem in SOCKETS
-    scene = scene_with(make_object("part", "mesh", file=file, scale=args.scale, inside=socket), **tip)
+    part = make_object("part", "mesh", file=file, scale=args.scale)
+    scene = scene_with(part, fingertip={"radius_m": args.radius})
     mesh = triangles_of(scene)
     balls = balls_of(*mesh)
     result: dict[str, Any] = {"triangles": len(mesh.triangles)}
     if args.points:
         result["distances"] = check_distances(scene, balls, args.points, rng)
     if args.ticks:
-        poses = in_socket(args.ticks, args.radius) if socket else hand(mesh, args.ticks, args.radius, rng)
-        result["hand"] = check_ticks(scene, balls, poses, args.radius)
+        result["hand"] = check_ticks(scene, balls, hand(mesh, args.ticks, args.radius, rng), args.radius)
     return result
 
 
@@ -216,25 +199,14 @@ def main() -> int:
     parser.add_argument("--ticks", type=int, default=100_000, help="on each mesh (default: %(default)s; 0 for none)")
     parser.add_argument("--radius", type=float, default=0.01, help="of the fingertip, m (default: %(default)s)")
     parser.add_argument("--scale", type=float, default=1.0, help="of the files, to metres (default: %(default)s)")
-    parser.add_argument("--hostile", action="store_true", help="the meshes that nobody should have made")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    args = parser.parse_args()
+    args, result = parser.parse_args(), {}
     try:
-        made, result = dict(MADE), {}
-        if args.hostile:
-            made = HOSTILE | {
-                name: lambda room=room, frequency=frequency: hostile_meshes.socket(
-                    args.radius * (1.0 + room), frequency
-                )
-                for name, (room, frequency) in SOCKETS.items()
-            }
         with tempfile.TemporaryDirectory() as folder:
-            for name in args.mesh or made:
-                file = write_part(Path(folder), *made[name](), name=f"{name}.ply") if name in made else name
-                result[Path(name).stem if name not in made else name] = judge(
-                    file, args, np.random.default_rng(args.seed)
-                )
+            for name in args.mesh or MADE:
+                file = write_part(Path(folder), *MADE[name](), name=f"{name}.ply") if name in MADE else name
+                result[Path(file).stem] = judge(file, args, np.random.default_rng(args.seed))
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code

@@ -171,6 +171,9 @@ def test_a_driver_of_another_package_passes_the_contract_of_the_wheel(installed:
         cwd=source,
     )
     assert re.search(r"^\d+ passed", result.stdout, re.MULTILINE), result.stdout
+    words = ("run", "--rig", source / "lissajous.toml", "--endpoint", f"ipc://{tmp_path}/t", "--realtime", "off")
+    process = run(installed / "softfinger", *words, "--duration", "0.2", cwd=tmp_path)
+    assert "device lissajous" in process.stderr and "stopped after 200 ticks" in process.stderr
 
 
 COMPILES = """

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from helpers.programs import run_program
 
 from softfinger.config.errors import DeviceError, DeviceNotFound, HapticError, RecordingError
 from softfinger.config.load import load_rig
 from softfinger.drivers import open_devices, registry
 from softfinger.drivers.base import OK, WITHHELD, Device
 from softfinger.server.driver_contract import RATE_HZ, REFUSALS, Bench, DeviceCaller, DriverContract
-
-OUTSIDE = Path(__file__).parents[1] / "outside_driver"
 
 
 class ReplayBench(Bench):
@@ -48,14 +43,6 @@ class ReplayBench(Bench):
 
     def mend(self) -> None:
         self.recording = "tap"
-
-
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    target = tmp_path_factory.mktemp("site")
-    options = "--quiet --no-index --no-deps --no-build-isolation --disable-pip-version-check --target"
-    run_program([sys.executable, "-m", "pip", "install", *options.split(), str(target), str(OUTSIDE)], check=True)
-    return target
 
 
 @pytest.fixture(params=["replay", "simulated"])
@@ -116,29 +103,3 @@ def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
         assert open_devices.stop_all() == []
         assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-
-
-@pytest.mark.exhaustive
-def test_the_example_package_runs_after_installation(installed: Path, tmp_path: Path) -> None:
-    rig = str(OUTSIDE / "lissajous.toml")
-
-    def softfinger(*words: str, path: str = "") -> subprocess.CompletedProcess[str]:
-        folders = [path, *filter(None, [os.environ.get("PYTHONPATH")])]
-        return run_program(
-            [sys.executable, "-m", "softfinger.server.cli", *words],
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, folders))},
-        )
-
-    assert "rig, usable" in softfinger("check", rig, path=str(installed)).stdout
-    run = ["run", "--rig", rig, "--endpoint", f"ipc://{tmp_path}/t", "--duration", "0.2", "--realtime", "off"]
-    process = softfinger(*run, path=str(installed))
-    assert process.returncode == 0, process.stderr
-    assert "device lissajous" in process.stderr and "stopped after 200 ticks" in process.stderr
-    wrong = tmp_path / "wrong.toml"
-    wrong.write_text('[device]\ndriver = "lissajous"\nhz = [0.5, 0.75, 1e9]\n')
-    assert (
-        "hz[2] = 1000000000.0: must be a number from 0 to 100"
-        in softfinger("check", str(wrong), path=str(installed)).stderr
-    )
-    absent = softfinger("check", rig)
-    assert absent.returncode != 0 and "no driver is called 'lissajous'" in absent.stderr

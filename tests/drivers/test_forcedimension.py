@@ -27,7 +27,7 @@ from softfinger.config.errors import (
     HapticError,
 )
 from softfinger.config.schema import DeviceConfig
-from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, WITHHELD
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension import exchange, library
 from softfinger.drivers.forcedimension.selection import MODELS
@@ -384,24 +384,6 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: OmegaBe
                 assert DeviceCaller(device).write(0.1, 0.2, 0.3, 0.01, 0.02, 0.03) == OK
                 assert [stub["fx"], stub["fy"], stub["fz"]] == (TURN.T @ [0.1, 0.2, 0.3]).tolist()
                 assert [stub["tx"], stub["ty"], stub["tz"]] == (TURN.T @ [0.01, 0.02, 0.03]).tolist()
-
-
-@pytest.mark.parametrize(("code", "status"), [(7, TIMEOUT), (2, LOST), (1, LOST)])
-@pytest.mark.parametrize("call", ["fail_read", "fail_write"])
-def test_failing_call_gives_its_status_and_reason(
-    call: str, code: int, status: int, stub: Stub, bench: OmegaBench
-) -> None:
-    with bench.open() as device:
-        servo = DeviceCaller(device)
-        servo.read()
-        servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        stub.update(**{call: 0, "error": code})
-        assert (servo.read()[0] if call == "fail_read" else servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)) == status
-        text = {7: "timeout", 2: "communication error", 1: "error"}[code]
-        assert device.reason() == f"the library's error {code}, {text}"
-        device.stop()
-        assert stub.norm() == 0.0  # even if every force fails: the force is disabled
-        assert stub["force_on"] == 0
 
 
 @pytest.mark.scaled

@@ -168,6 +168,13 @@ def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
             assert library.read()[0] == OK
 
 
+@pytest.mark.parametrize(("code", "status"), [(ERROR_TIMEOUT, TIMEOUT), (2, LOST), (1, LOST)])
+def test_a_failed_force_has_a_reason(code: int, status: int, library: Library) -> None:
+    library.gives |= {"set_wrench": -1, "get_error": code}
+    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
+    assert library.word[AT.error] == code
+
+
 def test_the_status_is_read_periodically(library: Library) -> None:
     """An armed device's status is read every fourth read; before arming its force is off, so it is not read."""
     has_asked = []

@@ -21,7 +21,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from helpers.haply_devices import ID, RIG, Service, opened, rig_options, settle
-from helpers.stopping import stop_during_writes
 from helpers.waits import eventually, fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound
@@ -362,13 +361,6 @@ def test_a_malformed_message_ends_the_exchange(case: str, service: Service) -> N
     opened(service).close()
 
 
-def test_a_flood_of_states_is_a_protocol_error(service: Service) -> None:
-    with exchanging(service) as (device, servo):
-        service.set(copies=40)
-        assert first_failure(servo) == PROTOCOL
-        assert "unexpected states" in device.reason()
-
-
 def test_a_grip_that_disappears_is_a_loss(service: Service) -> None:
     """If the grip in use is no longer listed, the device is lost: otherwise its orientation would be frozen."""
     with exchanging(service) as (device, servo):
@@ -391,11 +383,6 @@ def test_a_stopped_service_blocks_no_call(service: Service) -> None:
     finally:
         os.kill(service.process.pid, signal.SIGCONT)
     at_rest(service)
-
-
-def test_stop_while_the_loop_writes(service: Service) -> None:
-    with exchanging(service) as (device, _):
-        stop_during_writes(device, lambda: [any(row[1:]) for row in service.log()], lambda: settle(device))
 
 
 def test_the_service_of_a_rig_is_queried_without_usb(

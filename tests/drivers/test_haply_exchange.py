@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, File, GuardedBlock, by_call, check_pose
+from helpers.plain_by_call import BY_CALL, HALF, MS, SHIFT, START_NS, FarEnd, File, GuardedBlock, by_call, check_pose
 
 from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.haply import exchange
@@ -17,7 +17,6 @@ from softfinger.proxy.kernels.jit.pack import flatten
 pytestmark = BY_CALL
 
 FD = 5
-HALF = np.sqrt(0.5)
 QUIET, TIMEOUT_NS = 20 * MS, 100 * MS
 ZERO = (0.0,) * 6
 Q = (0.5, 0.1, -0.7, 0.5)
@@ -55,7 +54,7 @@ class Device(FarEnd):
 
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch) -> Device:
-    made = Device(monkeypatch, ((0.1, 0.2, 0.3), (HALF, 0.0, 0.0, HALF)))
+    made = Device(monkeypatch, (SHIFT, (HALF, 0.0, 0.0, HALF)))
     made.state(0.0, 0.0, 0.0)
     assert made.read()[0] == OK
     return made

@@ -1,4 +1,7 @@
-"""Exchange with a HID device: contract, loop closed on an emulated arm, silence, faults, zero at every shutdown."""
+"""HID devices on a packet socket: pauses, faults, calibration, random reports, opening.
+
+test_contract_at_far_ends.py has the contract.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +12,20 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
-from helpers.hid_devices import RIGS, Answering, RefusedNode, RefusingBench, described, ends, rig_options, woody
-from helpers.stopping import stop_during_writes
+from helpers.hid_devices import RIGS, Answering, described, ends, rig_options, woody
 from helpers.waits import repeated
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DeviceTimeout
 from softfinger.config.load import build
-from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, Device
+from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
 from softfinger.drivers.hid.link import find_device
 from softfinger.drivers.hid.report_threads import QUEUE_BYTES
@@ -31,57 +33,12 @@ from softfinger.drivers.system.libc import write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import uint8_at
-from softfinger.server import driver_contract
-from softfinger.server.driver_contract import RATE_HZ, DeviceCaller
+from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
 
 COUNT_M = 3e-4
 """Half an encoder count at a motor is up to 0.13 mm at the end of the longest arm along each joint."""
-
-
-class Bench(RefusingBench):
-    # An encoder count and 1 mA of a motor are 8 mN at the end.
-    force_step_n: ClassVar[float] = 0.012
-
-    def __init__(self, rig: str, through: str, node: RefusedNode, undo: contextlib.ExitStack) -> None:
-        super().__init__(node)
-        self.rig, self.through, self._undo = rig, through, undo
-        self.device: HidDevice | None = None
-
-    def open_path(self, path: str) -> Device:
-        return open_device(rig_options(self.rig, path=path, through=self.through), RATE_HZ)
-
-    def open_emulated(self) -> Device:
-        self.device, self.arm, self.answering = self._undo.enter_context(woody(self.rig, through=self.through))
-        return self.device
-
-    def displayed(self) -> tuple[float, ...]:
-        if self.answering.end.fileno() < 0:  # unplugged: its amplifiers have no power
-            return (0.0, 0.0, 0.0)
-        self.answering.settle(self.device)
-        return self.arm.arm.force(self.arm.place, tuple(i / 1e3 for i in self.arm.milliamperes))
-
-    def faults(self) -> Mapping[str, Callable[[], object]]:
-        return {"lost": lambda: self.answering.unplug(), "timeout": lambda: self.answering.mute.set()}
-
-
-@pytest.fixture(
-    params=[
-        ("woodenhaptics-2015", "node"),
-        ("woodenhaptics-polhem-v1", "node"),
-        ("woodenhaptics-polhem-v1", "thread"),
-        pytest.param(("woodenhaptics-2019-lpc1768", "node"), marks=pytest.mark.exhaustive),
-    ],
-    ids=" ".join,
-)
-def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    with RefusedNode() as node, contextlib.ExitStack() as undo:
-        yield Bench(*request.param, node, undo)
-
-
-class TestContract(driver_contract.DriverContract):
-    """The contract over each wire format, with an emulated arm."""
 
 
 def test_a_board_that_sends_continuously() -> None:
@@ -182,16 +139,6 @@ def test_the_last_report_ends_the_force() -> None:
         assert node == "/dev/hidraw7" and os.fstat(fd)
         arm.answer(zero)
         assert not any(arm.sent[-1])
-
-
-def test_stop_while_the_loop_writes() -> None:
-    for _ in range(20):
-        with woody() as (device, arm, answering):
-            stop_during_writes(
-                device,
-                lambda arm=arm: [any(words[:3]) for words in arm.sent],
-                lambda device=device, answering=answering: answering.settle(device),
-            )
 
 
 def test_calibration_of_a_board_that_pauses() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.hid_devices import described
-from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, File, by_call, check_pose
+from helpers.plain_by_call import BY_CALL, MOUNTING, MS, START_NS, FarEnd, File, by_call, check_pose
 
 from softfinger.config.load import build
 from softfinger.drivers import board_exchange, described_board
@@ -24,8 +24,6 @@ from softfinger.drivers.hid.exchange import AT
 pytestmark = BY_CALL
 
 FD = 5
-HALF = np.sqrt(0.5)
-MOUNTING = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [HALF, 0.0, 0.0, HALF]}
 ZERO = (0.0,) * 6
 EIO, ETIMEDOUT = 5, 110
 

@@ -8,18 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import (
-    BY_CALL,
-    MS,
-    NEARLY_A_ROTATION,
-    NO_ROTATIONS,
-    START_NS,
-    FarEnd,
-    GuardedBlock,
-    by_call,
-    matrix,
-    turned,
-)
+from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, by_call, matrix, turned
 
 from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.openhaptics import exchange
@@ -179,17 +168,6 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
         library.buttons = bits
         library.frame()
         assert library.read()[1][8] == bits
-
-
-@pytest.mark.parametrize("name", NO_ROTATIONS)
-def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(name: str, library: Library) -> None:
-    library.rotation = NO_ROTATIONS[name]
-    library.frame()
-    sample = library.read()[1]
-    assert np.isnan(sample[3:7]).all() and np.isfinite(sample[[0, 1, 2, 7, 8, 9]]).all()
-    library.rotation = NEARLY_A_ROTATION
-    library.frame()
-    assert np.isfinite(library.read()[1]).all()
 
 
 def test_the_temperature_is_read_each_hundredth_frame(opening: Library) -> None:

@@ -1,107 +1,26 @@
-"""Boards described in a rig, a Haply 2DIY and a Hapkit with its shipped sketch: contract and faults."""
+"""Boards described in a rig, a Haply 2DIY and a Hapkit with its shipped sketch: poses, forces and faults."""
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 from emulators.hapkit import Hapkit
 from emulators.haply2diy import Firmware, Port, place
-from helpers.described_boards import ALONG, ASLANT, REST, TO_WORLD, force_of, opened, rig_options, settled
+from helpers.described_boards import REST, TO_WORLD, force_of, opened, settled
 from helpers.far_ends import sketch_library
-from helpers.hid_devices import RefusedNode, RefusingBench
 from helpers.waits import ends_within, fresh, until
 
 from softfinger.config.errors import DeviceTimeout
 from softfinger.drivers.base import LOST, OK, PROTOCOL, TIMEOUT, Device
-from softfinger.drivers.serial.device import open_device
-from softfinger.server import driver_contract
 from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
-
-
-class BoardBench(RefusingBench):
-    rig: ClassVar[str]
-
-    def __init__(self, node: RefusedNode, undo: contextlib.ExitStack) -> None:
-        super().__init__(node)
-        self.undo = undo
-
-    def open_path(self, path: str) -> Device:
-        return open_device(rig_options(self.rig, path=path), driver_contract.RATE_HZ)
-
-
-class TwoDiy(BoardBench):
-    rig: ClassVar[str] = "haply-2diy"
-    force_step_n: ClassVar[float] = 1e-6
-
-    def open_emulated(self) -> Device:
-        self.board = Firmware()
-        self.port = self.undo.enter_context(Port(self.board))
-        self.device = opened(self.rig, self.port.path)
-        self.board.angles = list(REST)  # out of the calibration pose
-        return self.device
-
-    def part(self, *force: float) -> tuple[float, ...]:
-        return (force[0], 0.0, force[2])
-
-    def displayed(self) -> tuple[float, ...]:
-        if not self.port.pulled:
-            written = self.device.counts()["written"]
-            settled(lambda: self.board.answers + (self.port.mute.is_set()), lambda answers: answers >= written, 0.5)
-        return (*force_of(self.board), 0.0, 0.0, 0.0)
-
-    def faults(self) -> Mapping[str, Callable[[], object]]:
-        return {"lost": lambda: self.port.pull(), "timeout": lambda: self.port.mute.set()}
-
-
-class HapkitBench(BoardBench):
-    rig: ClassVar[str] = "hapkit"
-    force_step_n: ClassVar[float] = 0.02
-    """The duty has 255 steps and its square is the torque: 0.017 N at 1 N."""
-
-    def open_emulated(self) -> Device:
-        self.undo.close()
-        self.board = self.undo.enter_context(Hapkit(sketch_library()))
-        self.device = opened(self.rig, self.board.path, mounting=ASLANT)
-        return self.device
-
-    def part(self, *force: float) -> tuple[float, ...]:
-        x, y, z = (float(v) for v in np.dot(force, ALONG) * ALONG)
-        return (x, y, z)
-
-    def displayed(self) -> tuple[float, ...]:
-        if not self.board.pulled:
-            written = 4 * self.device.counts()["written"]
-            settled(self.board.processed, lambda processed: processed >= written, 0.5)
-        return (*(self.board.torque() / 0.09 * ALONG), 0.0, 0.0, 0.0)
-
-    def faults(self) -> Mapping[str, Callable[[], object]]:
-        return {"lost": lambda: self.board.pull(), "timeout": lambda: self.board.hush()}
-
-
-class Contract(driver_contract.DriverContract):
-    """The contract, for a bench of each board."""
-
-
-class TestTwoDiy(Contract):
-    @pytest.fixture
-    def bench(self) -> Iterator[TwoDiy]:
-        with RefusedNode() as node, contextlib.ExitStack() as undo:
-            yield TwoDiy(node, undo)
-
-
-class TestHapkit(Contract):
-    @pytest.fixture
-    def bench(self) -> Iterator[HapkitBench]:
-        with RefusedNode() as node, contextlib.ExitStack() as undo:
-            yield HapkitBench(node, undo)
 
 
 @contextlib.contextmanager

@@ -1,73 +1,29 @@
-"""Exchange with a serial device: contract, blocked port, opening, zero at shutdown.
+"""Serial devices: blocked port, opening, calls of the system; test_contract_at_far_ends has the contract.
 
 The port is a pseudo terminal: the system's code of terminals, with an emulated board.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from typing import ClassVar
 
 import numpy as np
 import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
-from helpers.hid_devices import RefusedNode, RefusingBench
-from helpers.serial_devices import PLACE, board, opened, rig_options, settle
-from helpers.stopping import stop_during_writes
+from helpers.serial_devices import PLACE, board, opened, rig_options
 from helpers.waits import fresh
 
 from softfinger.config.errors import ConfigError, DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers.base import HELD, OK, STALE, TIMEOUT, WITHHELD, Device
+from softfinger.drivers.base import HELD, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
-from softfinger.drivers.serial.device import SerialDevice, open_device
-from softfinger.server import driver_contract
+from softfinger.drivers.serial.device import SerialDevice
 from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
-
-STEP_N = 0.5e-3 * 1.001
-"""A frame has millinewtons: half of one, and rounding."""
-
-
-class Bench(RefusingBench):
-    force_step_n: ClassVar[float] = STEP_N
-
-    def __init__(self, early_end: bool, node: RefusedNode, undo: contextlib.ExitStack) -> None:
-        super().__init__(node)
-        self.early_end, self._undo = early_end, undo
-
-    def open_path(self, path: str) -> Device:
-        return open_device(rig_options(path=path), driver_contract.RATE_HZ)
-
-    def open_emulated(self) -> Device:
-        self.cable = self._undo.enter_context(Cable(Board(lambda _: PLACE, self.early_end)))
-        self.device = opened(self.cable)
-        return self.device
-
-    def displayed(self) -> tuple[float, ...]:
-        if self.cable.pulled:  # its motors have no power
-            return (0.0, 0.0, 0.0)
-        settle(self.device, self.cable)
-        return self.cable.board.force
-
-    def faults(self) -> Mapping[str, Callable[[], object]]:
-        return {"lost": lambda: self.cable.pull(), "timeout": lambda: self.cable.hush()}
-
-
-@pytest.fixture(params=[False, True], ids=["one newline", "two newlines"])
-def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    with RefusedNode() as node, contextlib.ExitStack() as undo:
-        yield Bench(request.param, node, undo)
-
-
-class TestContract(driver_contract.DriverContract):
-    """The contract over both forms of a frame, with an emulated board each."""
 
 
 def fill(device: SerialDevice) -> int:
@@ -121,16 +77,6 @@ def test_an_empty_port_is_not_read() -> None:
             os.dup2(terminal, fd)
             for descriptor in (terminal, out, into):
                 os.close(descriptor)
-
-
-def test_stop_while_the_loop_writes() -> None:
-    for _ in range(20):
-        with board() as (device, itself, cable):
-            stop_during_writes(
-                device,
-                lambda itself=itself: [any(words[:3]) for words in itself.sent],
-                lambda device=device, cable=cable: settle(device, cable),
-            )
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:

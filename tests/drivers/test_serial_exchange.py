@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from emulators.guideboard import crc8
-from helpers.plain_by_call import ABOUT_Z, BY_CALL, MS, START_NS, FarEnd, File, by_call, check_pose, matrix, turned
+from helpers.plain_by_call import ABOUT_Z, BY_CALL, MOUNTING, MS, START_NS, FarEnd, File, by_call, matrix, turned
 from helpers.serial_devices import rig_options
 
 from softfinger.config.load import build
 from softfinger.drivers import board_exchange, described_board
-from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, WITHHELD
+from softfinger.drivers.base import HELD, LOST, OK, STALE, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.described_board import DESCRIBED
 from softfinger.drivers.serial import device, exchange
@@ -24,8 +24,6 @@ from softfinger.drivers.serial.exchange import AT
 pytestmark = BY_CALL
 
 FD = 5
-HALF = np.sqrt(0.5)
-MOUNTING = {"position_m": [0.1, 0.2, 0.3], "orientation_wxyz": [HALF, 0.0, 0.0, HALF]}
 TEXT = {"force_max_n": 5.0, "quiet_s": 0.02, "timeout_s": 0.2, "kick_s": 0.1}
 ZERO = (0.0,) * 6
 
@@ -256,16 +254,6 @@ def force_frame(x: int, y: int, z: int) -> bytes:
 @pytest.fixture
 def board_of_rig(monkeypatch: pytest.MonkeyPatch) -> Board:
     return Board(described(), monkeypatch)
-
-
-def test_a_described_frame_is_a_pose_in_the_world(board_of_rig: Board) -> None:
-    q = (0.5, 0.1, -0.7, 0.5)
-    status, sample = board_of_rig.read(answer(0.25, 0.5, -0.125, *q, buttons=6, gripper=50))
-    assert status == OK
-    check_pose(sample, (0.25, 0.5, -0.125), q, rounding=1e-7)  # a float32 of 0.7
-    assert sample[7:].tolist() == [2.0, 6.0, 0.5]
-    assert board_of_rig.read(answer(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))[0] == PROTOCOL
-    assert board_of_rig.counts() == {"bytes": 62, "frames": 2}
 
 
 def test_a_force_is_written_as_described(board_of_rig: Board) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 import struct
 from collections.abc import Callable
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.refusals import refusal
+from helpers.rig_files import with_key
 
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.fields import table
@@ -80,16 +80,6 @@ def test_checksums_of_the_catalogue(kind: Any, big: bool) -> None:
 def build_fields(kind: str, offset: int, **more: Any) -> Any:
     wanted = {"bytes": 12, "field": [{"meaning": "a", "offset": offset, "type": kind, **more}]}
     return build(InputFrame, wanted, "frame").field
-
-
-@pytest.mark.parametrize(("kind", "code"), [("int16", "h"), ("uint32", "I"), ("float32", "f")])
-@pytest.mark.parametrize("big", [False, True])
-def test_both_byte_orders(kind: str, code: str, big: bool) -> None:
-    order = ">" if big else "<"
-    frame = InputFrame(bytes=6, start=(7,), end=(9,), field=build_fields(kind, 1))
-    size = struct.calcsize(code)
-    text = b"\x07" + struct.pack(order + code, 1234) + bytes(4 - size) + b"\x09"
-    assert decode_counts(frame, text, [6], big=big) == [1234.0]
 
 
 def numbered_frame(n: int) -> bytes:
@@ -185,14 +175,6 @@ CHANGES: list[tuple[str, Any, str]] = [
     ("path", "value", "message"), CHANGES, ids=[f"{path} {value}"[:40] for path, value, _ in CHANGES]
 )
 def test_a_description_that_cannot_be_is_refused(path: str, value: Any, message: str) -> None:
-    options = copy.deepcopy(dict(load_rig("hapkit").device.options))
-    *tables, last = path.split(".")
-    at: Any = options
-    for key in tables:
-        at = at[int(key)] if key.isdigit() else at[key]
-    if value is None:
-        del at[last]
-    else:
-        at[last] = value
+    options = with_key(load_rig("hapkit").device.options, path, value)
     text = refusal(build, Options, options, "rig [device]")
     assert re.search(message, text), text

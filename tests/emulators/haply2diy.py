@@ -49,6 +49,8 @@ class Firmware:
         """Torques of the motors on ports 1 and 2 (N m)."""
         self.log: list[tuple[float, float, float]] = []
         """Time (s, monotonic clock) and torques of each change."""
+        self.given: list[tuple[float, float, float]] = []
+        """The same of every command."""
         self.host = [0, 0]
         """Device that the motors and encoders of each port belong to; 0: none."""
         self.encoders = [(0.0, 0.0)] * 2
@@ -61,9 +63,10 @@ class Firmware:
     def give(self, torques: list[float]) -> None:
         most = max(TORQUE_MAX, *(abs(t) for t in torques if t == t))
         cut = [0.0 if t != t else t * TORQUE_MAX / most for t in torques]
+        self.given.append((time.monotonic(), *cut))
         if cut != self.torques:
             self.torques = cut
-            self.log.append((time.monotonic(), *cut))
+            self.log.append(self.given[-1])
 
     def setup(self, port: Port) -> None:
         self.host = [0, 0]

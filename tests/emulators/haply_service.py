@@ -120,8 +120,6 @@ class Service:
         self.late_s = 0.0
         self.spoil: str | None = None
         """Text sent instead of a state."""
-        self.copies = 1
-        """States per message."""
         self.raw: str | None = None
         """Bytes in hexadecimal digits, sent once to each session instead of a state; the session then continues."""
         self.end: str | None = None
@@ -322,8 +320,7 @@ class Connection:
                             if self._break():
                                 return
                         elif not service.mute:
-                            for _ in range(service.copies):
-                                self._say(service.view(session, whole=False))
+                            self._say(service.view(session, whole=False))
                 for data in protocol.data_to_send():
                     if not data:
                         return

@@ -7,6 +7,7 @@ by one millisecond, so that a slow connection changes no physics, and is answere
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Callable
 from math import acos, atan2, cos, hypot, pi, sin
 
@@ -116,6 +117,8 @@ class Woody(Handle):
         """Displayed counts minus true ones: not 0 before calibration."""
         self.sent: list[tuple[int, ...]] = []
         """Numbers of every report of the host."""
+        self.sent_at: list[float] = []
+        """Times (s, monotonic clock) of these reports."""
 
     def answer(self, report: bytes) -> bytes:
         if len(report) != self.report_bytes + 1 or report[0] != 0:
@@ -123,6 +126,7 @@ class Woody(Handle):
                 f"a host's report has 0 and {self.report_bytes} bytes, this has {report[:1]!r}, {len(report)}"
             )
         words = struct.unpack_from("<4h" if self.generation == 1 else "<7h", report, 1)
+        self.sent_at.append(time.monotonic())
         self.sent.append(words)
         if self.generation == 2 and words[3] == 1:
             true = self.arm.counts(self.place)

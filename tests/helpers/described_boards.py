@@ -19,9 +19,6 @@ REST = (150.0, 30.0)
 """Angles (degrees) of a 2DIY's links in the middle of its workspace."""
 TO_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
 """Axes of the shipped 2DIY rig: towards the user is down."""
-ALONG = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
-"""Direction in the world in which the handle of a Hapkit mounted `ASLANT` moves."""
-ASLANT = {"position_m": [0.0, 0.0, 0.03], "orientation_wxyz": [np.cos(np.pi / 8), 0.0, -np.sin(np.pi / 8), 0.0]}
 
 
 def opened(rig: str, path: str, **changes: Any) -> SerialDevice:

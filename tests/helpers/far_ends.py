@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache, partial
 from pathlib import Path
@@ -61,12 +61,13 @@ class Far(NamedTuple):
     unplug        pull the cable
     resolution    N, of the motors
     sees          axes of the world along which it moves
+    part          part of a force (N) that its motors can display
     powerless     True if the device has no force without its cable; others retain the last force
     handover      ticks until a force reaches the motors
     withholds     whether the driver sends zero if its answers are not read
     hush          makes the device receive without answering; None if it has no such fault
     tremble       moves a hand that `press` leaves at rest
-    frames        number of received frames, if the forces are those of changes only
+    frames        number of received frames, without conversion of their forces: polled, that would delay the emulator
     """
 
     rig: str
@@ -76,6 +77,7 @@ class Far(NamedTuple):
     unplug: Callable[[], object]
     resolution: float = 1e-6
     sees: str = "xyz"
+    part: Callable[[Sequence[float]], tuple[float, ...]] = tuple
     powerless: bool = False
     handover: int = 1
     withholds: bool = False
@@ -107,38 +109,15 @@ class FarEnd(NamedTuple):
     hush: Callable[[], object] | None = None
 
 
-class Timed(list[Any]):
-    """List that records the time of each appended element, s of the monotonic clock."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.times: list[float] = []
-
-    def append(self, element: Any) -> None:
-        self.times.append(time.monotonic())
-        super().append(element)
-
-    def rows_from(self, first: int, force_of: Callable[[Any], Any]) -> Array:
-        """Return received forces from that element on."""
-        forces = [force_of(element) for element in list(self)[first:]]
-        return rows(self.times[first:][: len(forces)], forces)
-
-
-class RecordingFirmware(Firmware):
-    """A 2DIY that records every command."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.sent_torques = Timed()
-
-    def give(self, torques: list[float]) -> None:
-        super().give(torques)
-        self.sent_torques.append(tuple(self.torques))
-
-
 def rows(times: Any, forces: Any) -> Array:
     """Return received forces from times (n,) and forces (n, 3)."""
     return np.column_stack([times, np.array(forces, float).reshape(-1, 3)])
+
+
+def rows_from(first: int, times: list[float], elements: list[Any], force_of: Callable[[Any], Any]) -> Array:
+    """Return received forces from that element on."""
+    forces = [force_of(element) for element in elements[first:]]
+    return rows(times[first:][: len(forces)], forces)
 
 
 @contextmanager
@@ -246,11 +225,10 @@ def falcon(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Far
 
 
 @contextmanager
-def hid(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Far]:
+def hid(folder: Path, patch: pytest.MonkeyPatch, rig: str = "woodenhaptics-2019", **keys: Any) -> Iterator[Far]:
     """The arm has no device node: the driver gets its file descriptor from here."""
     hand, keys = Hand(), {"timeout_s": 2.0, **keys}
-    with woody(intention=hand, **keys) as (device, arm, answering):
-        arm.sent = sent = Timed()
+    with woody(rig, intention=hand, **keys) as (device, arm, answering):
         for opener in ("softfinger.tools.doctor.report.open_device", "softfinger.drivers.registry.open_device"):
             patch.setattr(opener, lambda *_: device)
 
@@ -259,8 +237,8 @@ def hid(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Far]:
 
         # half a milliampere in each of three motors
         yield Far(
-            rig_file(folder, "woodenhaptics-2019", **keys), answering, partial(sent.rows_from, force_of=force_of),
-            hand.press, answering.unplug, 0.01, withholds=True, hush=answering.mute.set,
+            rig_file(folder, rig, **keys), answering, lambda first: rows_from(first, arm.sent_at, arm.sent, force_of),
+            hand.press, answering.unplug, 0.01, withholds=True, hush=answering.mute.set, frames=lambda: len(arm.sent),
         )  # fmt: skip
 
 
@@ -283,23 +261,33 @@ def haply(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Far]
 
 
 @contextmanager
-def serial(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Far]:
+def serial(folder: Path, patch: pytest.MonkeyPatch, early_end: bool = False, **keys: Any) -> Iterator[Far]:
     hand = Hand()
-    with Cable(Board(hand)) as cable:
-        cable.board.sent = sent = Timed()
-        forces_since = partial(sent.rows_from, force_of=lambda words: np.multiply(words[:3], 1e-3))
+    board = Board(hand, early_end)
+    with Cable(board) as cable:
         rig = rig_file(folder, "woodenhaptics-v3", path=cable.path, **PATIENT | keys)
-        yield Far(rig, cable, forces_since, hand.press, cable.pull, 1e-3, hush=cable.hush)
+
+        def forces_since(first: int) -> Array:
+            return rows_from(first, board.sent_at, board.sent, lambda words: np.multiply(words[:3], 1e-3))
+
+        yield Far(
+            rig, cable, forces_since, hand.press, cable.pull, 1e-3, hush=cable.hush, frames=lambda: len(board.sent)
+        )
 
 
 @contextmanager
 def two_diy(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Far]:
-    board = RecordingFirmware()
+    board = Firmware()
     with Port(board) as port:
-        forces_since = partial(board.sent_torques.rows_from, force_of=lambda torques: force_at(board.angles, torques))
+
+        def forces_since(first: int) -> Array:
+            given = board.given[first:]
+            return rows([at for at, *_ in given], [force_at(board.angles, torques) for _, *torques in given])
+
         yield Far(
             rig_file(folder, "haply-2diy", path=port.path, **PATIENT | keys), port, forces_since,
-            partial(lower, board), port.pull, 1e-6, "xz", powerless=True, hush=port.mute.set,
+            partial(lower, board), port.pull, 1e-6, "xz", lambda force: (force[0], 0.0, force[2]), powerless=True,
+            hush=port.mute.set, frames=lambda: len(board.given),
         )  # fmt: skip
 
 
@@ -323,7 +311,8 @@ def hapkit(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Far
         # a duty cycle of 1/255 gives 0.03 N m duty^2; at 0.2 N the duty is 0.2
         yield Far(
             rig_file(folder, "hapkit", path=board.path, **PATIENT | keys), board, forces_since, press, board.pull, 0.01,
-            "z", hush=board.hush, tremble=lambda: repeated(tremble, every_s=0.002),
+            "z", lambda force: (0.0, 0.0, force[0] * np.sin(0.3) + force[2] * np.cos(0.3)),
+            hush=board.hush, tremble=lambda: repeated(tremble, every_s=0.002),
             frames=lambda: board.processed() // 4,
         )  # fmt: skip
 

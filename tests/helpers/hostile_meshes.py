@@ -58,18 +58,6 @@ def crumpled(count: int = 40) -> Mesh:
     return Mesh(vertices, np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
 
 
-def dust(count: int = 100_000) -> Mesh:
-    """A cloud of small triangles in all directions."""
-    rng = np.random.default_rng(4)
-    places = 0.02 * rng.normal(size=(count, 1, 3)) + 5e-4 * rng.normal(size=(count, 3, 3))
-    return Mesh(places.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
-
-
-def shells(count: int = 60) -> Mesh:
-    """Nested balls, half a micrometre apart."""
-    return meshes.joined(*(meshes.geodesic(10, 0.05 * (1.0 - 1e-5 * k)) for k in range(count)))
-
-
 def valley(rows: int, wide: float, high: float, half_length: float = 0.1) -> Mesh:
     """Two sheets that meet along y, `wide` m to both sides of it and `high` m up, with this number of rows of quads."""
     y = np.linspace(-half_length, half_length, rows + 1)
@@ -105,19 +93,8 @@ MADE: Final = {
 triangles without area, close walls, and sizes and positions at the limits."""
 
 
-MANY: Final = {
-    "fine slivers": lambda: meshes.cylinder(0.05, 0.1, 4000, 1, ends=False),
-    "fan": lambda: fan(),
-    "shells": shells,
-    "crumpled 100k": lambda: crumpled(100_000),
-    "dust": dust,
-}
+MANY: Final = {"crumpled 100k": lambda: crumpled(100_000)}
 """Meshes with so many triangles at about the same distance that a tick cannot examine them all."""
-
-
-def fan(count: int = 20_000) -> Mesh:
-    """A disc whose flat sides are needles that meet in one vertex, so that all are close everywhere."""
-    return meshes.cylinder(0.05, 1e-3, count, 1)
 
 
 def directions(seed: int, count: int) -> Array:

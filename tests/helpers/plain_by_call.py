@@ -225,6 +225,8 @@ NO_ROTATIONS = {
 }
 """Matrices that are refused as rotations."""
 ABOUT_Z, SHIFT = turned(2, np.pi / 2), (0.1, 0.2, 0.3)
+HALF = float(np.sqrt(0.5))
+MOUNTING = {"position_m": list(SHIFT), "orientation_wxyz": [HALF, 0.0, 0.0, HALF]}
 """Mounting of the devices in these tests: a quarter turn, and m."""
 
 

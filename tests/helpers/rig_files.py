@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import re
 from collections.abc import Mapping
@@ -25,6 +26,23 @@ def rig_options(rig: str, **changes: Any) -> Any:
     device = load_rig(rig).device
     assert device is not None
     return build(registry.load(device.driver).Options, {**device.options, **changes}, f"{rig} [device]")
+
+
+def with_key(options: Mapping[str, Any], path: str, value: Any) -> dict[str, Any]:
+    """Return a copy of the options with another value of the key at a path such as `frames.input.field.0.type`.
+
+    None removes the key.
+    """
+    copied = copy.deepcopy(dict(options))
+    *tables, last = path.split(".")
+    at: Any = copied
+    for key in tables:
+        at = at[int(key)] if key.isdigit() else at[key]
+    if value is None:
+        del at[last]
+    else:
+        at[last] = value
+    return copied
 
 
 def write_rig(folder: Path, name: str, **keys: object) -> Path:

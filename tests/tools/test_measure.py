@@ -1,6 +1,5 @@
 """Statistics of measured times: percentiles, their medians over blocks, and missed deadlines during the measurement."""
 
-import importlib
 from pathlib import Path
 
 import mujoco
@@ -63,12 +62,3 @@ def test_bodies_of_a_bench_lie_on_their_floor(tmp_path: Path) -> None:
     assert np.abs(data.xpos - began).max() < 1e-3  # MuJoCo's floor is soft: a body sinks into it by that order
     with pytest.raises(ConfigError, match="--geoms: 25: must be an integer from 1 to 24"):
         make_scene(25, 1000.0, tmp_path)
-
-
-def test_a_force_is_found_by_its_size() -> None:
-    tool = importlib.import_module("handover_age")
-    written = np.array([1.0, 1.001, 1.002, 1.003])
-    first, third = tool.LOWEST_N, tool.LOWEST_N + 2 * tool.STEP_N
-    arrivals = np.array([[1.0004, first], [1.0009, first], [1.0027, third], [1.5, 0.0]])
-    ages = tool.force_ages(arrivals, written)
-    np.testing.assert_allclose(ages, [0.0004, np.nan, 0.0007, np.nan], atol=1e-12)  # rounding
