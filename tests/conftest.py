@@ -1,7 +1,5 @@
 """Fixtures of all tests: scenes built from the same mappings as scene files, and isolation of the tests."""
 
-from __future__ import annotations
-
 import gc
 import os
 import re

@@ -6,8 +6,6 @@
 coverage_reasons.toml.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tomllib

@@ -11,8 +11,6 @@ clock that all processes share, and its log has the arrival time of each force. 
 sockets, threads and their delays.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -6,8 +6,6 @@ A test notes its observations with `record_property(SEEN, {...})`: hazard, drive
 received zero, None if it keeps a force; event, state, recovery.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

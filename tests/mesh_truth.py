@@ -8,8 +8,6 @@ previous tick. `softfinger bench mesh` measures the time of a tick.
 By default this is done for ten meshes made from formulas. Exit code 1 if an error was found.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -7,8 +7,6 @@ compiled. A failing test has caught the mistake; a test that cannot run has not.
 mistake. The kernel cache is in the folder of the copy and is removed with it.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

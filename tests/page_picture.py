@@ -4,8 +4,6 @@ page.jpg, elastic-*.jpg            the page in the browser with shipped recordin
 experiment-{page,report}.png       a participant's page, and the report of a study
 """
 
-from __future__ import annotations
-
 import io
 import tempfile
 from pathlib import Path

@@ -17,8 +17,6 @@ Parts:
 Each process imports the tests that it runs, 4 to 8 CPU s, so each part is one process with separate files.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

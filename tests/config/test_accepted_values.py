@@ -1,7 +1,5 @@
 """Values that are normalised: NumPy arrays and numbers, as clients of a daemon send, and quaternions of any length."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

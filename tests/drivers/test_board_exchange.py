@@ -1,7 +1,5 @@
 """Exchange of all board drivers, call by call, on a scripted board and clock: limits to the nanosecond."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from math import inf, nan
 from typing import Any

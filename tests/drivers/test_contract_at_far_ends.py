@@ -1,7 +1,5 @@
 """Driver contract over the boards of helpers/far_ends.py: HID arms by a node or threads, boards on serial ports."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path

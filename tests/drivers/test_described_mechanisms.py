@@ -1,7 +1,5 @@
 """Mechanisms described in a rig, in the exchanges of both board drivers, call by call: joint angles in, torques out."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """`devices` on device tables made of plain files and on an emulated device: list, claim, permissions, busy devices."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """Driver contract over the drivers that need no hardware; registry of drivers; driver of an installed package."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from importlib import metadata

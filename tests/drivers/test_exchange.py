@@ -1,7 +1,5 @@
 """Exchange of `bench device` and of device reports: wrenches written, rows recorded, and ends."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

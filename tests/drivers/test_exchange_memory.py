@@ -1,7 +1,5 @@
 """Compiled exchanges of the drivers: those that call a library do not allocate, the others call nothing but libc."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

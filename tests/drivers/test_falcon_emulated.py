@@ -3,8 +3,6 @@
 Needs umockdev: `apt install umockdev gir1.2-umockdev-1.0 python3-gi` on Debian.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import random

@@ -1,7 +1,5 @@
 """Exchange with a Falcon, call by call, on a scripted libusb and clock: limits to the nanosecond."""
 
-from __future__ import annotations
-
 from math import inf, isnan, nan
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Kinematics of the Falcon: published positions and torques, inversion over the workspace, Jacobian and limits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

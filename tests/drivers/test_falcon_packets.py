@@ -1,7 +1,5 @@
 """Packets of the Falcon: published examples, all counts, and noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Falcon driver on a stub for libusb with adjustable delays; test_falcon_emulated.py uses the real libusb."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

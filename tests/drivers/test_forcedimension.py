@@ -1,7 +1,5 @@
 """Force Dimension's devices on a stub for the maker's library: contract, constants, opening, exchange."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """Exchange with Force Dimension's library, call by call: arguments, results, statuses."""
 
-from __future__ import annotations
-
 from math import nan
 from typing import Any
 

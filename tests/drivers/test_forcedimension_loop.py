@@ -1,7 +1,5 @@
 """Force Dimension's devices under the servo: status, stop during a transfer, shipped rigs."""
 
-from __future__ import annotations
-
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.drd_stub import PRESSING, OmegaBench, Stub, bench, stub, stub_library

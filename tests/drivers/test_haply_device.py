@@ -1,7 +1,5 @@
 """Exchange with Haply's Inverse Service, emulated in a separate process on real sockets: forces its device received."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

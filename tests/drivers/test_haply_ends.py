@@ -1,7 +1,5 @@
 """Ends of a connection with Haply's service: the forces that two devices of one service received before."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Exchange of the servo with a Haply's block, call by call: poses, wrenches, withheld forces and counters."""
 
-from __future__ import annotations
-
 import ctypes
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The daemon on Haply's emulated service: closed loop, faults, signals, a missing library, output of tools."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Messages of the Inverse Service: parsing of valid and of arbitrary messages, commands, versions."""
 
-from __future__ import annotations
-
 import json
 import math
 from contextlib import suppress

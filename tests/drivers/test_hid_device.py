@@ -3,8 +3,6 @@
 test_contract_at_far_ends.py has the contract.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import math

@@ -5,8 +5,6 @@ libusb backend if the device is only on the USB bus. Needs umockdev: `apt instal
 python3-gi` on Debian.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Exchange with a HID device, call by call: reports sent, decoding of reports, counters."""
 
-from __future__ import annotations
-
 import ctypes
 import struct
 from typing import Any

@@ -1,7 +1,5 @@
 """Kinematics of the three-joint arm: published values, inverse, Jacobian, wrist."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from emulators.woodenhaptics import TABLE, Arm

@@ -1,7 +1,5 @@
 """Encoding of HID reports: published layouts, all types, descriptions in rigs, report descriptors, random bytes."""
 
-from __future__ import annotations
-
 import re
 import struct
 import tomllib

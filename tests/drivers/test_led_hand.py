@@ -1,7 +1,5 @@
 """Simulated hand that a program leads: speed limits, range, return to its recording, errors."""
 
-from __future__ import annotations
-
 from math import cos, pi, sin
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Paddle, pantograph, delta and three-joint arm: closed forms, derivatives, power, singular poses, limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from math import acos, atan2, hypot, pi, radians, sqrt

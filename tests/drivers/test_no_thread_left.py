@@ -1,7 +1,5 @@
 """A system without threads, such as a container at its limit of processes: devices are stopped, with one error."""
 
-from __future__ import annotations
-
 import sys
 import threading
 

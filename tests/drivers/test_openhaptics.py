@@ -1,7 +1,5 @@
 """3D Systems' devices on a stub for the maker's library with a real thread and a journal of the motors' ticks."""
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import json

@@ -1,7 +1,5 @@
 """Callback of 3D Systems' library and the servo's side, call by call, on a scripted library and clock."""
 
-from __future__ import annotations
-
 import ctypes
 from math import inf, nan
 from typing import Any

@@ -1,7 +1,5 @@
 """Recorded poses: reading, checking, resampling, closing into a loop."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import pickle

@@ -1,7 +1,5 @@
 """Replay device: samples in order, log of wrenches, zero at the end."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

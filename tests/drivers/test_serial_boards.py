@@ -1,7 +1,5 @@
 """Boards described in a rig, a Haply 2DIY and a Hapkit with its shipped sketch: poses, forces and faults."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Iterator

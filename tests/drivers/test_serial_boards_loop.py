@@ -1,7 +1,5 @@
 """The daemon on described boards, which log their motors' forces: contact, faults, a second program, all signals."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

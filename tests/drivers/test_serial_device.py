@@ -3,8 +3,6 @@
 The port is a pseudo terminal: the system's code of terminals, with an emulated board.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import threading

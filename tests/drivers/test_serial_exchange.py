@@ -1,7 +1,5 @@
 """Exchange with a serial board, call by call: bytes sent, decoding of frames, counters."""
 
-from __future__ import annotations
-
 import struct
 from binascii import crc_hqx
 from typing import Any

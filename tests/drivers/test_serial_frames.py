@@ -1,7 +1,5 @@
 """Text frames: published examples, exact numbers, random bytes, resynchronisation of a stream."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from math import floor

@@ -1,7 +1,5 @@
 """Guide of docs/devices/serial.md: its printed rig passes `check` and renders a floor on the board it describes."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

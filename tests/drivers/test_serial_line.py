@@ -1,7 +1,5 @@
 """Refusal of rigs whose frames do not fit the baud rate, by `check` and before a port is opened."""
 
-from __future__ import annotations
-
 import re
 from contextlib import nullcontext
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames described in a rig: published checksums, byte orders, damaged streams, invalid descriptions."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Serial port of a device: search by ids, exclusive opening, errors with instructions."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

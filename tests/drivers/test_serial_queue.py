@@ -5,8 +5,6 @@ and the driver of a USB chip ignores a flush. The simulated boards have independ
 daemon and a real clock is in `test_serial_boards_loop`.
 """
 
-from __future__ import annotations
-
 import ctypes
 import struct
 from collections.abc import Callable

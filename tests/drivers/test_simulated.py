@@ -1,7 +1,5 @@
 """Simulated device behind its C functions: motion under force, stop, determinism, options."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

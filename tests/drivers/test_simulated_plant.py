@@ -1,7 +1,5 @@
 """Simulated handle compared with closed forms and with a high-order integration of its equations."""
 
-from __future__ import annotations
-
 from math import sqrt
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SpaceMouse: driver contract, reports, rate control against closed forms, faults."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import time

@@ -1,7 +1,5 @@
 """The program on a SpaceMouse emulated as a hidraw node of umockdev: found, opened, followed, unplugged."""
 
-from __future__ import annotations
-
 import functools
 import sys
 from pathlib import Path

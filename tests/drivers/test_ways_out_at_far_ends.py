@@ -1,7 +1,5 @@
 """`softfinger run` in contact on the emulated device of every driver: forces received after signals and faults."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

@@ -1,7 +1,5 @@
 """Forces that the driver ended or could not send, packet by packet, in a scene that pulls with 5 N from the start."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Machines whose loader cannot find libusb: one clear error instead of a traceback."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

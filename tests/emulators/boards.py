@@ -9,8 +9,6 @@ first: `USBHID hid(14, 14)` in haptikfabrikenapi, firmware/main.cpp, and `USBHID
 mbed-code. Independent of the driver.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -1,7 +1,5 @@
 """Runs a program on an emulated device with a time limit."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

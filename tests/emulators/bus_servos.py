@@ -8,8 +8,6 @@ Not modelled: the time of USB (about 1 ms per transaction), collisions on the ha
 EEPROM and its lock, and registers except those below.
 """
 
-from __future__ import annotations
-
 import struct
 import time
 from typing import NamedTuple

@@ -5,8 +5,6 @@ moves the knob by one millisecond, so that a slow connection changes no physics,
 device's frame has x to the right, y up, z out to the user.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from math import acos, atan2, cos, degrees, hypot, pi, radians, sin, sqrt

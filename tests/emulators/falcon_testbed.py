@@ -13,8 +13,6 @@ ms late), and steps after which a fault starts: lost_after, mute_after, broken_a
 added to the knob).
 """
 
-from __future__ import annotations
-
 import json
 import os
 import socket

@@ -1,7 +1,5 @@
 """Far end of a pseudo terminal, for boards emulated by a thread in Python."""
 
-from __future__ import annotations
-
 import os
 import threading
 import tty

@@ -3,8 +3,6 @@
 Written from the page. Not modelled: everything of a real board except these frames.
 """
 
-from __future__ import annotations
-
 import struct
 import time
 

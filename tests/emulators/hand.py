@@ -1,7 +1,5 @@
 """Handle of an emulated device with a hand on it. Pure Python."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import cos, pi
 

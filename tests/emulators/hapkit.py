@@ -1,7 +1,5 @@
 """Hapkit behind a pseudo terminal, in real time: the shipped sketch, compiled with `stubs/arduino/hapkit.cpp`."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

@@ -17,8 +17,6 @@ list, if 3.1 to 3.4 report their version on this port, battery and safety events
 navigation, and the time of the bus to the device.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import socket

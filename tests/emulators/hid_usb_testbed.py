@@ -5,8 +5,6 @@ another program has its interface), listed (true: the system's table has a hidra
 container). This module is the kernel that libusb calls.
 """
 
-from __future__ import annotations
-
 import struct
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ Published: report 1 is int16 x, y, z, report 2 the rotation, or report 1 all six
 right, away from the user and up; pitch = -w3 is nose down, roll = -w4 to the right, yaw = +w5 clockwise from above.
 """
 
-from __future__ import annotations
-
 import struct
 
 LED = {b"\x04\x01": True, b"\x04\x00": False}

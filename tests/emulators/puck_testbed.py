@@ -5,8 +5,6 @@ first write), unplug_when (a path, as soon as it exists), reports: split or comb
 the last line of standard output, as JSON.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -5,8 +5,6 @@ newline with one frame, and retains a force until the next. Each frame of the ho
 so that a slow connection changes no physics.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import select

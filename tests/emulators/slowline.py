@@ -6,8 +6,6 @@ does, and from there to the board. `stubs/uart.c` reports the length of that que
 modelled: the hardware buffers of UARTs and USB chips.
 """
 
-from __future__ import annotations
-
 import fcntl
 import mmap
 import os

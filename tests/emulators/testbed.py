@@ -11,8 +11,6 @@ sideways motion), lost_after (reports until the device is unplugged), short_afte
 mute_after, block_after (reports until a write blocks for ever), permission (mode of the node, octal text).
 """
 
-from __future__ import annotations
-
 import json
 import os
 import struct

@@ -1,7 +1,5 @@
 """The kernel's USB file system, as libusb calls it, for a device of umockdev. A subclass is the device."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Iterable

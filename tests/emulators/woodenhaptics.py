@@ -4,8 +4,6 @@ Written from the published wire formats and dimensions, independent of the drive
 by one millisecond, so that a slow connection changes no physics, and is answered with the encoders.
 """
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Count the malloc calls of a thread with a shim in front of the C library's functions."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Headless Chromium (Debian's, WebGL in software), driven by playwright."""
 
-from __future__ import annotations
-
 import io
 import shutil
 import time

@@ -1,7 +1,5 @@
 """Stubs for vendor libraries in C: compiled by the test, controlled by named variables."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import shutil

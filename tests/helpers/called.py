@@ -1,7 +1,5 @@
 """Run verbs of the command line in this process, for tests that need no separate process."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from typing import NamedTuple

@@ -5,8 +5,6 @@ python closed_loop.py RIG SCENE TICKS FILE.npy      for tests with an emulated b
 TICKS is a number, or `stroke`: until the finger was in contact in both modes and is free again.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Read the LLVM module of a compiled kernel."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable

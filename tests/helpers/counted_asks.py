@@ -5,8 +5,6 @@ Requires NUMBA_DISABLE_JIT=1: kernels are then plain Python, so a function that 
 [[rolling method, objects, points (n, 3)], ...]. Output, per scene: the reads of each tick and the proxies.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from typing import Any, Final

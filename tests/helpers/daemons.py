@@ -1,7 +1,5 @@
 """Daemons that replay a shipped recording, and their subscribers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final

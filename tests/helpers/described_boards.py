@@ -1,7 +1,5 @@
 """A Haply 2DIY and a Hapkit, each on a pseudo terminal, for tests of boards described by a rig."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any

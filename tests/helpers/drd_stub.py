@@ -1,7 +1,5 @@
 """Stub of Force Dimension's library, compiled by the test, and its devices on USB."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import os

@@ -1,7 +1,5 @@
 """Number of random cases of a test: few in `make test`, many in `make test-all`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from hypothesis import settings

@@ -1,7 +1,5 @@
 """Run a complete experiment through the participant's page: daemon, page and a real browser."""
 
-from __future__ import annotations
-
 import math
 import re
 import subprocess

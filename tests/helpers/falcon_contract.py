@@ -1,7 +1,5 @@
 """Driver contract for a Falcon, and its own behaviour; started by test_falcon_emulated.py, not directly."""
 
-from __future__ import annotations
-
 import time
 from typing import ClassVar
 

@@ -4,8 +4,6 @@ FAR_RIGS have rig files, for programs that open a device themselves. FAR_ENDS ha
 the paper's plane and move; also simulated and replayed devices, which have no emulated counterpart.
 """
 
-from __future__ import annotations
-
 import re
 import threading
 import time

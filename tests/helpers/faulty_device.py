@@ -4,8 +4,6 @@ It presses a fingertip 1 mm into the plane z = 0 and drags it back and forth; `f
 `at` on. Every wrench written while it is armed is recorded.
 """
 
-from __future__ import annotations
-
 import threading
 from typing import Any, Literal, get_args
 

@@ -1,7 +1,5 @@
 """User without an entry in passwd and without HOME, as under cron or in a container."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import pytest

@@ -4,8 +4,6 @@ A packet either gives finite numbers (all NaN if the device may have no pose) or
 pose has no force (tests/server/test_limits.py).
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -9,8 +9,6 @@ This is not atheris, which follows branches of Python code: these readers spend 
 expat.
 """
 
-from __future__ import annotations
-
 import random
 import re
 import resource

@@ -1,7 +1,5 @@
 """Files in the binary form of glTF."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable

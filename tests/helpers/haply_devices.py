@@ -1,7 +1,5 @@
 """Haply devices for the tests: the emulated Inverse Service in another process, and the driver on its port."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

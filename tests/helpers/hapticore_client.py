@@ -4,8 +4,6 @@ As documented there, user commands and heartbeats use one socket each, answers a
 answer has exactly the four documented keys.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 import time

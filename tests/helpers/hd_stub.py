@@ -1,7 +1,5 @@
 """Stub of 3D Systems' library, compiled by the test."""
 
-from __future__ import annotations
-
 import ctypes
 import time
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ A packet socket preserves the boundaries of reports, as a hidraw node does, and 
 with threads it replaces hidapi's calls. Enumeration, descriptor and permissions of a node are tested on umockdev.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import select

@@ -1,7 +1,5 @@
 """Extreme height maps, hands that move wildly on them, and an exhaustive search over all their points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Defective and extreme meshes: each must be refused with one line, or touched safely."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Servo on a device with injected faults, supervised and recorded as in a daemon, without sockets."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Key on a spring that MuJoCo moves: the scene type of tests with simulated bodies, compiled once for all."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """Pages of running daemons that a test steps instead of a thread."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Meshes from formulas, of any size, whose exact surfaces are known. Vertices in metres, triangles wound outward."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import NamedTuple

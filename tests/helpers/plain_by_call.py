@@ -5,8 +5,6 @@ Operations that only machine code can do are done by ctypes. These tests are mar
 compiled.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from errno import EAGAIN, EIO

@@ -1,7 +1,5 @@
 """Plane that a device presses on, and a constant force: the scene of tests that compare forces in N."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from softfinger.config.load import build

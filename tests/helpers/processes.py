@@ -1,7 +1,5 @@
 """Command line of the program, and processes of a daemon."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import suppress
 from pathlib import Path

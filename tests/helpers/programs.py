@@ -1,7 +1,5 @@
 """Programs that a test starts."""
 
-from __future__ import annotations
-
 import subprocess
 import threading
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Recordings of a short run, made without a daemon."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Errors that a call has to raise, for tests of what they say."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

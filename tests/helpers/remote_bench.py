@@ -1,7 +1,5 @@
 """Bench whose device runs in another process, reached through the socket named in the environment."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

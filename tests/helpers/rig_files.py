@@ -1,7 +1,5 @@
 """Rigs of tests, from shipped rigs."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

@@ -1,7 +1,5 @@
 """Serial devices for the tests: the driver on a pseudo terminal, an emulated board at the other end."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

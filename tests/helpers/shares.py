@@ -1,7 +1,5 @@
 """Shares that progress displays show."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Move the hands of a shipped rig on the bodies of its scene, tick by tick, without a clock."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

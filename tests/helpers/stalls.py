@@ -12,8 +12,6 @@ A garbage collection over numba's objects takes 0.1 s in this process, in which 
 the sleepers do not see. It is delayed until the test has ended.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Hand that presses, drags and lifts at random on a mesh, of which it knows only the vertices."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from references.brute_force import Balls, balls_of, brute_distances

@@ -1,7 +1,5 @@
 """Pseudo terminal for tests: runs a program and interprets its output as a screen."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pty

@@ -1,7 +1,5 @@
 """Meshes on which a proxy once got stuck: thin walls, threads, bars, needles. Vertices in metres."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,7 +1,5 @@
 """Drivers on test doubles without a bus, for measurements of their times (`tests/driver_times.py`)."""
 
-from __future__ import annotations
-
 import os
 import socket
 import threading

@@ -1,7 +1,5 @@
 """A mesh in a scene with friction, torsion and rolling, and hands that move over it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Scene for two fingers, and rigs with two devices for it."""
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Stub of libusb with Falcons, compiled by the test and loaded by pyusb's loader."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 from collections.abc import Iterator

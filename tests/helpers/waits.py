@@ -1,7 +1,5 @@
 """Wait for a condition instead of a time; the bound is generous, because a machine may be busy or compile."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """Client side of Foxglove's protocol, as far as the tests need it: https://github.com/foxglove/ws-protocol."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Iterator

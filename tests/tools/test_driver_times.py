@@ -1,7 +1,5 @@
 """Times of drivers on test doubles: figures of known times, and one measurement of each kind."""
 
-from __future__ import annotations
-
 import json
 
 import driver_times

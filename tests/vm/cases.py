@@ -1,7 +1,5 @@
 """Tests of the daemon for every device of the guest that displays force, as one class."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path

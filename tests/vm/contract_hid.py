@@ -1,7 +1,5 @@
 """Driver contract over a HID arm of the guest; run by on_hid.py."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import pytest

@@ -4,8 +4,6 @@ An emulated processor takes half a minute to import the program. So this process
 program is a fork of it, with separate exit code and streams.
 """
 
-from __future__ import annotations
-
 import ctypes
 import json
 import logging

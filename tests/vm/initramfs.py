@@ -1,7 +1,5 @@
 """First file system of the guest: busybox, the kernel's modules and scripts, as an archive that the kernel unpacks."""
 
-from __future__ import annotations
-
 import gzip
 import stat
 import struct

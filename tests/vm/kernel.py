@@ -1,7 +1,5 @@
 """Debian kernel to boot: image and required modules of the package that apt names."""
 
-from __future__ import annotations
-
 import lzma
 import re
 import shutil

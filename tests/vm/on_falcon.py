@@ -1,7 +1,5 @@
 """The daemon on a Falcon of the guest's kernel: a device on dummy_hcd's bus, usbfs, the real libusb."""
 
-from __future__ import annotations
-
 import random
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The daemon on a WoodenHaptics arm of the guest's kernel: a HID device on dummy_hcd's bus, its real hidraw node."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The daemon on a SpaceMouse of the guest's HID layer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The daemon on WoodenHaptics' third generation on a serial port of the guest's kernel: f_acm, dummy_hcd, cdc-acm."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -8,8 +8,6 @@ a writable file system, run in separate machines. The exit code is that of the t
 if the machine could not be made or ended without a result.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shlex

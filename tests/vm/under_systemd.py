@@ -1,7 +1,5 @@
 """The service under systemd as the first process: installed from a wheel in /opt, started, starved, removed."""
 
-from __future__ import annotations
-
 import os
 import pwd
 import re

@@ -1,7 +1,5 @@
 """Compile the kernels of the guest's tests on the host: under emulation, it takes minutes."""
 
-from __future__ import annotations
-
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.falcon import device as falcon  # noqa: F401  (compiled by their import)
 from softfinger.drivers.hid import device as hid  # noqa: F401
