@@ -125,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
         hold.run(SETTLE_S)
         bare = hold.rest(args.hang, lambda _: True)
         if bare is None:
-            raise DeviceError(f"the knob does not stop within {args.hang:g} s: let it hang freelyly")
+            raise DeviceError(f"the knob does not stop within {args.hang:g} s: let it hang freely")
         print(f"hang {args.mass:g} kg on the knob, within {args.hang:g} s", file=sys.stderr)
         weight = args.mass * GRAVITY
         loaded = hold.rest(args.hang, lambda force: abs(force - bare) > HUNG_SHARE * weight)

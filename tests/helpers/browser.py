@@ -74,7 +74,7 @@ class Screen:
         return box["x"] + 0.5 * box["width"] * (1.0 + x / w), box["y"] + 0.5 * box["height"] * (1.0 - y / w)
 
     def drag(self, start: tuple[float, float], distance: tuple[float, float], key: str | None = None) -> None:
-        """Drag the mouse from `start` by `way` pixels in steps, optionally with a key pressed."""
+        """Drag the mouse from `start` by `distance` pixels in steps, optionally with a key pressed."""
         mouse, keyboard = self.page.mouse, self.page.keyboard
         if key is not None:
             keyboard.down(key)
@@ -88,7 +88,7 @@ class Screen:
             keyboard.up(key)
 
     def touch(self, start: tuple[float, float], distance: tuple[float, float]) -> None:
-        """Drag one finger from `start` by `way` pixels in steps, with events of a touch screen."""
+        """Drag one finger from `start` by `distance` pixels in steps, with events of a touch screen."""
         session = self.page.context.new_cdp_session(self.page)
         for share in np.linspace(0.0, 1.0, 11):
             at = {"x": start[0] + share * distance[0], "y": start[1] + share * distance[1]}
