@@ -1,4 +1,4 @@
-"""`softfinger run` in contact on the emulated device of every driver: forces received after signals and faults."""
+"""Emulated device of every driver in contact: forces received after signals, faults and a stop."""
 
 import logging
 import os
@@ -16,12 +16,14 @@ import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees, records_of_daemon
 from helpers.described_boards import settled
-from helpers.far_ends import FAR_RIGS, Far, slowly, when_forced
+from helpers.far_ends import FAR_ENDS, FAR_RIGS, Far, slowly, when_forced
 from helpers.haply_devices import ID
+from helpers.waits import repeated, until
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT
 from softfinger.server.cli import main
+from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
 
@@ -92,6 +94,28 @@ def test_the_forces_of_the_loop_reach_the_motors(name: str, tmp_path: Path, monk
     assert max(sizes) > CONTACT_N and sizes[-1] == 0.0
 
 
+STOPS = {"hid": 20, "serial": 20, "replay": 30}
+"""Number of stops on devices that open within milliseconds; the others are stopped once."""
+
+
+@pytest.mark.parametrize("name", FAR_ENDS)
+def test_no_force_follows_a_stop_during_writes(name: str, tmp_path: Path) -> None:
+    for _ in range(STOPS.get(name, 1)):
+        with FAR_ENDS[name](tmp_path) as far, far.device:
+            servo = DeviceCaller(far.device)
+
+            def write(servo: DeviceCaller = servo) -> None:
+                servo.read()
+                servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+            with repeated(write, every_s=0.0):
+                until(lambda far=far: far.so_far()[:, 1:].any())
+                far.device.stop()
+                stopped = len(far.received())
+                time.sleep(0.02)
+                assert not far.received()[stopped - 1 :, 1:].any()
+
+
 class Fault(NamedTuple):
     """Action on a device in contact and error text; `zero` unless the device is then unreachable."""
 
@@ -147,9 +171,11 @@ FAULTS: dict[str, dict[str, Fault]] = {
         "no number": Fault(set_knobs(mirror=1), NO_POSE),
     },
     "forcedimension": {
-        "unplugged": Fault(set_knobs(unplugged=1), "omega.3, serial 1230 is gone.*error 2", brief=True),
-        "silent": Fault(set_knobs(fail_read=0, error=7), f"{SILENT}.*error 7", brief=True),
-        "no write": Fault(set_knobs(fail_write=0, error=2), "on write.*error 2", brief=True),
+        "unplugged": Fault(
+            set_knobs(unplugged=1), "omega.3, serial 1230 is gone.*error 2, communication error", brief=True
+        ),
+        "silent": Fault(set_knobs(fail_read=0, error=7), f"{SILENT}.*error 7, timeout", brief=True),
+        "no write": Fault(set_knobs(fail_write=0, error=2), "on write.*error 2, communication error", brief=True),
         "force button": Fault(set_knobs(force_on=0, cause=1), "disabled its force.*button", brief=True, code=6),
         "error code": Fault(set_knobs(error_word=3), "error code is 3", brief=True, code=6),
     },

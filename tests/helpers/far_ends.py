@@ -97,11 +97,13 @@ class FarEnd(NamedTuple):
 
     received  after closing, the forces in order (n, 4): as `Far.forces_since`, or without times (NaN) if row k is that
               of tick k
+    so_far    the same, before that
     others    as in `Far`
     """
 
     device: Device
     received: Callable[[], Array]
+    so_far: Callable[[], Array]
     handover: int = 1
     withholds: bool = False
     hush: Callable[[], object] | None = None
@@ -332,7 +334,7 @@ def pressed_replay(tmp_path: Path) -> Iterator[FarEnd]:
     path = tmp_path / "pressed.csv"
     np.savetxt(path, np.column_stack([times, x, rest]), delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
     device = replay.open_device(build(replay.Options, {"recording": str(path)}, "[device]"), RATE_HZ)
-    yield FarEnd(device, lambda: logged(device))
+    yield FarEnd(device, *2 * (lambda: logged(device),))
 
 
 @contextmanager
@@ -340,7 +342,7 @@ def simulated_hand(tmp_path: Path) -> Iterator[FarEnd]:
     """Simulated handle; its hand aims at a depth of 4 mm, and sways."""
     hand = {"position_m": [0.0, 0.0, 0.006], "sway_m": [0.005, 0.0, 0.0], "sway_hz": 0.5}
     device = simulated.open_device(build(simulated.Options, hand, "[device]"), RATE_HZ)
-    yield FarEnd(device, lambda: logged(device))
+    yield FarEnd(device, *2 * (lambda: logged(device),))
 
 
 TIMELESS = ("replay", "simulated")
@@ -374,7 +376,7 @@ def pressing(name: str, tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         with device:
             far.press()
             with far.tremble():
-                yield FarEnd(device, received, far.handover, far.withholds, far.hush)
+                yield FarEnd(device, received, lambda: far.forces_since(0), far.handover, far.withholds, far.hush)
 
 
 FAR_ENDS: dict[str, Callable[..., Any]] = {

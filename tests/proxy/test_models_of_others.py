@@ -236,7 +236,8 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
     world = load_scene(write_model(tmp_path / "two.xml", body)).world
     notes = {geom.name: geom.note for geom in convert_geoms(world)}
     assert notes["part"] == ""
-    assert "other geoms collide with its convex hull, which has 1.17 times its volume" in notes["l"]
+    hull = "other geoms collide with its convex hull, which has 1.17 times its volume"
+    assert notes["l"] == f"has its own shape for fingers; {hull}"
 
 
 def test_geoms_of_pairs_collide(tmp_path: Path) -> None:

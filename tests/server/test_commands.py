@@ -177,9 +177,15 @@ def test_a_parameter_changes_along_its_ramp(rig):
         recorder.wait_for_tick(changed.tick + 110)
         normal = recorder.since(first - 1)[:, AT.contact_normal_force]
         assert control.get_state().force[2] == pytest.approx(500.0 * DEPTH_M + 1.0, rel=ROUNDING)
+        control.set_params({STIFFNESS: 1500.0})
+        turned = control.set_params({STIFFNESS: 1000.0})  # within the ramp, unless this thread is late
+        recorder.wait_for_tick(turned.tick + 110)
+        whole = recorder.since(first - 1)[:, AT.contact_normal_force]
     assert normal[0] == pytest.approx(1000.0 * DEPTH_M, rel=ROUNDING)
     assert normal[-1] == pytest.approx(500.0 * DEPTH_M, rel=ROUNDING)
     assert np.abs(np.diff(normal)).max() <= 500.0 * DEPTH_M / 100 * (1.0 + 1e-9)  # differences of about 1 in 200
+    assert np.abs(np.diff(whole)).max() <= 1000.0 * DEPTH_M / 100 * (1.0 + 1e-9)
+    assert whole[-1] == pytest.approx(1000.0 * DEPTH_M, rel=ROUNDING)
 
 
 def test_events_of_every_command_are_recorded(rig, tmp_path):
