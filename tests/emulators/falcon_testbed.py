@@ -83,7 +83,7 @@ class Bed(usbfs.UsbDevice):
         elif self._past("block_after"):
             stream.blocked.append(urb)
         else:
-            before = len(self.falcon.conversion)
+            before = len(self.falcon.reply)
             self.falcon.write(bytes(buffer.retrieve())[:length])
             self._spoil(before)
             stream.finish(urb, 0, length)
@@ -91,9 +91,9 @@ class Bed(usbfs.UsbDevice):
     def _spoil(self, before: int) -> None:
         falcon, late = self.falcon, self.case.get("late_every")
         if self.made == "timeout" or self._past("mute_after"):
-            del falcon.conversion[before:]
+            del falcon.reply[before:]
         elif self._past("garble_after"):
-            falcon.conversion[before:] = os.urandom(16)
+            falcon.reply[before:] = os.urandom(16)
         elif self._past("unhomed_after"):
             falcon.found = [False] * 3
         if self._past("weight_after"):
@@ -119,7 +119,7 @@ class Bed(usbfs.UsbDevice):
             return
         urb, buffer, length, since = stream.waiting[0]
         now = time.monotonic()
-        ready = self.falcon.conversion and now >= self.ready_at
+        ready = self.falcon.reply and now >= self.ready_at
         if self._past("broken_after"):
             stream.waiting.pop(0)
             stream.finish(urb, -EPROTO, 0)

@@ -120,17 +120,17 @@ class Chip:
             with self.lock:
                 while self.made == "blocked":  # a read was pending: its data and the rest wait
                     self.lock.wait()
-                before = len(self.falcon.conversion)
+                before = len(self.falcon.reply)
                 self.falcon.write(data)
                 if self.made == "timeout":
-                    del self.falcon.conversion[before:]
+                    del self.falcon.reply[before:]
                 self.lock.notify_all()
 
     def _gives(self) -> None:
         while True:
             self._wait_enabled("stalled")
             with self.lock:
-                if not self.falcon.conversion:  # the chip sends its status each `latency_ms`
+                if not self.falcon.reply:  # the chip sends its status each `latency_ms`
                     self.lock.wait(max(1, self.falcon.latency_ms) / 1e3)
                 data = self.falcon.read(PACKET)
             try:
