@@ -8,6 +8,7 @@ from softfinger.drivers.serial import device as serial  # noqa: F401
 from softfinger.drivers.simulated import device as simulated  # noqa: F401
 from softfinger.drivers.spacemouse import device as spacemouse  # noqa: F401  (compiled by their import)
 from softfinger.proxy.engine import compile_steps
+from softfinger.proxy.scene import start_state
 from softfinger.server.driver_contract import RATE_HZ, make_pulling_tuning
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
@@ -28,7 +29,8 @@ def main() -> None:
             servo = ServoThread([device], tuning, RATE_HZ)
             servo.compile()
             servo.close()
-    compile_steps(make_tuning(load_scene(SCENES[0]), rig.guard).scene)
+    scene = make_tuning(load_scene(SCENES[0]), rig.guard).scene
+    compile_steps(scene, start_state(scene))
     Relay(1).close()
 
 
