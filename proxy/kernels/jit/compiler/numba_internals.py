@@ -315,9 +315,8 @@ class InlinedCompiler(CompilerBase):  # type: ignore[misc]
     """Compiler of a kernel that is called only by kernels."""
 
     def __init__(self, typing_context: Any, target_context: Any, *rest: Any) -> None:
-        super().__init__(
-            _Loaded(typing_context), _Loaded(target_context), *rest
-        )  # the caller's compiler has refreshed them
+        # The compiler of the caller has refreshed them.
+        super().__init__(_Loaded(typing_context), _Loaded(target_context), *rest)
         self.state.typingctx = typing_context
 
     def define_pipelines(self) -> list[Any]:
