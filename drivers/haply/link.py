@@ -12,7 +12,6 @@ import socket
 import struct
 import sys
 import termios
-import threading
 import time
 from http.client import HTTPConnection, HTTPException
 from typing import Any, Final
@@ -60,25 +59,33 @@ def connect(port: int, until: float) -> socket.socket:
     return connection
 
 
+class _TimedSocket(socket.socket):
+    """Connection with one time limit for all reads: a program that sends byte by byte could continue for ever."""
+
+    def __init__(self, connection: socket.socket, until: float) -> None:
+        super().__init__(fileno=connection.detach())
+        self._until = until
+
+    def recv_into(self, *args: Any) -> int:
+        self.settimeout(check_remaining_time(self._until))
+        return super().recv_into(*args)
+
+
 def request(port: int, method: str, path: str, body: Any, until: float) -> tuple[int, bytes]:
     """Send a request, with `body` as JSON unless None; return status and body. Raises DeviceError or a subclass."""
     connection = HTTPConnection(HOST, port)
-    connection.sock = connect(port, until)
+    connection.sock = _TimedSocket(connect(port, until), until)
     headers = {"Connection": "close", "Content-Type": "application/json"}
-    # The timeout of the socket limits single reads: a program that sends byte by byte could continue for ever.
-    deadline = threading.Timer(until - time.monotonic(), connection.sock.shutdown, (socket.SHUT_RDWR,))
-    deadline.start()
     try:
+        connection.sock.settimeout(check_remaining_time(until))
         connection.request(method, path, None if body is None else msgspec.json.encode(body), headers)
         response = connection.getresponse()
         answer = response.read(MESSAGE_MAX + 1)
     except TimeoutError:
         raise DeviceTimeout(f"{method} {path}: the Inverse Service does not answer in time") from None
     except (OSError, HTTPException) as error:
-        check_remaining_time(until)
         raise DeviceError(f"{method} {path}: the service's answer cannot be read: {error!r}") from error
     finally:
-        deadline.cancel()
         connection.close()
     if len(answer) > MESSAGE_MAX:
         raise DeviceError(f"{method} {path}: the service's answer has more than {MESSAGE_MAX} bytes")

@@ -424,8 +424,8 @@ def test_a_device_leaks_no_descriptor(service: Service) -> None:
 
 
 @contextlib.contextmanager
-def listening(reply: bytes, closes: bool) -> Iterator[int]:
-    """Answer each connection with these bytes; yield the port."""
+def listening(reply: bytes, after: str) -> Iterator[int]:
+    """Answer each connection with these bytes; `after` them close, wait, or drip further bytes. Yield the port."""
     over = threading.Event()
 
     class Answer(socketserver.BaseRequestHandler):
@@ -433,7 +433,9 @@ def listening(reply: bytes, closes: bool) -> Iterator[int]:
             with contextlib.suppress(OSError):
                 self.request.recv(65536)
                 self.request.sendall(reply)
-            if not closes:
+                while after == "drip" and not over.wait(0.02):
+                    self.request.sendall(b"x")
+            if after == "wait":
                 over.wait()
 
     with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Answer) as server:
@@ -447,15 +449,17 @@ def listening(reply: bytes, closes: bool) -> Iterator[int]:
 
 @pytest.mark.parametrize("version", [None, "3.5"], ids=["asked its version", "asked for a WebSocket"])
 @pytest.mark.parametrize(
-    ("reply", "closes"),
+    ("reply", "after"),
     [
-        (b"", True), (b"", False), (b"\xff\x00" * 2000, True), (b"HTTP/1.1 200 OK\r\nA: " + 300_000 * b"x", False),
-        (b"HTTP/1.1 200 OK\r\nContent-Length: 999999999\r\n\r\n{", False),
-        (b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n", True),
-        (b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n", False),
+        (b"", "close"), (b"", "wait"), (b"\xff\x00" * 2000, "close"),
+        (b"HTTP/1.1 200 OK\r\nA: " + 300_000 * b"x", "wait"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 999999999\r\n\r\n{", "wait"),
+        (b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n", "close"),
+        (b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n", "wait"),
+        (b"HTTP/1.1 200 OK\r\nA: ", "drip"),
     ],
-    ids=["closes", "waits", "noise", "an endless head", "an endless body", "a bad chunk", "a false key"],
+    ids=["closes", "waits", "noise", "an endless head", "an endless body", "a bad chunk", "a false key", "drips"],
 )  # fmt: skip
-def test_another_program_on_the_port_is_rejected_in_time(reply: bytes, closes: bool, version: str | None) -> None:
-    with listening(reply, closes) as port, pytest.raises(DeviceError):
+def test_another_program_on_the_port_is_rejected_in_time(reply: bytes, after: str, version: str | None) -> None:
+    with listening(reply, after) as port, pytest.raises(DeviceError):
         open_device(rig_options(port, version=version), 1000.0)
