@@ -1,29 +1,21 @@
-"""Ring buffers of records: from the servo loop to its single reader, and from the relay to any number of readers.
+"""Ring buffers of records, from the servo loop to its single reader.
 
-A writer never waits. If a `Ring` is full, the loop drops the record and counts it. A reader of a `Broadcast` copies
-rows and then checks whether the writer has overwritten them; a reader that is a full ring behind skips to the middle of
-the ring and counts the rows missed. Readers sleep on an eventfd.
+The loop never waits: if a ring is full, it drops the record and counts it. The reader sleeps on an eventfd.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.jit.atomics import (
-    fence_acquire,
-    fence_release,
-    load_acquire,
-    load_relaxed,
-    store_release,
-)
+from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
-from softfinger.proxy.kernels.jit.memory import address_of, copy_numbers
+from softfinger.proxy.kernels.jit.memory import copy_numbers
+from softfinger.server.loop.eventfd import wait_for_eventfd
 
 _CACHE_LINE = 8
 """Number of int64 in a cache line; producer and consumer write to different ones."""
@@ -152,97 +144,3 @@ class Rings:
     def _drop_first(self) -> None:
         self._dropped += int(self._rings[0].drops[0])
         del self._rings[0]
-
-
-def wait_for_eventfd(fd: int) -> None:
-    """Sleep until the counter of an eventfd is above zero, and reset it.
-
-    Retries after EINTR: the kernel may deliver a signal to any thread, and Python does not retry this call.
-    """
-    while True:
-        try:
-            os.eventfd_read(fd)
-        except InterruptedError:
-            continue
-        return
-
-
-class Broadcast(NamedTuple):
-    """Ring buffer of rows.
-
-    slots  (capacity, width)  float64, capacity is a power of two
-    head   (8,)               int64; element 0 counts the rows written, the others are free for waking readers
-    """
-
-    slots: NDArray[np.float64]
-    head: NDArray[np.int64]
-
-
-class ReadPosition(NamedTuple):
-    """Read position of one reader.
-
-    next  (1,)  row that is read next
-    lost  (1,)  rows missed
-    """
-
-    next: NDArray[np.int64]
-    lost: NDArray[np.int64]
-
-
-def make_read_position(broadcast: Broadcast) -> ReadPosition:
-    """Return the read position of a reader that starts at the next row."""
-    return ReadPosition(broadcast.head[:1].copy(), np.zeros(1, np.int64))
-
-
-@jit
-def write_row(broadcast: Broadcast, rows: NDArray[np.float64], row: int) -> None:
-    """Copy `rows[row]` (width,) into the buffer, over the oldest row."""
-    head = load_relaxed(broadcast.head, 0)
-    fence_release()  # a reader that sees part of this row also sees the count of the rows before it
-    copy_numbers(broadcast.slots[head & (broadcast.slots.shape[0] - 1)], rows[row])
-    store_release(broadcast.head, 0, head + 1)
-
-
-@entry
-def read_rows(broadcast: Broadcast, position: ReadPosition, out: NDArray[np.float64]) -> int:
-    """Copy up to len(out) rows to `out` (n, width), oldest first; returns the number of rows."""
-    capacity = broadcast.slots.shape[0]
-    while True:
-        first, head = position.next[0], load_acquire(broadcast.head, 0)
-        if head - first >= capacity:  # the writer may be overwriting the oldest row
-            position.next[0] = head - capacity // 2
-            position.lost[0] += position.next[0] - first
-            continue
-        count = min(head - first, out.shape[0])
-        for k in range(count):
-            copy_numbers(out[k], broadcast.slots[(first + k) & (capacity - 1)])
-        fence_acquire()
-        if load_relaxed(broadcast.head, 0) - first < capacity:
-            position.next[0] = first + count
-            return int(count)
-
-
-_POLLIN: Final = 1
-
-_poll: Any = types.ExternalFunction("poll", types.int32(types.int64, types.uint64, types.int32))
-_read: Any = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
-_eventfd_write: Any = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
-
-
-@jit
-def wake_eventfd(fd: int) -> None:
-    """Wake the thread or process that sleeps on an eventfd."""
-    _eventfd_write(fd, 1)
-
-
-@jit
-def reset_eventfd(fd: int, word: NDArray[np.int64]) -> None:
-    """Reset an eventfd after a signal; waits without one. `word` (1,) is scratch."""
-    _read(fd, address_of(word, 0), 8)
-
-
-@jit
-def wait_eventfd(fd: int, timeout_ms: int, word: NDArray[np.int64]) -> bool:
-    """Sleep until an eventfd is signalled; return False on a timeout or a signal. `word` (1,) is scratch."""
-    word[0] = _POLLIN << 32 | fd  # a pollfd is one int64: the file in the low half, the requested events above it
-    return bool(_poll(address_of(word, 0), 1, timeout_ms) > 0)

@@ -1,19 +1,17 @@
 """Servo loop: one nopython function, from the reads of the devices to their writes, run by `servo_thread.py`.
 
 It takes no GIL, allocates nothing and never waits for another thread. It shares with Python: a stop flag, the switch of
-the force, a slot of parameters, a ring of records, and an eventfd that notifies the reader of a record. `Handover` is
-used to replace a loop by the next one.
+the force, a slot of parameters, a ring of records, and an eventfd that notifies the reader of a record.
 """
 
 from __future__ import annotations
 
-import threading
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.drivers.base import END, Device
+from softfinger.drivers.base import END
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import unpack
@@ -40,10 +38,11 @@ from softfinger.server.loop.clock import (
     sleep_until,
     with_suspension,
 )
+from softfinger.server.loop.eventfd import wake_eventfd
 from softfinger.server.loop.force_switch import apply_switch, count_unreachable, is_on, store_active
 from softfinger.server.loop.health import HEALTHY, examine
 from softfinger.server.loop.ramp import ParameterRamp, advance, set_now, set_target
-from softfinger.server.loop.rings import Ring, push, wake_eventfd
+from softfinger.server.loop.rings import Ring, push
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, run_tick
 
@@ -241,30 +240,3 @@ def run_servo_loop(
 
     write_last_zeros(ios, buffers)
     return ending, status, finger
-
-
-class Loop(NamedTuple):
-    """Loop of a servo: an open device for each finger, the tuning it is compiled for, and its memory."""
-
-    devices: tuple[Device, ...]
-    tuning: Tuning
-    shared: SharedMemory
-    arguments: tuple[Any, ...]
-
-
-class Handover:
-    """Synchronization between the servo thread and the thread that replaces its loop.
-
-    keeps_devices  the devices do not change and remain armed at zero; otherwise the old ones are stopped and the
-                   new ones armed
-    loop_ended     the old loop has returned
-    loop_ready     the replacing thread has set `loop` or `error`
-    loop_started   the new loop starts, with tick `first`
-    """
-
-    def __init__(self, keeps_devices: bool) -> None:
-        self.keeps_devices = keeps_devices
-        self.loop_ended, self.loop_ready, self.loop_started = threading.Event(), threading.Event(), threading.Event()
-        self.loop: Loop | None = None
-        self.error: BaseException | None = None
-        self.first = 0

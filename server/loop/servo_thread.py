@@ -25,9 +25,10 @@ from softfinger.server.loop import shutdown
 from softfinger.server.loop.all_devices import Io, make_device_buffers
 from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
 from softfinger.server.loop.force_switch import make_switch
+from softfinger.server.loop.handover import Handover, Loop
 from softfinger.server.loop.ramp import flatten_tuning, make_ramp
 from softfinger.server.loop.rings import Rings, make_ring, take
-from softfinger.server.loop.servo import Handover, Loop, Schedule, Scratch, SharedMemory, run_servo_loop
+from softfinger.server.loop.servo import Schedule, Scratch, SharedMemory, run_servo_loop
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, LoopEnd
 from softfinger.server.loop.tick import Tuning, begin, continue_memory
 from softfinger.server.loop.tuning import has_same_structure

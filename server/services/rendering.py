@@ -23,7 +23,7 @@ from softfinger.proxy.scene import describe_model_change
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.force_switch import MAX_OFF_S
-from softfinger.server.loop.servo import Loop
+from softfinger.server.loop.handover import Loop
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene

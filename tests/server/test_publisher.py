@@ -23,12 +23,12 @@ from helpers.waits import eventually
 from softfinger.config.errors import SafetyStop
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
-from softfinger.server.loop.rings import Broadcast, make_read_position, read_rows, write_row
 from softfinger.server.recording.summary import summarize
 from softfinger.server.socket_process.process import QUIET_S
 from softfinger.server.socket_process.setup import StateInfo
 from softfinger.server.wire import link
 from softfinger.server.wire.control import Control
+from softfinger.server.wire.native.broadcast import Broadcast, make_read_position, read_rows, write_row
 from softfinger.server.wire.native.memory import Local
 from softfinger.server.wire.publisher import Publisher
 

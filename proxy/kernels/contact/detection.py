@@ -44,11 +44,11 @@ from softfinger.proxy.record import FREE, ROLLING
 class Touch(NamedTuple):
     """Fingertip where it touches an object.
 
-    center  (3,) m  centre of the fingertip
-    normal  (3,)    of the object
-    is_path_clear   True if no other object obstructs the path to it
-    is_known        False if it is unknown whether a first pose touches anything
-    budget          remaining budget
+    center         (3,) m  centre of the fingertip
+    normal         (3,)    of the object
+    is_path_clear          True if no other object obstructs the path to it
+    is_known               False if it is unknown whether a first pose touches anything
+    budget                 remaining budget
     """
 
     center: Vec3

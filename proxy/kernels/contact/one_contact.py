@@ -27,9 +27,9 @@ from softfinger.proxy.record import SLIDING
 class Landing(NamedTuple):
     """Position of the proxy after friction.
 
-    center   (3,) m
-    active           constraints at `center`
-    budget_exhausted 1 if the search budget was exhausted, otherwise 0
+    center            (3,) m
+    active                   constraints at `center`
+    budget_exhausted         1 if the search budget was exhausted, otherwise 0
     """
 
     center: Vec3

@@ -18,8 +18,8 @@ from softfinger.proxy.kernels.query.carry import compute_relative_rotation
 class ResistanceInput(NamedTuple):
     """Contact input of the rolling resistance: see `ContactState` for the names.
 
-    bend      moved with the object
-    is_new    True at a first touch: nothing has rolled
+    bend    moved with the object
+    is_new  True at a first touch: nothing has rolled
     """
 
     normal: Vec3

@@ -31,7 +31,7 @@ from softfinger.drivers.closing import Closeable
 from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import address_of
-from softfinger.server.loop.rings import Broadcast, make_read_position, read_rows
+from softfinger.server.wire.native.broadcast import Broadcast, make_read_position, read_rows
 
 log: Final = logging.getLogger(__name__)
 

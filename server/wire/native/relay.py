@@ -21,20 +21,10 @@ from numpy.typing import NDArray
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.loop.rings import (
-    Broadcast,
-    Feed,
-    make_read_position,
-    make_ring,
-    read_rows,
-    reset_eventfd,
-    take,
-    wait_eventfd,
-    wait_for_eventfd,
-    wake_eventfd,
-    write_row,
-)
+from softfinger.server.loop.eventfd import poll_eventfd, reset_eventfd, wait_for_eventfd, wake_eventfd
+from softfinger.server.loop.rings import Feed, make_ring, take
 from softfinger.server.progress import report_compilation
+from softfinger.server.wire.native.broadcast import Broadcast, make_read_position, read_rows, write_row
 from softfinger.server.wire.native.memory import make_memory, remove, wake_readers, wake_readers_from_python
 
 log: Final = logging.getLogger(__name__)
@@ -101,7 +91,7 @@ def serve(state: RelayState, feed: Feed, turn: int, call: int, file: NDArray[np.
             count = take(feed.ring, state.rows)
         if is_complete or called:
             return bool(is_complete)
-        if wait_eventfd(feed.wake_fd, -1 if woken else WAKE_INTERVAL_MS, file):
+        if poll_eventfd(feed.wake_fd, -1 if woken else WAKE_INTERVAL_MS, file):
             reset_eventfd(feed.wake_fd, file)
         elif not woken:
             woken = True

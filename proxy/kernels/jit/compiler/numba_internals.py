@@ -298,8 +298,8 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
         """Do nothing: only functions called from Python use an environment, and numba would write to address 0."""
 
 
-class _Loaded:
-    """Context of numba that has loaded all registrations."""
+class _RefreshedContext:
+    """Context of numba that the compiler of the caller has refreshed."""
 
     def __init__(self, context: Any) -> None:
         self._context = context
@@ -315,8 +315,7 @@ class InlinedCompiler(CompilerBase):  # type: ignore[misc]
     """Compiler of a kernel that is called only by kernels."""
 
     def __init__(self, typing_context: Any, target_context: Any, *rest: Any) -> None:
-        # The compiler of the caller has refreshed them.
-        super().__init__(_Loaded(typing_context), _Loaded(target_context), *rest)
+        super().__init__(_RefreshedContext(typing_context), _RefreshedContext(target_context), *rest)
         self.state.typingctx = typing_context
 
     def define_pipelines(self) -> list[Any]:

@@ -1,0 +1,51 @@
+"""Waking and waiting by eventfds, from compiled code and from Python."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Final
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.memory import address_of
+
+_POLLIN: Final = 1
+
+_poll: Any = types.ExternalFunction("poll", types.int32(types.int64, types.uint64, types.int32))
+_read: Any = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
+_eventfd_write: Any = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
+
+
+@jit
+def wake_eventfd(fd: int) -> None:
+    """Wake the thread or process that sleeps on an eventfd."""
+    _eventfd_write(fd, 1)
+
+
+@jit
+def reset_eventfd(fd: int, word: NDArray[np.int64]) -> None:
+    """Reset an eventfd after a signal; waits without one. `word` (1,) is scratch."""
+    _read(fd, address_of(word, 0), 8)
+
+
+@jit
+def poll_eventfd(fd: int, timeout_ms: int, word: NDArray[np.int64]) -> bool:
+    """Sleep until an eventfd is signalled; return False on a timeout or a signal. `word` (1,) is scratch."""
+    word[0] = _POLLIN << 32 | fd  # a pollfd is one int64: the file in the low half, the requested events above it
+    return bool(_poll(address_of(word, 0), 1, timeout_ms) > 0)
+
+
+def wait_for_eventfd(fd: int) -> None:
+    """Sleep until the counter of an eventfd is above zero, and reset it.
+
+    Retries after EINTR: the kernel may deliver a signal to any thread, and Python does not retry this call.
+    """
+    while True:
+        try:
+            os.eventfd_read(fd)
+        except InterruptedError:
+            continue
+        return
