@@ -5,7 +5,7 @@ describes (`packets`). A board that answers each frame gets the next one only af
 queue in its buffers and forces are late; a zero after a force does not wait. A newline wakes WoodenHaptics, a zero
 frame a described board; after a missing answer, `resync` bytes precede a zero.
 
-If more frames are queued in the port than `block` allows, they are dropped, a zero is sent, and forces are withheld
+If more frames are queued in the port than `queue` allows, they are dropped, a zero is sent, and forces are withheld
 until the port has sent everything. If that takes longer than `timeout_after` or IGNORED_WRENCH_MAX_S, the device is
 given up: a board that reads nothing keeps its force.
 """
@@ -41,8 +41,9 @@ from softfinger.drivers.described_board import (
 from softfinger.drivers.kinematics.mechanism import FULL, LIMITED
 from softfinger.drivers.samples import is_zero
 from softfinger.drivers.serial import packets
-from softfinger.drivers.serial.block import AT, CHUNK, TEXT, drop_frames, has_unsent, is_blocked, record_write
+from softfinger.drivers.serial.block import AT, CHUNK, TEXT
 from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, decode_stream, encode
+from softfinger.drivers.serial.queue import drop_frames, has_unsent, is_blocked, record_write
 from softfinger.drivers.system.libc import read_monotonic_ns, read_waiting, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at

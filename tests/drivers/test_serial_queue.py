@@ -22,7 +22,7 @@ from test_serial_exchange import Board, frame
 from softfinger.drivers import board_exchange
 from softfinger.drivers.base import HELD, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
-from softfinger.drivers.serial import block, device, exchange
+from softfinger.drivers.serial import device, exchange, queue
 from softfinger.drivers.serial.block import AT
 from softfinger.drivers.serial.device import BLOCKED, SerialDevice
 from softfinger.proxy.kernels.jit.compiler.numba_internals import CFunction
@@ -160,11 +160,11 @@ class Run:
         self.port = Port(kind, per_ms, self.reader)
         self.port.now = lambda: self.clock.now
         self.driver.port = self.port  # type: ignore[assignment]
-        by_call(patch, block)
-        patch.setattr(block, "read_monotonic_ns", self.clock)
+        by_call(patch, queue)
+        patch.setattr(queue, "read_monotonic_ns", self.clock)
         patch.setattr(exchange, "write_now", self.port.write)
-        patch.setattr(block, "count_unsent", lambda fd, word: self.port.unsent())
-        patch.setattr(block, "drop_unsent", lambda fd: self.port.flush())
+        patch.setattr(queue, "count_unsent", lambda fd, word: self.port.unsent())
+        patch.setattr(queue, "drop_unsent", lambda fd: self.port.flush())
         patch.setattr(board_exchange, "poll_fd", lambda *_: self.sleep(0.001))
         patch.setattr(device, "count_unsent", self._unsent)
         patch.setattr(device, "time", SimpleNamespace(
