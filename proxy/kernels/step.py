@@ -48,6 +48,7 @@ from softfinger.proxy.kernels.model import (
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, SUBSTEPS, has_fault, push_bodies, step_bodies
 from softfinger.proxy.kernels.query.kinds import has_simulated_object
+from softfinger.proxy.kernels.query.objects import choose_search
 from softfinger.proxy.kernels.query.world import advance, place_all, strip_materials
 from softfinger.proxy.kernels.shapes.budget import BUDGET
 
@@ -124,7 +125,9 @@ def step_finger(
     """Compute the contact of one finger in the advanced world; `objects` is the result of `place_all`."""
     velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
     probe = Probe(pose.position, pose.orientation, velocity)
-    obstacles = minkowski_objects(finger.form, finger.radius, objects, pose.orientation)
+    reach = finger.radius + (vec3.norm(vec3.sub(pose.position, state.center)) if state.started != 0.0 else 0.0)
+    nearby = choose_search(objects, pose.position, 2.0 * reach)  # covers the path of the probe and that to rest
+    obstacles = minkowski_objects(finger.form, finger.radius, nearby, pose.orientation)
     if isinstance(objects, Many) or isinstance(objects.search, FacetedSearch):
         return step_with_several_objects(obstacles, scene, finger, state, probe, dt)
     return step_with_one_object(obstacles, scene, finger, state, probe, dt)

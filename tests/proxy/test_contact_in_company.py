@@ -130,13 +130,18 @@ TOUCHED: dict[str, tuple[list[dict[str, Any]], list[float]]] = {
 """Objects, and a position of the fingertip at which it touches all of them, m."""
 
 
-@pytest.mark.parametrize("name", TOUCHED)
-def test_a_mesh_out_of_reach_changes_no_bit(name: str, tmp_path: Path) -> None:
-    shapes, start = TOUCHED[name]
-    objects = [{"name": f"it {i}", **keys, "material": GRIP} for i, keys in enumerate(shapes)]
-    far = make_table("mesh ball", tmp_path, GRIP) | {"name": "far", "position_m": [3.0, 0.0, 0.0]}
-    poses = handling(100, 11, 1e-3)
-    poses[:, :3] += start
+@pytest.mark.parametrize("surface", ["mesh ball", "heightmap"])
+@pytest.mark.parametrize("name", [*TOUCHED, "mesh ball", "mesh box"])
+def test_a_mesh_or_height_map_out_of_reach_changes_no_bit(name: str, surface: str, tmp_path: Path) -> None:
+    poses = handling(100, 11, 0.016 if name.startswith("mesh") else 1e-3)
+    if name in TOUCHED:
+        shapes, start = TOUCHED[name]
+        objects = [{"name": f"it {i}", **keys, "material": GRIP} for i, keys in enumerate(shapes)]
+        poses[:, :3] += start
+    else:
+        objects = [make_table(name, tmp_path, GRIP)]
+    (folder := tmp_path / "far").mkdir()
+    far = make_table(surface, folder, GRIP) | {"name": "far", "position_m": [3.0, 0.0, -3.0]}
     alone, company = engine(objects, "midpoint"), engine([far, *objects], "midpoint")
     assert_same_but_for_numbers(alone.run(poses), company.run(poses), 1)
 

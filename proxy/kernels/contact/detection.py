@@ -15,11 +15,10 @@ from softfinger.proxy.kernels.model import (
     NONE,
     ActiveSet,
     Constraint,
-    CreasedSearch,
-    FacetedSearch,
     Finger,
     FingerState,
     Probe,
+    Single,
     SmoothSearch,
     Vec3,
 )
@@ -27,7 +26,7 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into
 from softfinger.proxy.kernels.query.carry import has_moving_object, make_carry, move_point
 from softfinger.proxy.kernels.query.container import find_object
-from softfinger.proxy.kernels.query.kinds import is_mesh_at
+from softfinger.proxy.kernels.query.kinds import has_creases_near, is_mesh_at
 from softfinger.proxy.kernels.query.objects import (
     NO_OBJECTS,
     find_closest_within,
@@ -114,7 +113,7 @@ def refine_touch(
     The flag is False if another object obstructs the path, or if this is unknown. Near a mesh, one facet is
     swept: the search of a mesh moves in steps of its clearance, and may end a little before the touch.
     """
-    if not isinstance(objects.search, FacetedSearch) or not near_mesh:
+    if isinstance(objects.search, SmoothSearch) or has_creases_near(objects) or not near_mesh:
         return met, not is_mesh_at(objects, index)
     body = find_object(objects, index)
     path_start = move_point(make_carry(body), start)
@@ -127,13 +126,13 @@ def refine_touch(
 def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     """Return True if the fingertip is known to touch nothing, and to be outside of all closed objects.
 
-    Only needed with meshes and height maps, whose searches may not finish. With a height map an exhausted budget is
+    Not needed for a single smooth object, on which the proxy is never stuck. Near a height map an exhausted budget is
     accepted: far below its limit a search returns a bound of the distance.
     """
-    if isinstance(objects.search, SmoothSearch):
+    if isinstance(objects, Single) and isinstance(objects.search, SmoothSearch):
         return False
     touch = find_first_touch(objects, radius, position, QUEUE_SIZE)
-    is_known = touch.known if isinstance(objects.search, CreasedSearch) else touch.budget >= 0
+    is_known = touch.known if has_creases_near(objects) else touch.budget >= 0
     return is_known and touch.object_index < 0.0
 
 
@@ -176,7 +175,8 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     """
     radius, is_first = finger.radius, state.started == 0.0
     start, budget = position, BUDGET // 2
-    if isinstance(objects.search, CreasedSearch):  # a path over a height map takes more queries
+    has_creases = has_creases_near(objects)
+    if has_creases:  # a path over a height map takes more queries
         budget = 3 * BUDGET // 4
     remaining, nothing = budget, make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     unknown = FirstContact(start, position, position, nothing, False, NO_BUDGET)
@@ -201,7 +201,6 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
             active = make_single_constraint(index, touch.normal, depth)
             center, is_above_probe = touch.center, touch.is_path_clear
     proxy = place_above_probe(objects, radius, position, center, active[0]) if is_above_probe else center
-    has_creases = isinstance(objects.search, CreasedSearch)
     if has_creases and len(state.contacts) > 1 and not is_first and active[0].object_index >= 0.0:
         center = met  # the gap is only a bound if the search of a height map did not finish
     if not has_moving_object(objects):

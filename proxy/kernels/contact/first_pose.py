@@ -7,11 +7,11 @@ result is still unknown, `detection` reports it, and the next tick's pose is tre
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import NONE, CreasedSearch, FacetedSearch, SmoothSearch, Vec3
+from softfinger.proxy.kernels.model import NONE, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of
 from softfinger.proxy.kernels.query.container import find_object
-from softfinger.proxy.kernels.query.kinds import has_creases_at, has_mesh
+from softfinger.proxy.kernels.query.kinds import has_creases_at, has_creases_near, has_mesh
 from softfinger.proxy.kernels.query.objects import NO_OBJECTS, find_closest_within, find_deepest, is_near_mesh
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, QUEUE_SIZE
 from softfinger.proxy.kernels.shapes.composite import NO_LIMIT_M, raised_clear
@@ -47,7 +47,7 @@ def find_first_touch(objects: Any, radius: float, position: Vec3, budget: int) -
     if isinstance(objects.search, SmoothSearch):
         gap, index, budget = find_deepest(objects, position, NO_LIMIT_M, NO_OBJECTS, budget)
         return FirstTouch(index if gap < radius else NONE, True, budget)
-    if isinstance(objects.search, CreasedSearch):  # a search nearby is enough for the side of a height map
+    if has_creases_near(objects):  # a search nearby is enough for the side of a height map
         gap, index, budget = find_deepest(objects, position, radius, NO_OBJECTS, budget)
         if has_mesh(objects) and gap >= radius:
             gap, index, budget = find_deepest(objects, position, NO_LIMIT_M, NO_OBJECTS, budget)
@@ -58,7 +58,7 @@ def find_first_touch(objects: Any, radius: float, position: Vec3, budget: int) -
     if budget < 0 and index >= 0.0 and not has_creases_at(objects, index):
         # The search of a mesh did not finish, so the gap was a bound. Use the nearest triangle found so far.
         gap, _, _, budget = find_closest_within(objects, index, position, budget)
-        if gap >= radius and not isinstance(objects.search, CreasedSearch):
+        if gap >= radius and not has_creases_near(objects):
             gap, nearer, budget = find_deepest(
                 objects, position, radius * (1.0 - OVERLAP_TOLERANCE), NO_OBJECTS, QUEUE_SIZE
             )
@@ -77,7 +77,11 @@ def raise_outside(objects: Any, index: float, radius: float, center: Vec3, norma
 
     Near a mesh, it is the first position along the normal that is outside of all objects.
     """
-    if not isinstance(objects.search, FacetedSearch) or not is_near_mesh(objects, center, 2.0 * radius):
+    if (
+        isinstance(objects.search, SmoothSearch)
+        or has_creases_near(objects)
+        or not is_near_mesh(objects, center, 2.0 * radius)
+    ):
         body = find_object(objects, index)
         return out_of(body.pose, raised_clear(body.shape, into(body.pose, center), radius)), True
     height, step, room = 0.0, FIRST_RISE * radius, QUEUE_SIZE

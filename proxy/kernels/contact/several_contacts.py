@@ -32,18 +32,18 @@ from softfinger.proxy.kernels.model import (
     FACETED,
     NONE,
     ActiveSet,
-    FacetedSearch,
     Finger,
     FingerState,
     FrictionResult,
     Probe,
     Scene,
+    SmoothSearch,
     Vec3,
 )
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.carry import has_moving_object
-from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, is_mesh_at
+from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, has_creases_near, is_mesh_at
 from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest_of_others
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE
@@ -170,7 +170,7 @@ def follow_slip(
     objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, float, bool]:
     """Return `settle_on_one`, on a mesh also across the edges of facets, and True if the proxy is at rest."""
-    if isinstance(objects.search, FacetedSearch) and is_mesh_at(objects, index):
+    if not isinstance(objects.search, SmoothSearch) and not has_creases_near(objects) and is_mesh_at(objects, index):
         center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
         return center, active, 0.0, at_rest
     center, active, budget_exhausted = settle_on_one(objects, index, radius, position, center, deflection, normal)

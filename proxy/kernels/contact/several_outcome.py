@@ -34,7 +34,6 @@ from softfinger.proxy.kernels.model import (
     ContactState,
     Finger,
     Probe,
-    SmoothSearch,
     Vec3,
 )
 from softfinger.proxy.kernels.model.vectors import ZERO
@@ -196,7 +195,7 @@ def make_outcome_of_several(
     one, two, three = shares
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)
     trailing, budget = NO_FORCE, 0.0
-    if settled.is_late and not isinstance(shapes.search, SmoothSearch):
+    if settled.is_late:
         to_proxy = vec3.sub(settled.center, vec3.add(probe.position, compute_lag(settled.contacts)))
         trailing, budget = compute_trailing_force(shapes, active, to_proxy), float(ON_ITS_WAY)
     if settled.is_late and settled.budget < 0:

@@ -78,9 +78,14 @@ class FacetedSearch(NamedTuple):
 
 
 class CreasedSearch(NamedTuple):
-    """Type of the search in a scene with height maps; `meshes`, the number of meshes, may be 0."""
+    """Type of the search in a scene with height maps.
+
+    meshes   number of meshes, may be 0
+    is_near  False in a tick in which no height map is within reach; it then must not change the result
+    """
 
     meshes: float
+    is_near: bool = True
 
 
 class Single(NamedTuple):

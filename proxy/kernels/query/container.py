@@ -12,6 +12,7 @@ from softfinger.proxy.kernels.jit.arrays import Mutable
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import (
+    CREASED,
     STILL,
     WORLD_PLANE,
     AnyShape,
@@ -28,6 +29,7 @@ from softfinger.proxy.kernels.model import (
     Vec3,
 )
 from softfinger.proxy.kernels.numerics import rotations, vec3
+from softfinger.proxy.kernels.numerics.frames import into
 from softfinger.proxy.kernels.shapes.any_shape import plane_of
 
 ENTRY_BITS: Final = 16
@@ -143,9 +145,14 @@ def find_largest_semi_axis(tip: Any) -> float:
 
 @jit
 def is_beyond(objects: Many, row: int, x: Vec3, limit: float) -> bool:
-    """Return True if the bounding ball of an object is farther than `limit` (m) from `x`; takes 2 ns."""
+    """Return True if the bounding volume of an object is farther than `limit` (m) from `x`; takes 2 ns.
+
+    The volume is a ball, for a height map all below its largest height.
+    """
     entry = objects.entries[row]
     pose, _ = find_poses(objects.poses, entry, row)
+    if entry.shape.surface == CREASED:
+        return into(pose, x)[2] > (max(limit, 0.0) + entry.shape.reach) * SQUARE_MARGIN
     offset = vec3.sub(x, pose.position)
     distance = max(limit, 0.0) + entry.shape.reach + find_largest_semi_axis(objects.tip)
     return vec3.dot(offset, offset) > SQUARE_MARGIN * distance * distance

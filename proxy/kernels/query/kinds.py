@@ -51,6 +51,14 @@ def has_mesh(objects: Any) -> bool:
 
 
 @jit
+def has_creases_near(objects: Any) -> bool:
+    """Return True if a height map may be within reach in this tick."""
+    if isinstance(objects.search, CreasedSearch):
+        return objects.search.is_near
+    return False
+
+
+@jit
 def find_surface_kind(shape: Any) -> float:
     """Return the surface of a shape, see `AnyShape`."""
     if isinstance(shape, AnyShape):

@@ -3,7 +3,8 @@
 from typing import Any
 
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import FACETED, Many, Single, SmoothSearch, Vec3
+from softfinger.proxy.kernels.jit.tuples import replace
+from softfinger.proxy.kernels.model import CREASED, FACETED, CreasedSearch, Many, Single, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
 from softfinger.proxy.kernels.query.container import (
@@ -172,10 +173,25 @@ def is_near_mesh(objects: Any, x: Vec3, reach: float) -> bool:
     """Return True if a mesh may be within `reach` m of `x` (3,) m; a mesh out of reach must not change the result."""
     if isinstance(objects, Single) or isinstance(objects.search, SmoothSearch):
         return has_mesh(objects)
+    return is_near_surface(objects, FACETED, x, reach)
+
+
+@jit
+def is_near_surface(objects: Many, surface: float, x: Vec3, reach: float) -> bool:
+    """Return True if an object with that `surface` of `AnyShape` may be within `reach` m of `x` (3,) m."""
     for row in range(int(objects.size)):
-        if objects.entries[row].shape.surface == FACETED and not is_beyond(objects, row, x, reach):
+        if objects.entries[row].shape.surface == surface and not is_beyond(objects, row, x, reach):
             return True
     return False
+
+
+@jit
+def choose_search(objects: Any, x: Vec3, reach: float) -> Any:
+    """Return the objects with the search of a tick: that of a scene without height maps if none is within `reach` m."""
+    if isinstance(objects, Many) and isinstance(objects.search, CreasedSearch):
+        is_near = is_near_surface(objects, CREASED, x, reach)
+        return replace(objects, "search", CreasedSearch(objects.search.meshes, is_near))
+    return objects
 
 
 @jit

@@ -43,6 +43,7 @@ from softfinger.proxy.kernels.shapes.composite import (
     raised_clear,
     shade_normal,
 )
+from softfinger.proxy.kernels.shapes.heightmap.tiles import TILE_SIZE
 from softfinger.proxy.kernels.shapes.kernel_table import (
     BEND,
     CHART,
@@ -279,7 +280,7 @@ SLOTS[MINKOWSKI] = KernelSlot(nearest_on_minkowski_sum, (MinkowskiSum(_ANY, ZERO
 
 
 def reach_of(shape: Any) -> float:
-    """Return the radius, m, of a ball about the origin of a shape's frame that contains it; inf for other shapes."""
+    """Return `reach` of `AnyShape`, m."""
     match shape:
         case Sphere(side=1.0):
             return shape.radius
@@ -295,4 +296,7 @@ def reach_of(shape: Any) -> float:
             return shape.major + shape.minor
         case Mesh() if shape.row[0].side > 0.0:
             return math.hypot(*shape.row[0].center) + 0.5 * shape.row[0].size
+        case Heightmap():
+            a, b1, b2, thick, *_ = shape.facets.array.reshape(-1, TILE_SIZE)[: int(shape.columns * shape.rows)].T
+            return float(shape.pitch * (a + 0.5 * (abs(b1) + abs(b2)) + thick).max())
     return math.inf

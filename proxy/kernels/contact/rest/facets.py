@@ -8,9 +8,9 @@ from softfinger.proxy.kernels.contact.rest.one_object import MAX_ROUNDS, MAX_SLI
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import ActiveSet, Constraint, FacetedSearch, Quaternion, SmoothSearch, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, Quaternion, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.kinds import is_mesh_at
+from softfinger.proxy.kernels.query.kinds import has_creases_near, is_mesh_at
 from softfinger.proxy.kernels.query.objects import find_closest_within, find_neighbour
 from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP_SHARE, SETTLED_STEP
 from softfinger.proxy.kernels.shapes.protocol import direction, turn_along
@@ -63,7 +63,7 @@ def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Res
     they are not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
     """
     active, center = rest.active, rest.center
-    if not isinstance(objects.search, FacetedSearch) or not is_on_mesh(objects, active):
+    if isinstance(objects.search, SmoothSearch) or has_creases_near(objects) or not is_on_mesh(objects, active):
         return active
     one = move_constraint_over_edge(objects, active[0], center, active)
     two = move_constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))

@@ -30,11 +30,12 @@ from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, proje
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.jit.tuples import map_each
-from softfinger.proxy.kernels.model import ActiveSet, CreasedSearch, FacetedSearch, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.kinds import (
     has_creases_at,
+    has_creases_near,
     has_slow_query,
 )
 from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest, find_neighbour, is_near_mesh
@@ -61,10 +62,10 @@ def settle_among_several(
     (`is_safe_step`). If a probe deep inside requires a longer one, the proxy follows in several ticks: the goal is
     moved closer, so that every step ends at rest. The same applies if no rest position is found.
     """
-    if isinstance(objects.search, CreasedSearch):
+    if has_creases_near(objects):
         return settle_in_steps(objects, radius, probe, start, center, active, budget)
     reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))  # covers the path to rest
-    if isinstance(objects.search, FacetedSearch) and is_near_mesh(objects, center, reach):
+    if not isinstance(objects.search, SmoothSearch) and is_near_mesh(objects, center, reach):
         return settle_on_facets(objects, radius, probe, center, active, budget)
     return settle_for(objects, radius, probe, start, center, active, budget)
 
@@ -135,7 +136,7 @@ def settle_for(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, remaining: int
 ) -> Rest:
     """Settle the proxy in one step, with the remaining budget `remaining`; see `settle_among_several`."""
-    is_creased = isinstance(objects.search, CreasedSearch)
+    is_creased = has_creases_near(objects)
     rounds = MAX_SLIDING_ROUNDS if is_creased else MAX_ROUNDS
     last_center, last_active = center, active
     goal = vec3.add(probe, sum_displacements(active))
