@@ -161,6 +161,29 @@ def test_agrees_with_non_negative_least_squares(count):
         np.testing.assert_allclose(d, normals[:count].T @ weights, atol=1e-9)
 
 
+@pytest.mark.scaled
+@pytest.mark.parametrize("count", [4, 9])
+def test_a_pit_of_many_walls_is_the_nearest_point(count, cases):
+    """Least distance programming by non-negative least squares: Lawson and Hanson, Solving Least Squares Problems, 23.
+
+    In the pit 297 of nine walls, the weakest of three walls is needed when a fourth obstructs the proxy.
+    """
+    down, wander = np.linspace(0.04, -0.02, 30)[:, None] * [0.0, 0.0, 1.0], 0.25 * np.arange(40)[:, None]
+    for seed in (297, *range(cases(3, 40))):
+        rng = np.random.default_rng([count, seed])
+        normals = rng.normal(size=(count, 3)) * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.5]
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        offsets = rng.normal(size=count) * 5e-3
+        pit = engine(*[wall(f"wall {i}", n, offset=b) for i, (n, b) in enumerate(zip(normals, offsets, strict=True))])
+        probes = np.vstack([down, down[-1] + 0.02 * np.sin(wander * rng.uniform(0.5, 2.0, 3))])
+        records = visit(pit, probes)
+        assert (records["contact.budget"] == 0).all()
+        for probe, proxy in zip(probes[30:], records["proxy.position"][30:], strict=True):
+            system, target = np.vstack([normals.T, R + offsets - normals @ probe]), np.array([0.0, 0.0, 0.0, 1.0])
+            residual = system @ nnls(system, target)[0] - target
+            np.testing.assert_allclose(proxy - probe, -residual[:3] / residual[3], atol=1e-9)
+
+
 def test_a_demand_met_by_another_wall_gets_no_weight():
     slanted = (0.6, 0.0, 0.8)
     push, d = solve(2, (0.0, 0.0, 1.0), slanted, slanted, 1.0, 0.5, 0.0)

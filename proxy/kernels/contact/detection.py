@@ -15,6 +15,7 @@ from softfinger.proxy.kernels.model import (
     NONE,
     ActiveSet,
     Constraint,
+    FacetedSearch,
     Finger,
     FingerState,
     Probe,
@@ -113,6 +114,8 @@ def refine_touch(
     The flag is False if another object obstructs the path, or if this is unknown. Near a mesh, one facet is
     swept: the search of a mesh moves in steps of its clearance, and may end a little before the touch.
     """
+    if isinstance(objects, Single) and not isinstance(objects.search, FacetedSearch):
+        return met, True
     if isinstance(objects.search, SmoothSearch) or has_creases_near(objects) or not near_mesh:
         return met, not is_mesh_at(objects, index)
     body = find_object(objects, index)

@@ -81,11 +81,11 @@ class CreasedSearch(NamedTuple):
     """Type of the search in a scene with height maps.
 
     meshes   number of meshes, may be 0
-    is_near  False in a tick in which no height map is within reach; it then must not change the result
+    is_near  0 in a tick in which no height map is within reach; it then must not change the result
     """
 
     meshes: float
-    is_near: bool = True
+    is_near: float = 1.0
 
 
 class Single(NamedTuple):

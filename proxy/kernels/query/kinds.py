@@ -54,7 +54,7 @@ def has_mesh(objects: Any) -> bool:
 def has_creases_near(objects: Any) -> bool:
     """Return True if a height map may be within reach in this tick."""
     if isinstance(objects.search, CreasedSearch):
-        return objects.search.is_near
+        return objects.search.is_near > 0.0
     return False
 
 

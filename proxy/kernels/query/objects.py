@@ -189,7 +189,7 @@ def is_near_surface(objects: Many, surface: float, x: Vec3, reach: float) -> boo
 def choose_search(objects: Any, x: Vec3, reach: float) -> Any:
     """Return the objects with the search of a tick: that of a scene without height maps if none is within `reach` m."""
     if isinstance(objects, Many) and isinstance(objects.search, CreasedSearch):
-        is_near = is_near_surface(objects, CREASED, x, reach)
+        is_near = 1.0 if is_near_surface(objects, CREASED, x, reach) else 0.0
         return replace(objects, "search", CreasedSearch(objects.search.meshes, is_near))
     return objects
 

@@ -82,20 +82,6 @@ def add_touched(
 
 
 @jit
-def drop_weakest(active: ActiveSet) -> ActiveSet:
-    """Remove the constraint of three with the smallest depth.
-
-    Its depth remains in the unused element, as the first estimate for the constraint that replaces it.
-    """
-    one, two, three = active
-    if three.depth <= two.depth and three.depth <= one.depth:
-        return one, two, Constraint(NONE, two.normal, three.depth)
-    if two.depth <= one.depth:
-        return one, three, Constraint(NONE, three.normal, two.depth)
-    return two, three, Constraint(NONE, three.normal, one.depth)
-
-
-@jit
 def compute_spring_load(constraint: Constraint, objects: Any) -> float:
     """Return the elastic normal force of a constraint, N; 0 for an unused one."""
     if constraint.object_index < 0.0:

@@ -8,7 +8,6 @@ from softfinger.proxy.kernels.contact.rest.active_set import (
     add_touched,
     compute_spring_load,
     count_constraints,
-    drop_weakest,
     is_enclosed,
     is_support_point_of,
     list_objects,
@@ -30,7 +29,7 @@ from softfinger.proxy.kernels.contact.rest.projection import is_safe_step, proje
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined_where
 from softfinger.proxy.kernels.jit.tuples import map_each
-from softfinger.proxy.kernels.model import ActiveSet, SmoothSearch, Vec3
+from softfinger.proxy.kernels.model import ActiveSet, Constraint, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.kinds import (
@@ -38,13 +37,18 @@ from softfinger.proxy.kernels.query.kinds import (
     has_creases_near,
     has_slow_query,
 )
-from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest, find_neighbour, is_near_mesh
+from softfinger.proxy.kernels.query.objects import (
+    NO_GAP,
+    find_closest_within,
+    find_deepest,
+    find_neighbour,
+    is_near_mesh,
+)
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, MAX_STRIDE, SETTLED_STEP
 
-MAX_OBSTACLES, MAX_OBSTACLES_ON_HEIGHTMAPS = 4, 16
-"""Largest number of obstacles added to the active set in a tick, without and with height maps. If more are
-found, the proxy does not move in this tick."""
+MAX_OBSTACLES = 16
+"""Largest number of obstacles added to the active set in a tick. If more are found, the proxy does not move in it."""
 
 
 @outlined_where(has_slow_query)
@@ -159,7 +163,7 @@ def settle_for(
         near = find_deepest(objects, goal, radius * (1.0 + INSIDE_TOLERANCE), list_objects(active), remaining)
         active, remaining = add_touched(objects, radius, goal, active, near)
     is_clear, lift, budget = False, 0.0, remaining
-    for attempt in range(MAX_OBSTACLES_ON_HEIGHTMAPS if is_creased else MAX_OBSTACLES):
+    for attempt in range(MAX_OBSTACLES):
         center, active, _, remaining = project_until_rest(
             objects, radius + lift, probe, center, active, rounds, remaining
         )
@@ -178,8 +182,11 @@ def settle_for(
             _, _, normal, remaining = find_closest_within(objects, at, center, remaining)
             if is_new or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
                 if count_constraints(active) == 3:
-                    active = drop_weakest(active)
-                active = add_constraint(active, at, normal)
+                    active, remaining = replace_constraint(
+                        objects, radius + lift, probe, center, active, at, normal, remaining
+                    )
+                else:
+                    active = add_constraint(active, at, normal)
     is_late = not is_clear
     if not is_clear:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
@@ -191,6 +198,27 @@ def settle_for(
     if is_creased:
         active = merge_support_points(active)
     return Rest(center, sort_by_load(objects, active), is_late, remaining)
+
+
+@jit
+def replace_constraint(
+    objects: Any, radius: float, probe: Vec3, center: Vec3, active: ActiveSet, index: float, normal: Vec3, budget: int
+) -> tuple[ActiveSet, int]:
+    """Return the active set with a fourth constraint instead of one of three, and the remaining budget.
+
+    It replaces the constraint that the solution of the others satisfies, or violates least. The weakest constraint may
+    be needed: the search would then never end.
+    """
+    one, two, three = active
+    best, least = active, NO_GAP
+    for turn in range(3):
+        dropped = one if turn == 0 else two if turn == 1 else three
+        trial = two if turn == 0 else one, two if turn == 2 else three, Constraint(index, normal, dropped.depth)
+        at, trial, _, budget = project_until_rest(objects, radius, probe, center, trial, 1, budget)
+        violation = vec3.dot(dropped.normal, vec3.sub(center, at))
+        if violation < least:
+            best, least = trial, violation
+    return best, budget
 
 
 @jit
