@@ -9,18 +9,8 @@ import pytest
 from helpers.plain_by_call import BY_CALL, MS, START_NS, by_call
 from numpy.typing import NDArray
 
-from softfinger.drivers import board_exchange
-from softfinger.drivers.base import (
-    HELD,
-    LOST,
-    OK,
-    PROTOCOL,
-    SAMPLE_SIZE,
-    SAMPLE_TIME,
-    STALE,
-    TIMEOUT,
-    WITHHELD,
-)
+from softfinger.drivers import base, board_exchange
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import BOARD, WAIT_MS, BoardTimes
 from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS
@@ -57,7 +47,7 @@ class Board:
         self.usable, self.busy = True, False
         self.zero, self.force, self.woken = OK, OK, OK
         self.wake_ends_a_force = False
-        self.sample = np.zeros(SAMPLE_SIZE)
+        self.sample = np.zeros(base.SAMPLE_SIZE)
         board_exchange.init_exchange(self.block, FD, TIMES, misread_max=8)
 
     def _poll(self, fds: Any, count: int, wait_ms: int) -> int:
@@ -78,7 +68,7 @@ class Board:
         return self.incoming.pop(0) if self.incoming else 0
 
     def convert_sample(self, driver: Any, handle: int) -> bool:
-        self.block.numbers(BOARD.sample, SAMPLE_SIZE)[0] += 1.0  # each sample has another position
+        self.block.numbers(BOARD.sample, base.SAMPLE_SIZE)[0] += 1.0  # each sample has another position
         return self.usable
 
     def must_withhold(self, driver: Any, handle: int, deaf: bool) -> bool:
@@ -155,7 +145,7 @@ def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
     expected: list[Any] = ["drain", "wait 0", "drain", ("wake", START_NS)]
     expected += 3 * waits + [("wake", START_NS + 30 * MS)] + 3 * waits + [("wake", START_NS + 60 * MS)] + waits
     assert board.calls == expected
-    assert board.sample[SAMPLE_TIME] == pytest.approx((START_NS + 70 * MS - OPENED) * 1e-9, rel=1e-15)
+    assert board.sample[base.SAMPLE_TIME] == pytest.approx((START_NS + 70 * MS - OPENED) * 1e-9, rel=1e-15)
 
 
 @pytest.mark.parametrize("reads", [0, 1, 2])
@@ -220,7 +210,7 @@ def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
     board.later(MS)
     board.incoming = [4]
     assert board.read() == OK and board.calls == ["drain"]
-    assert board.sample[SAMPLE_TIME] == pytest.approx((board.clock.now - OPENED) * 1e-9, rel=1e-15)
+    assert board.sample[base.SAMPLE_TIME] == pytest.approx((board.clock.now - OPENED) * 1e-9, rel=1e-15)
     assert board.sample[0] == 2.0
     sample = board.sample.copy()
     board.later(MS)

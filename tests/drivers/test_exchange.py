@@ -18,25 +18,8 @@ from softfinger.drivers.replay import device as replay
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.server.cli import main
 from softfinger.server.loop.guard import Guard
-from softfinger.tools.exchange import (
-    BURST_NS,
-    BURST_ROWS,
-    EMPTY_READ,
-    EMPTY_WRITE,
-    FORCE,
-    READ,
-    READ_STATUS,
-    ROW_SIZE,
-    SAMPLE,
-    START,
-    WRITE,
-    WRITE_STATUS,
-    Exchange,
-    Push,
-    compile_exchange,
-    exchange_loop,
-    make_disarmed_guard,
-)
+from softfinger.tools import exchange as bench
+from softfinger.tools.exchange import FORCE, READ_STATUS, ROW_SIZE, SAMPLE, START, WRITE_STATUS, Exchange, Push
 from softfinger.tools.exchange_figures import summarize_burst, summarize_part
 
 pytestmark = pytest.mark.real_time  # after a pause of the loop the guard starts at zero force
@@ -51,7 +34,7 @@ def recording(**options: object) -> replay.Replay:
 
 
 def test_no_force_reaches_a_device_that_is_only_measured() -> None:
-    with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, bench.make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
     assert rows.shape == (300, ROW_SIZE)
     logged = device.read_log().wrench
@@ -61,15 +44,15 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
 
 
 def test_rows_contain_every_sample_in_order() -> None:
-    with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, bench.make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(0.2)
         first = round(rows[0, SAMPLE + SAMPLE_TIME] * RATE_HZ)
         want = device.samples[(first + np.arange(200)) % len(device.samples)]
     np.testing.assert_array_equal(rows[:, SAMPLE : SAMPLE + 7], want)
     steps = np.diff(rows[:, SAMPLE + SAMPLE_TIME])
     np.testing.assert_allclose(steps, 1.0 / RATE_HZ, rtol=1e-9)  # differences of times below 10 s: rounding
-    assert (rows[:, [READ, WRITE, EMPTY_READ, EMPTY_WRITE]] > 0.0).all()
-    whole = rows[:, [READ, WRITE, EMPTY_READ, EMPTY_WRITE]].sum(axis=1)
+    assert (rows[:, [bench.READ, bench.WRITE, bench.EMPTY_READ, bench.EMPTY_WRITE]] > 0.0).all()
+    whole = rows[:, [bench.READ, bench.WRITE, bench.EMPTY_READ, bench.EMPTY_WRITE]].sum(axis=1)
     assert (np.diff(rows[:, START]) > whole[:-1]).all()
 
 
@@ -112,17 +95,17 @@ def test_an_exception_during_a_push_ends_with_zero() -> None:
 
 
 def test_a_burst_is_bounded() -> None:
-    with recording() as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
+    with recording() as device, Exchange(device, RIG, bench.make_disarmed_guard(RIG)) as exchange:
         rows = exchange.burst()
         more = exchange.record(0.01)
-    assert 100 < len(rows) <= BURST_ROWS
-    assert rows[-1, START] <= BURST_NS / 1e9
+    assert 100 < len(rows) <= bench.BURST_ROWS
+    assert rows[-1, START] <= bench.BURST_NS / 1e9
     assert more[0, SAMPLE + SAMPLE_TIME] > rows[-1, SAMPLE + SAMPLE_TIME]
     assert summarize_burst(rows)["exchanges_hz"] > RATE_HZ
 
 
 def test_the_end_of_a_recording_is_no_failure() -> None:
-    with recording(loop=False) as device, Exchange(device, RIG, make_disarmed_guard(RIG)) as exchange:
+    with recording(loop=False) as device, Exchange(device, RIG, bench.make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(5.0)
         assert 0 < len(rows) <= len(device.samples)
         assert len(exchange.record(0.1)) == 0
@@ -153,9 +136,9 @@ def test_a_hanging_device_is_stopped() -> None:
 
 
 def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
-    compile_exchange()
-    (signature,) = exchange_loop.signatures  # type: ignore[attr-defined]
-    fresh = numba.njit(**OPTIONS)(exchange_loop.py_func)  # type: ignore[attr-defined]
+    bench.compile_exchange()
+    (signature,) = bench.exchange_loop.signatures  # type: ignore[attr-defined]
+    fresh = numba.njit(**OPTIONS)(bench.exchange_loop.py_func)  # type: ignore[attr-defined]
     fresh.compile(signature)
     bodies = functions(next(iter(fresh.inspect_llvm().values())))
     called = {name for body in bodies.values() for name in called_in(body)}
@@ -169,8 +152,8 @@ def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
 def rows_of(count: int) -> np.ndarray:
     rows = np.zeros((count, ROW_SIZE))
     rows[:, START] = np.arange(count) * 1e-3
-    rows[:, READ], rows[:, WRITE] = 2e-6, 1e-6
-    rows[:, EMPTY_READ] = rows[:, EMPTY_WRITE] = 1e-7
+    rows[:, bench.READ], rows[:, bench.WRITE] = 2e-6, 1e-6
+    rows[:, bench.EMPTY_READ] = rows[:, bench.EMPTY_WRITE] = 1e-7
     rows[3::4, READ_STATUS] = STALE
     rows[0, WRITE_STATUS] = STALE
     fresh = np.arange(count) - (np.arange(count) % 4 == 3)
@@ -209,14 +192,14 @@ def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_the_device_is_armed_right_before_its_first_exchange() -> None:
-    compile_exchange()
-    before = len(exchange_loop.signatures)  # type: ignore[attr-defined]
+    bench.compile_exchange()
+    before = len(bench.exchange_loop.signatures)  # type: ignore[attr-defined]
     with FaultyDevice(Options()) as device, Exchange(device, RIG, ARMED) as exchange:
         exchange.record(0.1)
         thread = exchange._thread.native_id
     assert device.acts[0] == ("arm", thread, 0)
     assert [act for act, *_ in device.acts[1:]] == ["stop", "close", "stop"]
-    assert len(exchange_loop.signatures) == before  # type: ignore[attr-defined]
+    assert len(bench.exchange_loop.signatures) == before  # type: ignore[attr-defined]
 
 
 def test_a_device_that_refuses_to_be_armed_ends_with_its_error() -> None:

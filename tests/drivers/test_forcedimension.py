@@ -16,14 +16,7 @@ from helpers.forgotten import forget_user
 from helpers.garbage import exchange_garbage
 from helpers.plain_by_call import matrix, turned
 
-from softfinger.config.errors import (
-    DeviceBusy,
-    DeviceError,
-    DeviceNotFound,
-    DevicePermission,
-    DeviceTimeout,
-    HapticError,
-)
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.config.schema import DeviceConfig
 from softfinger.drivers.base import LOST, OK, SAMPLE_SIZE, WITHHELD
 from softfinger.drivers.forcedimension import device as forcedimension
@@ -258,7 +251,7 @@ def test_failure_while_setting_up_closes_and_leaves_expert_mode(stub: Stub, benc
     ("code", "kind"),
     [(3, DeviceBusy), (20, DeviceBusy), (5, DeviceNotFound), (7, DeviceTimeout), (2, DeviceError), (4, DeviceError)],
 )
-def test_error_of_opening_has_its_kind(code: int, kind: type[HapticError], stub: Stub, bench: OmegaBench) -> None:
+def test_error_of_opening_has_its_kind(code: int, kind: type[DeviceError], stub: Stub, bench: OmegaBench) -> None:
     stub.update(fail_open=1, error=code)
     with pytest.raises(kind) as caught:
         bench.open()

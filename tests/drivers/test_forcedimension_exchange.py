@@ -5,18 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import (
-    BY_CALL,
-    MS,
-    NEARLY_A_ROTATION,
-    NO_ROTATIONS,
-    START_NS,
-    FarEnd,
-    GuardedBlock,
-    by_call,
-    matrix,
-    turned,
-)
+from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, by_call, matrix, turned
 
 from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.forcedimension import exchange
@@ -32,6 +21,24 @@ TO_WORLD = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From the library's frame (x towards the user, y right, z up) to the world's (x right, y away from the user, z up)."""
 FORCE, ERROR, CAUSE = 5, 9, 14
 """Indices of the library's status words, by its manual."""
+NEARLY_A_ROTATION = turned(2, 0.3) @ np.diag([1.004, 1.004, 1.0])
+"""Accepted as a rotation."""
+NO_ROTATIONS = {
+    "mirror": np.diag([1.0, 1.0, -1.0]),
+    "long": np.diag([1.02, 1.0, 1.0]),
+    "short": np.diag([1.0, 0.98, 1.0]),
+    "last": np.diag([1.0, 1.0, 1.02]),
+    "zeros": np.zeros((3, 3)),
+    "nan": np.full((3, 3), np.nan),
+    "askew": np.array([[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]]),
+    # one row is of another length, though the volume is within a hundredth of 1
+    **{
+        f"row {row} {length}": np.diag(np.where(np.arange(3) == row, length, length**-0.49))
+        for row in range(3)
+        for length in (0.9891, 1.0109)
+    },
+}
+"""Matrices that are refused as rotations."""
 
 
 class Library(FarEnd):

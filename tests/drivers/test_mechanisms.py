@@ -12,19 +12,8 @@ from msgspec.structs import replace
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.fields import table
 from softfinger.drivers.hid.device import Options as HidOptions
-from softfinger.drivers.kinematics import delta, options, pantograph
-from softfinger.drivers.kinematics.mechanism import (
-    FULL,
-    LIMITED,
-    NO_MECHANISM,
-    PADDLE,
-    PANTOGRAPH,
-    SINGULAR,
-    compute_command,
-    find_kind,
-    forward_kinematics,
-    make_mechanism,
-)
+from softfinger.drivers.kinematics import delta, mechanism, options, pantograph
+from softfinger.drivers.kinematics.mechanism import FULL, SINGULAR
 
 pytestmark = pytest.mark.plain
 
@@ -61,12 +50,12 @@ def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
 
 class MechanismProbe:
     def __init__(self, kinematics: options.Kinematics) -> None:
-        self.kind, self.mechanism = find_kind(kinematics, False), make_mechanism(kinematics, 5.0)
+        self.kind, self.mechanism = mechanism.find_kind(kinematics, False), mechanism.make_mechanism(kinematics, 5.0)
         self.values, self.last = np.zeros(table.SENSED_SIZE), np.array(self.mechanism.delta.home)
 
     def end(self, joints: Any) -> np.ndarray:
         self.values[table.COUNTS : table.COUNTS + 3] = joints
-        position, orientation, how = forward_kinematics(self.kind, self.mechanism, self.values, self.last)
+        position, orientation, how = mechanism.forward_kinematics(self.kind, self.mechanism, self.values, self.last)
         assert how == FULL
         assert orientation == (1.0, 0.0, 0.0, 0.0)
         return np.array(position)
@@ -75,8 +64,8 @@ class MechanismProbe:
         """Return the status of the force, and torques (N m), or currents (A) of a chain."""
         self.end(joints)
         torques = np.zeros(table.COMMANDED_SIZE)
-        how = compute_command(self.kind, self.mechanism, self.values, self.last, tuple(force), torques)
-        at = table.CURRENT if self.mechanism.chain != NO_MECHANISM.chain else table.TORQUE
+        how = mechanism.compute_command(self.kind, self.mechanism, self.values, self.last, tuple(force), torques)
+        at = table.CURRENT if self.mechanism.chain != mechanism.NO_MECHANISM.chain else table.TORQUE
         return how, torques[at : at + 3]
 
 
@@ -217,13 +206,15 @@ def test_a_delta_out_of_reach_has_no_pose() -> None:
     in_line = acos((kinematics.end_m - kinematics.base_m) / (kinematics.arm_m + kinematics.rod_m))
     for joints in ((0.0, 0.0, 3.0), (in_line,) * 3):
         ask.values[table.COUNTS : table.COUNTS + 3] = joints
-        position, _, how = forward_kinematics(ask.kind, ask.mechanism, ask.values, ask.last)
+        position, _, how = mechanism.forward_kinematics(ask.kind, ask.mechanism, ask.values, ask.last)
         assert how == SINGULAR and np.isnan(position).all()
         np.testing.assert_allclose(ask.end(angles), np.subtract(home, kinematics.origin_m), **EXACT)
 
 
 def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
-    d = make_mechanism(options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0).delta
+    d = mechanism.make_mechanism(
+        options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0
+    ).delta
     results = set()
     # on the axis all rods are flat where base + arm cos a = end + rod; the end is then as high as the elbows
     flat = 0.1 * sqrt(1.0 - ((0.02 + 0.17 - 0.12) / 0.1) ** 2)
@@ -238,7 +229,8 @@ def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "joints"), [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))]
+    ("name", "kind", "joints"),
+    [("paddle", mechanism.PADDLE, (0.2, 0.0, 0.0)), ("pantograph", mechanism.PANTOGRAPH, (2.4, 0.7, 0.0))],
 )
 def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
     ask = MechanismProbe(MECHANISMS[name])
@@ -246,6 +238,6 @@ def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tu
     _, whole = ask.torques(joints, (1.0, 0.5, 0.0))
     ask.mechanism = ask.mechanism._replace(torque_max=0.01)
     how, cut = ask.torques(joints, (1.0, 0.5, 0.0))
-    assert how == LIMITED
+    assert how == mechanism.LIMITED
     assert np.abs(cut).max() == pytest.approx(0.01, abs=1e-15)
     np.testing.assert_allclose(cut * np.abs(whole).max(), whole * 0.01, rtol=1e-12, atol=1e-18)

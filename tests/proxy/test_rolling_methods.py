@@ -10,21 +10,10 @@ import numpy as np
 import pytest
 from conftest import paper_scene
 from helpers.examples import Cases
+from references import rolling_cases
 from references.hand import Array
 from references.paper import published
-from references.rolling_cases import (
-    METHODS,
-    PIECED,
-    RADIUS,
-    SHAPES,
-    SMOOTH,
-    has_closed_form,
-    pairs,
-    roll_long,
-    rolled_by,
-    rotation,
-    touching,
-)
+from references.rolling_cases import METHODS, RADIUS, SHAPES, pairs, rolled_by, rotation, touching
 from references.rolling_reference import rolled_path, rolling_equation, zxz_roll, zyx_roll
 from references.rotation import quaternion, rodrigues
 from scipy.spatial.transform import Rotation
@@ -41,7 +30,7 @@ from softfinger.tools.accuracy.reference import roll_path
 
 pytestmark = pytest.mark.plain
 
-CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
+CLOSED = [name for name, shape in SHAPES.items() if rolling_cases.has_closed_form(shape)]
 
 
 def integrated(shape: Any, radius: float, center: Any, normal: Any, w: Any) -> tuple[Any, Any, float]:
@@ -114,7 +103,7 @@ def test_step_control_reaches_its_tolerance(name: str) -> None:
         end, _, spin = integrated(shape, RADIUS, center, normal, w)
         # 1e-10 of the radius; the error estimate is rougher at jumps of the curvature and does not cover the spin.
         assert np.abs(np.array(out.center) - end).max() < 1e-12
-        assert abs(out.spin - spin) < (1e-9 if name in PIECED else 1e-11)
+        assert abs(out.spin - spin) < (1e-9 if name in rolling_cases.PIECED else 1e-11)
 
 
 def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
@@ -138,7 +127,7 @@ def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
     ],
 )
 def test_order_of_convergence(method: str, name: str, order: float) -> None:
-    distances = errors(METHODS[method], SMOOTH[name], [16, 32, 64], seed=21)
+    distances = errors(METHODS[method], rolling_cases.SMOOTH[name], [16, 32, 64], seed=21)
     for coarse, fine in pairwise(distances):
         # At these ticks the next order contributes two per cent.
         assert np.log2(coarse / fine) == pytest.approx(order, abs=0.05)
@@ -234,7 +223,9 @@ def test_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: 
     center, normal = touching(SHAPES[name], np.random.default_rng(31))
     # A drift off a smooth object is more than 1e-15 m per step. An ellipsoid's closest point takes long.
     ticks = cases(1000, 10_000_000 if name in ("sphere", "box") else 200_000)
-    off, stretched, _ = roll_long(METHODS[method], SHAPES[name], RADIUS, center, normal, (6e-4, -3e-4, 4e-4), ticks)
+    off, stretched, _ = rolling_cases.roll_long(
+        METHODS[method], SHAPES[name], RADIUS, center, normal, (6e-4, -3e-4, 4e-4), ticks
+    )
     # On a plane the path leads far away, and rounding grows with the distance: 1e-16 of at most 10 m.
     assert off < 1e-12
     assert stretched < 1e-14
