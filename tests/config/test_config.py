@@ -23,7 +23,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, describe, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene, make_commands_address
 from softfinger.config.schema.pairing import find_single_device, pair_devices
-from softfinger.config.sources import list_shipped, read_toml
+from softfinger.config.sources import list_shipped
 from softfinger.config.words import suggest
 from softfinger.drivers.serial.options import CHECKS
 from softfinger.proxy.record import FIELDS
@@ -553,17 +553,6 @@ def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: ob
     kind, make, key, _, _ = place
     message = refusal_or_none(build, kind, set_key(make(), key, value), "nearly")
     assert message is None or "nearly: " in message
-
-
-@given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
-@settings(max_examples=200, deadline=None)
-def test_no_file_content_raises_anything_but_config_error(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "random.toml"
-    path.write_bytes(content)
-    message = refusal_or_none(read_toml, path)
-    assert message is None or "random.toml: " in message
 
 
 def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:

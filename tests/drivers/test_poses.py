@@ -1,15 +1,11 @@
 """Recorded poses: reading, checking, resampling, closing into a loop."""
 
-import contextlib
 import logging
 import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.examples import examples
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -152,12 +148,6 @@ def test_invalid_npz_files_are_rejected(tmp_path: Path) -> None:
     assert not marker.exists()
 
 
-def _valid(ending: str, folder: Path) -> bytes:
-    path = folder / f"seed{ending}"
-    write_blocks(path, [""], [records_of(some_poses(30))[:, None]])
-    return path.read_bytes()
-
-
 SPELLINGS = ("{!r}", "{:.25f}", "{:.30e}", "{:+.17g}", " {:.17g}", "{:.17g}\t")
 """Spellings of a number: as in JSON, with more digits than the number has, and as JSON forbids."""
 
@@ -184,25 +174,6 @@ def test_a_fault_in_a_long_file_is_located(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("\n".join(lines))
     with pytest.raises(RecordingError, match="line 15001: 9 values, but the header has 8 columns"):
         load_poses(tmp_path / "p.csv")
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-@settings(examples(25, 60), suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_arbitrary_bytes_give_poses_or_an_error(tmp_path: Path, ending: str, data: st.DataObject) -> None:
-    path = tmp_path / f"fuzz{ending}"
-    content = bytearray(_valid(ending, tmp_path))
-    if data.draw(st.booleans()):
-        for _ in range(data.draw(st.integers(1, 4))):
-            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-        content = content[: data.draw(st.integers(0, len(content)))]
-    else:
-        content = bytearray(data.draw(st.binary(max_size=300)))
-    path.write_bytes(bytes(content))
-    with contextlib.suppress(RecordingError):
-        poses = load_poses(path)
-        assert np.isfinite(np.column_stack((poses.t, poses.position, poses.orientation))).all()
-        assert np.all(np.diff(poses.t) > 0)
 
 
 @pytest.mark.parametrize("count", [2, 3, 40])
