@@ -52,14 +52,6 @@ class TestContract(DriverContract):
     """The contract over `replay` and `simulated`."""
 
 
-def test_built_in_drivers_load() -> None:
-    assert {"replay", "simulated", "forcedimension"} <= set(registry.list_names())
-    for name in registry.BUILT_IN:
-        driver = registry.load(name)
-        assert hasattr(driver, "Options")
-        assert hasattr(driver, "open_device")
-
-
 def test_unknown_driver_is_named_with_a_suggestion() -> None:
     with pytest.raises(DeviceNotFound, match=r"'repley'.*did you mean 'replay'.*replay"):
         registry.load("repley")

@@ -14,7 +14,6 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.garbage import exchange_garbage
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
-from helpers.plain_by_call import matrix, turned
 from helpers.waits import until
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, HapticError
@@ -37,8 +36,6 @@ __all__ = ["hd", "hd_library", "touch"]  # fixtures
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
 
-TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From the library's frame (x right, y up, z towards the user) to the world's (x right, y away from the user, z up)."""
 NAMES = tuple(MODELS)
 OLDEST = SystemDevice("serial", 0x0301, 0x2988, "3D Systems Touch 3D Stylus", "", "/dev/ttyACM0")
 """Product string as the kernel logs it (jhu-saw/sawSensablePhantom)."""
@@ -104,23 +101,6 @@ def test_unknown_model_runs_with_the_least_limits(
     with pytest.raises(DeviceNotFound, match=r"model = Touch: it is a Something new, serial 70001"):
         bench.open(model="Touch")
     assert hd["opens"] == hd["closes"] == 2 and not hd["running"]
-
-
-def test_poses_and_wrenches_are_turned_into_the_world(hd: HdStub, bench: TouchBench) -> None:
-    place, axis, angle = np.array([11.0, 22.0, -33.0]), 1, -2.5
-    hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
-    hd.reset_hand()
-    with bench.open() as device:
-        servo = DeviceCaller(device)
-        status, sample = servo.read()
-        assert status == OK
-        np.testing.assert_allclose(sample[:3], TURN @ place / 1000, atol=1e-9)
-        np.testing.assert_allclose(matrix(sample[3:7]), TURN @ turned(axis, angle) @ TURN.T, atol=1e-12)
-        until(lambda: servo.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK and any(bench.displayed()))
-        force, torque = np.split(np.array(hd.wrench()), 2)
-        np.testing.assert_allclose(TURN @ force, [0.1, -0.2, 0.3], atol=1e-15)
-        np.testing.assert_allclose(TURN @ torque / 1000, [0.01, -0.02, 0.03], atol=1e-15)
-    assert hd["misuse"] == 0
 
 
 # --- opening ---

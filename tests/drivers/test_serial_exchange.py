@@ -200,11 +200,6 @@ def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
     assert board.counts() == {"kicks": 2, "written": 2}
 
 
-def test_a_frame_received_byte_by_byte(board: Board) -> None:
-    whole = frame(1.0, 0.0, 0.0)
-    assert [board.read(bytes([byte]))[0] for byte in whole] == [STALE] * 63 + [OK]
-
-
 # --- frames described in a rig ---
 
 
