@@ -172,8 +172,7 @@ def test_first_read_times_out(misread: int, status: int, board: Board, monkeypat
         return int(real(driver, handle))
 
     monkeypatch.setattr(board_exchange, "drain", drain)
-    assert board.read() == status
-    assert board.clock.now == START_NS + TIMEOUT_NS + WAIT_MS * MS
+    assert board.read() == status and board.clock.now == START_NS + TIMEOUT_NS + WAIT_MS * MS
     assert board.calls.count("drain") == 2 + 21
 
 
@@ -191,10 +190,8 @@ def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board
     board.receive_sample()
     board.clock.now += 150 * MS
     begun, before = board.clock.now, board.sample.copy()
-    assert board.read() == STALE
-    assert board.clock.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
-    assert board.sample.tolist() == before.tolist()
-    assert board.word[BOARD.read_at] == board.clock.now
+    assert board.read() == STALE and board.clock.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
+    assert board.sample.tolist() == before.tolist() and board.word[BOARD.read_at] == board.clock.now
     assert board.word[BOARD.sampled_at] == begun - QUIET - 1
     assert board.write(FORCE) == WITHHELD and "zero" in board.calls
     board.later(MS)

@@ -38,8 +38,7 @@ def test_no_force_reaches_a_device_that_is_only_measured() -> None:
         rows = exchange.record(0.3, Push((1.0, 1.0, 1.0), 10.0, 0.3))
     assert rows.shape == (300, ROW_SIZE)
     logged = device.read_log().wrench
-    assert len(logged) > 300
-    assert not logged.any()
+    assert len(logged) > 300 and not logged.any()
     assert not rows[:, FORCE : FORCE + 3].any()
 
 
@@ -69,8 +68,7 @@ def test_a_push_is_a_faded_sine_along_its_axis() -> None:
     assert np.abs(want).max() > 0.9 * newton
     assert not after[:, FORCE : FORCE + 3].any()
     logged = device.read_log().wrench
-    assert np.abs(logged[:, 1]).max() == np.abs(rows[:, FORCE + 1]).max()
-    assert not logged[-1].any()
+    assert np.abs(logged[:, 1]).max() == np.abs(rows[:, FORCE + 1]).max() and not logged[-1].any()
 
 
 def test_a_push_stays_below_the_guard() -> None:
@@ -90,16 +88,14 @@ def test_an_exception_during_a_push_ends_with_zero() -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     logged = device.read_log().wrench
-    assert logged.any()
-    assert not logged[-1].any()
+    assert logged.any() and not logged[-1].any()
 
 
 def test_a_burst_is_bounded() -> None:
     with recording() as device, Exchange(device, RIG, bench.make_disarmed_guard(RIG)) as exchange:
         rows = exchange.burst()
         more = exchange.record(0.01)
-    assert 100 < len(rows) <= bench.BURST_ROWS
-    assert rows[-1, START] <= bench.BURST_NS / 1e9
+    assert 100 < len(rows) <= bench.BURST_ROWS and rows[-1, START] <= bench.BURST_NS / 1e9
     assert more[0, SAMPLE + SAMPLE_TIME] > rows[-1, SAMPLE + SAMPLE_TIME]
     assert summarize_burst(rows)["exchanges_hz"] > RATE_HZ
 
@@ -108,8 +104,7 @@ def test_the_end_of_a_recording_is_no_failure() -> None:
     with recording(loop=False) as device, Exchange(device, RIG, bench.make_disarmed_guard(RIG)) as exchange:
         rows = exchange.record(5.0)
         assert 0 < len(rows) <= len(device.samples)
-        assert len(exchange.record(0.1)) == 0
-        assert exchange.failure() is None
+        assert len(exchange.record(0.1)) == 0 and exchange.failure() is None
 
 
 @pytest.mark.parametrize(
@@ -122,10 +117,8 @@ def test_a_failing_device_raises_its_error(fault: Fault, error: type[DeviceError
             assert 0 < len(rows) <= 151
             failure = exchange.failure()
             assert len(exchange.record(0.1)) == 0
-        assert type(failure) is error
-        assert "faulty" in str(failure)
-        assert device.wrenches.any()
-        assert not device.wrenches[-1].any()
+        assert type(failure) is error and "faulty" in str(failure)
+        assert device.wrenches.any() and not device.wrenches[-1].any()
 
 
 def test_a_hanging_device_is_stopped() -> None:
@@ -164,14 +157,12 @@ def rows_of(count: int) -> np.ndarray:
 
 def test_figures_of_known_rows() -> None:
     result = summarize_part(rows_of(2000), 1000.0)
-    assert result["ticks"] == 2000
-    assert result["seconds"] == pytest.approx(2.0, rel=1e-12)
+    assert result["ticks"] == 2000 and result["seconds"] == pytest.approx(2.0, rel=1e-12)
     assert result["read"]["p50"] == result["read"]["max"] == 2e-6
     assert result["cycle"]["p99"] == pytest.approx(3e-6, rel=1e-12)
     assert result["read"]["over_empty"]["p50"] == pytest.approx(20.0, rel=1e-12)
     assert result["cycle"]["over_empty"]["p50"] == pytest.approx(15.0, rel=1e-12)
-    assert result["stale_share"] == 0.25
-    assert result["limited_share"] == 1 / 2000
+    assert result["stale_share"] == 0.25 and result["limited_share"] == 1 / 2000
     assert result["new_samples_hz"] == pytest.approx(750.0, rel=1e-12)
     assert result["sample_step_s"]["min"] == pytest.approx(1e-3, rel=1e-9)  # a difference of times near 2 s
     assert result["sample_step_s"]["max"] == pytest.approx(2e-3, rel=1e-9)
@@ -182,8 +173,7 @@ def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.Captu
     words = ("--rig", "simulated", "--seconds", "0.3", "--json", "--plot", str(plot))
     assert main(["bench", "device", *words]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["device"] == "simulated omega.6"
-    assert result["ticks"] == 300
+    assert result["device"] == "simulated omega.6" and result["ticks"] == 300
     assert {"read", "write", "cycle", "late", "new_samples_hz", "stale_share", "sample_step_s"} <= result.keys()
     assert {"p50", "p99", "p999", "max", "blocks", "empty", "over_empty", "histogram"} == result["cycle"].keys()
     assert sum(count for _, count in result["read"]["histogram"]) == 300
@@ -216,8 +206,7 @@ def test_a_device_that_fails_to_stop_gets_zero_and_is_named() -> None:
         Exchange(device, RIG, ARMED) as exchange,
     ):
         exchange.record(0.1, Push((1.0, 0.0, 0.0), 1.0, 1.0))
-    assert device.wrenches[:-2].any()
-    assert not device.wrenches[-1].any()
+    assert device.wrenches[:-2].any() and not device.wrenches[-1].any()
 
 
 @pytest.mark.parametrize("fault", ["withheld_read", "withheld_write"])
@@ -229,8 +218,7 @@ def test_a_push_ramps_up_after_it_was_withheld(fault: Fault) -> None:
     (withheld,) = np.nonzero(status == WITHHELD)
     first, last = withheld[0], withheld[-1]
     size = np.abs(rows[:, FORCE])
-    assert last - first == 4
-    assert size[first - 1] > 10 * size[first + 20] > 0.0
+    assert last - first == 4 and size[first - 1] > 10 * size[first + 20] > 0.0
     # upper bound: a withheld read starts the ramp one tick earlier; sums round
     share = 0.002 * np.arange(2, 102) * (1 + 1e-12)
     assert (size[last + 1 : last + 101] <= share * np.abs([pushed_at(n) for n in range(last + 1, last + 101)])).all()

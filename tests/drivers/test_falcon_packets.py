@@ -118,6 +118,5 @@ def test_buttons_and_lost_homing() -> None:
     word = blank()
     word[AT.armed] = 1
     assert answer(word, (0, 0, 0), 0x05) == OK  # no homing bits yet
-    assert word.view(np.float64)[AT.sample + 8] == 5.0
-    assert answer(word, (0, 0, 0), 0x70) == OK
+    assert word.view(np.float64)[AT.sample + 8] == 5.0 and answer(word, (0, 0, 0), 0x70) == OK
     assert answer(word, (0, 0, 0), 0x30) == FORCE_OFF

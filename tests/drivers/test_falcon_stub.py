@@ -83,8 +83,7 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
     # 50 mm over which it changes.
     forces = columns(records, AT.force)
     error = np.linalg.norm(log[:, :3] - forces, axis=1)
-    assert (error < 0.007 + COUNT_M / 0.02 * np.linalg.norm(forces, axis=1)).all()
-    assert forces[:, 2].max() > 0.5
+    assert (error < 0.007 + COUNT_M / 0.02 * np.linalg.norm(forces, axis=1)).all() and forces[:, 2].max() > 0.5
     assert (stub["threads"], stub["misuse"], stub["flying"], stub["allocated"]) == (0, 0, 0, 0)
     assert stub["opens"] == stub["closes"] and not any(stub.motors())
 
@@ -152,8 +151,7 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
         forces = stub["forces"]
         threading.Timer(0.15, lambda: stub.__setitem__("block", 0.0)).start()
         device.stop()
-        assert stub["forces"] == forces
-        assert not any(stub.motors())
+        assert stub["forces"] == forces and not any(stub.motors())
         assert stub["cancels"] >= 1
         assert servo.read()[0] in (OK, STALE, WITHHELD)  # a pause, on a machine that is busy
 
@@ -223,8 +221,7 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
     loop.join()
     assert statuses[0] >= 0
     device.close()
-    assert stub["opens"] == stub["closes"]
-    assert not any(stub.motors())
+    assert stub["opens"] == stub["closes"] and not any(stub.motors())
     assert (stub["threads"], stub["misuse"], stub["allocated"]) == (0, 0, 0)
 
 
@@ -235,8 +232,7 @@ def test_a_failed_opening_frees_everything(
     stub.update(**knobs)
     with pytest.raises(error):
         bench.open()
-    assert (stub["allocated"], stub["misuse"], stub["flying"]) == (0, 0, 0)
-    assert stub["opens"] == stub["closes"]
+    assert (stub["allocated"], stub["misuse"], stub["flying"]) == (0, 0, 0) and stub["opens"] == stub["closes"]
 
 
 def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) -> None:
@@ -263,8 +259,7 @@ def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int,
         assert (fresh + withheld, repeated, failed) == (number, 0, 0) and withheld < 100
         assert places + nowhere == number and nowhere > number // 10
         assert word(device, WORDS.garbled) > number
-    assert not any(stub.motors())
-    assert stub["misuse"] == 0
+    assert not any(stub.motors()) and stub["misuse"] == 0
 
 
 def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None:

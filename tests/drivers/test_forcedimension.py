@@ -81,8 +81,7 @@ def test_every_model_opens_with_its_limits(kind: int, stub: Stub, bench: OmegaBe
     wrist, active = not name.endswith("3"), name in ("sigma.6", "sigma.7", "lambda.7")
     stub.update(type=kind, wrist=wrist, active_wrist=active)
     with bench.open(model=name) as device:
-        assert device.info.name.startswith(name)
-        assert device.info.sensed_dof == (6 if wrist else 3)
+        assert device.info.name.startswith(name) and device.info.sensed_dof == (6 if wrist else 3)
         assert device.info.actuated_dof == (6 if active else 3)
         assert device.info.force_max_n == (20.0 if name == "delta.3" else 12.0)
         assert stub["max_force"] == device.info.force_max_n
@@ -141,8 +140,7 @@ def test_opening_switches_nothing_on_and_arming_does(stub: Stub, bench: OmegaBen
     with bench.open_unarmed(watchdog_s=0.03) as device:
         assert (stub["force_on"], stub["watchdog"], stub["cause"]) == (0, 0, 4)
         servo = DeviceCaller(device, arm=False)
-        assert servo.read()[0] == OK
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
+        assert servo.read()[0] == OK and servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
         assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
         time.sleep(0.1)
         for _ in range(20):  # this thread may stall for longer than the watchdog waits, but not each time
@@ -278,8 +276,7 @@ def test_a_device_is_identified_without_force(stub: Stub) -> None:
     diagnosis, reply = devices.identify_device(omega, claim, rig)
     assert diagnosis == Diagnosis("usable")
     assert reply == {"model": "omega.6 right", "serial": 1230, "system_type": 34, "calibrated": False}
-    assert stub["opens"] == stub["closes"] == 1
-    assert stub["moved"] == stub["force_on"] == stub["writes"] == 0
+    assert stub["opens"] == stub["closes"] == 1 and stub["moved"] == stub["force_on"] == stub["writes"] == 0
     stub["held"] = 1
     diagnosis, reply = devices.identify_device(omega, claim, rig)
     assert (diagnosis.state, reply) == ("busy", None)

@@ -183,8 +183,7 @@ def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
 def test_a_force_is_under_the_key_of_an_older_service() -> None:
     with Service("3.4.2") as old, exchanging(old) as (device, servo):
         push_up(device, servo)
-        assert old.force() == (0.0, 0.0, 1.0)
-        assert '"set_cursor_force":{"values"' in old.do("seen")["said"][0]
+        assert old.force() == (0.0, 0.0, 1.0) and '"set_cursor_force":{"values"' in old.do("seen")["said"][0]
 
 
 @pytest.mark.parametrize(

@@ -112,8 +112,7 @@ def test_the_last_force_before_an_end_is_zero(case: str, service: Service, pushi
     assert end_with(service, pushing, raw) == [PROTOCOL if case in BREACHES else LOST] * 2
     for device, name in zip(pushing, (ID, OTHER), strict=True):
         forces = received(service, name)
-        assert forces[-1] == (0.0, 0.0, 0.0)
-        assert any(any(force) for force in forces)
+        assert forces[-1] == (0.0, 0.0, 0.0) and any(any(force) for force in forces)
         device.stop()
         assert not device.zero_failure()
 
@@ -127,8 +126,7 @@ def test_a_service_that_only_stops_sending_receives_a_zero(service: Service, pus
 def test_a_reset_lets_no_zero_through(service: Service, pushing: list[HaplyDevice]) -> None:
     assert end_with(service, pushing, b"", "rst") == [LOST, LOST]
     for name, force in PUSH_N.items():
-        assert received(service, name)[-1] == (0.0, 0.0, force)
-        assert not any(service.force(name))
+        assert received(service, name)[-1] == (0.0, 0.0, force) and not any(service.force(name))
 
 
 @pytest.mark.scaled
@@ -176,8 +174,7 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
     for name in (ID, OTHER):
         until(lambda name=name: not any(service.force(name)))
         late = received(service, name, deaf_at)
-        assert sum(any(force) for force in late) <= 1
-        assert late[-1] == (0.0, 0.0, 0.0)
+        assert sum(any(force) for force in late) <= 1 and late[-1] == (0.0, 0.0, 0.0)
 
 
 def test_a_service_that_sends_without_reading_gets_no_force() -> None:

@@ -102,5 +102,4 @@ def test_doctor_queries_the_service() -> None:
         service.do("vanish", id=ID)
         assert attached.check_inverse_service(rig(service)).state == "bad"
     row = attached.check_inverse_service(rig(service))
-    assert row.state == "bad"
-    assert "systemctl start haply-inverse-service" in row.remedy
+    assert row.state == "bad" and "systemctl start haply-inverse-service" in row.remedy

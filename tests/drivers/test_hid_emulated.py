@@ -100,8 +100,7 @@ def test_closed_loop_under_the_daemon(connection: str, rig: str, arm: str, gener
     modes = records[:, AT.contact_mode]
     assert {0.0, 1.0, 2.0} == set(modes)
     # The forces reached the arm, and stopped its hand above its goal.
-    assert max(saw["most"][1:]) > 100
-    assert not any(saw["last"])
+    assert max(saw["most"][1:]) > 100 and not any(saw["last"])
 
     passed = assert_engine_agrees(records, load_scene("paper-plane"), 1000.0)
     assert passed > 50
@@ -174,8 +173,7 @@ def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str,
     case = {"bus": bus, "board": board, "arm": RIGS[rig], "generation": 1 if board == "lpc1768-8" else 2}
     mine = patient_rig(tmp_path, rig, through=through)
     _, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", code=0)
-    assert saw["astray"] == 0
-    assert max(saw["most"]) > 0
+    assert saw["astray"] == 0 and max(saw["most"]) > 0
     assert not any(saw["last"])
 
 

@@ -49,8 +49,7 @@ def test_woodenhaptics_v1_layout() -> None:
     wire = rig_options("woodenhaptics-2015").reports
     usable, values = decode(wire.input, bytes.fromhex("f401 e0fc b004 ffff".replace(" ", "")))
     assert usable
-    assert [values[k] for k in "abc"] == [-500, -800, 1200]
-    assert values["buttons"] == 0
+    assert [values[k] for k in "abc"] == [-500, -800, 1200] and values["buttons"] == 0
     _, out = encode(wire.output, current_a=-0.00063, current_b=0.27578, current_c=0.32046)
     assert out.hex() == "00" + "ffff" + "1401" + "4001" + "0000"
 
@@ -63,8 +62,7 @@ def test_woodenhaptics_v2_layout(rig: str, size: int, preset: int) -> None:
     wire = rig_options(rig).reports
     usable, values = decode(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1).ljust(size, b"\xff"))
     assert usable
-    assert [values[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44]
-    assert values["buttons"] == 1 + 2
+    assert [values[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44] and values["buttons"] == 1 + 2
     assert decode(wire.input, struct.pack("<7h", 0, 0, 0, 5000, 0, 0, 0).ljust(size))[1]["buttons"] == 0
     _, out = encode(wire.output, current_a=2.0, current_b=-2.0, current_c=0.0005)
     assert out == b"\0" + struct.pack("<7h", 2000, -2000, 1, 0, 0, 0, 0).ljust(size, b"\0")
@@ -76,8 +74,7 @@ def test_woodenhaptics_v2_layout(rig: str, size: int, preset: int) -> None:
 def test_makers_descriptors() -> None:
     lengths = {name: [parse_descriptor(hid.descriptor) for hid in board.interfaces] for name, board in BOARDS.items()}
     assert lengths["teensy"] == [({0: 64}, {0: 64}), ({0: 64}, {0: 32})]
-    assert lengths["lpc1768-14"] == [({0: 14}, {0: 14})]
-    assert lengths["lpc1768-8"] == [({0: 8}, {0: 8})]
+    assert lengths["lpc1768-14"] == [({0: 14}, {0: 14})] and lengths["lpc1768-8"] == [({0: 8}, {0: 8})]
 
 
 @given(st.sampled_from(TYPES), st.binary(min_size=4, max_size=4), st.integers(0, 5), st.booleans())

@@ -1,14 +1,13 @@
 """HID through threads: order of reports, held-back forces, a hanging device, zero force at every shutdown."""
 
-from __future__ import annotations
-
 import os
 import select
 import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,13 +39,13 @@ def no_thread_is_left() -> Iterator[None]:
     assert not any(thread.is_alive() for thread in remaining)
 
 
-class ThreadedBoard:
-    def __init__(self, answer: Callable[[bytes], bytes | None] = lambda _: GOOD, **changes: object) -> None:
+class ThreadedBoard(AbstractContextManager[Any]):
+    def __init__(self, **changes: object) -> None:
         self.received: list[bytes] = []
 
-        def note(data: bytes) -> bytes | None:
+        def note(data: bytes) -> bytes:
             self.received.append(data)
-            return answer(data)
+            return GOOD
 
         options = build(Options, described(**{"timeout_s": 0.2, **changes}), "rig")  # a busy machine answers late
         fd, end = ends()
@@ -76,9 +75,6 @@ class ThreadedBoard:
         self.push(2.0)
         assert self.api.hung.wait(WAIT_S)
 
-    def __enter__(self) -> ThreadedBoard:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.api.ready.set()
         self.device.close()
@@ -95,8 +91,7 @@ def test_reports_are_transferred_byte_for_byte() -> None:
     for _ in range(2000):
         sent = generator.bytes(int(generator.integers(1, 64)))
         end.send(sent)
-        assert select.select([link.fd], [], [], WAIT_S)[0]
-        assert os.read(link.fd, 4096) == sent[:longest]
+        assert select.select([link.fd], [], [], WAIT_S)[0] and os.read(link.fd, 4096) == sent[:longest]
     os.close(link.fd)
     link.threads.close()
     end.close()
@@ -110,8 +105,7 @@ def test_one_force_is_queued_behind_another() -> None:
         statuses = [linked.push(0.1 * (n + 1)) for n in range(21)]
         assert statuses == [OK] * exchange.QUEUED_MAX + [HELD] * (21 - exchange.QUEUED_MAX)
         assert linked.device.counts()["held"] == 21 - exchange.QUEUED_MAX
-        assert [linked.push(0.0) for _ in range(5)] == [OK] * 5
-        assert linked.push(0.1) == HELD
+        assert [linked.push(0.0) for _ in range(5)] == [OK] * 5 and linked.push(0.1) == HELD
         known = len(linked.received)
         linked.api.ready.set()
         linked.answering.settle(linked.device)
@@ -129,8 +123,7 @@ def test_a_write_that_hangs_ends_the_run_within_any_timeout_s() -> None:
             time.sleep(0.001)
         assert status == TIMEOUT
         assert IGNORED_WRENCH_MAX_S - 0.1 < time.monotonic() - begun < 2.0  # 0.25 s on a machine without stalls
-        assert linked.force()[0] == 1000
-        assert "a write has not returned for" in linked.device.reason()
+        assert linked.force()[0] == 1000 and "a write has not returned for" in linked.device.reason()
 
 
 @pytest.mark.parametrize("talkative", [False, True])
@@ -190,8 +183,7 @@ def test_stop_returns_after_the_zero() -> None:
                 time.sleep(0.0005)
             linked.device.stop()
             assert linked.device.zero_failure() == ""
-            assert any(written[0][1:])
-            assert not any(written[-1][1:])
+            assert any(written[0][1:]) and not any(written[-1][1:])
             count = len(written)
             assert linked.push(1.0) == WITHHELD
             linked.answering.settle(linked.device)

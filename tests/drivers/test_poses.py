@@ -42,8 +42,7 @@ def test_csv_in_any_column_order(tmp_path: Path) -> None:
     path = tmp_path / "poses.csv"
     path.write_text("qw, qx,qy,qz,note,t,x,y,z\n1,0,0,0,a,0,1,2,3\n\n1,0,0,0,b,0.5,4,5,6\n", encoding="utf-8-sig")
     poses = load_poses(path)
-    assert poses.t.tolist() == [0.0, 0.5]
-    assert poses.position.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert poses.t.tolist() == [0.0, 0.5] and poses.position.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert poses.orientation.tolist() == [[1, 0, 0, 0]] * 2
 
 
@@ -118,8 +117,7 @@ def test_a_truncated_mcap_gives_its_first_part(tmp_path: Path, caplog: pytest.Lo
     path.write_bytes(whole[: len(whole) // 2])
     with caplog.at_level(logging.WARNING, logger="softfinger"):
         part = load_poses(path)
-    assert 100 < len(part.t) < 2000
-    assert part.position.tobytes() == poses.position[: len(part.t)].tobytes()
+    assert 100 < len(part.t) < 2000 and part.position.tobytes() == poses.position[: len(part.t)].tobytes()
     assert "truncated or damaged" in caplog.text
     path.write_bytes(whole[:40])
     with pytest.raises(RecordingError, match="not a readable MCAP"):

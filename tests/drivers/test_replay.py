@@ -35,8 +35,7 @@ def test_a_looped_recording_restarts() -> None:
         servo, count = DeviceCaller(device), len(device.samples)
         first, second = ([servo.read() for _ in range(count)] for _ in range(2))
         assert [status for status, _ in second] == [OK] * count
-        assert [x[:7] for _, x in second] == [x[:7] for _, x in first]
-        assert second[0][1][7] == count * 0.001
+        assert [x[:7] for _, x in second] == [x[:7] for _, x in first] and second[0][1][7] == count * 0.001
 
 
 def test_every_wrench_is_logged_with_its_read() -> None:
@@ -61,10 +60,8 @@ def test_the_log_of_a_long_loop_contains_the_latest_wrenches() -> None:
             servo.write(float(n), 0, 0, 0, 0, 0)
         device.stop()
         forces = device.forces()
-        assert len(forces) >= 10_000
-        assert device.overwritten_count == 15_001 - len(forces)
-    assert forces[-1, 0] == 0.0
-    assert forces[:-1, 0].tolist() == list(range(15_001 - len(forces), 15_000))
+        assert len(forces) >= 10_000 and device.overwritten_count == 15_001 - len(forces)
+    assert forces[-1, 0] == 0.0 and forces[:-1, 0].tolist() == list(range(15_001 - len(forces), 15_000))
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz"])

@@ -164,8 +164,7 @@ def test_a_stalled_line_transmits_no_old_force(tmp_path: Path) -> None:
         ended = len(board.changes())
         line.stalled.clear()
         settled(lambda: line.waiting, lambda waiting: waiting == 0)
-        assert not any(torque for _, torque in board.changes()[ended:])
-        assert board.torque() == 0.0
+        assert not any(torque for _, torque in board.changes()[ended:]) and board.torque() == 0.0
     assert process.returncode == 4, stderr
     assert "zero force is not confirmed" in stderr and "force is zero" not in stderr
     assert "too many frames are queued in the port" in stderr

@@ -102,8 +102,7 @@ def test_forces_are_rounded_to_a_millinewton(force: tuple[float, float, float]) 
     ],
 )  # fmt: skip
 def test_invalid_frames_are_rejected(text: bytes) -> None:
-    assert not decode(pad_frame(text))[1].any()
-    assert parse_text(pad_frame(text)) is None
+    assert not decode(pad_frame(text))[1].any() and parse_text(pad_frame(text)) is None
     assert not decode(pad_frame(PUBLISHED)[:-1] + b" ")[1].any()  # without a newline at its end
 
 
@@ -123,8 +122,7 @@ def test_damaged_frames(cases: Callable[[int, int], int]) -> None:
         decode_all(rows, values, usable)
         good = values[usable]
         accepted += len(good)
-        assert np.isfinite(good).all()
-        assert np.abs(good[:, :3]).max() <= frames.REACH_MM
+        assert np.isfinite(good).all() and np.abs(good[:, :3]).max() <= frames.REACH_MM
         assert np.abs(good[:, 3:7]).max() <= frames.ANGLE_MAX_RAD
         for n in range(cases(1000, 2000)):
             numbers = parse_text(rows[n].tobytes())
@@ -169,6 +167,5 @@ def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) ->
         np.testing.assert_allclose(rows_out[:, column] * scale, tells, atol=1e-6)  # rounding of numbers below 2e4
     assert (np.diff(tells) > 0).all()
     certain = {n for n in range(1, count - 1) if whole[n] and whole[n - 1]}
-    assert certain <= set(tells.astype(int).tolist())
-    assert len(certain) > count // 4
+    assert certain <= set(tells.astype(int).tolist()) and len(certain) > count // 4
     assert not all(whole)

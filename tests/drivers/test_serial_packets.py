@@ -118,8 +118,7 @@ def test_a_damaged_stream_is_resynchronised(cases: Callable[[int, int], int]) ->
     wrong = len(counts) - len(rising) + int((np.diff(rising) <= 0).sum())
     assert wrong <= 10  # at most some 3000 damaged frames, each with a few marks in it, 1 in 256 of which pass
     certain = {n for n in range(2, count - 10) if whole[n] and whole[n - 1] and whole[n - 2]}
-    assert len(certain) > count // 4
-    assert len(certain - {int(n) for n in counts}) <= 10
+    assert len(certain) > count // 4 and len(certain - {int(n) for n in counts}) <= 10
 
 
 def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
@@ -148,8 +147,7 @@ def test_shipped_frames_byte_by_byte() -> None:
     numbers = struct.pack("<4f", 12.0, 4880.0, 168.0, 4880.0)
     assert _encode_frame(frames.setup, frames) == bytes([1, 5, 3, 1, 1, 3, 1, 1, 0, 0]) + numbers
     frames = build(Options, load_rig("hapkit").device.options, "hapkit").frames
-    assert frames is not None
-    assert _encode_frame(frames.output, frames) == b"\x5a\x00\x00\xa3"
+    assert frames is not None and _encode_frame(frames.output, frames) == b"\x5a\x00\x00\xa3"
 
 
 CHANGES: list[tuple[str, Any, str]] = [

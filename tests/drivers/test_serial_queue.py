@@ -288,8 +288,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
     run.ticks(50)
     assert run.statuses[22:] == [WITHHELD] * 50
     assert len(run.port.waiting) == 2 * 4 + (waiting if kind == "chip" else 0)
-    assert run.device.warning() == BLOCKED
-    assert run.driver.counts()["blocked"] == 1
+    assert run.device.warning() == BLOCKED and run.driver.counts()["blocked"] == 1
     run.port.stalled = False
     run.ticks(20)
     assert set(run.statuses[-10:]) == {OK}
@@ -297,8 +296,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
     assert run.device.warning() == ""
     run.port.stalled = True
     run.ticks(400)
-    assert run.statuses[-1] == TIMEOUT
-    assert run.statuses[-2] == WITHHELD
+    assert run.statuses[-1] == TIMEOUT and run.statuses[-2] == WITHHELD
 
 
 @pytest.mark.parametrize("wrench", [PUSH, ZERO], ids=["in contact", "out of contact"])
@@ -313,8 +311,7 @@ def test_a_board_that_stops_reading_counts_as_lost_in_time(
     run.port.stalled = True
     run.ticks(5)
     run.ticks(3000, wrench)
-    assert run.statuses[-1] == TIMEOUT
-    assert 1e3 * blocked_s < len(run.statuses) - 20 < 1e3 * blocked_s + 10
+    assert run.statuses[-1] == TIMEOUT and 1e3 * blocked_s < len(run.statuses) - 20 < 1e3 * blocked_s + 10
     assert run.reader.pushes, "the board keeps its force"
     assert run.device.reason() == BLOCKED
 
@@ -326,21 +323,17 @@ def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch
     while not 0 < len(run.port.waiting) < 64:  # in the middle of a frame
         run.ticks(1)
     assert run.driver.block.call(exchange.discard) == 1
-    assert run.driver.block.call(exchange.silence) == 1
-    assert len(run.port.waiting) == 128
+    assert run.driver.block.call(exchange.silence) == 1 and len(run.port.waiting) == 128
     run.goes_on()
     assert not run.reader.pushes and run.reader.rest == b""
-    assert run.driver.block.call(exchange.silence) == 1
-    assert len(run.port.waiting) == 64
+    assert run.driver.block.call(exchange.silence) == 1 and len(run.port.waiting) == 64
 
 
 def test_discard_does_not_interrupt_a_write(monkeypatch: pytest.MonkeyPatch) -> None:
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.word[BOARD.lock] = 1
-    assert run.driver.block.call(exchange.discard) == 0
-    assert run.word[BOARD.armed] == 0
+    assert run.driver.block.call(exchange.discard) == 0 and run.word[BOARD.armed] == 0
     run.word[BOARD.lock] = 0
-    assert run.driver.block.call(exchange.discard) == 1
-    assert run.driver.write(*PUSH) in (WITHHELD, HELD, STALE)
+    assert run.driver.block.call(exchange.discard) == 1 and run.driver.write(*PUSH) in (WITHHELD, HELD, STALE)
     assert np.array(run.word)[AT.maybe_torn] == 0  # the write has sent zeros

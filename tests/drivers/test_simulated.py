@@ -51,8 +51,7 @@ def test_free_hand_follows_its_recording() -> None:
     with opened(recording="tap", loop=False, hand=hand, **BARE) as device:
         servo = DeviceCaller(device)
         reads = [servo.read() for _ in range(len(wanted))]
-        assert [status for status, _ in reads] == [OK] * len(wanted)
-        assert servo.read() == (END, reads[-1][1])
+        assert [status for status, _ in reads] == [OK] * len(wanted) and servo.read() == (END, reads[-1][1])
     samples = np.array([sample for _, sample in reads])
     # Spring and damper cause an error of m a / k: 0.3 kg, 3 m/s^2 (a tap of 10 mm within 0.08 s has 9) over 1e5 N/m.
     assert np.abs(samples[:, :3] - wanted[:, :3]).max() < 1e-4

@@ -4,8 +4,9 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from helpers import rig_files
 from helpers.waits import eventually
@@ -16,7 +17,7 @@ ID = "049D"
 TESTS = Path(__file__).parents[1]
 
 
-class Service:
+class Service(AbstractContextManager[Any]):
     """Process of the service, controlled by lines on its standard input; it ends with the context."""
 
     def __init__(
@@ -68,9 +69,6 @@ class Service:
         line = self.process.stdout.readline()
         assert line, "the emulated service has ended"
         return json.loads(line)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.kill()

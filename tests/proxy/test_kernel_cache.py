@@ -90,8 +90,7 @@ def test_a_kernel_is_loaded_until_a_neighbouring_file_is_edited(scripts: Path, t
     (scripts / "__init__.py").touch()
     cache, outer = tmp_path / "cache", scripts / "outer.py"
     outer.write_text(f"import sys\n{OUTER}\nprint(bool({{'numba.np.arraymath', 'scipy.linalg'}} & sys.modules.keys()))")
-    assert start(outer, cache) == ("4.0 0\nTrue", "")
-    assert start(outer, cache) == ("4.0 1\nFalse", "")
+    assert start(outer, cache) == ("4.0 0\nTrue", "") and start(outer, cache) == ("4.0 1\nFalse", "")
     (kernel,) = kernels(cache)
     for folder in (cache, kernel.parent):
         assert folder.stat().st_mode & 0o777 == 0o700
@@ -105,8 +104,7 @@ def test_a_cached_kernel_may_call_numba_s_allocator(tmp_path: Path) -> None:
     """LLVM would abort the process if the symbol of the allocator were missing."""
     script, cache = tmp_path / "allocates.py", tmp_path / "cache"
     script.write_text(ALLOCATES)
-    assert start(script, cache) == ("1000 0 True", "")
-    assert start(script, cache) == ("1000 1 True", "")
+    assert start(script, cache) == ("1000 0 True", "") and start(script, cache) == ("1000 1 True", "")
 
 
 def flip(place: float) -> Callable[[Path, bytes], object]:
@@ -190,8 +188,7 @@ def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None
     running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
     assert [process.communicate(timeout=300)[0].split()[0] for process in running] == ["4.0"] * 4
     assert {path.suffix for path in cache.rglob("*") if path.is_file()} == {".kernel"}
-    assert len(kernels(cache)) == 1
-    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
+    assert len(kernels(cache)) == 1 and start(scripts / "outer.py", cache) == ("4.0 1", "")
 
 
 def test_a_program_runs_without_a_home(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
