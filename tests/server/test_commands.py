@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import gc
 import json
 import math
 import os
@@ -21,7 +20,6 @@ import msgpack
 import numpy as np
 import pytest
 import zmq
-from helpers import raw_peers
 from helpers.called import VerbResult, called
 from helpers.daemons import QUIET, RecordSink, subscribed
 from helpers.faulty_device import registered
@@ -744,32 +742,6 @@ def test_bad_messages_change_nothing(rig, cases):
     # Of 90 000 messages a leak of 200 bytes for each would be 18 MB. With few messages the allocator reserves some MB
     # for any number of them; a leak of 5 kB for each would be as much.
     assert grown_mb < cases(9, 18), grown_mb
-
-
-RAW_S = 0.4
-
-
-def test_raw_peers_do_not_affect_memory_or_ticks(rig):
-    with running(rig(**FEW_MESSAGES, **{"commands.endpoint": "tcp://127.0.0.1:*"})) as (daemon, control, recorder):
-        wanted = control.describe()["rig"]
-        first, memory_mb, recorded_mb = daemon.servo.ticks, resident_mb(), recorder.megabytes
-        # In a separate process, because they would use the CPU time of the daemon's threads and of the clients.
-        words = [sys.executable, raw_peers.__file__, daemon.commands_endpoint, str(RAW_S)]
-        with Program(words, stdout=subprocess.PIPE) as peers:
-            assert peers.stdout.readline() == b"at work\n"
-            answered = 0
-            while peers.poll() is None:
-                with Control(daemon.commands_endpoint, WAIT_S) as second:
-                    assert second.describe()["rig"] == wanted == control.describe()["rig"]
-                answered += 1
-                gc.collect()  # Python does not collect during timed tests: helpers/stalls.py
-        assert peers.returncode == 0 and answered > 0
-        with Control(daemon.commands_endpoint) as second:
-            assert second.describe()["rig"] == wanted == control.describe()["rig"]
-        grown_mb = resident_mb() - memory_mb - (recorder.megabytes - recorded_mb)
-        assert unchanged(recorder.since(first))
-    # For each peer a frame, an answer of 40 KB and the bytes of one read.
-    assert grown_mb < 40.0, grown_mb
 
 
 def test_stop_ends_a_daemon_process(tmp_path):

@@ -22,9 +22,8 @@ import numpy as np
 import pytest
 from helpers.processes import COMMAND, read_memory
 from helpers.programs import Program
-from helpers.raw_peers import GREETING
 from helpers.waits import eventually
-from test_peers_at_every_socket import dial, greet, wait_until_closed
+from test_peers_at_every_socket import GREETING, dial, greet, wait_until_closed
 
 from softfinger.proxy.record import AT
 from softfinger.server.socket_process.peer_socket import FILES_MAX, MEMORY_MAX
