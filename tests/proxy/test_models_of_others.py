@@ -240,6 +240,26 @@ def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
     assert notes["l"] == f"has its own shape for fingers; {hull}"
 
 
+def test_rules_select_the_material_of_each_geom(tmp_path: Path) -> None:
+    path = tmp_path / "some.xml"
+    path.write_text(
+        '<mujoco><default><default class="soft"><geom rgba="1 0 0 1"/></default></default><worldbody>'
+        '<geom name="a" type="sphere" size="1"/><geom name="b" type="sphere" size="1" group="2"/>'
+        '<geom name="c" class="soft" type="sphere" size="1"/><geom type="sphere" size="1" contype="0" conaffinity="0"/>'
+        '<geom name="d" type="plane" size="1 1 1"/></worldbody></mujoco>'
+    )
+    rules = [
+        {"group": 2, "material": {"stiffness_n_per_m": 2.0}},
+        {"default": "soft", "material": {"stiffness_n_per_m": 3.0}},
+        {"name": "a", "material": {"stiffness_n_per_m": 4.0}},
+        {"name": "d", "material": {"stiffness_n_per_m": 5.0}},
+    ]
+    scene = load_scene({"fingertip": {"radius_m": 0.008}, "world": {"model": str(path), "geom": rules}})
+    assert {entry.name: entry.material.stiffness_n_per_m for entry in scene.object} == {"a": 4, "b": 2, "c": 3, "d": 5}
+    notes = {geom.name: geom.note for geom in convert_geoms(scene.world)}
+    assert "does not collide" in notes["geom-3"] and "without an end" in notes["d"]
+
+
 def test_geoms_of_pairs_collide(tmp_path: Path) -> None:
     body = (
         '<default><geom contype="0" conaffinity="0"/></default><worldbody>'
