@@ -267,14 +267,14 @@ HAZARDS: Final = (
     Hazard(
         "a commanding program that has ended", "`heartbeat_s`", f"`heartbeat_s` and {1e3 * MAX_OFF_S:g} ms", "zero",
         "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
-        ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
+        ("tests/server/test_heartbeats.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
          "tests/server/test_commands_at_once.py::test_the_force_ends_while_python_does_nothing"),
     ),
     Hazard(
         "a scene that cannot be rendered", "checked and compiled before the swap", "none", "as before",
         "send another scene", (),
         ("tests/server/test_replace.py::test_a_scene_that_cannot_be_built_changes_nothing",
-         "tests/server/test_commands.py::test_a_failed_compilation_is_reported"),
+         "tests/server/test_busy_commands.py::test_a_failed_compilation_is_reported"),
     ),
     Hazard(
         "bodies that diverge, take too long, or an error of MuJoCo", "the step of bodies", "the next tick",
