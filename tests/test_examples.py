@@ -178,7 +178,7 @@ def test_an_exception_in_a_python_driver_ends_the_run() -> None:
     finally:
         sys.path.remove(str(EXAMPLES))
 
-    class Broken(driver.MyDevice):  # type: ignore[misc]
+    class Broken(driver.MyDevice):
         def read(self, sample: object) -> int:
             raise ZeroDivisionError
 

@@ -196,7 +196,7 @@ def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
         servo = DeviceCaller(device)
         pushed(servo, arm, 0.5)
         motor = arm.servos[IDS["pitch"]]
-        motor.store = lambda *_: setattr(motor, "mute", True)  # type: ignore[method-assign]
+        motor.store = lambda *_: setattr(motor, "mute", True)
         while (status := servo.read()[0]) >= 0:
             servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             time.sleep(0.001)

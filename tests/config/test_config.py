@@ -250,9 +250,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("kind", "make", "key", "value", "fragments"), FAULTS, ids=itertools.count())
-def test_a_fault_names_file_key_value_and_range(
-    kind: type[Scene | Rig], make: Callable[[], Any], key: str, value: Any, fragments: list[str]
-) -> None:
+def test_a_fault_names_file_key_value_and_range(kind, make, key, value, fragments):
     (fault,) = faults_of(kind, set_key(make(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
@@ -277,9 +275,7 @@ def test_local_endpoints_are_accepted(endpoint: str) -> None:
         ("ipc:///run/t", "off", None),
     ],
 )
-def test_command_endpoint_follows_from_the_telemetry_endpoint(
-    telemetry: str, endpoint: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_endpoint_follows_from_the_telemetry_endpoint(telemetry, endpoint, expected, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
     commands = {"commands": {"endpoint": endpoint}} if endpoint else {}
     mapping = set_key(rig(), "telemetry.endpoint", telemetry) | commands

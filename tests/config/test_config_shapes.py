@@ -154,9 +154,7 @@ def test_faults_of_pose_and_shape_are_reported_together() -> None:
         ("torus", {"inside": True}, (0.0, 0.06, 0.005), 0.015),
     ],
 )
-def test_distances_of_bodies_equal_the_dimensions_in_the_file(
-    shape: str, keys: dict[str, Any], x: tuple[float, float, float], gap: float
-) -> None:
+def test_distances_of_bodies_equal_the_dimensions_in_the_file(shape, keys, x, gap):
     # 1e-16: rounding of lengths below a third of a metre.
     assert signed_distance(object_of(shape, **keys), x) == pytest.approx(gap, abs=1e-16)
 

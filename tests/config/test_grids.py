@@ -24,13 +24,13 @@ def pgm(head: str, *values: int, wide: bool = False) -> bytes:
 
 def npz(path: Path, **arrays: object) -> bytes:
     file = path / "made.npz"
-    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(file, **arrays)
     return file.read_bytes()
 
 
 def npy(path: Path, array: object) -> bytes:
     file = path / "made.npy"
-    np.save(file, array)  # type: ignore[arg-type]
+    np.save(file, array)
     return file.read_bytes()
 
 

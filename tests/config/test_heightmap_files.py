@@ -122,6 +122,6 @@ def test_pictures_show_the_map(tmp_path: Path) -> None:
 @pytest.mark.parametrize("heights", [HEIGHTS[:1], HEIGHTS[:, :1]])
 def test_a_profile_is_shown_as_deep_as_it_is_wide(tmp_path: Path, heights: Any) -> None:
     """It is infinite along the other axis, and a single row would have no triangle."""
-    (vertices, faces), of = make_picture(load_scene(scene_file(tmp_path, heights)).object[0])  # type: ignore[arg-type]
+    (vertices, faces), of = make_picture(load_scene(scene_file(tmp_path, heights)).object[0])
     width, depth = np.ptp(vertices, axis=0)[:2]
     assert width == depth == pytest.approx(0.002 * (heights.size - 1)) and len(faces) == of == 2 * (heights.size - 1)

@@ -77,9 +77,7 @@ def make_socket(path: Path) -> None:
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), make_socket, Path.mkdir])
 @pytest.mark.parametrize("kind", INPUTS)
-def test_only_regular_files_are_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, make: Callable[[Path], object]
-) -> None:
+def test_only_regular_files_are_read(tmp_path, monkeypatch, kind, make):
     monkeypatch.chdir(tmp_path)  # a socket's path has to be short
     read, ending, error = INPUTS[kind]
     path = Path(f"odd{ending}")

@@ -104,7 +104,7 @@ def test_a_scene_that_does_not_fit_is_refused(changes: dict[str, Any], message: 
 def test_the_header_of_a_missing_table_is_toml(scene: str, place: tuple[str | int, ...], name: str) -> None:
     mapping = table = describe(load_scene(scene))
     for key in place:
-        table = table[key]  # type: ignore[index]
+        table = table[key]
     del table[name]
     with pytest.raises(ConfigError) as refused:
         load_scene(mapping)

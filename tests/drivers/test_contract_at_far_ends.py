@@ -58,7 +58,7 @@ class FarBench(RefusingBench):
         self, board: Board, folder: Path, patch: pytest.MonkeyPatch, node: RefusedNode, undo: ExitStack
     ) -> None:
         super().__init__(node)
-        self.board, self.force_step_n = board, board.force_step_n  # type: ignore[misc]
+        self.board, self.force_step_n = board, board.force_step_n
         self._folder, self._patch, self._undo = folder, patch, undo
 
     def open_path(self, path: str) -> Device:

@@ -224,9 +224,7 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
     ],
 )
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user's group, which only root may do")
-def test_permission_is_diagnosed(
-    node: Path, mode: int, group: int, vendor: int, product: int, bus: discovery.Bus, remedy: str
-) -> None:
+def test_permission_is_diagnosed(node, mode, group, vendor, product, bus, remedy):
     node.chmod(mode)
     os.chown(node, 0, group)
     device = at(node, vendor, product, bus)

@@ -30,7 +30,7 @@ ARMED = Guard(5.0, 0.3, 2000.0, 50.0, 0.01, 1.0)
 
 
 def recording(**options: object) -> replay.Replay:
-    return replay.open_device(replay.Options(recording="tap", **options), RATE_HZ)  # type: ignore[arg-type]
+    return replay.open_device(replay.Options(recording="tap", **options), RATE_HZ)
 
 
 def test_no_force_reaches_a_device_that_is_only_measured() -> None:
@@ -130,8 +130,8 @@ def test_a_hanging_device_is_stopped() -> None:
 
 def test_the_loop_calls_only_the_clock_the_sleep_and_the_device() -> None:
     bench.compile_exchange()
-    (signature,) = bench.exchange_loop.signatures  # type: ignore[attr-defined]
-    fresh = numba.njit(**OPTIONS)(bench.exchange_loop.py_func)  # type: ignore[attr-defined]
+    (signature,) = bench.exchange_loop.signatures
+    fresh = numba.njit(**OPTIONS)(bench.exchange_loop.py_func)
     fresh.compile(signature)
     bodies = functions(next(iter(fresh.inspect_llvm().values())))
     called = {name for body in bodies.values() for name in called_in(body)}
@@ -183,13 +183,13 @@ def test_bench_device_prints_json_and_draws(tmp_path: Path, capsys: pytest.Captu
 
 def test_the_device_is_armed_right_before_its_first_exchange() -> None:
     bench.compile_exchange()
-    before = len(bench.exchange_loop.signatures)  # type: ignore[attr-defined]
+    before = len(bench.exchange_loop.signatures)
     with FaultyDevice(Options()) as device, Exchange(device, RIG, ARMED) as exchange:
         exchange.record(0.1)
         thread = exchange._thread.native_id
     assert device.acts[0] == ("arm", thread, 0)
     assert [act for act, *_ in device.acts[1:]] == ["stop", "close", "stop"]
-    assert len(bench.exchange_loop.signatures) == before  # type: ignore[attr-defined]
+    assert len(bench.exchange_loop.signatures) == before
 
 
 def test_a_device_that_refuses_to_be_armed_ends_with_its_error() -> None:

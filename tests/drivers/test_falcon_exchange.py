@@ -194,7 +194,7 @@ def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
         usb.incoming += next(replies, []) if arguments[1][1] else []
         return events(*arguments)
 
-    usb._events = late  # type: ignore[method-assign]
+    usb._events = late
     status, sample = usb.read()
     assert status == WITHHELD
     assert usb.word[AT.counts] == 200
@@ -304,7 +304,7 @@ def test_calls_during_a_stop_do_not_wait(usb: Usb) -> None:
 def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
     wrench = [0.0, 0.0, 0.0, 0.5, 0.5, 0.5]
     wrench[axis] = 1.0
-    wanted, cut = compute_command(usb.block.handle, tuple(wrench[:3]))  # type: ignore[arg-type]
+    wanted, cut = compute_command(usb.block.handle, tuple(wrench[:3]))
     assert any(wanted) and not cut
     assert usb.write(*wrench) == OK and usb.got() == [packet(wanted, 2)]
     assert usb.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK and usb.got() == [NOTHING]

@@ -99,9 +99,7 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
     ],
     ids=["unplugged", "broken", "out-blocked", "in-blocked", "mute"],
 )
-def test_faults_leave_no_transfer_pending(
-    fault: dict[str, float], status: int, stub: UsbStub, bench: FalconBench
-) -> None:
+def test_faults_leave_no_transfer_pending(fault, status, stub, bench):
     stub.update(z=0.004)
     with bench.open() as device:
         stub.update(**{name: stub["steps"] + steps for name, steps in fault.items()})
@@ -137,9 +135,7 @@ def test_only_an_armed_device_applies_a_force(stub: UsbStub) -> None:
 
 
 @pytest.mark.parametrize("timeout_s", [0.05, 2.0])
-def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
-    timeout_s: float, stub: UsbStub, bench: FalconBench
-) -> None:
+def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(timeout_s, stub, bench):
     with bench.open(timeout_s=timeout_s, kick_s=0.02) as device:
         servo = DeviceCaller(device)
         servo.read()
@@ -170,9 +166,7 @@ def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, capl
     assert (stub["flying"], stub["dropped"], stub["steps"]) == (0, 0, steps)
 
 
-def test_transfers_not_returned_by_libusb_are_not_freed(
-    stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_transfers_not_returned_by_libusb_are_not_freed(stub, bench, caplog):
     device = bench.open()
     DeviceCaller(device).read()
     stub.update(stubborn=1, hush_at=0)
@@ -202,9 +196,7 @@ def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBen
     assert stub["threads"] == 0
 
 
-def test_closing_under_a_loop_that_hangs_in_libusb(
-    stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_closing_under_a_loop_that_hangs_in_libusb(stub, bench, caplog):
     device = bench.open()
     servo = DeviceCaller(device)
     servo.read()
@@ -226,9 +218,7 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
 
 
 @pytest.mark.parametrize(("knobs", "error"), [({"refuse": -1}, DeviceLost), ({"transfers": 1}, DeviceError)])
-def test_a_failed_opening_frees_everything(
-    knobs: dict[str, float], error: type[Exception], stub: UsbStub, bench: FalconBench
-) -> None:
+def test_a_failed_opening_frees_everything(knobs, error, stub, bench):
     stub.update(**knobs)
     with pytest.raises(error):
         bench.open()

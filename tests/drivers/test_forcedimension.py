@@ -123,9 +123,7 @@ def test_brakes_are_on_or_off_while_the_force_is_off(brakes: bool, stub: Stub, b
     assert stub["brakes"] == brakes
 
 
-def test_brakes_that_cannot_be_released_are_logged(
-    stub: Stub, bench: OmegaBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_brakes_that_cannot_be_released_are_logged(stub, bench, caplog):
     stub["refuse_brakes"] = 1
     bench.open().close()
     assert "brakes" not in caplog.text
@@ -208,9 +206,7 @@ def test_device_without_a_frame_gives_its_position(stub: Stub, bench: OmegaBench
         assert servo.read()[0] == LOST
 
 
-def test_a_device_of_unknown_type_has_the_lowest_limits(
-    stub: Stub, bench: OmegaBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_device_of_unknown_type_has_the_lowest_limits(stub, bench, caplog):
     stub.update(type=77, wrist=1, active_wrist=1)
     with bench.open() as device:
         assert device.info.name == "device of unknown type 77, serial 1230"

@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from itertools import groupby
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -382,9 +381,7 @@ def test_a_stopped_service_blocks_no_call(service: Service) -> None:
     at_rest(service)
 
 
-def test_the_service_of_a_rig_is_queried_without_usb(
-    service: Service, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_service_of_a_rig_is_queried_without_usb(service, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(discovery, "list_attached", list)
     rig = tmp_path / "rig.toml"
     rig.write_text(find(RIG, Rig).read_text("utf-8").replace("port = 10001", f"port = {service.port}"))

@@ -176,7 +176,7 @@ def test_stop_returns_after_the_zero() -> None:
                 written.append(buff)
                 return plain(buff)
 
-            linked.api.write = slow  # type: ignore[method-assign]
+            linked.api.write = slow
             for _ in range(20):
                 linked.servo.read()
                 linked.push(1.0)
@@ -237,7 +237,7 @@ def test_a_disconnected_device_is_lost(cause: str) -> None:
         if cause == "unplugged":
             linked.answering.unplug()
         elif cause == "read":
-            linked.api.read = raise_read_error  # type: ignore[method-assign]
+            linked.api.read = raise_read_error
         else:
             linked.api.refuses = True
             linked.push(1.0)

@@ -16,7 +16,7 @@ from helpers.garbage import exchange_garbage
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
 from helpers.waits import until
 
-from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, HapticError
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
 from softfinger.config.load import find
 from softfinger.config.schema import Rig
 from softfinger.drivers import open_devices
@@ -91,9 +91,7 @@ def test_limits_equal_those_of_chai3d() -> None:
     assert all(a <= b for limits in MODELS.values() for a, b in zip(UNKNOWN, limits, strict=True))
 
 
-def test_unknown_model_runs_with_the_least_limits(
-    hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_unknown_model_runs_with_the_least_limits(hd, bench, caplog):
     hd.update(model=6, outputs=6)
     with bench.open() as device:
         assert device.info.actuated_dof == 3 and device.info.force_max_n == 3.3
@@ -139,9 +137,7 @@ def test_calibration_by_itself_is_updated(hd: HdStub, bench: TouchBench) -> None
     assert (hd["updated"], hd["update_style"]) == (3, library.AUTO)
 
 
-def test_calibration_in_the_inkwell_waits_for_the_user(
-    hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_calibration_in_the_inkwell_waits_for_the_user(hd, bench, caplog):
     hd.update(style=library.INKWELL, calibration=library.NEEDS_MANUAL_INPUT)
     with pytest.raises(DeviceError, match="not calibrated: put the stylus into the inkwell"):
         bench.open(calibration_wait_s=0.1)
@@ -176,9 +172,7 @@ def test_encoders_are_reset_only_if_the_rig_allows_it(hd: HdStub, bench: TouchBe
         (library.COMM_ERROR, DeviceNotFound, "does not answer.*0x0302.*FireWire.*shows 2988 or 0301:2988"),
     ],
 )
-def test_error_of_opening_has_its_kind(
-    code: int, kind: type[HapticError], words: str, hd: HdStub, bench: TouchBench
-) -> None:
+def test_error_of_opening_has_its_kind(code, kind, words, hd, bench):
     hd["init_error"] = code
     with pytest.raises(kind, match=words) as caught:
         bench.open()
@@ -224,9 +218,7 @@ def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
         (NEWEST, 'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", ATTR{idVendor}=="2988", ATTR{idProduct}=="0304"'),
     ],
 )
-def test_each_generation_of_the_touch_is_claimed(
-    device: SystemDevice, rule: str, hd: HdStub, bench: TouchBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_generation_of_the_touch_is_claimed(device, rule, hd, bench, monkeypatch):
     claim = find_claim(device)
     assert claim is not None and (claim.driver, claim.bus, claim.rigs) == ("openhaptics", device.bus, ("touch",))
     (line,) = [line for line in make_udev_rules().splitlines() if line.startswith(rule)]
@@ -246,9 +238,7 @@ def test_each_generation_of_the_touch_is_claimed(
         bench.open()
 
 
-def test_a_device_that_usb_does_not_list_is_identified(
-    hd: HdStub, bench: TouchBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_device_that_usb_does_not_list_is_identified(hd, bench, tmp_path, capsys):
     rig = tmp_path / "touch.toml"
     text = find("touch", Rig).read_text("utf-8")
     rig.write_text(text.replace('driver = "openhaptics"', f'driver = "openhaptics"\nlibrary_file = "{hd.path}"'))

@@ -129,7 +129,7 @@ def test_invalid_npz_files_are_rejected(tmp_path: Path) -> None:
 
     class Trap:
         def __reduce__(self) -> tuple[object, tuple[str]]:
-            return (open, (str(marker), "w"))  # type: ignore[return-value]
+            return (open, (str(marker), "w"))
 
     for arrays in (
         {"timestamp": np.arange(3.0)},

@@ -23,9 +23,7 @@ def write_example(folder: Path) -> Path:
     return path
 
 
-def test_the_printed_rig_is_checked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_printed_rig_is_checked(tmp_path, monkeypatch, capsys):
     write_example(tmp_path)
     monkeypatch.chdir(tmp_path)
     lines = [line for kind, _, text in fences(PAGE) if kind == "sh" for line in commands(text)]

@@ -159,7 +159,7 @@ class Run:
         self.clock, self.word = self.driver.clock, self.driver.word
         self.port = Port(kind, per_ms, self.reader)
         self.port.now = lambda: self.clock.now
-        self.driver.port = self.port  # type: ignore[assignment]
+        self.driver.port = self.port
         by_call(patch, queue)
         patch.setattr(queue, "read_monotonic_ns", self.clock)
         patch.setattr(exchange, "write_now", self.port.write)
@@ -173,7 +173,7 @@ class Run:
         patch.setattr(CFunction, "ctypes", property(lambda function: lambda handle: int(function(handle))))
         self.device = SerialDevice.__new__(SerialDevice)
         self.device._block, self.device._zero_failure = self.driver.block, ""
-        self.device.info = SimpleNamespace(name="serial")  # type: ignore[assignment]
+        self.device.info = SimpleNamespace(name="serial")
         self.word[AT.counts_unsent] = 1
         self.statuses: list[int] = []
 
@@ -226,9 +226,7 @@ def push(run: Run, line: str) -> None:
 @pytest.mark.parametrize("line", ["sound", "slow", "dead", "dead for a time"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("rig", BOARDS)
-def test_no_old_force_is_played_and_the_last_is_zero(
-    rig: str, kind: str, line: str, end: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_old_force_is_played_and_the_last_is_zero(rig, kind, line, end, monkeypatch):
     run = Run(rig, kind, 1.5 * BOARDS[rig].bytes, monkeypatch)
     run.ticks(20)
     assert run.reader.pushes
@@ -249,9 +247,7 @@ def test_no_old_force_is_played_and_the_last_is_zero(
     assert bool(failure) == (was_stalled and end == "stopped")
 
 
-def test_a_stop_reports_why_its_zero_is_not_confirmed(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_stop_reports_why_its_zero_is_not_confirmed(monkeypatch, caplog):
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.port.stalled = True
@@ -301,9 +297,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
 
 @pytest.mark.parametrize("wrench", [PUSH, ZERO], ids=["in contact", "out of contact"])
 @pytest.mark.parametrize(("timeout_s", "blocked_s"), [(0.1, 0.1), (2.0, 0.25)])
-def test_a_board_that_stops_reading_counts_as_lost_in_time(
-    timeout_s: float, blocked_s: float, wrench: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_board_that_stops_reading_counts_as_lost_in_time(timeout_s, blocked_s, wrench, monkeypatch):
     """It retains its force while it reads nothing, so the run ends after 0.25 s or a shorter `timeout_s`."""
     run = Run("hapkit", "uart", 10.0, monkeypatch, timeout_s=timeout_s)
     run.ticks(20)

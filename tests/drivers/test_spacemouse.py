@@ -102,9 +102,7 @@ def over(servo: DeviceCaller, reads: int = 5) -> tuple[float, np.ndarray, np.nda
         ({"nose_down": -350, "clockwise": 350}, (0, 0, 0), (1, 0, -1)),
     ],
 )
-def test_a_deflection_moves_or_rotates_the_fingertip(
-    kind: Any, deflection: dict[str, int], direction: tuple[int, ...], axis: tuple[int, ...]
-) -> None:
+def test_a_deflection_moves_or_rotates_the_fingertip(kind, deflection, direction, axis):
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)

@@ -62,9 +62,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("number", "name"), CASES)
-def test_a_signal_in_contact_ends_the_force_within_a_second(
-    number: signal.Signals, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_signal_in_contact_ends_the_force_within_a_second(number, name, tmp_path, monkeypatch, caplog):
     caplog.set_level(logging.INFO)
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:
         with when_pressed(far, lambda: os.kill(os.getpid(), number)) as sent:
@@ -217,9 +215,7 @@ FAULTS: dict[str, dict[str, Fault]] = {
         for fault, case in faults.items()
     ],
 )
-def test_a_fault_in_contact_ends_the_run_without_force(
-    name: str, case: Fault, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fault_in_contact_ends_the_run_without_force(name, case, tmp_path, monkeypatch, capsys):
     with FAR_RIGS[name](tmp_path, monkeypatch) as far:
         with when_pressed(far, lambda: case.act(far)) as acted:
             code = main(words(far, tmp_path))

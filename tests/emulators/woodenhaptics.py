@@ -79,7 +79,7 @@ class Arm:
             ahead, behind = list(angles), list(angles)
             ahead[joint] += h
             behind[joint] -= h
-            p, q = self.position((*ahead,)), self.position((*behind,))  # type: ignore[arg-type]
+            p, q = self.position((*ahead,)), self.position((*behind,))
             rows.append([(u - v) / (2 * h) for u, v in zip(p, q, strict=True)])
         return _solve(rows, tau)
 

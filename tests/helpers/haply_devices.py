@@ -54,11 +54,11 @@ class Service(AbstractContextManager[Any]):
 
     def log(self, name: str = ID) -> list[list[float]]:
         """Return times (s, monotonic clock) and forces (N) of a device so far."""
-        return self.do("log", id=name)  # type: ignore[no-any-return]
+        return self.do("log", id=name)
 
     def commands(self, name: str = ID) -> list[tuple[float, list[float]]]:
         """Return times (s, monotonic clock) and forces (N) that the service received for a device."""
-        return self.do("commands", id=name)  # type: ignore[no-any-return]
+        return self.do("commands", id=name)
 
     def kill(self) -> None:
         self.process.kill()

@@ -261,7 +261,7 @@ def two_inverse3(_: Path) -> Iterator[list[End]]:
         for name in names:
             service.do("move", id=name, to="clock")
             device = undo.enter_context(haply_devices.opened(service, device_id=name, mounting={}))
-            found.append(End(device, lambda name=name: np.array(service.log(name))[:, [0, 3]]))  # type: ignore[misc]
+            found.append(End(device, lambda name=name: np.array(service.log(name))[:, [0, 3]]))
         yield found
 
 

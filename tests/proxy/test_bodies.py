@@ -331,7 +331,7 @@ def test_an_object_replaces_a_geom_and_moves_with_a_body(tmp_path: Path) -> None
 def test_a_diverging_world_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """MuJoCo's warnings of an infinite velocity are counted from the next step on, and no log file is written."""
     monkeypatch.chdir(tmp_path)
-    bodies = RigidBodies(load_scene("lift-a-box").world)  # type: ignore[arg-type]
+    bodies = RigidBodies(load_scene("lift-a-box").world)
     bodies.begin(0.001)
     bodies.data.qvel[0] = math.inf
     assert step_bodies(bodies.kernel((0.0, 1.0))) > 0

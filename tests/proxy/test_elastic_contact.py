@@ -213,9 +213,7 @@ def spot_under(engine: Engine, records: Any, k: int) -> Any:
 
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels have the number of rounds as a constant")
 @pytest.mark.parametrize("fingers", [1, 2])
-def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(
-    fingers: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(fingers, monkeypatch):
     """With few rounds; the body bears at most its stiffness times the depth."""
     monkeypatch.setattr(step, "MAX_RIGID_STEPS", 2 + fingers)
     engine, random, unsolved = Engine(scene(True, fingers, youngs_pa=1e3)), np.random.default_rng(58), 0
@@ -251,9 +249,7 @@ def test_a_correction_that_is_not_a_number_is_not_used(fingers: int, monkeypatch
 
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")
 @pytest.mark.parametrize("fingers", [1, 2])
-def test_a_contact_that_moves_in_steps_of_encoders_is_mostly_solved_in_two_rounds(
-    fingers: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_contact_that_moves_in_steps_of_encoders_is_mostly_solved_in_two_rounds(fingers, monkeypatch):
     """The start of a tick takes the motion of all probes into account, not only the change of the last tick."""
     calls: list[Any] = []
     rigid = step.step_finger

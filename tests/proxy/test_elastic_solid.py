@@ -274,9 +274,7 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
         ({"reach": [{"region": "below", "z_m": -1.0}]}, "no vertex of the surface"),
     ],
 )
-def test_bad_bodies_are_refused_in_one_line(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, changes: Any, message: str
-) -> None:
+def test_bad_bodies_are_refused_in_one_line(tmp_path, caplog, changes, message):
     caplog.set_level(logging.INFO)
     with pytest.raises(ConfigError, match=message) as refused:
         prepare_body(pad(tmp_path, **changes))
@@ -309,9 +307,7 @@ def test_tetrahedra_of_second_order_are_read_by_their_corners(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("ending", [".msh", ".vtu"])
-def test_a_file_that_is_no_mesh_is_refused_without_other_output(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], ending: str
-) -> None:
+def test_a_file_that_is_no_mesh_is_refused_without_other_output(tmp_path, capfd, ending):
     """As git-lfs leaves it in a clone; meshio prints its own message and exits."""
     pytest.importorskip("meshio")
     file = tmp_path / f"pointer{ending}"

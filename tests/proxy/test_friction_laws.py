@@ -81,9 +81,7 @@ DIRECTED = {"direction_x": [1.0, 0.0, 0.0], "static_scale": [1.0, 1.0], "kinetic
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("viscosity", [0.5, 9.0, 14.0, 100.0])
 @pytest.mark.parametrize(("friction", "axis", "scale"), [({}, 0, 1.0), (DIRECTED, 0, 0.25), (DIRECTED, 1, 0.5)])
-def test_viscous_friction_has_one_time_constant(
-    viscosity: float, friction: dict[str, Any], axis: int, scale: float
-) -> None:
+def test_viscous_friction_has_one_time_constant(viscosity, friction, axis, scale):
     """The coupling K and the low-pass (T0 = 10 ms) are in series with the damper c f_N, so the force of a steady drag
     approaches (mu_d + c v) f_N exponentially with T0 + c f_N / K; in a tick of dt by the factor T / (T + dt)."""
     speed, constant = 0.07, 0.01 + scale * viscosity * 1.0 / 1000.0

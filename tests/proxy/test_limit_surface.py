@@ -29,9 +29,7 @@ components = st.floats(-1e3, 1e3)
 @given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
 @example((0.999999, 2.0, 0.0), (10.0**2.6875, 10.0**11.9375, 1.0))
 @example((0.9999999999988552, 0.09066218073012366, 0.0), (2.3e-7, 1.3e11, 1.0))
-def test_nearest_point_is_on_the_surface_and_straight_below(
-    y: tuple[float, float, float], weight: tuple[float, float, float]
-) -> None:
+def test_nearest_point_is_on_the_surface_and_straight_below(y, weight):
     m = multiplier(limit_distance(y), weight)
     p = shrink(limit_distance(y), weight, m)
     if np.linalg.norm(y) <= 1.0:

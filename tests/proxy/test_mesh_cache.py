@@ -134,9 +134,7 @@ def test_damage_is_detected(folder: Folder, data: st.DataObject) -> None:
         assert entry.values == {"size": 0.1}
 
 
-def test_a_damaged_tree_is_built_again(
-    mesh: schema.Mesh, folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_damaged_tree_is_built_again(mesh, folder, monkeypatch, caplog):
     first = prepare_tree(mesh, folder)
     file = only_file(folder)
     whole = bytearray(file.read_bytes())
@@ -149,9 +147,7 @@ def test_a_damaged_tree_is_built_again(
     assert are_equal(prepare_tree(mesh, folder), first) and BUILT == []
 
 
-def test_a_folder_writable_by_others_is_not_used(
-    mesh: schema.Mesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_writable_by_others_is_not_used(mesh, tmp_path, monkeypatch):
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
     for folder in (Folder(tmp_path / "open" / "kept"), Folder(tmp_path / "open"), Folder(None)):

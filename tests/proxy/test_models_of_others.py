@@ -131,9 +131,7 @@ def test_folders_are_found_as_mujoco_finds_them(tmp_path: Path) -> None:
         load_scene(write_model(tmp_path / "a/flex.xml", flex, '<compiler meshdir="sub"/>'))
 
 
-def test_a_mesh_next_to_an_included_file_loads_from_any_working_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mesh_next_to_an_included_file_loads_from_any_working_directory(tmp_path, monkeypatch):
     """MuJoCo prepends the path of the included file's folder, which starts with that of the model."""
     stl(tmp_path / "models/inner/wedge.stl")
     write_model(tmp_path / "models/inner/part.xml", MESH.format("wedge.stl"))

@@ -131,7 +131,7 @@ def leaving_speed(law: dict[str, Any], speed: float) -> float:
     def left(t: float, y: Array) -> float:
         return float(y[0])
 
-    left.terminal, left.direction = True, -1.0  # type: ignore[attr-defined]
+    left.terminal, left.direction = True, -1.0
     solution = solve_ivp(rates, (0.0, 10.0), [0.0, speed], "DOP853", events=left, rtol=1e-12, atol=1e-14)
     return -float(solution.y_events[0][0][1])
 

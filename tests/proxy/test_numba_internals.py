@@ -106,9 +106,7 @@ def test_inlined_kernels_have_no_machine_code(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize(("large", "calls"), [(0, 1), (10**9, 0)])
-def test_a_small_kernel_with_large_callees_is_left_to_its_callers(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Any, large: int, calls: int
-) -> None:
+def test_a_small_kernel_with_large_callees_is_left_to_its_callers(monkeypatch, tmp_path, large, calls):
     """`finalize`: its code still calls the callee, and computes the same, compiled or loaded from a file."""
     monkeypatch.setattr(numba_internals, "LARGE_CALLEE_BYTES", large)
     monkeypatch.setattr(numba_internals, "LARGE_CALLEE_RATIO", 0)
@@ -313,7 +311,7 @@ def test_a_compiled_kernel_is_saved_and_loaded(tmp_path: Any) -> None:
         results.append(compiled(0.5))
         results.append(sum(compiled.stats.cache_hits.values()))
     assert results == [results[0], 0, results[0], 1]
-    (file,) = folder.path.iterdir()  # type: ignore[union-attr]
+    (file,) = folder.path.iterdir()
     assert numba_internals.load(folder, file.name, cpu_target.target_context).signature == types.float64(types.float64)
     assert numba_internals.load(folder, "none.kernel", cpu_target.target_context) is None
 
@@ -383,7 +381,7 @@ def test_a_kernel_that_is_an_argument_leaves_no_address_in_its_caller() -> None:
 
     def caller(x: float) -> float:
         kernel = inner
-        return kernel(x)  # type: ignore[no-any-return]
+        return kernel(x)
 
     library = InlinedKernel(caller, decorators.INLINED, None, numba.njit).dispatcher
     library.compile((types.float64,))

@@ -71,9 +71,7 @@ def units(cache: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in cache.rglob(f"{UNIT_PREFIX}*.kernel")}
 
 
-def test_outlined_kernels_are_compiled_once_for_all_callers(
-    scripts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_outlined_kernels_are_compiled_once_for_all_callers(scripts, tmp_path, monkeypatch):
     """A missing symbol would end the program: callers are recompiled with a kernel whose file is missing."""
     cache = tmp_path / "cache"
     assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"

@@ -38,17 +38,17 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @entry
-def compiled_closest(shape, x):  # type: ignore[no-untyped-def]
+def compiled_closest(shape, x):
     return closest(shape, x)
 
 
 @entry
-def compiled_curvature(shape, radius, point, normal):  # type: ignore[no-untyped-def]
+def compiled_curvature(shape, radius, point, normal):
     return curvature(shape, radius, point, normal)
 
 
 @entry
-def compiled_transport(shape, v, normal_from, normal_to):  # type: ignore[no-untyped-def]
+def compiled_transport(shape, v, normal_from, normal_to):
     return transport(shape, v, normal_from, normal_to)
 
 
@@ -202,9 +202,7 @@ SYMMETRIC: list[tuple[Any, Triple, float, Triple, Triple]] = [
 
 
 @pytest.mark.parametrize(("shape", "x", "gap", "point", "normal"), SYMMETRIC)
-def test_tied_nearest_points_are_resolved_deterministically(
-    shape: Any, x: Triple, gap: float, point: Triple, normal: Triple
-) -> None:
+def test_tied_nearest_points_are_resolved_deterministically(shape, x, gap, point, normal):
     assert compiled_closest(shape, x) == (gap, point, normal)
 
 

@@ -3,7 +3,7 @@
 from itertools import product
 from math import ceil
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -224,7 +224,7 @@ def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
 
 
 def process_batches(daemon: DaemonStub, *batches: np.ndarray) -> list[Any]:
-    arming = Arming(cast(Any, daemon), machine.States())
+    arming = Arming(daemon, machine.States())
     for records in batches:
         arming.take(records, 0)
     return [act for act in daemon.acts if act != "update_state"]

@@ -113,6 +113,6 @@ def test_a_motion_of_the_hand_is_not_counted_as_a_push() -> None:
     result = motions.push(2, 1.0, RATE_HZ, rows)
     assert result["seen"].startswith("not clear")
     rows[:, SAMPLE] = 0.0
-    assert motions.push(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"  # type: ignore[index]
+    assert motions.push(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"
     rows[:, FORCE + 2] = 0.0
     assert motions.push(2, 1.0, RATE_HZ, rows) is None

@@ -201,7 +201,7 @@ def test_controls_reject_values_outside_their_limits(page: Page, endpoints: tupl
             for control, wrong in ((slider, 1e6), (slider, -1.0), (slider, float("nan")), (choice, "/etc/scene.toml")):
                 right, before = control.value, control.update_timestamp
                 send_value(stream, control, wrong)
-                assert step_until(live, lambda c=control, r=right, b=before: c.update_timestamp > b and c.value == r)  # type: ignore[misc]
+                assert step_until(live, lambda c=control, r=right, b=before: c.update_timestamp > b and c.value == r)
             assert not requests
             send_value(stream, slider, 740.0)
             assert step_until(live, lambda: requests)
