@@ -13,7 +13,7 @@ from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.described_boards import settled
 from helpers.far_ends import FAR_RIGS, when_forced
 from helpers.hd_stub import HdStub, hd, hd_library
-from test_device_report import checked, home
+from test_doctor import checked, home
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.drivers.system import discovery
