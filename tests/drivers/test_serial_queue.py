@@ -2,7 +2,7 @@
 
 The simulated port follows tty_ioctl(4) and the Linux drivers: a UART counts bytes, a USB modem one buffer per write,
 and the driver of a USB chip ignores a flush. The simulated boards have independent frame parsers. The test with a real
-daemon and a real clock is in `test_serial_boards_loop`.
+daemon and a real clock is in `test_serial_boards`.
 """
 
 import ctypes

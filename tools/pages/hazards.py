@@ -345,7 +345,7 @@ HAZARDS: Final = (
     Hazard(
         "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
         "the second ends with the process that uses the device in its message", "end the first", (),
-        ("tests/drivers/test_haply_loop.py::test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported",
+        ("tests/drivers/test_haply_ends.py::test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported",
          "tests/server/test_cli.py::test_an_endpoint_in_use_gives_exit_code_7"),
     ),
     Hazard(
