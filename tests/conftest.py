@@ -102,7 +102,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 def pytest_configure(config: pytest.Config) -> None:
     # numba reads it at import: this process has the kernels as plain Python, and programs that it starts compile. With
-    # several processes the first runs no test, and the others inherit the value.
+    # several processes the first runs no test, and the next ones inherit the value.
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         os.environ.pop("NUMBA_DISABLE_JIT", None)
     config.pluginmanager.register(Patience(config.getoption("--put-off")))

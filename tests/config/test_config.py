@@ -314,7 +314,7 @@ def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
 
 
 def pair_fingers(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> list[tuple[str, str]]:
-    """Return finger and table pairs of a scene and a rig; None stands for [fingertip] or [device]."""
+    """Return finger and table pairs of a scene and a rig; None is [fingertip] or [device]."""
     scene_mapping = scene() if fingers is None else {**pinch_scene(), "finger": fingers}
     drivers = {name: {"driver": "replay", "recording": "tap"} for name in devices or []}
     tables = rig_of_two() | {"devices": drivers} if drivers else rig()

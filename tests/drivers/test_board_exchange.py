@@ -342,7 +342,7 @@ DELTA = {
 
 
 class Joints:
-    """A board of either driver whose messages contain a float32 per joint."""
+    """A board of either driver, with a float32 per joint in its messages."""
 
     def __init__(self, driver: str, kinematics: dict[str, Any], names: str, patch: pytest.MonkeyPatch) -> None:
         messages = {

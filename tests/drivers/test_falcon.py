@@ -254,7 +254,7 @@ def test_counts_are_scaled_together() -> None:
     counts, cut = compute_motor_counts(10000.0, HOME, force)
     assert cut
     assert max(map(abs, counts)) == 4095
-    np.testing.assert_allclose(counts, wanted * 4095 / np.abs(wanted).max(), atol=0.5)  # whole counts
+    np.testing.assert_allclose(counts, wanted * 4095 / np.abs(wanted).max(), atol=0.5)  # integer counts
     few, cut = compute_motor_counts(10000.0, HOME, (0.0, 0.0, 1.0))
     assert not cut
     assert few == (242, 242, 242)

@@ -135,7 +135,7 @@ def test_the_last_force_before_an_end_is_zero(case: str, service: Service, pushi
 
 def test_a_service_that_only_stops_sending_receives_a_zero(service: Service, pushing: list[HaplyDevice]) -> None:
     assert end_with(service, pushing, b"", "fin") == [LOST, LOST]
-    for name in (ID, OTHER):  # the service may read the zero after the loop has ended
+    for name in (ID, OTHER):  # the service may read the zero after the end of the loop
         until(lambda name=name: received(service, name)[-1] == (0.0, 0.0, 0.0))
 
 

@@ -63,7 +63,7 @@ Run = tuple[subprocess.CompletedProcess[str], dict[str, Any]]
 
 
 def on_testbed(file: str, case: dict[str, Any], *command: str, code: int | None = None) -> Run:
-    """Run a program beside an emulated device; fail unless its exit code is `code`, if that is given."""
+    """Run a program with an emulated device; fail unless its exit code is `code`, if that is given."""
     process = run_program(
         ["umockdev-wrapper", SYSTEM_PYTHON, str(EMULATORS / file), json.dumps(case), *command],
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},

@@ -178,7 +178,7 @@ def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
     assert board.wake() == OK
     assert board.sent() == b"" and board.counts() == {"kicks": 2, "written": 1}
     board.word[BOARD.has_force] = 1
-    assert board.wake() == HELD  # its force was not ended
+    assert board.wake() == HELD  # its force was not set to zero
     board.port.room = 20
     assert board.wake() == OK
     assert board.sent() == text(0, 0, 0)[:20]  # no newline in the middle of a frame

@@ -1,4 +1,4 @@
-"""Refusal of rigs whose frames do not fit the baud rate, by `check` and before a port is opened."""
+"""Refusal of rigs with frames that do not fit the baud rate, by `check` and before a port is opened."""
 
 import re
 from contextlib import nullcontext

@@ -1,4 +1,4 @@
-"""Forces that the driver ended or could not send, packet by packet, in a scene that pulls with 5 N from the start."""
+"""Forces that the driver withheld or could not send, packet by packet, in a scene that always pulls with 5 N."""
 
 import struct
 import time

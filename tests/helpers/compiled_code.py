@@ -66,7 +66,7 @@ def compile_step(scene: model.Scene) -> Compiled:
 
 
 def read(ir: str) -> Compiled:
-    """Read the module of one step, whose callees are all inlined into one function."""
+    """Read the module of one step, with its callees all inlined into one function."""
     (body,) = functions(ir).values()
     operations = Counter(re.findall(r"^  (?:%\S+ = )?(?:tail call|(\w+))", body, re.MULTILINE))
     helpers = ("llvm.mem", "llvm.stack", "llvm.fabs")

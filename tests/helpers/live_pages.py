@@ -8,5 +8,5 @@ from softfinger.server.viewer.live import LivePage
 
 
 def step_until(live: LivePage, condition: Callable[[], Any]) -> bool:
-    """Step a page until a condition holds; return False if it does not in time."""
+    """Step a page until a condition is true; return False if it is not in time."""
     return bool(eventually(lambda: condition() or live.step(0.05), every_s=0.01))

@@ -11,7 +11,7 @@ COMMAND: Final = [sys.executable, "-m", "softfinger.server.cli"]
 
 
 def read_command_line(pid: int) -> bytes:
-    """Return the command line of a process, with zeros between its words; empty after its end."""
+    """Return the command line of a process, with zeros between its arguments; empty after its end."""
     with suppress(FileNotFoundError, ProcessLookupError):
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     return b""

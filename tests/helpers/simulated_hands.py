@@ -21,7 +21,7 @@ DT = 1e-3
 class SimulatedHands:
     """Simulation of `softfinger run --scene NAME` until a time.
 
-    name         a shipped scene; its rig plays `instead`, what `load_scene` takes, where that is given
+    name         a shipped scene; its rig plays `instead`, what `load_scene` takes, if given
     model, data  MuJoCo's own
     """
 

@@ -9,7 +9,7 @@ named in FILE and must be repeated on an idle one. And if the hypervisor took th
 waits for its device in each attempt (the kernel counts this time), real-time tests have no result.
 
 A garbage collection over numba's objects takes 0.1 s in this process, in which no thread of a test can answer and which
-the sleepers do not see. It is delayed until the test has ended.
+the sleepers do not see. It is delayed until the end of the test.
 """
 
 import gc

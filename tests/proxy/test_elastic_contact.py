@@ -288,7 +288,7 @@ def test_two_fingers_displace_each_other_through_the_body() -> None:
 
 
 def test_the_strains_under_two_fingers_are_added() -> None:
-    """Each finger alone strains the pad by less than 10 %."""
+    """One finger strains the pad by less than 10 %."""
     first, second = (np.tile(at(x, 0.0, 0.001), (4, 1)) for x in (-0.009, 0.009))
     assert Engine(scene()).run(first)["contact.nonlinear"][-1] == 0
     both = Engine(scene(fingers=2)).run({"a": first, "b": second})

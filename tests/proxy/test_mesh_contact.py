@@ -311,7 +311,7 @@ def test_a_fingertip_in_a_socket_moves_to_the_side_of_the_hand(tmp_path, room):
     smooth, _ = smooth_and_rough(tmp_path, hostile_meshes.socket(R * (1.0 + room)), inside=True)
     for side in np.concatenate([np.eye(3), -np.eye(3), hostile_meshes.directions(7, 100)]):
         last = visit(smooth, np.repeat(R * (room + 0.2) * side[None], 60, axis=0))[-1]
-        # It rests on a facet, whose tangent deviates by the angle of a facet, or in an edge between two.
+        # It rests on a facet; its tangent deviates by the angle of a facet, or in an edge between two.
         assert last["contact.budget"] == 0 and last["proxy.position"] @ side > 0.99 * room * R
 
 

@@ -427,7 +427,7 @@ def test_the_least_recently_used_file_is_removed(folder: Folder, monkeypatch: py
     for age, name in enumerate(names[:3]):
         array_cache.save(name, some, folder)
         os.utime(folder.path / f"{name}{array_cache.ENDING}", (age, age))
-    assert array_cache.load(names[0], folder) is not None  # now the newest
+    assert array_cache.load(names[0], folder) is not None  # now the latest
     monkeypatch.setattr(array_cache, "BYTES_MAX", 3 * 9000)
     array_cache.save(names[3], some, folder)
     assert [array_cache.load(name, folder) is not None for name in names] == [True, False, True, True]

@@ -224,7 +224,7 @@ def test_a_changed_mesh_is_read_again(tmp_path: Path) -> None:
 
 
 def test_a_hull_that_differs_from_its_mesh_is_reported(tmp_path: Path) -> None:
-    """An L of three cubes has a hull with half a cube more; a wedge is its own hull."""
+    """An L of three cubes has a hull with half a cube more; a wedge equals its hull."""
     outline = np.array([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]) * 0.01
     corners = np.array([(x, y, z) for z in (0.0, 0.01) for x, y in outline])
     lid = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]

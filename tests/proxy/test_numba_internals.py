@@ -172,7 +172,7 @@ def test_only_kernels_that_can_fail_are_checked() -> None:
 
 @pytest.fixture
 def empty_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Kernels of the test are compiled, whatever the user's cache contains."""
+    """Kernels of the test are compiled; the user's cache is not used."""
     monkeypatch.setattr(decorators, "KERNEL_FOLDER", Folder(tmp_path / "kernels"))
 
 

@@ -80,7 +80,7 @@ def units(cache: Path) -> dict[str, int]:
 
 
 def test_outlined_kernels_are_compiled_once_for_all_callers(scripts, tmp_path, monkeypatch):
-    """A missing symbol would end the program: callers are recompiled with a kernel whose file is missing."""
+    """A missing symbol would end the program: callers are recompiled if the file of a kernel is missing."""
     cache = tmp_path / "cache"
     assert run(scripts / "first.py", cache, monkeypatch) == f"{RESULT} 0 4"
     files = units(cache)
@@ -111,7 +111,7 @@ def test_a_caller_contains_a_call_and_not_the_code() -> None:
         return lowest(x) + 1.0
 
     outermost: Any = numba.njit(**decorators.OPTIONS)(lambda x: large(x) * large(x + 1.0))
-    assert outermost(1.0) == 10.0  # whole numbers: exact
+    assert outermost(1.0) == 10.0  # integers: exact
     (ir,) = outermost.inspect_llvm().values()
     bodies = functions(ir)
     (symbol,) = {name for body in bodies.values() for name in called_in(body) if name.startswith(UNIT_PREFIX)}

@@ -238,7 +238,7 @@ HIGH_FRICTION = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
 
 
 def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: float = 0.001) -> Array:
-    """Contact points (n, 3) m of a probe whose centre is above `follow` (n, 3), pressed in by `depth`."""
+    """Contact points (n, 3) m of a probe with its centre above `follow` (n, 3), pressed in by `depth`."""
     records = Engine(scene, 1.0 / dt).run(np.hstack([follow + np.array([0.0, 0.0, R - depth]), turned]), dt)
     assert (records["contact.mode"] == ROLLING).all()
     at = AT.contact_point

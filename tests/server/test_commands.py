@@ -72,7 +72,7 @@ class PressingSink(RecordSink):
 
 @pytest.fixture
 def rig(monkeypatch):
-    """Return a function that makes rigs of a pressing device, whose full force in one tick exceeds the slew limit."""
+    """Return a function that makes rigs of a pressing device; its full force in one tick exceeds the slew limit."""
     registered(monkeypatch)
     pressing = {
         "device.driver": "faulty", "guard.ramp_s": RAMP_S, "guard.force_slew_n_per_s": SLEW, "guard.force_max_n": 5.0,

@@ -216,7 +216,7 @@ INSIDE = (0.002, 0.0045)
 
 
 def tune_pad(mode: str = "observe", **elastic: float) -> Tuning:
-    """Return the frictionless pad, whose top is z = 0, with a guard that limits nothing after 10 ticks."""
+    """Return the frictionless pad (its top is z = 0) with a guard that limits nothing after 10 ticks."""
     scene = describe(load_scene("press-a-pad"))
     pad = scene["object"][0]
     pad["elastic"] |= {"damping_s": 0.0} | elastic

@@ -181,7 +181,7 @@ def send_malformed(name: str, address: str) -> None:
 
 
 def send_slowly(name: str, address: str) -> None:
-    """Send a byte every 0.1 s: each byte is in time, but the whole request is not."""
+    """Send a byte every 0.1 s: each byte is in time, but the complete request is not."""
     request = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
     with dial(address) as peer, contextlib.suppress(ConnectionError):
         peer.settimeout(0.1)

@@ -267,7 +267,7 @@ def limit_memory(pid: int) -> None:
 
 
 def open_browser(address: str, closing: ExitStack) -> None:
-    """Open another browser that reads the page; ignore a refusal by a page that has just ended."""
+    """Open another browser that reads the page; ignore a refusal by a page that is no longer running."""
     with suppress(OSError, WebSocketException):
         closing.enter_context(connect_to_page(address))
 

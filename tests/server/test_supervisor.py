@@ -48,7 +48,7 @@ WAIT_S = 20.0
 
 
 class Servo:
-    """Servo whose number of ticks is computed by a function; its devices display a force that persists, or do not."""
+    """Servo with a number of ticks computed by a function; its devices display a force that persists, or do not."""
 
     is_ticking = True
 

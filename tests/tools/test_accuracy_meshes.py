@@ -17,7 +17,7 @@ SHARPEST_M = {"ball": 0.05, "cylinder": 0.03, "torus": 0.02}
 @pytest.mark.parametrize("name", CASES)
 def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
     """Halving the edges divides errors of the force, of the point's distance and of the rolled angle by four, since the
-    height of a facet is quadratic in its size; those of the direction and of the winding over a facet by two."""
+    height of a facet is quadratic in its size; errors of the direction and of the winding over a facet by two."""
     rows = list(meshes.converge(name, FINENESS))
     result = meshes.fit_orders(rows)
     assert result["force_n"] > 1.8 and result["point_m"] > 1.8

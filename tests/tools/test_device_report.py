@@ -194,7 +194,7 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
         ((0.2, 5.0, 500.0), "+y", "free handle, or the wrong sign"),  # a hand that springs back
         ((0.2, 40.0, 100.0), "+y", "-y"),  # a soft hand
         ((0.3, 10.0, 1e-6), "+y", "-y"),  # a handle that is braked only
-        ((2.0, 0.1, 1e-6), "free handle, or the wrong sign", "+y"),  # a free mass, which must be held for an answer
+        ((2.0, 0.1, 1e-6), "free handle, or the wrong sign", "+y"),  # a free mass: an answer needs a hand
     ],
 )  # fmt: skip
 def test_a_push_shows_axis_and_sign(holding: tuple[float, float, float], plus: str, minus: str) -> None:
