@@ -279,9 +279,7 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
         for _ in range(5):
             statuses.append(servo.read()[0])
             servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        assert (
-            set(statuses) <= {OK, WITHHELD} and OK in statuses
-        )  # withheld after a pause, as after the end of its loop
+        assert set(statuses) <= {OK, WITHHELD} and OK in statuses  # withheld after a pause
     assert not any(stub.motors(1))
     assert (stub["misuse"], stub["allocated"], stub["flying"], stub[1, "flying"]) == (0, 0, 0, 0)
     assert stub[1, "opens"] == stub[1, "closes"]
