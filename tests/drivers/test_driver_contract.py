@@ -86,7 +86,6 @@ def test_a_program_can_register_a_driver(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_device_of_a_rig_is_stopped_with_all_that_are_open() -> None:
     config = load_rig("replay").device
-    assert config is not None
     with registry.open_device(config, RATE_HZ) as device:
         servo = DeviceCaller(device)
         servo.read()

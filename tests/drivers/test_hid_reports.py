@@ -66,7 +66,6 @@ def test_woodenhaptics_v2_layout(rig: str, size: int, preset: int) -> None:
     assert decode(wire.input, struct.pack("<7h", 0, 0, 0, 5000, 0, 0, 0).ljust(size))[1]["buttons"] == 0
     _, out = encode(wire.output, current_a=2.0, current_b=-2.0, current_c=0.0005)
     assert out == b"\0" + struct.pack("<7h", 2000, -2000, 1, 0, 0, 0, 0).ljust(size, b"\0")
-    assert wire.preset is not None
     _, out = encode(wire.preset, preset_a=preset, preset_b=0, preset_c=-5000)
     assert out == b"\0" + struct.pack("<7h", 0, 0, 0, 1, preset, 0, -5000).ljust(size, b"\0")
 
@@ -157,6 +156,5 @@ def test_a_named_format_can_be_changed() -> None:
 def test_the_description_in_the_docs_is_valid() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "devices" / "hid.md").read_text("utf-8")
     match = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
-    assert match is not None
     rig = build(Rig, tomllib.loads(match[1]), "docs/devices/hid.md")
     assert build(Options, rig.device.options, "docs/devices/hid.md [device]").reports.input.id == 3

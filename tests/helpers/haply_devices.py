@@ -40,7 +40,6 @@ class Service(AbstractContextManager[Any]):
 
     def do(self, action: str, **how: Any) -> Any:
         """Send a request; return the answer."""
-        assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"do": action, **how}) + "\n")
         self.process.stdin.flush()
         return self._line()
@@ -65,7 +64,6 @@ class Service(AbstractContextManager[Any]):
         self.process.wait()
 
     def _line(self) -> Any:
-        assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line, "the emulated service has ended"
         return json.loads(line)
@@ -73,7 +71,6 @@ class Service(AbstractContextManager[Any]):
     def __exit__(self, *_: object) -> None:
         self.kill()
         for end in (self.process.stdin, self.process.stdout):
-            assert end is not None
             end.close()
 
 

@@ -28,7 +28,6 @@ class SimulatedHands:
     def __init__(self, name: str, instead: Mapping[str, Any] | None = None) -> None:
         scene, rig = load_scene(instead or name), load_rig(f"simulated-{name}")
         tuning = make_tuning(scene, rig.guard)
-        assert tuning.scene.bodies is not None
         owner = tuning.scene.bodies.block.owner
         self.model, self.data = owner.model, owner.data
         pairs = pair_devices(scene, rig)

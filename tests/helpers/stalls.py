@@ -68,14 +68,9 @@ class Sleepers:
     def longest_s(self) -> float:
         """Return the longest time between two wake-ups of a sleeper since the last call, s."""
         for program in self._programs:
-            assert program.stdin is not None
             program.stdin.write(b"\n")
             program.stdin.flush()
-        durations = []
-        for program in self._programs:
-            assert program.stdout is not None
-            durations.append(float(program.stdout.readline()))
-        return max(durations)
+        return max(float(program.stdout.readline()) for program in self._programs)
 
     def rest(self) -> None:
         """Wait until the machine has been free of stalls for REST_S, at most REST_WAIT_S."""

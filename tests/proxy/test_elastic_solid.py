@@ -235,7 +235,6 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
 
     config = pad_scene(tmp_path)
     block, kernel = config.object[0], build_scene(config)
-    assert block.elastic is not None
     volume = make_volume(block, block.elastic.resolution_m)
     solid = make_solid(volume, block.elastic)
     mesh = kernel.objects.body.shape.row[0]
