@@ -23,7 +23,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, describe, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene, make_commands_address
 from softfinger.config.schema.pairing import find_single_device, pair_devices
-from softfinger.config.sources import list_shipped, read_toml
+from softfinger.config.sources import list_shipped
 from softfinger.config.words import suggest
 from softfinger.drivers.serial.options import CHECKS
 from softfinger.proxy.record import FIELDS
@@ -140,7 +140,6 @@ SCENE_FAULTS = [
     ("fingertip.radius_m", True, ["fingertip.radius_m = true:", "a number"]),
     ("fingertip.radius_m", math.nan, ["fingertip.radius_m = nan:", "a number"]),
     ("fingertip.radius_m", math.inf, ["fingertip.radius_m = inf:", "a number"]),
-    ("fingertip.radius_m", -math.inf, ["fingertip.radius_m = -inf:", "a number"]),
     ("fingertip.radius_m", 10**400, ["fingertip.radius_m = an integer of 1329 bits:"]),
     ("fingertip.radius_m", 10**6000, ["fingertip.radius_m = an integer of 19932 bits: must be a number from 1e-05"]),
     ("fingertip.radius_m", ..., ["fingertip.radius_m: is missing", "to 1000 m", "such as radius_m = 0.01"]),
@@ -156,10 +155,8 @@ SCENE_FAULTS = [
     ("object[0].material.friction", ..., ["rolling: needs friction", "remove [rolling]"]),
     ("object[0].material.friction.kinetic", 0.7, ["friction.kinetic = 0.7: must be at most static = 0.6"]),
     ("object[0].material.friction.static", -1, ["object[0].material.friction.static = -1:", "from 0 to 1000"]),
-    ("object[0].material.frictoin", {}, ["object[0].material.frictoin", "(did you mean 'friction'?)"]),
     ("object[0].material", ..., ["object[0].material is missing: add the table [object.material]"]),
     ("object[0].shape", "plain", [f"object[0].shape = 'plain': must be {ANY_SHAPE} (did you mean 'plane'?)"]),
-    ("object[0].shape", "cube", [f"object[0].shape = 'cube': must be {ANY_SHAPE}"]),
     ("object[0].shape", ["plane"], [f"object[0].shape = ['plane']: must be {ANY_SHAPE}"]),
     ("object[0].shape", ..., [f"object[0].shape is missing: give {ANY_SHAPE}, such as shape = 'plane'"]),
     ("object[0].radius_m", 1.0, ["object[0].radius_m is not a key here", "keys are shape, name, position_m"]),
@@ -167,7 +164,6 @@ SCENE_FAULTS = [
     ("object[0].name", "a\nb", [r"object[0].name = 'a\nb': must have printable characters"]),
     ("object[0].name", 7, ["object[0].name = 7: must be text"]),
     ("object[0].name", "1", ["object[0].name = '1': starts with a digit, but object.1 selects the second object"]),
-    ("object[0].name", "01.top", ["object[0].name = '01.top': starts with a digit"]),
     ("object[0].position_m", [1, 2], ["object[0].position_m = [1, 2]: must be a list of 3 numbers", "this has 2"]),
     ("object[0].position_m", 1, ["object[0].position_m = 1: must be a list of 3 numbers from -1000 to 1000 m"]),
     ("object[0].position_m", [0, math.nan, 0], ["object[0].position_m[1] = nan:", "from -1000 to 1000 m"]),
@@ -250,9 +246,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("kind", "make", "key", "value", "fragments"), FAULTS, ids=itertools.count())
-def test_a_fault_names_file_key_value_and_range(
-    kind: type[Scene | Rig], make: Callable[[], Any], key: str, value: Any, fragments: list[str]
-) -> None:
+def test_a_fault_names_file_key_value_and_range(kind, make, key, value, fragments):
     (fault,) = faults_of(kind, set_key(make(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
@@ -277,9 +271,7 @@ def test_local_endpoints_are_accepted(endpoint: str) -> None:
         ("ipc:///run/t", "off", None),
     ],
 )
-def test_command_endpoint_follows_from_the_telemetry_endpoint(
-    telemetry: str, endpoint: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_endpoint_follows_from_the_telemetry_endpoint(telemetry, endpoint, expected, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
     commands = {"commands": {"endpoint": endpoint}} if endpoint else {}
     mapping = set_key(rig(), "telemetry.endpoint", telemetry) | commands
@@ -318,7 +310,7 @@ def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
 
 
 def pair_fingers(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> list[tuple[str, str]]:
-    """Return finger and table pairs of a scene and a rig; None stands for [fingertip] or [device]."""
+    """Return finger and table pairs of a scene and a rig; None is [fingertip] or [device]."""
     scene_mapping = scene() if fingers is None else {**pinch_scene(), "finger": fingers}
     drivers = {name: {"driver": "replay", "recording": "tap"} for name in devices or []}
     tables = rig_of_two() | {"devices": drivers} if drivers else rig()
@@ -553,17 +545,6 @@ def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: ob
     kind, make, key, _, _ = place
     message = refusal_or_none(build, kind, set_key(make(), key, value), "nearly")
     assert message is None or "nearly: " in message
-
-
-@given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
-@settings(max_examples=200, deadline=None)
-def test_no_file_content_raises_anything_but_config_error(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "random.toml"
-    path.write_bytes(content)
-    message = refusal_or_none(read_toml, path)
-    assert message is None or "random.toml: " in message
 
 
 def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:

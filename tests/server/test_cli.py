@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import zmq
 from helpers.called import called, read_stdout
 from helpers.processes import COMMAND
 from helpers.programs import run_program
+from helpers.recorded import printed
 from helpers.telemetry_records import synthetic
 
 from softfinger.server.cli import VERBS, make_parser
@@ -143,7 +145,6 @@ REFUSED = [
     ("run --endpoint tcp://0.0.0.0:5555", 2, "0.0.0.0", "127.0.0.1"),
     ("run --duration -1", 2, "duration"),
     ("run --endpoint tcp://127.0.0.1:* --record no/a.mcap", 2, "--record no/a.mcap", "does not exist"),
-    ("simulate --scene paper-plane --poses tap --out x.doc", 3, "x.doc", ".csv", ".mcap"),
     ("simulate --scene paper-plane --poses tap --out x.csv --method zxy", 2, "zxy", "euler_zxz"),
     ("simulate --poses tap --out results", 3, "results: has no suffix: use one of .csv, .npz, .mcap"),
     ("simulate --poses tap --out results.txt", 3, "results.txt: '.txt' is no format of results: use one of .csv"),
@@ -165,7 +166,6 @@ REFUSED = [
     ("replay tap --scene paper-plane --against a.npz --rate 1", 2, "command line --rate: servo.rate_hz = 1.0"),
     ("info rum.mcap", 3, "recording 'rum.mcap': no such file (did you mean 'run.mcap'?)"),
     ("info nowhere/run.mcap", 3, "recording 'nowhere/run.mcap': no such file; `softfinger recordings`"),
-    ("info tpa", 3, "'tpa' is neither a file nor a shipped recording (did you mean 'tap'?)"),
     ("import table --out a.csv --columns t,x,y,z --unit-m inf", 2, "--unit-m inf: must be above 0 and finite"),
     ("import table --out a.csv --columns t,x,y,z --rate 9", 2, "either a column t or --rate, not both"),
     ("bridge foxglove trial.mcap", 2, "Foxglove opens a recording (.mcap) itself"),
@@ -274,6 +274,23 @@ def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
     out = tmp_path / "fast.npz"
     called(*SIMULATE, "--out", str(out), "--rate", "4000")
     assert len(read_results(out)) == 4 * 2280 + 1
+
+
+def test_the_forces_sent_to_a_device_equal_a_replay(tmp_path):
+    for ending in ("csv", "npz"):
+        forces = str(tmp_path / f"forces.{ending}")
+        words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", forces]
+        read_stdout(*words, "--endpoint", f"ipc://{tmp_path}/t")
+        words = ["replay", "tap", "--scene", "paper-plane", "--tolerance", "0", "--against", forces, "--json"]
+        report = printed(read_stdout(*words))
+        assert report["compared"] == 2281 and set(report["largest"]) == {"force", "torque"}
+
+
+def test_explain_prints_measured_costs():
+    output = read_stdout("check", "--explain", "frictionless-plane", "replay")
+    passive = r"1000 N/m; passive at 1000 Hz .* more than 0\.5"
+    for pattern in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", passive):
+        assert len(re.findall(pattern, output)) == 1, output
 
 
 def test_output_into_a_closed_pipe_is_no_error():
