@@ -12,7 +12,7 @@ import os
 import secrets
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Final
 
@@ -62,9 +62,12 @@ def read_input(path: str | Path, size_max: int) -> bytes:
 def write_new_file(path: str | Path) -> Iterator[IO[bytes]]:
     """Open a file that appears under its name only when the block ends without an error, and then complete.
 
-    Until then it has an unpredictable name. If the path is a link, its target is replaced and the link remains.
+    Until then it has an unpredictable name. If the path is a link, its target is replaced and the link remains. Raises
+    OSError for an existing pipe or device: root would replace /dev/null by a file.
     """
     target = follow_links(path)
+    with suppress(FileNotFoundError):
+        _check_kind(os.lstat(target).st_mode, "replaced")
     part = target.with_name(f".{secrets.token_hex(8)}.part")
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     fd = os.open(part, flags, 0o666)

@@ -97,6 +97,19 @@ def test_only_regular_files_are_read(tmp_path, monkeypatch, kind, make):
         read(path)
 
 
+@pytest.mark.parametrize("make", [os.mkfifo, make_socket, Path.mkdir])
+def test_only_regular_files_are_replaced(tmp_path, monkeypatch, make):
+    """A device is not tried: the defect, as root, replaced /dev/null by a file for all programs."""
+    monkeypatch.chdir(tmp_path)
+    make(path := Path("odd.csv"))
+    Path("link.csv").symlink_to(path)
+    kind = path.lstat().st_mode
+    for name in (path, Path("link.csv")):
+        with pytest.raises(OSError, match=r"regular file|Is a directory"), files.write_new_file(name):
+            pass
+    assert path.lstat().st_mode == kind and sorted(os.listdir()) == ["link.csv", "odd.csv"]
+
+
 LARGE = 1 << 30
 
 
