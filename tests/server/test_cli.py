@@ -227,6 +227,12 @@ def test_bad_words_give_one_clear_error_and_write_nothing(row, folder):
     assert "Traceback" not in outcome.stderr and {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.parametrize("line", ["simulate --poses tap --out a.csv", "run --commands off --record a.mcap"])
+def test_a_removed_current_folder_is_named(line, folder):
+    outcome = run_program(["sh", "-c", f'mkdir gone && cd gone && rmdir ../gone && exec "$@" {line}', "sh", *COMMAND])
+    assert outcome.returncode == 11 and "the current folder was removed: change to another" in outcome.stderr
+
+
 @pytest.mark.real_time
 def test_a_recording_overwrites_no_file(endpoints, folder):
     to = ["--endpoint", endpoints[0], "--timeout", "60"]
