@@ -99,6 +99,8 @@ class Daemon:
         cleanups: list[Callable[[], None]] = [endpoints.close]
         try:
             switch = SharedSwitch()
+            self.switch_file: Final = switch.file
+            """File of the force switch, for `signals.stop_on_signal`; open until the publisher is closed."""
             self.publisher: Final = self._open_publisher(endpoints, scene, switch)
             cleanups.append(self.publisher.close)
             metrics = self._open_metrics()

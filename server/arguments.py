@@ -63,6 +63,13 @@ class Parser(argparse.ArgumentParser):
         """Accept the columns `-,t,x` as a value: no option has a comma."""
         return None if arg_string.startswith("-,") else super()._parse_optional(arg_string)
 
+    def _get_values(self, action: argparse.Action, arg_strings: Any) -> Any:
+        """Refuse empty values, as of an unset shell variable, and the value `--`, which argparse deletes."""
+        is_option = bool(action.option_strings)
+        if action.nargs != argparse.PARSER and ("" in arg_strings or (is_option and "--" in arg_strings)):
+            raise argparse.ArgumentError(action, f"{arg_strings[0]!r}: give a value, or leave out the argument")
+        return super()._get_values(action, arg_strings)
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:
             super()._check_value(action, value)

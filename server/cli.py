@@ -176,7 +176,9 @@ def report_failure(message: str, code: int) -> int:
 
 def format_reason(error: OSError | MemoryError | RuntimeError) -> str:
     reason = "no thread can be started" if isinstance(error, RuntimeError) else "out of memory"
-    if isinstance(error, OSError):
+    if isinstance(error, FileNotFoundError) and error.filename is None:  # of os.getcwd
+        reason = "the current folder was removed: change to another one"
+    elif isinstance(error, OSError):
         reason = f"{error.strerror or error}" + (f": {error.filename}" if error.filename else "")
     return f"the system refused: {reason} (--verbose shows where)"
 

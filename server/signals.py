@@ -8,7 +8,9 @@
     inside `defer_signals`    the signal is only stored: closing is not interrupted
 
 A main thread inside a compiler may not raise the exception for half a minute. In that case another thread closes the
-devices and exits the process.
+devices and exits the process. No thread of Python runs while a library holds the interpreter lock, for example for
+seconds while it parses a large mesh. The system therefore writes the number of each signal directly into the switch of
+the force, which the loop reads in every tick.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from types import FrameType
 from typing import Any, Final
 
 from softfinger.drivers import open_devices
+from softfinger.server.loop.switch_fields import SIGNAL
 from softfinger.server.standard_error import LAST_WAIT_S, is_writable
 
 STOPPING_SIGNALS: Final = frozenset({signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
@@ -39,6 +42,8 @@ ENDING_SIGNALS: Final = (
 STOP_REQUESTS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
 """Normal requests to stop a daemon; they give exit code 0."""
 
+SIGNAL_AT: Final = 8 * SIGNAL
+"""Place of the number of a signal in the file of the force switch, its lowest byte."""
 GRACE_S: Final = 0.5
 """Time for the main thread to handle a signal. Python code does so within one switch interval."""
 
@@ -71,6 +76,11 @@ class _SignalState:
         self.stop: Callable[[], None] | None = None
         self.pause: Callable[[], Callable[[], None]] | None = None
         self.was_handled = threading.Event()
+        self.sender = -1
+        """Pipe into which Python's handler in C writes each signal, for `_watch_main`."""
+        self.switch_files: list[int] = []
+        """Files of the force switch; the last one is in use."""
+        self.uses_switch = threading.Event()
 
 
 _state = _SignalState()
@@ -110,6 +120,7 @@ def handle_signals(ignore_after: bool = False) -> Iterator[None]:
     _state.importing = True
     receiver, sender = os.pipe()
     os.set_blocking(sender, False)
+    _state.sender = sender
     hook, sys.unraisablehook = sys.unraisablehook, _make_unraisable_hook(sys.unraisablehook)
     wakeup = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
     previous_handlers = {}
@@ -131,7 +142,8 @@ def handle_signals(ignore_after: bool = False) -> Iterator[None]:
         signal.set_wakeup_fd(wakeup)
         os.close(sender)
         watch.join()
-        os.close(receiver)
+        for file in (receiver, *_state.switch_files):
+            os.close(file)
         sys.unraisablehook = hook
         _state = outer
 
@@ -142,7 +154,9 @@ def mark_imported() -> None:
 
 
 @contextmanager
-def stop_on_signal(stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | None = None) -> Iterator[None]:
+def stop_on_signal(
+    stop: Callable[[], None], pause: Callable[[], Callable[[], None]] | None = None, switch_file: int | None = None
+) -> Iterator[None]:
     """Call `stop` on each signal in the block instead of raising an exception.
 
     Parameters
@@ -151,10 +165,16 @@ def stop_on_signal(stop: Callable[[], None], pause: Callable[[], Callable[[], No
         Requests the end; may be called repeatedly, from a signal handler or another thread.
     pause
         Called before the process is stopped (Ctrl-Z): removes the force and returns a function that restores it.
+    switch_file
+        File of the force switch, into which a signal is written even while no thread of Python runs.
     """
     state = _state
     before = state.stop, state.pause
     state.stop, state.pause = stop, pause
+    if switch_file is not None and state.sender >= 0:
+        state.switch_files.append(os.dup(switch_file))
+        os.write(state.sender, b"\0")
+        state.uses_switch.wait(GRACE_S)
     if state.number:  # the exception was swallowed: some libraries ignore every exception of an optional import
         stop()
     try:
@@ -208,13 +228,35 @@ def _handle_stop(number: int, _: FrameType | None) -> None:
 
 def _watch_main(receiver: int, state: _SignalState) -> None:
     """End the process if the main thread has not handled a signal within GRACE_S."""
-    while numbers := os.read(receiver, 64):
-        for number in numbers:
-            if number in ENDING_SIGNALS and not state.was_handled.wait(GRACE_S):
-                if state.stop is not None:
-                    state.stop()
-                else:
-                    _close_and_exit(number)
+    while (number := _read_signal(receiver, state)) is not None:
+        if not number:  # from `stop_on_signal`
+            state.uses_switch.set()
+        if number in ENDING_SIGNALS and not state.was_handled.wait(GRACE_S):
+            if state.stop is not None:
+                state.stop()
+            else:
+                _close_and_exit(number)
+
+
+def _read_signal(receiver: int, state: _SignalState) -> int | None:
+    """Wait for the number of a signal, or 0; return None at the end of the pipe.
+
+    The system moves the number from the pipe into the force switch. If it ends the run, it remains there.
+    """
+    if not state.switch_files:
+        numbers = os.read(receiver, 1)
+        return numbers[0] if numbers else None
+    file = state.switch_files[-1]
+    try:
+        if not os.splice(receiver, file, 1, offset_dst=SIGNAL_AT):
+            return None
+    except OSError:  # refused by a sandbox
+        os.close(state.switch_files.pop())
+        return 0
+    (number,) = os.pread(file, 1, SIGNAL_AT)
+    if number not in ENDING_SIGNALS:
+        os.pwrite(file, b"\0", SIGNAL_AT)
+    return number
 
 
 def _close_and_exit(number: int) -> None:

@@ -82,7 +82,8 @@ def diagnose(device: SystemDevice, claim: Claim | None, rig: DeviceConfig | None
             "usable", "the system provides no hidraw node for it, so threads transfer its reports through libusb"
         )
     options = read_options(claim, rig)
-    is_named = options.get("path") == device.node or options.get("serial") == device.serial != ""
+    is_path = discovery.is_same_node(options.get("path", ""), device.node)
+    is_named = is_path or options.get("serial") == device.serial != ""
     if not is_named and (why := explain_ambiguity(device)) is not None:
         ask = "; a Haply device may appear so: softfinger devices --ask --rig haply-inverse3 queries its service"
         return Diagnosis(

@@ -125,6 +125,11 @@ def iter_usb_devices(root: Path = ROOT) -> Iterator[SystemDevice]:
             yield device
 
 
+def is_same_node(path: str, node: str) -> bool:
+    """Return True if a path is a node or a link to it, such as one in /dev/serial/by-id."""
+    return bool(path) and os.path.realpath(path) == os.path.realpath(node)
+
+
 def is_permitted(node: str) -> bool:
     """Return True if this user may read and write a node."""
     acting_for_another = os.geteuid() != os.getuid()

@@ -78,7 +78,7 @@ def start_daemon(
                 raise ConfigError(f"{location}: {error}") from error
         parameters_by_location = ((location, parameters) for location, _, parameters in iter_level_extremes(experiment))
         check_device_limits(parameters_by_location, [device.info for device in daemon.devices])
-        stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause))
+        stack.enter_context(signals.stop_on_signal(daemon.stop, daemon.pause, daemon.switch_file))
         with report_compilation("kernels of the scene"):
             daemon.servo.compile()
         daemon.start()

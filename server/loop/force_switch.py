@@ -1,8 +1,8 @@
 """Switch of the force: shared memory by which Python turns the force on and off, read in every tick.
 
 A write needs neither a lock nor a new tuning, and the loop needs no interpreter. A missing heartbeat therefore turns
-the force off while Python is busy. So do a request that the publisher received (`socket_process/brake.py`), and the
-loss of the process that receives such requests.
+the force off while Python is busy. So do a request that the publisher received (`socket_process/brake.py`), the loss
+of the process that receives such requests, and a signal that ends the run (`server/signals.py`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.server.loop.guard import Guard, GuardState
-from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
+from softfinger.server.loop.switch_fields import SIGNAL, STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
 
 IS_REQUESTED: Final = 0
 """1: force is requested."""
@@ -46,7 +46,8 @@ def is_on(switch: NDArray[np.int64], now: int) -> bool:
     # The counts first: the daemon writes IS_REQUESTED before STOPS_HANDLED.
     handled = load_acquire(switch, STOPS_HANDLED) == load_acquire(switch, STOPS_RECEIVED)
     allowed = handled and load_acquire(switch, UNREACHABLE_NS) <= UNREACHABLE_MAX_NS
-    return allowed and load_acquire(switch, IS_REQUESTED) != 0 and now <= load_acquire(switch, DEADLINE_NS)
+    requested = load_acquire(switch, IS_REQUESTED) != 0 and load_acquire(switch, SIGNAL) == 0
+    return allowed and requested and now <= load_acquire(switch, DEADLINE_NS)
 
 
 @jit

@@ -43,7 +43,8 @@ class Arming:
             )
             if fast and by != "automatic":
                 self._rendering.disarm(TOO_FAST_REASON)
-            pressed |= self._was_pressed(values[1::2])
+            # A press before the handle was too fast must not restore the force.
+            pressed = self._was_pressed(values[1::2]) or (pressed and not fast)
         if by == "automatic":
             self._rendering.force.note_guard(TOO_FAST_REASON, fast)
         elif by == "button" and pressed:

@@ -5,10 +5,13 @@ The black box is always on and writes a file of the last ten seconds at every fa
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 from typing import IO, Any, Final
@@ -37,6 +40,8 @@ STOP_S: Final = 0.5
 """Time for which the answer to `record_stop` waits for the disk."""
 CLOSE_S: Final = 2.0
 """Time for which the end of the run waits for the disk."""
+OPEN_S: Final = 2.0
+"""Time for which the start of a recording waits for the disk: a network file system without a server never answers."""
 
 
 class Recordings:
@@ -48,8 +53,10 @@ class Recordings:
         self._recorder: Recorder | None = None
         self._ending: list[Recorder] = []  # recordings with a last part that may not be on disk yet
         self._ended = RecorderState()
-        self._path = self._opening = Path()
-        """File of the latest recording, and file that is opened, with `_changing` locked."""
+        self._path = Path()
+        """File of the latest recording."""
+        self._opened: Future[IO[bytes]] | None = None
+        """Latest file that was opened; not done if its disk does not answer."""
         self._failure: RecordingError | None = None
         self._settings: Any = None
         self.sink: Final = Sink("recordings", self._add_records)
@@ -58,18 +65,11 @@ class Recordings:
         """Do nothing: a recording starts on request."""
 
     def stop(self) -> None:
-        """End the recording; raises RecordingError, once, if a recording of this run failed or cannot be opened."""
-        if not self._changing.acquire(timeout=CLOSE_S):
-            raise RecordingError(
-                f"{self._opening}: cannot be opened, because its disk does not answer: nothing was recorded there; "
-                "choose another disk"
-            )
-        try:
+        """End the recording; raises RecordingError, once, if a recording of this run failed."""
+        with self._changing:
             if self._recorder is not None:
                 self._recorder.stop(CLOSE_S)
             failure, self._failure = self._failure, None
-        finally:
-            self._changing.release()
         if failure is not None:
             raise failure
 
@@ -144,17 +144,38 @@ class Recordings:
         with self._changing:
             if self._recorder is not None and not self._recorder.recorded.error:
                 raise RecordingError(f"{self._path} is being recorded: stop that first")
-            self._opening = folder / path if folder is not None else path
-            file = _open_new_file(path, folder)
+            file = self._open(path, folder)
             if self._recorder is not None:
                 self._ending.append(self._recorder)
             about = describe_daemon(self._rendering, scene_name)
             if self._settings is not None:
                 about["settings"] = self._settings
-            self._path = self._opening.absolute()
+            self._path = (folder / path if folder is not None else path).absolute()
             trouble = partial(self._report_trouble, self._path)
             self._recorder = Recorder(file, self._fingers, about, trouble, GUARD_NAMES)
             return self._path
+
+    def _open(self, path: Path, folder: Path | None) -> IO[bytes]:
+        """Open a new file in another thread; raises RecordingError if this fails or takes longer than OPEN_S."""
+        if self._opened is not None and not self._opened.done():
+            raise RecordingError(f"{path}: cannot be opened, because the disk of an earlier recording does not answer")
+        opened = self._opened = Future[IO[bytes]]()
+
+        def open_file() -> None:
+            try:
+                opened.set_result(_open_new_file(path, folder))
+            except Exception as error:
+                opened.set_exception(error)
+
+        threading.Thread(target=open_file, name="opening", daemon=True).start()
+        try:
+            return opened.result(OPEN_S)
+        except TimeoutError:
+            opened.add_done_callback(_discard)
+            raise RecordingError(
+                f"{path}: cannot be opened, because its disk did not answer for {OPEN_S:g} s: nothing is recorded; "
+                "choose another disk"
+            ) from None
 
     def _add_records(self, records: NDArray[np.float64], drops: int) -> None:
         if (recorder := self._recorder) is not None:
@@ -176,6 +197,13 @@ def _open_new_file(path: Path, folder: Path | None) -> IO[bytes]:
             return open_recording(path, folder)
     except ValueError as error:
         raise RecordingError(f"{path}: cannot be written: {error}") from error
+
+
+def _discard(opened: Future[IO[bytes]]) -> None:
+    """Remove a file that was opened too late."""
+    if opened.exception() is None:
+        with opened.result() as file, contextlib.suppress(OSError):
+            os.unlink(file.name)
 
 
 POLL_S: Final = 0.1

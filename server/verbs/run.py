@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         if not is_cached:
             cache_text = f"stored in {CACHE_DIR}" if KERNEL_FOLDER.problem() is None else "not stored"
             log.info("compiled in %.0f s; %s", time.monotonic() - start_s, cache_text)
-        with signals.stop_on_signal(daemon.stop, daemon.pause):
+        with signals.stop_on_signal(daemon.stop, daemon.pause, daemon.switch_file):
             daemon.start()
             show_progress(daemon, page, watchers)
             log.info("stopped after %d ticks; force is zero", daemon.servo.ticks)

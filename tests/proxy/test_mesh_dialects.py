@@ -15,7 +15,7 @@ from helpers.glb_files import Glb
 from helpers.refusals import refusal
 
 from softfinger.config import schema
-from softfinger.proxy.meshes.formats import glb
+from softfinger.proxy.meshes.formats import glb, text
 from softfinger.proxy.meshes.prepared import describe_mesh
 from softfinger.proxy.meshes.reading import OTHER_FILES, parse_mesh
 from softfinger.proxy.meshes.report import MeshReport
@@ -255,6 +255,29 @@ def test_incomplete_ply_files_are_refused(tmp_path: Path) -> None:
     assert "has the corner -2" in file_refusal(path, PLYS["strips"].replace(b"29 0 2", b"29 -2 2"))
     for start, reason in OTHER_FILES.items():
         assert reason in file_refusal(path, start + PLYS["little endian"])
+
+
+TEXTS = {
+    **{f"obj, {name}": (".obj", "\n".join(lines)) for name, (lines, _) in OBJS.items()},
+    "stl": (".stl", TEXT),
+    "ply": (".ply", PLYS["text"].decode()),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_texts_are_read_in_blocks(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A call of numpy or re with a large text would hold the interpreter lock, and forces of some drivers need it."""
+    suffix, content = TEXTS[name]
+    whole, parse, sizes = parse_mesh(f"a{suffix}", content.encode()), np.fromstring, list[int]()
+    monkeypatch.setattr(
+        np, "fromstring", lambda part, *more, **keys: sizes.append(len(part)) or parse(part, *more, **keys)
+    )
+    for size in (1, 40):
+        monkeypatch.setattr(text, "BLOCK_BYTES", size)
+        read = parse_mesh(f"a{suffix}", content.encode())
+        np.testing.assert_array_equal(read.vertices, whole.vertices)
+        np.testing.assert_array_equal(read.triangles, whole.triangles)
+        assert max(sizes) < size + 40 and not sizes.clear()
 
 
 SOME = np.array(FACES, np.uint16).ravel()

@@ -1,5 +1,6 @@
 """Command line: exit codes, output streams, errors. `run` starts a program, `called` runs a verb in this process."""
 
+import argparse
 import json
 import os
 import re
@@ -62,6 +63,31 @@ def test_garbage_collection_is_on_when_a_verb_runs():
 def test_a_similar_name_is_suggested(line, message):
     outcome = called(*line.split())
     assert outcome.returncode == 2 and message in outcome.stderr and outcome.stdout == ""
+
+
+def iter_parsers(parser, *words):
+    yield words, parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, inner in action.choices.items():
+                yield from iter_parsers(inner, *words, name)
+
+
+def test_no_argument_may_be_empty(capsys):
+    """Also the value `--`, which argparse deletes."""
+    parser, cases = make_parser().complete(), []
+    for words, inner in iter_parsers(parser):
+        for action in inner._actions:
+            if action.option_strings and action.nargs != 0:
+                cases += [(*words, f"{action.option_strings[-1]}={value}") for value in ("", "--")]
+            elif not action.option_strings and action.nargs != argparse.PARSER:
+                cases.append((*words, ""))
+    assert len(cases) > 300
+    for case in cases:
+        with pytest.raises(SystemExit):
+            parser.parse_args(case)
+        assert "give a value, or leave out the argument" in capsys.readouterr().err, case
+    assert parser.parse_args(["ctl", "mark", "label=", "--", "-1"]).params == ["label=", "-1"]
 
 
 @pytest.mark.parametrize("line", ["{} scenes", "scenes {}", "bench step {}", "bench {} step"])
@@ -199,6 +225,12 @@ def test_bad_words_give_one_clear_error_and_write_nothing(row, folder):
     assert outcome.returncode == code, outcome.stderr
     assert [piece for piece in ("softfinger", *pieces) if piece not in outcome.stderr] == [], outcome.stderr
     assert "Traceback" not in outcome.stderr and {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("line", ["simulate --poses tap --out a.csv", "run --commands off --record a.mcap"])
+def test_a_removed_current_folder_is_named(line, folder):
+    outcome = run_program(["sh", "-c", f'mkdir gone && cd gone && rmdir ../gone && exec "$@" {line}', "sh", *COMMAND])
+    assert outcome.returncode == 11 and "the current folder was removed: change to another" in outcome.stderr
 
 
 @pytest.mark.real_time

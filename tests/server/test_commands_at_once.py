@@ -5,7 +5,8 @@ import ctypes
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from hypothesis import strategies as st
 
 from softfinger.config.errors import SafetyStop
 from softfinger.config.load import load_rig
+from softfinger.server import signals
 from softfinger.server.app import Daemon
 from softfinger.server.loop.force_switch import UNREACHABLE_MAX_NS, count_unreachable, is_on, make_switch
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
@@ -194,13 +196,19 @@ def test_subscribers_do_not_delay_disarm(monkeypatch, tmp_path):
             os.kill(daemon.publisher.pids["telemetry"], signal.SIGCONT)
 
 
+KILL = ctypes.PyDLL(None).kill
+"""Send a signal with the GIL."""
 HOLD = ctypes.PyDLL(None).usleep
 """Sleep for a number of us with the GIL, so that no Python thread runs."""
 
 
-def measure_zero_share(device: FaultyDevice) -> float:
-    """Hold the GIL for 1 s; return the share of the wrenches of that time that are zero and follow the last force."""
+def measure_zero_share(device: FaultyDevice, act: Callable[[], object] = lambda: None) -> float:
+    """Hold the GIL for 1 s; return the share of the wrenches of that time that are zero and follow the last force.
+
+    act  called with the GIL immediately before
+    """
     count = len(device.wrenches)
+    act()
     HOLD(1_000_000)
     wrenches = device.wrenches
     return (len(wrenches) - 1 - int(np.flatnonzero(wrenches.any(axis=1))[-1])) / (len(wrenches) - count)
@@ -236,6 +244,19 @@ def test_the_force_ends_while_python_does_nothing(monkeypatch, tmp_path):
             assert control.describe()["armed"] is False
             control.arm()
             assert eventually(lambda: has_force(device))
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGALRM])
+def test_a_signal_ends_the_force_while_python_does_nothing(number, monkeypatch, tmp_path):
+    """As while a library holds the interpreter lock for seconds to parse a large mesh."""
+    with running(monkeypatch, tmp_path) as (daemon, device), signals.handle_signals():
+        signals.mark_imported()
+        with signals.stop_on_signal(daemon.stop, daemon.pause, daemon.switch_file):
+            assert eventually(lambda: has_force(device))
+            with ThreadPoolExecutor() as pool:  # the signal would end the sleep of the main thread
+                assert pool.submit(measure_zero_share, device, lambda: KILL(os.getpid(), number)).result() > 0.5
+            assert daemon.wait(WAIT_S) and not has_force(device)
 
 
 @pytest.mark.real_time

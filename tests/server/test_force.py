@@ -282,6 +282,14 @@ def test_a_press_is_a_button_that_was_up(words: list[float], armed: bool) -> Non
     assert process_batches(DaemonStub("button"), *[batch(tick) for tick in ticks]) == (ARMED if armed else [])
 
 
+@pytest.mark.parametrize("late", range(-3, 4))
+def test_only_a_press_after_a_fast_handle_arms(late: int) -> None:
+    """Also if both are in one batch, as after a delay of this service."""
+    ticks = [(tick, [(TOO_FAST * (3 <= tick <= 4), float(tick == 4 + late))]) for tick in range(1, 9)]
+    acts = process_batches(DaemonStub("button"), batch(*ticks))
+    assert acts == 2 * [("disarm", TOO_FAST_REASON)] + (ARMED if late >= 0 else [])
+
+
 def test_any_finger_may_press() -> None:
     assert process_batches(DaemonStub("button", 2), batch((1, [(0, 0), (0, 0)]), (2, [(0, 0), (0, 2)]))) == ARMED
     assert process_batches(DaemonStub("button", 2), batch((1, [(0, 1), (0, 0)]), (2, [(0, 0), (0, 1)]))) == []

@@ -21,7 +21,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from helpers.waits import ends_within
+from helpers.waits import ends_within, until
 
 from softfinger.config.errors import HapticError, RecordingError, SafetyStop
 from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
@@ -309,32 +309,32 @@ def test_a_clock_that_is_set_back_loses_no_event_and_no_second(jump_s: float) ->
     assert counted == seconds[-1]["tick"] and counted >= 4000  # the last second may not be over
 
 
-def test_a_recording_that_is_still_being_opened_is_one_error_at_the_end(monkeypatch, tmp_path):
-    """As on a network file system without a server."""
-    opening, answered = threading.Event(), threading.Event()
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_disk_that_does_not_answer_is_an_error_and_blocks_no_request(gone, monkeypatch, tmp_path):
+    """As on a network file system without a server; a file that is opened later is removed."""
+    answered, open_file = threading.Event(), recordings.open_recording
 
-    def hang(*_: object) -> None:
-        opening.set()
+    def hang(*names: Any) -> Any:
         answered.wait()
-        raise OSError("gone")
+        if gone:
+            raise OSError("gone")
+        return open_file(*names)
 
     monkeypatch.setattr(recordings, "open_recording", hang)
-    monkeypatch.setattr(recordings, "CLOSE_S", 0.05)
-    service = recordings.Recordings(None, [""], print)
-    path = tmp_path / "a.mcap"
-
-    def record() -> None:
-        with pytest.raises(RecordingError, match="gone"):
-            service.record(path, "a scene")
-
-    client = threading.Thread(target=record)
-    client.start()
-    assert opening.wait(WAIT_S)
-    with ends_within(60), pytest.raises(RecordingError, match=rf"^{path}: cannot be opened, because its disk"):
+    monkeypatch.setattr(recordings, "OPEN_S", 0.05)
+    directory = SimpleNamespace(rig=SimpleNamespace(recording=SimpleNamespace(directory=tmp_path)))
+    service = recordings.Recordings(directory, [""], print)
+    with ends_within(60):
+        for refusal in ("a.mcap: cannot be opened, because its disk", "a.mcap: cannot be opened, because the disk"):
+            with pytest.raises(RecordingError, match=f"^{refusal}"):
+                service.begin("a.mcap", "a scene")
+        with pytest.raises(RecordingError, match="nothing is being recorded"):
+            service.end()
+        assert service.collect_totals() == RecorderState()
         service.stop()
     answered.set()
-    client.join()
-    service.stop()
+    until(lambda: not any(thread.name == "opening" for thread in threading.enumerate()))
+    assert not list(tmp_path.iterdir())
 
 
 def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -181,8 +181,34 @@ def test_the_rigs_own_device_decides(tmp_path: Path) -> None:
     (none,) = attached.check_devices(load_rig("replay"), [])
     assert none.state == "good"
     mine = SystemDevice("hid", 0x16C0, 0x0486, "Arm", "", str(tmp_path))
-    assert attached.is_of(load_rig("woodenhaptics-2019"), mine)
-    assert not attached.is_of(load_rig("woodenhaptics-2015"), mine)
+    assert attached.is_of(load_rig("woodenhaptics-2019").tables["device"], mine)
+    assert not attached.is_of(load_rig("woodenhaptics-2015").tables["device"], mine)
+    (ethernet,) = attached.check_devices(load_rig("touch"), [])
+    assert ethernet.state == "could be better" and "Ethernet" in ethernet.seen
+
+
+@pytest.mark.parametrize("rig", ["woodenhaptics-v3", "haply-2diy", "hapkit"])  # with the ids of any Teensy, or none
+@pytest.mark.parametrize("on_usb", [True, False])
+def test_the_path_of_a_rig_selects_its_port(rig: str, on_usb: bool, tmp_path: Path) -> None:
+    """The path may be a link, as in /dev/serial/by-id, and the port need not be on USB."""
+    boards = [SystemDevice("serial", 0x16C0, 0x0483, "thing", "", str(tmp_path / f"ttyACM{n}")) for n in range(2)]
+    for board in boards:
+        Path(board.node).touch()
+    (tmp_path / "by-id").symlink_to(boards[1].node)
+    for path, expected in ((boards[1].node, ["good"]), (tmp_path / "by-id", ["good"]), (tmp_path / "none", ["bad"])):
+        changed = load_rig(rig, {"device.path": str(path)})
+        checks = attached.check_devices(changed, boards if on_usb else [])
+        assert [check.state for check in checks if check.state != "could be better"] == expected, checks
+    assert f"at {path}" in checks[-1].seen
+
+
+def test_the_devices_of_several_fingers_are_checked(tmp_path: Path) -> None:
+    rig = tmp_path / "two.toml"
+    rig.write_text('[devices.thumb]\ndriver = "spacemouse"\n[devices.index]\ndriver = "serial"\npath = "/dev/none"\n')
+    puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(rig))
+    used, absent = attached.check_devices(load_rig(str(rig)), [puck])
+    assert (used.state, absent.state, absent.name) == ("good", "bad", "device of [devices.index]")
+    assert "good" in {check.state for check in attached.list_checks(load_rig("simulated-lift-a-box"))}
 
 
 @pytest.mark.parametrize(

@@ -127,8 +127,9 @@ def check_force(force_n: float | None, seconds: float, rig: Rig) -> None:
 
 def start_report(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
     """Return a report with all data that is known before opening the device, and the serial numbers to shorten."""
-    devices = [device for device in discovery.list_attached() if attached.is_of(rig, device)]
-    freedom = read_subspace(find_single_device(rig))
+    config = find_single_device(rig)
+    devices = [device for device in discovery.list_attached() if attached.is_of(config, device)]
+    freedom = read_subspace(config)
     report: dict[str, Any] = {
         "report": FORMAT,
         "complete": False,
@@ -143,8 +144,8 @@ def start_report(rig: Rig, guided: bool) -> tuple[dict[str, Any], list[str]]:
                 for item in (machine.check_kernel(), machine.check_virtual(), machine.check_processors())
             },
         },
-        "driver": find_single_device(rig).driver,
-        "options": privacy.redact_options(find_single_device(rig).options),
+        "driver": config.driver,
+        "options": privacy.redact_options(config.options),
         "rate_hz": rig.servo.rate_hz,
         "guided": guided,
         "freedom": "" if freedom is None else freedom.describe(),

@@ -8,7 +8,13 @@ from typing import Final
 import numpy as np
 
 from softfinger.proxy.meshes.formats.polygons import Faces, Indices, Points
-from softfinger.proxy.meshes.formats.text import clean, count_words_per_line, parse_numbers
+from softfinger.proxy.meshes.formats.text import (
+    clean,
+    count_words_per_line,
+    find_in_lines,
+    parse_numbers,
+    remove_in_lines,
+)
 
 _VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]+([^\n]*)", re.MULTILINE)
 _FACE: Final = re.compile(rb"^[ \t]*fo?[ \t]+([^\n]*)", re.MULTILINE)
@@ -22,14 +28,15 @@ def read(data: bytes) -> Faces:
     if b"\\\n" in text:  # a continued line
         text = text.replace(b"\\\n", b" ")
     if b"#" in text:
-        text = re.sub(rb"#[^\n]*", b"", text)
-    if refused := _REFUSED.search(text):
-        reason = _REASONS.get(refused[1], "has free-form surfaces")
-        raise ValueError(f"{reason} ({refused[1].decode()}): export it as triangles in one file")
-    points = _parse_points(_VERTEX.findall(text))
-    rows = b"\n".join(_FACE.findall(text))
+        text = remove_in_lines(rb"#[^\n]*", text)
+    if refused := find_in_lines(_REFUSED, text):
+        name = refused.partition(b"\n")[0]
+        reason = _REASONS.get(name, "has free-form surfaces")
+        raise ValueError(f"{reason} ({name.decode()}): export it as triangles in one file")
+    points = _parse_points(find_in_lines(_VERTEX, text))
+    rows = find_in_lines(_FACE, text)
     if b"/" in rows:
-        rows = re.sub(rb"/[^\s]*", b"", rows)
+        rows = remove_in_lines(rb"/[^\s]*", rows)
     if not rows:
         return Faces(points, np.empty(0, np.int64), np.empty(0, np.int64), 0)
     counts = count_words_per_line(rows)
@@ -39,10 +46,9 @@ def read(data: bytes) -> Faces:
     return Faces(points, _to_zero_based(text, corners, counts), counts, len(counts))
 
 
-def _parse_points(rows: list[bytes]) -> Points:
+def _parse_points(text: bytes) -> Points:
     """Return the coordinates (n, 3) in lines of x y z, with a weight or a colour behind them, or not."""
-    text = b"\n".join(rows)
-    values, words = parse_numbers(text, np.float64), count_words_per_line(text) if rows else np.empty(0, np.int64)
+    values, words = parse_numbers(text, np.float64), count_words_per_line(text) if text else np.empty(0, np.int64)
     if (words == 3).all():
         return values.reshape(-1, 3)
     if (words < 3).any():
