@@ -1,6 +1,7 @@
 """Times of drivers on test doubles: figures of known times, and one measurement of each kind."""
 
 import json
+from pathlib import Path
 
 import driver_times
 import numpy as np
@@ -26,9 +27,18 @@ def test_cost_of_known_times() -> None:
 @pytest.mark.parametrize(
     ("measurement", "driver", "shares"), [("cost", "hid", ["whole"]), ("age", "haply", ["new", "arrived"])]
 )
-def test_a_measurement_is_complete(
-    measurement: str, driver: str, shares: list[str], capsys: pytest.CaptureFixture[str]
+def test_a_measurement_is_complete_and_drawn(
+    measurement: str, driver: str, shares: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert driver_times.main([measurement, "--driver", driver, "--ticks", "100", "--json"]) == 0
+    plot = tmp_path / "plot.png"
+    assert driver_times.main([measurement, "--driver", driver, "--ticks", "100", "--json", "--plot", str(plot)]) == 0
     figures = json.loads(capsys.readouterr().out)["seconds"][driver]
     assert all(figures[share] > 0.0 for share in shares)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_bars_of_known_times() -> None:
+    ages = {"haply": {"pose": {"p50": 1e-3, "p99": 2e-3}, "force": {"p50": 3e-3, "p99": 4e-3}}}
+    wanted = {"haply, pose, p50": 1e3, "haply, pose, p99": 2e3, "haply, force, p50": 3e3, "haply, force, p99": 4e3}
+    assert driver_times.age_bars(ages) == pytest.approx(wanted, rel=1e-12)  # rounding
+    assert driver_times.cost_bars({"hid": {"own": 2e-7}}) == pytest.approx({"hid": 0.2}, rel=1e-12)
