@@ -126,13 +126,13 @@ bench: $(STAMP) ## Measure step cost, wake-up lateness (also in C, and with bodi
 	$(BIN)/softfinger bench loop --scene lift-a-box --seconds $(BENCH_SECONDS)
 	$(BIN)/softfinger bench telemetry --seconds $(BENCH_SECONDS)
 
-handover-age: $(STAMP) ## Measure the age of poses and forces at use, with a thread or library in between (ARGS=--json)
+handover-age: $(STAMP) ## Measure the age of poses and forces at use, with a thread or library in between (ARGS="--plot FILE --json")
 	@exec $(BIN)/python tests/driver_times.py age $(ARGS)
 
 soak: $(STAMP) ## Run everything for ten minutes: memory, descriptors, threads, missed and lost ticks (ARGS="--minutes 120 --plot FILE --json")
 	@exec $(BIN)/softfinger bench soak $(ARGS)
 
-exchange-cost: $(STAMP) ## Measure the tick of each driver in addition to its C calls, with test doubles (ARGS=--json)
+exchange-cost: $(STAMP) ## Measure the tick of each driver in addition to its C calls, with test doubles (ARGS="--plot FILE --json")
 	@exec $(BIN)/python tests/driver_times.py cost $(ARGS)
 
 study: $(STAMP) ## Repeat the measurements for figures and tables of docs/ (15 minutes; ARGS=--quick for a short check)

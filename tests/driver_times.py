@@ -31,6 +31,7 @@ from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
 from softfinger.server.loop.clock import read_clock_ns, sleep_until
 from softfinger.tools import measure
+from softfinger.tools.options import add_output_options
 
 PARTS: Final = 20
 TRIES: Final = 100
@@ -186,22 +187,37 @@ def age_lines(ages: dict[str, Any]) -> Iterator[str]:
             yield f"{name + ', ' + quantity:24}{row}{age[share]:9.1%}"
 
 
+def cost_bars(costs: dict[str, Any]) -> dict[str, float]:
+    return {name: cost["own"] * 1e6 for name, cost in costs.items()}
+
+
+def age_bars(ages: dict[str, Any]) -> dict[str, float]:
+    """Return median and 99th percentile of each age, us."""
+    return {
+        f"{name}, {quantity}, {key}": age[quantity][key] * 1e6
+        for name, age in ages.items()
+        for quantity in ("pose", "force")
+        for key in ("p50", "p99")
+    }
+
+
 def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     measurements = parser.add_subparsers(dest="measurement", required=True)
     kinds: dict[str, Any] = {
-        "cost": (COST_CASES, find_cost, cost_lines, 100_000), "age": (AGE_CASES, find_ages, age_lines, 10_000)
-    }  # fmt: skip
+        "cost": (COST_CASES, find_cost, cost_lines, cost_bars, "driver's own time, us a tick", 100_000),
+        "age": (AGE_CASES, find_ages, age_lines, age_bars, "age, us", 10_000),
+    }
     for kind, (cases, *_, ticks) in kinds.items():
         options = measurements.add_parser(kind)
         options.add_argument("--driver", choices=cases, action="append", help="measure this one; any number of times")
         options.add_argument("--ticks", type=int, default=ticks, metavar="N", help="(default: %(default)s)")
-        options.add_argument("--json", action="store_true", help="print one JSON object")
+        add_output_options(options)
     options.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the loop (default: %(default)s)")
     args = parser.parse_args(words)
     if args.ticks < 1 or not 1.0 <= vars(args).get("rate", 1.0) <= 1e4:
         parser.error("--ticks must be 1 or more, --rate 1 to 10000")
-    cases, find, lines, _ = kinds[args.measurement]
+    cases, find, lines, bars, unit, _ = kinds[args.measurement]
     results = {}
     try:
         for name in args.driver or cases:
@@ -213,8 +229,10 @@ def main(words: Sequence[str] | None = None) -> int:
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    measure.show({"ticks": args.ticks, "seconds": results}, args.json, lines(results))
-    return 0
+    result = {"ticks": args.ticks, "seconds": results}
+    return measure.show_and_draw(
+        args, result, lines(results), lambda path: measure.draw_bars(path, bars(results), unit)
+    )
 
 
 if __name__ == "__main__":

@@ -30,6 +30,26 @@ def test_pytest_accepts_its_command() -> None:
     run_program(command, cwd=ROOT, env=os.environ | guest, check=True)
 
 
+FORK = """
+import faulthandler, os, signal
+
+def test_a_fork_starts_a_timer():
+    pid = os.fork()
+    if pid == 0:
+        signal.alarm(20)  # ends it, even in C code
+        faulthandler.dump_traceback_later(60)
+        os._exit(0)
+    assert os.waitpid(pid, 0)[1] == 0
+"""
+
+
+def test_a_fork_of_its_tests_starts_pytests_timer(tmp_path: Path) -> None:
+    file = tmp_path / "test_fork.py"
+    file.write_text(FORK)
+    command = run.tests([f"--config-file={ROOT / 'pyproject.toml'}", str(file)], systemd=False)
+    run_program(command, cwd=ROOT, check=True)
+
+
 @pytest.mark.parametrize(
     "words", [[], ["-k", "unplugged"], ["tests/vm/under_systemd.py"], ["tests/vm/on_hid.py::TestV2"]]
 )

@@ -51,6 +51,8 @@ class Firmware:
         """Time (s, monotonic clock) and torques of each change."""
         self.given: list[tuple[float, float, float]] = []
         """The same of every command."""
+        self.idle_before: list[float] = []
+        """Latest time (s) before each of these commands at which the port had no bytes to read."""
         self.host = [0, 0]
         """Device that the motors and encoders of each port belong to; 0: none."""
         self.encoders = [(0.0, 0.0)] * 2
@@ -94,6 +96,7 @@ class Firmware:
         for k, value in zip(mine, struct.unpack(f"<{len(mine)}f", data), strict=True):
             torques[k] = value
         if mine:
+            self.idle_before.append(port.idle_at)
             self.give(torques)
             self.commands += 1
         tremor = TREMOR if self.answers % 2 else 0.0
@@ -124,6 +127,8 @@ class Port(Terminal):
         self.spoil: Callable[[bytes], bytes] = bytes
         """Change of an answer on the line."""
         self._came = bytearray()
+        self.idle_at = time.monotonic()
+        """Time (s) at which there were last no bytes to read."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -133,9 +138,15 @@ class Port(Terminal):
             time.sleep(STEP_S)
 
     def _fill(self, wait_s: float) -> None:
-        if not self._came and select.select([self._far], [], [], wait_s)[0]:
-            with suppress(OSError):
-                self._came += self.hears(os.read(self._far, 4096))
+        if self._came:
+            return
+        now = time.monotonic()
+        if not select.select([self._far], [], [], 0.0)[0]:
+            self.idle_at = now
+            if wait_s == 0.0 or not select.select([self._far], [], [], wait_s)[0]:
+                return
+        with suppress(OSError):
+            self._came += self.hears(os.read(self._far, 4096))
 
     def available(self) -> int:
         self._fill(0.0)

@@ -82,12 +82,17 @@ class Cable(Terminal):
         """Bytes read from the line."""
         self.received_bytes = 0
         """Bytes processed and answered."""
+        self.idle_before: list[float] = []
+        """Latest time (s) before each frame of the host at which there were no bytes to read."""
         self._thread.start()
 
     def _run(self) -> None:
-        poll, rest = select.poll(), b""
+        poll, rest, idle_at = select.poll(), b"", time.monotonic()
         poll.register(self._far, select.POLLIN)
         while not self._pulled.is_set():
+            now = time.monotonic()
+            if not poll.poll(0):
+                idle_at = now
             if self._deaf or not poll.poll(5):
                 time.sleep(0.0002)
                 continue
@@ -98,6 +103,8 @@ class Cable(Terminal):
                     rest += data
             while b"\n" in rest:
                 line, rest = rest[: rest.index(b"\n") + 1], rest[rest.index(b"\n") + 1 :]
+                if len(line) == FRAME_BYTES:
+                    self.idle_before.append(idle_at)
                 answer = self.board.answer(line)
                 with self._saying:
                     if not self.mute.is_set():

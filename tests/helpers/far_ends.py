@@ -66,6 +66,8 @@ class Far(NamedTuple):
     hush          makes the device receive without answering; None if it has no such fault
     tremble       moves a hand that `press` leaves at rest
     frames        number of received frames, without conversion of their forces: polled, that would delay the emulator
+    idle_before   for each received force, the latest time before it at which the device had nothing to read. A force
+                  has arrived after that time, however late the emulator's thread has read it. None: not known
     """
 
     rig: str
@@ -82,6 +84,7 @@ class Far(NamedTuple):
     hush: Callable[[], object] | None = None
     tremble: Callable[[], AbstractContextManager[object]] = nullcontext
     frames: Callable[[], int] | None = None
+    idle_before: Callable[[], list[float]] | None = None
 
     def count_frames(self) -> int:
         return len(self.forces_since(0)) if self.frames is None else self.frames()
@@ -107,6 +110,8 @@ class FarEnd(NamedTuple):
     handover: int = 1
     withholds: bool = False
     hush: Callable[[], object] | None = None
+    newest: Callable[[], float] | None = None
+    idle_before: Callable[[], list[float]] | None = None
 
 
 def rows(times: Any, forces: Any) -> Array:
@@ -239,6 +244,7 @@ def hid(folder: Path, patch: pytest.MonkeyPatch, rig: str = "woodenhaptics-2019"
         yield Far(
             rig_file(folder, rig, **keys), answering, lambda first: rows_from(first, arm.sent_at, arm.sent, force_of),
             hand.press, answering.unplug, 0.01, withholds=True, hush=answering.mute.set, frames=lambda: len(arm.sent),
+            idle_before=lambda: answering.idle_before,
         )  # fmt: skip
 
 
@@ -271,8 +277,9 @@ def serial(folder: Path, patch: pytest.MonkeyPatch, early_end: bool = False, **k
             return rows_from(first, board.sent_at, board.sent, lambda words: np.multiply(words[:3], 1e-3))
 
         yield Far(
-            rig, cable, forces_since, hand.press, cable.pull, 1e-3, hush=cable.hush, frames=lambda: len(board.sent)
-        )
+            rig, cable, forces_since, hand.press, cable.pull, 1e-3, hush=cable.hush, frames=lambda: len(board.sent),
+            idle_before=lambda: cable.idle_before,
+        )  # fmt: skip
 
 
 @contextmanager
@@ -287,7 +294,7 @@ def two_diy(folder: Path, patch: pytest.MonkeyPatch, **keys: Any) -> Iterator[Fa
         yield Far(
             rig_file(folder, "haply-2diy", path=port.path, **PATIENT | keys), port, forces_since,
             partial(lower, board), port.pull, 1e-6, "xz", lambda force: (force[0], 0.0, force[2]), powerless=True,
-            hush=port.mute.set, frames=lambda: len(board.given),
+            hush=port.mute.set, frames=lambda: len(board.given), idle_before=lambda: board.idle_before,
         )  # fmt: skip
 
 
@@ -376,7 +383,10 @@ def pressing(name: str, tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
         with device:
             far.press()
             with far.tremble():
-                yield FarEnd(device, received, lambda: far.forces_since(0), far.handover, far.withholds, far.hush)
+                yield FarEnd(
+                    device, received, lambda: far.forces_since(0), far.handover, far.withholds, far.hush, far.newest,
+                    far.idle_before,
+                )  # fmt: skip
 
 
 FAR_ENDS: dict[str, Callable[..., Any]] = {

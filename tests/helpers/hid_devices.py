@@ -76,18 +76,25 @@ class Answering(AbstractContextManager[Any]):
         self.deaf = threading.Event()
         """If set, the device reads nothing."""
         self.answered = 0
+        self.idle_before: list[float] = []
+        """Latest time (s) before each report at which there was none to read."""
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
+        idle_at = time.monotonic()
         # Reports that the driver sent before it closed its end can still be read; only the answers are lost.
         while True:
+            now = time.monotonic()
             try:
+                if not select.select([self.end], [], [], 0.0)[0]:
+                    idle_at = now
                 data = self.end.recv(4096)
             except ConnectionResetError:
                 continue
             if not data:
                 return
+            self.idle_before.append(idle_at)
             while self.deaf.is_set():
                 time.sleep(0.0002)
             reply = self._answer(data)

@@ -243,8 +243,11 @@ def measure_ticks_to_zero(ticks: np.ndarray, norms: np.ndarray, at: int, at_once
 DRIVERS = {"serial": "serial", "hid": "hid", "falcon": "falcon", "haply": "haply", "haply-2diy": "serial",
            "hapkit": "serial"}  # fmt: skip
 """Driver of each device that can become silent."""
+LONGER = 5.0
+"""Factor of the driver's default time after which it abandons the device: on a busy machine, the thread of a far end
+may wait longer than that before the silence."""
 PRESSED_TICKS = 200
-"""Ticks before the silence: enough for the ramp and a visible press."""
+"""Least number of ticks before the silence: enough for the ramp and a visible press."""
 ANSWERS = 2
 """Ticks by which an answer in transit may delay the start of the silence."""
 
@@ -252,18 +255,20 @@ ANSWERS = 2
 @pytest.mark.parametrize("name", DRIVERS)
 def test_a_silent_device_gets_zero_and_then_counts_as_lost(name, tmp_path, record_property):
     driver, hushed = DRIVERS[name], list[float]()
+    timeout_s = LONGER * ABANDON_S[driver]
     key = "kick_s" if driver in ("falcon", "hid") else "quiet_s"
     stale = {"stale_s": find_default(HaplyOptions, "stale_s")} if driver == "haply" else {}
-    quiet = {key: SILENCE_S[driver], "timeout_s": ABANDON_S[driver], **stale}
+    quiet = {key: SILENCE_S[driver], "timeout_s": timeout_s, **stale}
     with FAR_ENDS[name](tmp_path, **quiet) as far:
 
         def hush(ticks: int) -> None:
-            if ticks >= PRESSED_TICKS and not hushed:
+            if ticks >= PRESSED_TICKS and not hushed and far.newest() > 0.0:
                 far.hush()
                 hushed.append(time.monotonic())
 
         result = run(far.device, [], 20_000, RATE_HZ, tmp_path, hush)
         wrenches = far.received()
+        arrived = np.array(far.idle_before()) if far.idle_before else wrenches[:, 0]
     assert type(result.error) is DeviceTimeout, result.error
     (at,) = find_ticks(np.array(hushed), result)
     ticks, norms = find_ticks(wrenches[:, 0], result), np.linalg.norm(wrenches[:, 1:], axis=1)
@@ -271,8 +276,9 @@ def test_a_silent_device_gets_zero_and_then_counts_as_lost(name, tmp_path, recor
     assert norms[-1] == 0.0
     zero = np.flatnonzero(norms)[-1] + 1  # a board holds its last force until it receives another
     zero_after = int(ticks[zero] - at)
-    assert zero_after <= round(SILENCE_S[driver] * RATE_HZ) + far.handover + TURN
-    assert result.ticks <= at + round(ABANDON_S[driver] * RATE_HZ) + ANSWERS + TURN
+    (arrived_at,) = find_ticks(arrived[zero : zero + 1], result)
+    assert arrived_at - at <= round(SILENCE_S[driver] * RATE_HZ) + far.handover + TURN
+    assert result.ticks <= at + round(timeout_s * RATE_HZ) + ANSWERS + TURN
     record_property(
         SEEN,
         {

@@ -26,7 +26,16 @@ def test_cost_of_known_times() -> None:
 @pytest.mark.parametrize(
     ("measurement", "driver", "shares"), [("cost", "hid", ["whole"]), ("age", "haply", ["new", "arrived"])]
 )
-def test_a_measurement_is_complete(measurement, driver, shares, capsys):
-    assert driver_times.main([measurement, "--driver", driver, "--ticks", "100", "--json"]) == 0
+def test_a_measurement_is_complete_and_drawn(measurement, driver, shares, tmp_path, capsys):
+    plot = tmp_path / "plot.png"
+    assert driver_times.main([measurement, "--driver", driver, "--ticks", "100", "--json", "--plot", str(plot)]) == 0
     figures = json.loads(capsys.readouterr().out)["seconds"][driver]
     assert all(figures[share] > 0.0 for share in shares)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_bars_of_known_times() -> None:
+    ages = {"haply": {"pose": {"p50": 1e-3, "p99": 2e-3}, "force": {"p50": 3e-3, "p99": 4e-3}}}
+    wanted = {"haply, pose, p50": 1e3, "haply, pose, p99": 2e3, "haply, force, p50": 3e3, "haply, force, p99": 4e3}
+    assert driver_times.age_bars(ages) == pytest.approx(wanted, rel=1e-12)  # rounding
+    assert driver_times.cost_bars({"hid": {"own": 2e-7}}) == pytest.approx({"hid": 0.2}, rel=1e-12)

@@ -41,6 +41,9 @@ if "SOFTFINGER_VM" not in os.environ:
 
 GADGETS = Path(__file__).with_name("gadgets")
 START_S = 30.0
+ANSWER_S = 60.0
+TEST_S, CONTRACT_S = 120, 600
+"""Time for one test of a contract, after which it ends with all stacks, and for all of them."""
 RATE_HZ = 100.0
 """Rate of the loops here: a tick takes a millisecond on an emulated processor, which also emulates the device."""
 TRIES = 3
@@ -74,6 +77,7 @@ class Gadget(AbstractContextManager[Any]):
 
     def ask(self, line: str) -> Any:
         with socket.socket(socket.AF_UNIX) as end:
+            end.settimeout(ANSWER_S)
             end.connect(self.path)
             end.sendall(line.encode() + b"\n")
             with end.makefile() as stream:
@@ -281,10 +285,11 @@ def contract(module: Path, device: Gadget) -> tuple[str, int]:
         # Root may open any node, and one of the tests forbids one.
         keep_capabilities(ALL_CAPABILITIES & ~(1 << DAC_OVERRIDE | 1 << DAC_READ_SEARCH))
         os.environ[SOCKET] = device.path
-        return int(pytest.main(["-q", "-p", "no:cacheprovider", str(module)]))
+        options = ("-q", "-p", "no:cacheprovider", "-o", f"faulthandler_timeout={TEST_S}")
+        return int(pytest.main([*options, str(module)]))
 
     with Run(work) as tests:
-        code = tests.end(400)
+        code = tests.end(CONTRACT_S)
     return tests.out + tests.err, code
 
 

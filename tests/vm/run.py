@@ -73,7 +73,10 @@ def tests(words: list[str], systemd: bool) -> list[str]:
     others = [word for word in words if word not in named]
     if systemd:
         others.append("--noconftest")  # the service's tests do not need it, and cannot be repeated
-    return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *others, *modules] if modules else []
+    # A fork of the tests (guest.py) inherits a started timer without its thread, and its own timer would wait for that
+    # thread forever. Tests in the guest have other time limits.
+    options = ("-p", "no:cacheprovider", "-o", "faulthandler_timeout=0")
+    return [sys.executable, "-m", "pytest", *options, *others, *modules] if modules else []
 
 
 def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> int:
