@@ -122,7 +122,8 @@ def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monke
 def test_a_watchdog_for_another_process_is_ignored() -> None:
     assert _read_watchdog_s({"WATCHDOG_USEC": "2000000"}) == 2.0
     assert _read_watchdog_s({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}) == 2.0
-    for environment in ({}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}):
+    other = {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}
+    for environment in ({}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "-1"}, other):
         assert _read_watchdog_s(environment) == float("inf")
 
 
