@@ -136,14 +136,14 @@ class Rendering:
             keeps_devices = [finger.device for finger in new_pairs] == [finger.device for finger in old_pairs]
             keeps_devices = keeps_devices and rig.servo.rate_hz == self.rig.servo.rate_hz
             # Compiled with the present devices: the compiled loop does not depend on them.
-            compiled = self._loop(new_scene, rig)
+            compiled, compiled_scene = self._loop(new_scene, rig), new_scene
             servo.compile(compiled)
 
             def make() -> Loop:
                 if not keeps_devices:
                     return self._loop_for_new_devices(new_scene, rig)
                 # Parameters of a scene that continues, and the offset of a device, may have changed in the meantime.
-                if scene is None:
+                if new_scene is not compiled_scene:
                     return self._loop(new_scene, rig)
                 return servo.with_tuning(compiled, with_offsets(compiled.tuning, self._tuning.offsets))
 
