@@ -32,7 +32,9 @@ def inject_faults(
                 f"a fault of kind '{fault.kind}' has finger = '{fault.finger}': the scene has "
                 f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: remove finger"
             )
-    from softfinger.drivers.injected import FaultInjector  # imported here, because its kernels are compiled on import
+    from softfinger.drivers.fault_injector import (
+        FaultInjector,
+    )  # imported here, because its kernels are compiled on import
 
     return tuple(FaultInjector(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
 

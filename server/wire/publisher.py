@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import make_commands_address
-from softfinger.drivers.closing import Closeable
+from softfinger.drivers.closeable import Closeable
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, list_columns
 from softfinger.server.socket_process.setup import Figures, Kind, ProcessSetup, StateInfo, TickParameters

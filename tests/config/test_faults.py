@@ -14,7 +14,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_faults
 from softfinger.config.schema import Faults, Injection
 from softfinger.config.sources import list_shipped
-from softfinger.drivers.injected import END_TICK, FIRST_TICK, PERIOD_TICKS, make_fault_table
+from softfinger.drivers.fault_injector import END_TICK, FIRST_TICK, PERIOD_TICKS, make_fault_table
 
 pytestmark = pytest.mark.plain
 

@@ -41,8 +41,8 @@ STRANGER = 54321
 HANGS_S = 60
 """Longer than any of these takes on a busy machine; a read of a pipe never ends."""
 GROWTH_MAX_MB = 400
-"""The largest limit in drivers/containers.py and drivers/poses.py is 160 MB, an array may exist twice, and zstd has a
-window of up to 128 MB. Each bomb is larger."""
+"""The largest limit in drivers/mcap_messages.py and drivers/poses.py is 160 MB, an array may exist twice, and zstd has
+a window of up to 128 MB. Each bomb is larger."""
 
 
 @pytest.fixture(autouse=True)

@@ -23,7 +23,7 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import BOARD, WAIT_MS, BoardTimes
-from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS
+from softfinger.drivers.samples import CURRENT_WAIT_MAX_NS, PAUSE_MIN_NS
 
 pytestmark = BY_CALL
 
@@ -113,9 +113,9 @@ class Board:
         self.calls = []
         return int(self._functions.write(self.block.handle, wrench))
 
-    def silence(self) -> int:
+    def disarm_and_zero(self) -> int:
         self.calls = []
-        return int(self._functions.silence(self.block.handle))
+        return int(self._functions.disarm_and_zero(self.block.handle))
 
     def receive_sample(self) -> None:
         self.incoming = [0, 0, 1]
@@ -140,10 +140,10 @@ def test_a_device_that_is_closed_is_lost(board: Board) -> None:
     board.word[BOARD.fd] = -1
     assert board.read() == LOST and board.calls == []
     assert (board.write(ZERO), board.write(FORCE)) == (OK, WITHHELD) and board.calls == []
-    assert board.silence() == 1 and board.calls == []
+    assert board.disarm_and_zero() == 1 and board.calls == []
     board.word[BOARD.fd] = 0
     assert board.write(ZERO) == OK and board.calls == ["busy? deaf", "zero"]
-    assert board.silence() == 1 and board.calls == ["zero"]
+    assert board.disarm_and_zero() == 1 and board.calls == ["zero"]
     board.receive_sample()
 
 
@@ -187,7 +187,7 @@ def test_first_read_times_out(misread: int, status: int, board: Board, monkeypat
     assert board.calls.count("drain") == 2 + 21
 
 
-@pytest.mark.parametrize(("ns", "paused"), [(RESUME_NS, False), (RESUME_NS + 1, True)])
+@pytest.mark.parametrize(("ns", "paused"), [(PAUSE_MIN_NS, False), (PAUSE_MIN_NS + 1, True)])
 def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
     board.receive_sample()
     board.clock.now += ns
@@ -202,7 +202,7 @@ def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board
     board.clock.now += 150 * MS
     begun, before = board.clock.now, board.sample.copy()
     assert board.read() == STALE
-    assert board.clock.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
+    assert board.clock.now - begun == CURRENT_WAIT_MAX_NS + WAIT_MS * MS
     assert board.sample.tolist() == before.tolist()
     assert board.word[BOARD.read_at] == board.clock.now
     assert board.word[BOARD.sampled_at] == begun - QUIET - 1
@@ -266,7 +266,7 @@ def test_nothing_is_sent_while_the_device_is_being_stopped(board: Board) -> None
     board.incoming = [1]
     assert board.read() == OK
     assert board.write(FORCE) == WITHHELD and board.write(ZERO) == WITHHELD and board.calls == []
-    assert board.silence() == 0 and board.calls == [] and board.word[BOARD.armed] == 0
+    assert board.disarm_and_zero() == 0 and board.calls == [] and board.word[BOARD.armed] == 0
     assert board.word[BOARD.lock] == 1
     board.word[BOARD.lock] = 0
 
@@ -334,10 +334,10 @@ def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
 
 
 @pytest.mark.parametrize(("status", "unsent_bytes", "succeeded"), [(OK, 0, 1), (HELD, 0, 0), (OK, 1, 0), (LOST, 0, 1)])
-def test_silence_succeeds_once_the_zero_is_sent(status: int, unsent_bytes: int, succeeded: int, board: Board) -> None:
+def test_disarming_succeeds_once_the_zero_is_sent(status: int, unsent_bytes: int, succeeded: int, board: Board) -> None:
     board.receive_sample()
     board.zero, board.word[BOARD.unsent_bytes] = status, unsent_bytes
-    assert board.silence() == succeeded and board.calls == ["zero"]
+    assert board.disarm_and_zero() == succeeded and board.calls == ["zero"]
     assert board.word[BOARD.armed] == 0 and board.word[BOARD.lock] == 0
     board.zero = OK
     assert board.write(FORCE) == WITHHELD

@@ -326,11 +326,11 @@ def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch
     while not 0 < len(run.port.waiting) < 64:  # in the middle of a frame
         run.ticks(1)
     assert run.driver.block.call(exchange.discard) == 1
-    assert run.driver.block.call(exchange.silence) == 1
+    assert run.driver.block.call(exchange.disarm_and_zero) == 1
     assert len(run.port.waiting) == 128
     run.goes_on()
     assert not run.reader.pushes and run.reader.rest == b""
-    assert run.driver.block.call(exchange.silence) == 1
+    assert run.driver.block.call(exchange.disarm_and_zero) == 1
     assert len(run.port.waiting) == 64
 
 

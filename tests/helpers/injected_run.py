@@ -11,7 +11,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.drivers.base import Device
-from softfinger.drivers.injected import FaultInjector
+from softfinger.drivers.fault_injector import FaultInjector
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
