@@ -25,7 +25,7 @@ from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.recording.recorder import RecorderState
-from softfinger.server.socket_process.setup import Figures
+from softfinger.server.socket_process.channel_messages import Figures
 from softfinger.server.states import DaemonState
 
 ROWS: Final = 1024

@@ -38,7 +38,7 @@ from softfinger.server.loop.guard import (
     RAMPING,
     TORQUE_CLAMPED,
 )
-from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tick import Tuning, make_start_memory
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import run_ticks
 from softfinger.server.progress import CHUNK, show_progress
@@ -189,7 +189,7 @@ def _simulate(
     """
     columns, bodies = out
     period = compute_period_ns(run.rate_hz) / NS_PER_S
-    first, initial_memory = run.first, begin(tuning.scene)
+    first, initial_memory = run.first, make_start_memory(tuning.scene)
     begin_bodies(tuning.scene, period)
     first_tick = int(first["tick"][part.start])
     # A device with its own clock is stepped one period per tick; other devices also for each missed deadline.

@@ -81,7 +81,7 @@ def run(
         recorder.stop(WAIT_S)
     error = failures[0] if failures else ended.error
     error = error or shutdown.describe_failure(injected, ended)
-    error = error or shutdown.loop_failure(ended, servo.ticks, servo.missed, servo.woken_late)
+    error = error or shutdown.describe_loop_failure(ended, servo.ticks, servo.missed, servo.woken_late)
     count, epoch_s = servo.ticks, servo.epoch_s
     servo.close()
     events, recorded = read(path)

@@ -9,7 +9,7 @@ import time
 
 import msgpack
 
-from softfinger.server.socket_process.setup import REQUEST_MAX
+from softfinger.server.socket_process.channel_messages import REQUEST_MAX
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\0NULL" + bytes(48)
 

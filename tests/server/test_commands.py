@@ -42,14 +42,14 @@ from softfinger.server.loop.guard import DISARMED, PAUSE_MAX_S
 from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.recording.summary import summarize
 from softfinger.server.remote import Client as RemoteClient
-from softfinger.server.services import compilation
+from softfinger.server.services import scene_changes
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX, CommandHandlers
-from softfinger.server.services.commands import CommandService
-from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES
-from softfinger.server.socket_process.clients import BURST
+from softfinger.server.services.command_service import CommandService
+from softfinger.server.socket_process.command_clients import BURST
+from softfinger.server.socket_process.force_off import SHORT_REQUEST_BYTES
 from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.states import COMMANDED_REASON, NO_HEARTBEAT_REASON
-from softfinger.server.wire import link
+from softfinger.server.wire import process_link
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.commands import METHODS
@@ -549,10 +549,10 @@ def slow_compiler(monkeypatch, tmp_path):
         "import os, sys, time\nsys.stdin.readline()\nprint('compiling kernel 3', flush=True)\n"
         f"open(r'{tmp_path}/' + str(os.getpid()), 'w').close()\ntime.sleep(1000)\n"
     )
-    popen, module = subprocess.Popen, link.MODULE
+    popen, module = subprocess.Popen, process_link.MODULE
     started = lambda words, **rest: popen(words if module in words else [*words[:1], program], **rest)  # noqa: E731
-    monkeypatch.setattr(compilation.subprocess, "Popen", started)
-    monkeypatch.setattr(compilation.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(scene_changes.subprocess, "Popen", started)
+    monkeypatch.setattr(scene_changes.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
     return lambda: [int(path.name) for path in tmp_path.glob("[0-9]*")]
 
 
@@ -625,16 +625,16 @@ def test_endless_scene_requests_do_not_block_other_clients(rig, slow_compiler):
 
 def test_a_failed_compilation_is_reported(rig, monkeypatch):
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
-    monkeypatch.setattr(compilation.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(scene_changes.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
     with running(rig()) as (_, control, recorder):
-        monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
+        monkeypatch.setattr(scene_changes.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
         with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):
             control.set_scene("sphere")
         assert control.get_state().active_field == "pressed" and recorder.force_n > 1.9
 
 
 def test_the_compiler_exits_when_its_input_is_closed():
-    words = [sys.executable, "-P", "-m", "softfinger.server.services.compilation"]
+    words = [sys.executable, "-P", "-m", "softfinger.server.services.scene_changes"]
     scene = json.dumps(describe(pressed_scene())) + "\n"
     completed = run_program(words, input=scene)
     assert completed.returncode == 1 and "Traceback" not in completed.stderr

@@ -24,9 +24,9 @@ from softfinger.server.states import (
     NOT_ARMED_REASON,
     TOO_FAST_REASON,
     TRANSITIONS,
-    UNREACHABLE,
+    UNREACHABLE_REASON,
     DaemonState,
-    States,
+    StateMachine,
     Trigger,
 )
 
@@ -39,7 +39,7 @@ NONE_IGNORED = np.zeros(2, np.int64)
 class Loop:
     def __init__(self, unarmed: bool = False) -> None:
         self.ticks, self.switch = 0, make_switch()
-        self.force = Force(unarmed, States(), self.switch, lambda: self.ticks)
+        self.force = Force(unarmed, StateMachine(), self.switch, lambda: self.ticks)
 
 
 @given(TICKS)
@@ -148,7 +148,7 @@ EXPECTED = {
 def make_states(state):
     """Return states at `state` and the list of their later notifications."""
     changes = []
-    states = States(lambda *change: changes.append(change))
+    states = StateMachine(lambda *change: changes.append(change))
     for trigger in WAYS[state]:
         assert states.fire(trigger, "on the way")
     assert states.now is state
@@ -177,7 +177,7 @@ def test_the_table_is_complete():
         (DaemonState.READY, set(), ["armed"]),
         (DaemonState.READY, {NOT_ARMED_REASON}, []),
         (DaemonState.READY, {NO_HEARTBEAT_REASON}, ["faulted"]),
-        (DaemonState.READY, {UNREACHABLE}, ["faulted"]),
+        (DaemonState.READY, {UNREACHABLE_REASON}, ["faulted"]),
         (DaemonState.ARMED, set(), []),
         (DaemonState.ARMED, {COMMANDED_REASON}, ["ready"]),
         (DaemonState.ARMED, {TOO_FAST_REASON, COMMANDED_REASON}, ["faulted"]),
@@ -235,7 +235,7 @@ def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
 
 
 def process_batches(daemon: DaemonStub, *batches: np.ndarray) -> list[Any]:
-    arming = Arming(cast(Any, daemon), States())
+    arming = Arming(cast(Any, daemon), StateMachine())
     for records in batches:
         arming.take(records, 0)
     return [act for act in daemon.acts if act != "update_state"]

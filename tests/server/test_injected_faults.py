@@ -24,7 +24,7 @@ from softfinger.drivers.haply.options import Options as HaplyOptions
 from softfinger.drivers.registry import open_device
 from softfinger.proxy.record import AT
 from softfinger.server.driver_contract import DeviceCaller
-from softfinger.server.loop.health import NO_FORCE_MAX_S, STALL_MAX_S
+from softfinger.server.loop.fault_detection import NO_FORCE_MAX_S, STALL_MAX_S
 from softfinger.tools.pages.hazards import ABANDON_S, SILENCE_S, find_default
 
 pytestmark = pytest.mark.real_time

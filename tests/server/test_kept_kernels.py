@@ -22,8 +22,8 @@ MAY_CALL = {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"
 
 COMPILER = """
 from softfinger.server.loop.servo import run_servo_loop
-from softfinger.server.services import compilation
-compilation.main()
+from softfinger.server.services import scene_changes
+scene_changes.main()
 print(*run_servo_loop.inspect_llvm().values())
 """
 """Process in which a daemon compiles another scene; prints the IR at the end."""

@@ -16,10 +16,17 @@ from softfinger.server.metrics.counts import MetricsCollector
 from softfinger.server.metrics.service import MetricsService
 from softfinger.server.recording.recorder import RecorderState
 from softfinger.server.services import recordings
-from softfinger.server.services.commands import CommandService
-from softfinger.server.services.scene_topics import WorldState
-from softfinger.server.services.watches import DEVICE_WARNING, SWAPPED, DeviceWarnings, HotplugWatch, SwapWatch
-from softfinger.server.socket_process.clients import (
+from softfinger.server.services.command_service import CommandService
+from softfinger.server.services.monitoring import (
+    DEVICE_WARNING,
+    SWAPPED,
+    DeviceWarningMonitor,
+    HotplugMonitor,
+    SwapMonitor,
+)
+from softfinger.server.services.scene_topics import WorldPublisher
+from softfinger.server.socket_process.channel_messages import Figures
+from softfinger.server.socket_process.command_clients import (
     BUSY_MESSAGE,
     CLIENTS_MAX,
     QUEUED_BYTES_MAX,
@@ -27,7 +34,6 @@ from softfinger.server.socket_process.clients import (
     RequestQueue,
     encode_busy,
 )
-from softfinger.server.socket_process.setup import Figures
 from softfinger.server.states import DaemonState
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.health import HealthSummary
@@ -57,7 +63,7 @@ def test_a_failed_service_is_reported_and_ends_nothing(name: str) -> None:
         bound = SimpleNamespace(endpoint="tcp://127.0.0.1:1", listener=broken, files=files)
         service = MetricsService(bound, counts, event)
     else:
-        service = HotplugWatch(broken, event) if name == "hotplug" else WorldState(broken, print, event)
+        service = HotplugMonitor(broken, event) if name == "hotplug" else WorldPublisher(broken, print, event)
     service.start()
     assert came.wait(WAIT_S)
     service.stop()
@@ -71,7 +77,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     class Failing:
         is_reachable = True
 
-        def end_at(self, time_ns: int) -> None: ...
+        def set_deadline(self, time_ns: int) -> None: ...
 
         def is_inhibited_by(self, why: str) -> bool:
             raise OSError("no memory")
@@ -140,7 +146,7 @@ def test_a_recording_that_is_still_being_opened_is_one_error_at_the_end(monkeypa
 
 def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     events, status = [], tmp_path / "status"
-    watch = SwapWatch(lambda kind, name, message: events.append((kind, name, message)), status)
+    watch = SwapMonitor(lambda kind, name, message: events.append((kind, name, message)), status)
     for kilobytes in (0, 40, 80, 0, 12):
         status.write_text(f"Name:\tpython3\nVmStk:\t   132 kB\nVmSwap:\t   {kilobytes} kB\nThreads:\t3\n")
         watch.check()
@@ -152,7 +158,7 @@ def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptu
 
 def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) -> None:
     events: list[Any] = []
-    watch = SwapWatch(lambda *words, **fields: events.append((words, fields)), tmp_path / "nothing")
+    watch = SwapMonitor(lambda *words, **fields: events.append((words, fields)), tmp_path / "nothing")
     watch.start()
     watch._thread.join(10.0)
     watch.stop()
@@ -163,7 +169,7 @@ def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) ->
 def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     warning, events = [""], []
     device: Any = SimpleNamespace(info=SimpleNamespace(name="arm"), warning=lambda: warning[0])
-    watch = DeviceWarnings(lambda: [device], lambda kind, name, message: events.append((kind, name, message)))
+    watch = DeviceWarningMonitor(lambda: [device], lambda kind, name, message: events.append((kind, name, message)))
     for words in ("", "hot", "hot", "hotter", "", "", "hot"):
         warning[0] = words
         watch.check()
@@ -173,7 +179,7 @@ def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None
 
 def test_a_failing_check_is_published() -> None:
     messages = []
-    DeviceWarnings(list, lambda *_, message: messages.append(message)).handle_failure(ValueError("broken"))
+    DeviceWarningMonitor(list, lambda *_, message: messages.append(message)).handle_failure(ValueError("broken"))
     assert messages == ["warnings of devices are no longer reported: broken"]
 
 

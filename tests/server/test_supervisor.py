@@ -23,7 +23,7 @@ from helpers.waits import ends_within
 
 from softfinger.config.errors import HapticError, SafetyStop
 from softfinger.server import watcher
-from softfinger.server.loop.health import STALL_MAX_S, STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND
+from softfinger.server.loop.fault_detection import STALL_MAX_S, STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND
 from softfinger.server.services import supervisor as supervising
 from softfinger.server.services.supervisor import Supervisor
 

@@ -10,7 +10,7 @@ from softfinger.drivers.base import Device
 from softfinger.server.loop import shutdown
 
 
-def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
+def open_finger_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
     """Open the device of each finger; on an error, close the devices opened before."""
     devices = list[Device]()
     with shutdown.close_on_error(devices):
