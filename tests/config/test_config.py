@@ -481,6 +481,26 @@ def test_another_driver_drops_the_options_of_the_first() -> None:
     assert load_rig("replay", {"device.driver": "replay"}).device.options["loop"] is True
     simulated = load_rig("replay", {"device.gain": 2, "device.driver": "simulated"}).device
     assert simulated == schema.DeviceConfig(driver="simulated", options={"gain": 2})
+    changes = {"devices.thumb.recording": "tap", "devices.thumb.driver": "replay", "device.driver": "faulty"}
+    devices = load_rig("simulated-pinch", changes).devices
+    assert devices["thumb"] == schema.DeviceConfig(driver="replay", options={"recording": "tap"})
+    assert devices["index"] == schema.DeviceConfig(driver="faulty")
+    whole = load_rig("simulated-pinch", {"device": {"driver": "replay", "recording": "tap"}}).devices
+    assert list(whole.values()) == [devices["thumb"]] * 2
+
+
+@pytest.mark.parametrize("key", ["material", "material.name"])
+def test_a_value_is_not_lost_to_the_table_or_entry_around_it(key: str) -> None:
+    values = {"object[0].material.stiffness_n_per_m": 321.0, f"object.0.{key}": "wood"}
+    for scene in ("sphere", load_scene("sphere", {"object.0.material": "rubber"})):
+        for changes in (values, dict(reversed(values.items()))):
+            material = load_scene(scene, changes).object[0].material
+            assert (material.name, material.stiffness_n_per_m) == ("wood", 321.0)
+
+
+def test_a_key_with_a_bracket_is_the_one_with_a_dot() -> None:
+    twice = {"object[0].radius_m": 0.02, "object.0.radius_m": 0.03}
+    assert "set twice" in refusal(load_scene, "sphere", twice)
 
 
 def test_override_of_a_missing_or_broken_table(tmp_path: Path) -> None:
