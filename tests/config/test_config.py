@@ -224,7 +224,10 @@ FINGERS: list[dict[str, Any]] = [{"name": "thumb", "radius_m": 0.01}, {"name": "
 
 def pinch_scene(**changes: Any) -> dict[str, Any]:
     """Return a scene with two fingers, the second changed by `changes`."""
-    return {**{k: v for k, v in scene().items() if k != "fingertip"}, "finger": [FINGERS[0], FINGERS[1] | changes]}
+    return {
+        **{k: v for k, v in scene().items() if k != "fingertip"},
+        "finger": [dict(FINGERS[0]), FINGERS[1] | changes],
+    }
 
 
 FINGER_FAULTS = [
@@ -244,6 +247,7 @@ FAULTS = [
     (Scene, pinch_scene, "fingertip", {"radius_m": 0.01}, ["cannot be combined with [[finger]]"]),
     (Scene, lambda: pinch_scene(coupling={"stiffness_n_per_m": 100.0}), "rolling.torque_stiffness_n_per_m", 500.0,
      ["must be at most finger[1].coupling.stiffness_n_per_m = 100 N/m"]),
+    (Scene, pinch_scene, "finger[0].device", "index", ["finger[1].device = 'index': already moves finger[0]"]),
     (Rig, rig_of_two, "devices", {"a.b": rig()["device"]}, ["must be text of 1 to 32 characters"]),
     (Rig, rig_of_two, "devices.thumb.driver", ..., ["f.toml: devices.thumb.driver is missing"]),
 ]  # fmt: skip
