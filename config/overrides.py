@@ -117,7 +117,7 @@ def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, ori
         place: Any = name
         if isinstance(at, list):
             if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
-                entries = f"entries go from 0 to {len(at) - 1}{_list_names(at)}" if at else "the list is empty"
+                entries = f"entries go from 0 to {len(at) - 1}{_join_names(at)}" if at else "the list is empty"
                 raise LookupError(
                     f"there is no {key}: {entries}; to add an entry, set the complete list {path[depth - 2]}"
                 )
@@ -150,6 +150,6 @@ def _forget_entry(at: Any, path: list[str], value: Any) -> None:
             at.pop(key, None)
 
 
-def _list_names(entries: list[Any]) -> str:
+def _join_names(entries: list[Any]) -> str:
     names = [str(entry["name"]) for entry in entries if isinstance(entry, dict) and "name" in entry]
     return f", or by name {', '.join(names)}" if names else ""

@@ -177,7 +177,7 @@ def make_unlimited_info(
     )
 
 
-def list_names(devices: Iterable[Device]) -> str:
+def join_names(devices: Iterable[Device]) -> str:
     return ", ".join(device.info.name for device in devices)
 
 

@@ -170,7 +170,7 @@ class Daemon:
         first = self.rendering.replace(scene, rig)
         self._raise_exchange_threads()  # of new devices
         self._publish_scene_info(self._scene_name if scene is None else scene_name)
-        self._publish_event("lifecycle", "replaced", device=base.list_names(self.devices), first=first)
+        self._publish_event("lifecycle", "replaced", device=base.join_names(self.devices), first=first)
         return first
 
     def _publish_scene_info(self, scene_name: str) -> None:

@@ -106,14 +106,14 @@ def write_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None
 def read_one(
     io: DeviceIO, device: Any, guard: Guard, offset: Any, start: FingerMemory, hand: FingerMemory, dt: float
 ) -> tuple[FingerMemory, int]:
-    """Read a sample of a device and add its offset; return the FingerMemory and the status.
+    """Read a sample of a device and add its offset; return the finger's memory and the status.
 
     dt  s  since the last read
 
-    The FingerMemory changes if the driver withholds the force or the offset changes. The position of an implausible
-    pose becomes nan.
+    The memory changes if the driver withholds the force or the offset changes. The position of an implausible pose
+    becomes nan.
     """
-    # Not into the sample: a driver without new data may leave the buffer as it is.
+    # `raw` keeps the sample without the offset: a driver without new data may leave it as it is.
     status = check_status(call_device(io.read, io.handle, device.raw))
     device.failed[0] = int(status < 0)
     if status == WITHHELD:
@@ -137,11 +137,11 @@ def read_one(
 def write_one(
     io: DeviceIO, device: Any, tool: Any, start: FingerMemory, before: FingerMemory, hand: FingerMemory
 ) -> tuple[FingerMemory, int]:
-    """Write a wrench to a device; return the FingerMemory and the status.
+    """Write a wrench to a device; return the finger's memory and the status.
 
-    before  FingerMemory of the previous tick
+    before  the finger's memory of the previous tick
 
-    FingerMemory and record follow the force that the hand receives.
+    Memory and record have the force that the hand receives.
     """
     write_wrench(device.wrench, hand.guard_state.force, hand.guard_state.torque)
     status = check_status(call_device(io.write, io.handle, device.wrench))

@@ -208,7 +208,7 @@ class ClosedLoop:
         self._prepare()
 
     def reset(self) -> None:
-        """Return to the start; `begin_bodies` does that for the bodies of a [world]."""
+        """Go back to the start; `begin_bodies` does that for the bodies of a [world]."""
         self._state_values[:] = flatten(self._state)
 
     def run(self, hands: tuple[DrivenPlant, ...], dt: float, first: int, records: Array) -> None:
