@@ -188,7 +188,7 @@ def test_first_read_times_out(misread: int, status: int, board: Board, monkeypat
 
 
 @pytest.mark.parametrize(("ns", "paused"), [(PAUSE_MIN_NS, False), (PAUSE_MIN_NS + 1, True)])
-def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
+def test_a_pause_of_the_loop_is_longer_than_the_minimum(ns: int, paused: bool, board: Board) -> None:
     board.receive_sample()
     board.clock.now += ns
     board.incoming = [1, 0, 1]

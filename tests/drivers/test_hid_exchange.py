@@ -176,7 +176,7 @@ def test_results_of_writing_a_report(board: Board) -> None:
     assert board.counts() == {"cut": 1}
 
 
-def test_a_force_waits_for_the_pump(board: Board) -> None:
+def test_a_force_waits_for_the_thread_that_writes_reports(board: Board) -> None:
     value = board.make_thread_link()
     for force, status in ((1.0, OK), (2.0, OK), (3.0, HELD), (0.0, OK), (0.0, OK)):
         assert board.write(0.0, 0.0, force, 0.0, 0.0, 0.0) == status
