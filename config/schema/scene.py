@@ -9,7 +9,16 @@ import msgspec
 
 from softfinger.config import limits
 from softfinger.config.fields import Complaint, Table, is_usable, sized
-from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Patch, Probe, Rolling
+from softfinger.config.schema.contact import (
+    Coupling,
+    Finger,
+    Fingertip,
+    FingertipShape,
+    Passivity,
+    Patch,
+    Probe,
+    Rolling,
+)
 from softfinger.config.schema.effects import Effect
 from softfinger.config.schema.materials import Material
 from softfinger.config.schema.object_parts import Body
@@ -68,7 +77,7 @@ class Scene(Table, frozen=True, kw_only=True):
     @staticmethod
     def _make_parts(tip: Fingertip | Finger, name: str, device: str, coupling: Coupling, probe: Probe) -> FingerParts:
         turn = tip.orientation_wxyz or (1.0, 0.0, 0.0, 0.0)
-        return FingerParts(name, device, tip.reaches_m[0], tip.radii_m, turn, tip.patch, coupling, probe)
+        return FingerParts(name, device, tip.radius_range_m[0], tip.radii_m, turn, tip.patch, coupling, probe)
 
     @property
     def elastic_object(self) -> Mesh | None:
@@ -90,7 +99,7 @@ class Scene(Table, frozen=True, kw_only=True):
         yield from _check_laws(self)
         yield from _check_torsion(self)
         yield from _check_method(self)
-        yield from _check_forms(self)
+        yield from _check_ellipsoids(self)
         yield from _check_room(self)
         yield from _check_elastic(self)
 
@@ -180,10 +189,10 @@ def _check_method(scene: Scene) -> Iterator[Complaint]:
             yield "rolling.method", "rotation_vector", fault
 
 
-def _check_forms(scene: Scene) -> Iterator[Complaint]:
+def _check_ellipsoids(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger):
         return
-    fingertips: list[tuple[str, Form]] = [*_iter_usable("finger", scene.finger, "radii_m")]
+    fingertips: list[tuple[str, FingertipShape]] = [*_iter_usable("finger", scene.finger, "radii_m")]
     if scene.fingertip is not None and is_usable(scene.fingertip.radii_m):
         fingertips.append(("fingertip", scene.fingertip))
     tip_path = next((path for path, tip in fingertips if tip.radii_m is not None), None)
@@ -216,7 +225,7 @@ def _check_room(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger, scene.object):
         return
     tips = _list_tips(scene)
-    radii = [tip.reaches_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
+    radii = [tip.radius_range_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
     for path, item in _iter_usable("object", scene.object):
         if any(radii):  # if the largest fits, all fit
             for key, value, text in item.check_room(max(radii)):

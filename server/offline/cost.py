@@ -208,7 +208,7 @@ def _make_rigid(tip: Any) -> Any:
 
 
 def _make_spherical(tip: Any) -> Any:
-    return msgspec.structs.replace(tip, radius_m=tip.reaches_m[0], radii_m=None, orientation_wxyz=None)
+    return msgspec.structs.replace(tip, radius_m=tip.radius_range_m[0], radii_m=None, orientation_wxyz=None)
 
 
 def _remove_texture(obj: schema.Object) -> schema.Object:
