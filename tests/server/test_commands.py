@@ -470,7 +470,7 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
     for body in (b"\xc1", None, pack("no_such_method"), pack("heartbeat")):
         reasons: set[str] = set()
         commands = make_service(  # no request received so far
-            disarm=reasons.add, arm=reasons.discard, is_inhibited_by=reasons.__contains__, end_at=lambda time_ns: None,
+            disarm=reasons.add, arm=reasons.discard, is_inhibited_by=reasons.__contains__, set_deadline=lambda time_ns: None,
             is_requested=True,
         )  # fmt: skip
         assert commands._receive(b"client", body) is not None
@@ -494,7 +494,7 @@ def test_a_stop_whose_event_cannot_be_published_ends_the_run():
 
 def test_a_queued_request_counts_as_a_sign_of_life_from_its_arrival():
     deadlines_ns: list[int] = []
-    commands = make_service(is_inhibited_by=lambda why: False, end_at=deadlines_ns.append)
+    commands = make_service(is_inhibited_by=lambda why: False, set_deadline=deadlines_ns.append)
     commands._note_alive(time.monotonic())
     assert commands._receive(b"client", pack("mark", label="x", data={"a": "x" * SHORT_REQUEST_BYTES})) is None
     arrived_s = time.monotonic()
