@@ -470,8 +470,8 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
     for body in (b"\xc1", None, pack("no_such_method"), pack("heartbeat")):
         reasons: set[str] = set()
         commands = make_service(  # no request received so far
-            disarm=reasons.add, arm=reasons.discard, is_inhibited_by=reasons.__contains__, set_deadline=lambda time_ns: None,
-            is_requested=True,
+            disarm=reasons.add, arm=reasons.discard, is_inhibited_by=reasons.__contains__, is_requested=True,
+            set_deadline=lambda time_ns: None,
         )  # fmt: skip
         assert commands._receive(b"client", body) is not None
         commands._check_heartbeat()
