@@ -5,7 +5,7 @@ A message states the failure, the value, the allowed range and the remedy.
 
 
 class HapticError(Exception):
-    """Base class of all errors raised on purpose; `compute_exit_code` is the exit status of the command line."""
+    """Base class of all errors raised on purpose; `exit_code` is the exit status of the command line."""
 
     exit_code = 1
 

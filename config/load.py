@@ -28,7 +28,7 @@ R = TypeVar("R")
 SceneSource = str | Path | Mapping[str, Any] | Scene
 """Accepted forms of a scene: file, name of a shipped scene, mapping, or `Scene`."""
 
-_FAULTS_SHOWN: Final = 12
+_FAULTS_LISTED_MAX: Final = 12
 """Faults listed in a message. A file with more usually repeats one mistake, and the first ones remain on the screen."""
 
 
@@ -41,7 +41,7 @@ class FaultyConfig(ConfigError):
 
     def __init__(self, faults: Sequence[Fault | str], config: Any = None) -> None:
         self.faults, self.config = tuple(faults), config
-        lines = [str(fault) for fault in faults[:_FAULTS_SHOWN]]
+        lines = [str(fault) for fault in faults[:_FAULTS_LISTED_MAX]]
         if more := len(faults) - len(lines):
             lines.append(f"and {more} more: correct these first")
         super().__init__(lines[0] if len(faults) == 1 else "\n  ".join([f"{len(faults)} faults:", *lines]))
@@ -135,7 +135,7 @@ def load_faults(path_or_name: str | Path) -> Faults:
 def build(struct_type: type[T], mapping: object, where: str) -> T:
     """Convert `mapping` to a `struct_type`; raises ConfigError with every fault, each naming `where` and its key."""
     value, faults = examine(struct_type, mapping, where)
-    return _check_scene(struct_type, value, faults)
+    return _raise_faults(struct_type, value, faults)
 
 
 def build_changed(
@@ -145,7 +145,7 @@ def build_changed(
     mapping, origins, override_faults = change_values(table, overrides, sources)
     value, faults = examine(struct_type, mapping, where, origins)
     # A fault of the file may be the cause of faults of overrides.
-    return _check_scene(struct_type, value, faults or override_faults)
+    return _raise_faults(struct_type, value, faults or override_faults)
 
 
 def apply_overrides(config: T, changes: Mapping[str, Any], where: str) -> T:
@@ -206,7 +206,7 @@ def _resolve_path(folder: Path, obj: Object) -> Object:
     return obj
 
 
-def _check_scene(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T:
+def _raise_faults(struct_type: type[T], value: Any, faults: Sequence[Fault]) -> T:
     if faults:
         raise FaultyConfig(faults, value)
     assert isinstance(value, struct_type)

@@ -21,7 +21,7 @@ from softfinger.config import schema
 from softfinger.config.arrays.grids import Grid
 from softfinger.config.errors import ConfigError
 from softfinger.config.mjcf_files import check_flexes, check_place, complete, resolve_files
-from softfinger.config.mjcf_size import check_files, read_text
+from softfinger.config.mjcf_size import read_names, read_text
 
 if TYPE_CHECKING:
     import mujoco
@@ -124,7 +124,7 @@ def _compile(path: str, root: str | None) -> CompiledModel:
     package, name = import_mujoco(), repr(path)[1:-1]
     text = read_text(path, name)
     home = Path(os.path.realpath(Path(path).parent if root is None else root))
-    names = check_files(text, Path(path), name, home)
+    names = read_names(text, Path(path), name, home)
     path = os.path.abspath(path)  # MuJoCo puts a relative one in front of files of included models
     folder = os.path.dirname(path)
     try:
@@ -204,7 +204,7 @@ def read_mesh(path: str, root: str | None, name: str) -> tuple[NDArray[np.float6
             vertices = model.mesh_vert[first : first + model.mesh_vertnum[number]]
             faces = model.mesh_face[face : face + model.mesh_facenum[number]]
             return vertices.astype(np.float64), faces.astype(np.int32)
-    raise ConfigError(f"{path}: has no mesh {name!r}; it has: {_list_names(model.mesh, model.nmesh)}")
+    raise ConfigError(f"{path}: has no mesh {name!r}; it has: {_join_names(model.mesh, model.nmesh)}")
 
 
 def read_hfield(path: str, root: str | None, name: str) -> Grid:
@@ -218,8 +218,8 @@ def read_hfield(path: str, root: str | None, name: str) -> Grid:
             rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
             first = int(model.hfield_adr[number])
             return np.array(model.hfield_data[first : first + rows * columns], np.float64).reshape(rows, columns)
-    raise ConfigError(f"{path}: has no height field {name!r}; it has: {_list_names(model.hfield, model.nhfield)}")
+    raise ConfigError(f"{path}: has no height field {name!r}; it has: {_join_names(model.hfield, model.nhfield)}")
 
 
-def _list_names(elements: Any, count: int) -> str:
+def _join_names(elements: Any, count: int) -> str:
     return ", ".join(elements(number).name for number in range(count)) or "none"

@@ -86,8 +86,8 @@ def read_text(path: str | Path, name: str) -> str:
         raise ConfigError(f"world.model {name}: cannot be read: {error.strerror or error}") from error
 
 
-def check_files(text: str, path: Path, name: str, home: Path) -> Names:
-    """Return names in a model with this text.
+def read_names(text: str, path: Path, name: str, home: Path) -> Names:
+    """Return the names in a model with this text, and check its size.
 
     Raises ConfigError if it is too large, or if it includes or attaches a file that is not below `home`.
     """

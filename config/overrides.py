@@ -15,6 +15,8 @@ from softfinger.config.words import format_value
 
 _BY_NAME: Final = {"material": MATERIALS.key, "fingertip": FINGERTIPS.key}
 """Tables that a text may replace, with the key that the text becomes the value of."""
+_DROPPING: Final = ("driver", *_BY_NAME.values())
+"""Keys whose change drops other values of their table."""
 CHANGES_EXAMPLE: Final = '{"object.table.material.stiffness_n_per_m": 800.0}'
 _ENTRY: Final = re.compile(r"\[(\d+)\]")
 _NUMBER: Final = re.compile(r"\.(\d+)(?=\.|$)")
@@ -47,18 +49,28 @@ def change_values(
     if len(set(indexed_keys.values())) < len(indexed_keys):
         source = sources.get(next(iter(indexed_keys)), "override")
         raise ConfigError(f"{source}: a value is set twice, by name and by index")
-    for dotted in sorted(overrides, key=lambda key: key != "device.driver"):
+    expanded = [(key, dotted) for dotted in overrides for key in _expand_device_keys(mapping, indexed_keys[dotted])]
+    for key, dotted in sorted(expanded, key=_rank):
         source = sources.get(dotted, "override")
         try:
-            for key in _expand_device_keys(mapping, indexed_keys[dotted]):
-                _override(mapping, key, overrides[dotted], source, origins)
+            _override(mapping, key, overrides[dotted], source, origins)
         except LookupError as error:
             override_faults.append(Fault(source, dotted, f"{dotted}: {error.args[0]}"))
     return OverriddenMapping(mapping, origins, override_faults)
 
 
+def _rank(keys: tuple[str, str]) -> tuple[int, bool, int]:
+    """Return the rank of an override, an expanded key and the given one, in the order in which they are applied.
+
+    A table comes before its parts, a key that drops other values of its table before these, and `device` before the
+    single [devices.NAME].
+    """
+    key, given = keys
+    return key.count("."), key.rpartition(".")[2] not in _DROPPING, given.count(".")
+
+
 def to_indexed_key(mapping: Mapping[str, Any], dotted: str) -> str:
-    """Return a key of `load_scene` with the index of an entry in place of its name: `object.0` for `object.table`."""
+    """Return a key of `load_scene` with the index of each entry, `object.0` for `object.table` and `object[0]`."""
     head, _, remaining_path = dotted.partition(".")
     entries = mapping.get(head)
     if isinstance(entries, list | tuple) and not remaining_path.partition(".")[0].isdecimal():
@@ -67,13 +79,18 @@ def to_indexed_key(mapping: Mapping[str, Any], dotted: str) -> str:
         ]
         for name, place in sorted(names, key=lambda item: -len(item[0])):  # names may contain dots
             if name and (remaining_path == name or remaining_path.startswith(f"{name}.")):
-                return f"{head}.{place}{remaining_path[len(name) :]}"
-    return dotted
+                return _drop_brackets(f"{head}.{place}{remaining_path[len(name) :]}")
+    return _drop_brackets(dotted)
+
+
+def _drop_brackets(key: str) -> str:
+    """Return a key with indices as parts: `object.0` for `object[0]`, as messages write it."""
+    return _ENTRY.sub(r".\1", key)
 
 
 def find_value(mapping: Any, dotted: str) -> Any:
     """Return the value of a mapping at a key of `load_scene`, with entries by index; None if it has no value."""
-    for name in _ENTRY.sub(r".\1", dotted).split("."):
+    for name in _drop_brackets(dotted).split("."):
         if isinstance(mapping, list):
             mapping = mapping[int(name)]
         elif isinstance(mapping, dict):
@@ -83,25 +100,24 @@ def find_value(mapping: Any, dotted: str) -> Any:
 
 def _expand_device_keys(mapping: dict[str, Any], dotted: str) -> list[str]:
     """Return the keys to override; in a file with [devices.NAME], a key of `device` applies to each of them."""
-    first, _, remaining_path = dotted.partition(".")
-    if first == "device" and "device" not in mapping and isinstance(mapping.get("devices"), dict):
-        return [f"devices.{name}.{remaining_path}" for name in mapping["devices"]]
+    if dotted.partition(".")[0] == "device" and "device" not in mapping and isinstance(mapping.get("devices"), dict):
+        return [f"devices.{name}{dotted.removeprefix('device')}" for name in mapping["devices"]]
     return [dotted]
 
 
 def _override(mapping: dict[str, Any], dotted: str, value: Any, source: str, origins: dict[str, str]) -> None:
     """Set a value and create the tables above it; `origins` records the source of keys that are not from the file.
 
-    An entry of a list is `object.0` or, as in messages, `object[0]`. Raises LookupError if the place does not exist.
+    Raises LookupError if the place does not exist.
     """
-    path = _ENTRY.sub(r".\1", dotted).split(".")
+    path = dotted.split(".")
     at: Any = mapping
     for depth, name in enumerate(path, 1):
         key = _NUMBER.sub(r"[\1]", ".".join(path[:depth]))
         place: Any = name
         if isinstance(at, list):
             if not (re.fullmatch("[0-9]{1,9}", name) and int(name) < len(at)):
-                entries = f"entries go from 0 to {len(at) - 1}{_list_names(at)}" if at else "the list is empty"
+                entries = f"entries go from 0 to {len(at) - 1}{_join_names(at)}" if at else "the list is empty"
                 raise LookupError(
                     f"there is no {key}: {entries}; to add an entry, set the complete list {path[depth - 2]}"
                 )
@@ -134,6 +150,6 @@ def _forget_entry(at: Any, path: list[str], value: Any) -> None:
             at.pop(key, None)
 
 
-def _list_names(entries: list[Any]) -> str:
+def _join_names(entries: list[Any]) -> str:
     names = [str(entry["name"]) for entry in entries if isinstance(entry, dict) and "name" in entry]
     return f", or by name {', '.join(names)}" if names else ""

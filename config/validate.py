@@ -154,11 +154,11 @@ def _read_untagged(
 ) -> Any:
     """Read the fields that all possible kinds of a table share, for the checks across tables."""
     start = len(report.faults)
-    cls, values = _check_untagged(kinds, likely, table, key, report)
+    cls, values = _read_shared_keys(kinds, likely, table, key, report)
     return UNSET if cls is None else _create(cls, values, key, report, start)
 
 
-def _check_untagged(
+def _read_shared_keys(
     kinds: list[inspect.StructType],
     likely: list[inspect.StructType],
     table: Mapping[Any, Any],
@@ -257,7 +257,7 @@ def _from_library(info: inspect.StructType, library: Library, value: object, key
         f"{dotted} = {format_value(name)}: not in the library{suggest(name, entries)}; it has {choices}; "
         "or give numbers",
     )
-    _check_untagged([info], [info], mapping, key, report)
+    _read_shared_keys([info], [info], mapping, key, report)
     return UNSET  # its keys would have the values of the library
 
 

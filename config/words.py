@@ -46,7 +46,7 @@ def list_given_types(info: inspect.Type) -> list[inspect.Type]:
 
 _BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _INDEX: Final = re.compile(r"\[\d+\]")
-_SHOWN: Final = 60
+_VALUE_LENGTH_MAX: Final = 60
 
 
 def describe_allowed(info: inspect.Type, key: str) -> str:
@@ -55,7 +55,7 @@ def describe_allowed(info: inspect.Type, key: str) -> str:
     match kind:
         case inspect.FloatType() | inspect.IntType():
             noun = "an integer" if isinstance(kind, inspect.IntType) else "a number"
-            return f"{noun}{_span(kind)}{_format_unit(key)}"
+            return f"{noun}{_describe_range(kind)}{_format_unit(key)}"
         case inspect.StrType():
             return "text" + _describe_length(kind, "characters") + (f" like {kind.pattern}" if kind.pattern else "")
         case inspect.LiteralType():
@@ -82,7 +82,7 @@ def _describe_items(types: Sequence[inspect.Type], key: str) -> str:
     match kind:
         case inspect.FloatType() | inspect.IntType():
             noun = "integers" if isinstance(kind, inspect.IntType) else "numbers"
-            return f"{noun}{_span(kind)}{_format_unit(key)}"
+            return f"{noun}{_describe_range(kind)}{_format_unit(key)}"
         case inspect.StrType():
             return "texts" + _describe_length(kind, "characters")
         case inspect.LiteralType():
@@ -118,7 +118,7 @@ def _describe_length(kind: inspect.StrType | inspect.VarTupleType | inspect.List
     return f" of {low} to {high} {unit}" if high is not None else f" of at least {low} {unit}" if low else ""
 
 
-def _span(kind: inspect.FloatType | inspect.IntType) -> str:
+def _describe_range(kind: inspect.FloatType | inspect.IntType) -> str:
     """Return the range of a number: ` from 0 to 40`, ` above 0 and at most 1`, or an empty text."""
     if kind.ge is not None and kind.le is not None:
         return f" from {kind.ge:g} to {kind.le:g}"
@@ -132,7 +132,7 @@ def format_value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return repr(value if len(value) <= _SHOWN else value[:_SHOWN] + "...")
+        return repr(value if len(value) <= _VALUE_LENGTH_MAX else value[:_VALUE_LENGTH_MAX] + "...")
     if isinstance(value, int):
         return str(value) if value.bit_length() <= 64 else f"an integer of {value.bit_length()} bits"
     if isinstance(value, float):

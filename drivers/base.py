@@ -18,7 +18,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
-from softfinger.drivers.closing import Closeable
+from softfinger.drivers.closeable import Closeable
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 OK: Final = 0
@@ -177,7 +177,7 @@ def make_unlimited_info(
     )
 
 
-def list_names(devices: Iterable[Device]) -> str:
+def join_names(devices: Iterable[Device]) -> str:
     return ", ".join(device.info.name for device in devices)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.drivers.base import Device, DeviceIO
-from softfinger.drivers.system.makers_library import find_address as address_of
+from softfinger.drivers.system.makers_library import find_address
 
 CALL_PERIOD_S: Final = 1e-4
 
@@ -126,7 +126,7 @@ class Block:
         for layout in self._layouts:
             for at, field in zip(layout, read_fields(type(layout)).values(), strict=True):
                 if field.function:
-                    self.word[at] = address_of(library, field.function)
+                    self.word[at] = find_address(library, field.function)
 
     def counts(self, *layouts: tuple[int, ...]) -> dict[str, int]:
         """Return the present values of the counters of these layouts, or of all, by name."""

@@ -31,7 +31,14 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
-from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS, copy_sample, is_finite, is_zero, shift_sample_time
+from softfinger.drivers.samples import (
+    CURRENT_WAIT_MAX_NS,
+    PAUSE_MIN_NS,
+    copy_sample,
+    is_finite,
+    is_zero,
+    shift_sample_time,
+)
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, poll_fd, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
@@ -191,7 +198,7 @@ def _await(driver: Any, handle: int) -> int:
         if count != 0:
             break
         now = _read_clock(handle)
-        if is_running and now - start > RESUME_WAIT_NS:
+        if is_running and now - start > CURRENT_WAIT_MAX_NS:
             break
         if not is_running and now - start > at[BOARD.timeout_after]:
             return _silence_status(handle, at[BOARD.misread_bytes] - misread_bytes)
@@ -205,7 +212,7 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
         return LOST
     now = _read_clock(handle)
     had_force = at[BOARD.has_force] != 0
-    was_paused = now - at[BOARD.read_at] > RESUME_NS or at[BOARD.has_sample] == 0
+    was_paused = now - at[BOARD.read_at] > PAUSE_MIN_NS or at[BOARD.has_sample] == 0
     if was_paused:
         at[BOARD.sampled_at] = shift_sample_time(at[BOARD.sampled_at], at[BOARD.read_at], now, at[BOARD.quiet])
     at[BOARD.read_at] = now
@@ -261,7 +268,7 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
 
 
 @jit
-def silence_once(driver: Any, handle: int) -> int:
+def disarm_and_zero_once(driver: Any, handle: int) -> int:
     """Disarm and send a zero. Return 1 if that is done, 0 if it was not accepted and the call must be repeated."""
     at = int64_at(handle)
     at[BOARD.armed] = 0
@@ -275,11 +282,11 @@ def silence_once(driver: Any, handle: int) -> int:
 
 
 class Functions(NamedTuple):
-    """C functions of a driver: `read` and `write` for the servo, `silence(handle)` as `silence_once`."""
+    """C functions of a driver: `read` and `write` for the servo, and `disarm_and_zero`, see `disarm_and_zero_once`."""
 
     read: Any
     write: Any
-    silence: Any
+    disarm_and_zero: Any
 
 
 def compile_functions(driver: tuple[()]) -> Functions:
@@ -294,7 +301,7 @@ def compile_functions(driver: tuple[()]) -> Functions:
         return write_once(driver, handle, wrench)
 
     @c_function(types.int64(types.int64))
-    def silence(handle: int) -> int:
-        return silence_once(driver, handle)
+    def disarm_and_zero(handle: int) -> int:
+        return disarm_and_zero_once(driver, handle)
 
-    return Functions(read, write, silence)
+    return Functions(read, write, disarm_and_zero)

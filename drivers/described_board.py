@@ -88,18 +88,18 @@ def init_described(
     block: Block,
     board: BoardOptions,
     kinematics: Kinematics,
-    read: tuple[InputField, ...],
-    written: tuple[OutputField, ...],
+    input_fields: tuple[InputField, ...],
+    output_fields: tuple[OutputField, ...],
     big_endian: bool = False,
 ) -> Mechanism:
-    """Initialize the fields for a mechanism, and for the numbers that are `read` and `written`."""
+    """Initialize the block for a mechanism, and for the numbers in packets from and to the board."""
     at = block.word
     has_wrist = getattr(kinematics, "wrist_counts_per_turn", None) is not None
-    has_orientation = has_wrist or any(field.meaning == "qw" for field in read)
+    has_orientation = has_wrist or any(field.meaning == "qw" for field in input_fields)
     at[DESCRIBED.kind], at[DESCRIBED.has_orientation] = find_kind(kinematics, has_orientation), has_orientation
-    at[DESCRIBED.in_rows], at[DESCRIBED.out_rows] = len(read), len(written)
-    block.set_address(DESCRIBED.in_table, make_input_table(read, big_endian))
-    block.set_address(DESCRIBED.out_table, make_output_table(written, big_endian))
+    at[DESCRIBED.in_rows], at[DESCRIBED.out_rows] = len(input_fields), len(output_fields)
+    block.set_address(DESCRIBED.in_table, make_input_table(input_fields, big_endian))
+    block.set_address(DESCRIBED.out_table, make_output_table(output_fields, big_endian))
     mechanism = make_mechanism(kinematics, board.force_max_n)
     block.numbers(DESCRIBED.last_position, 3)[:] = mechanism.delta.home
     set_model(block, mechanism, board.mounting)

@@ -24,7 +24,7 @@ from softfinger.config.arrays.grids import open_npz
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
 from softfinger.config.words import suggest
-from softfinger.drivers.containers import iter_mcap_messages
+from softfinger.drivers.mcap_messages import iter_mcap_messages
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "config" / "recordings"
 """Folder of the shipped recordings."""

@@ -29,7 +29,7 @@ _registered: Final[dict[str, ModuleType]] = {}
 
 def list_names() -> list[str]:
     """Return the names of all drivers: built in, then added by this program and by installed packages."""
-    return [*BUILT_IN, *sorted({*_registered, *_list_entry_points()} - set(BUILT_IN))]
+    return [*BUILT_IN, *sorted({*_registered, *_find_entry_points()} - set(BUILT_IN))]
 
 
 def add(name: str, module: ModuleType) -> None:
@@ -51,7 +51,7 @@ def load(name: str) -> ModuleType:
         return importlib.import_module(f"softfinger.drivers.{name}.device")
     if name in _registered:
         return _registered[name]
-    entry = _list_entry_points().get(name)
+    entry = _find_entry_points().get(name)
     if entry is None:
         driver_names = list_names()
         close = difflib.get_close_matches(name, driver_names, n=1)
@@ -105,5 +105,5 @@ def _check_driver(name: str, module: Any, source: str) -> ModuleType:
     return module
 
 
-def _list_entry_points() -> dict[str, metadata.EntryPoint]:
+def _find_entry_points() -> dict[str, metadata.EntryPoint]:
     return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT_GROUP)}

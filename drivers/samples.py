@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import from_matrix
 
-NOT_A_ROTATION: Final = 0.01
+ROTATION_TOLERANCE: Final = 0.01
 """Tolerance of the rows' lengths and of the determinant; a larger deviation from 1 is a fault, not a rotation.
 
 Rows of length 1 that span a volume of 1 are orthogonal.
@@ -39,9 +39,9 @@ def store_pose(sample: Any, position: Vec3, orientation: Quaternion) -> None:
 @jit
 def convert_matrix(rows: tuple[Vec3, Vec3, Vec3]) -> Quaternion:
     """Return the orientation of a matrix (3, 3); NaN if it is not a rotation."""
-    is_rotation = abs(vec3.dot(rows[0], vec3.cross(rows[1], rows[2])) - 1.0) < NOT_A_ROTATION
+    is_rotation = abs(vec3.dot(rows[0], vec3.cross(rows[1], rows[2])) - 1.0) < ROTATION_TOLERANCE
     for i in range(3):
-        is_rotation = is_rotation and abs(vec3.norm(rows[i]) - 1.0) < NOT_A_ROTATION
+        is_rotation = is_rotation and abs(vec3.norm(rows[i]) - 1.0) < ROTATION_TOLERANCE
     return from_matrix(rows) if is_rotation else (nan, nan, nan, nan)
 
 
@@ -63,9 +63,12 @@ def is_finite(wrench: Any, count: int) -> bool:
     return finite
 
 
-RESUME_NS: Final = 30_000_000
-"""Minimum pause: three periods of the slowest loop; a hand moves by millimetres in it."""
-RESUME_WAIT_NS: Final = 100_000_000
+PAUSE_MIN_NS: Final = 30_000_000
+"""Shortest time between two reads that counts as a pause of the loop: three periods of the slowest one.
+
+A hand moves by millimetres in it.
+"""
+CURRENT_WAIT_MAX_NS: Final = 100_000_000
 """Longest wait of a running loop for a current answer: the supervisor ends a loop that stalls for 0.25 s."""
 
 

@@ -95,7 +95,7 @@ def write(handle: int, wrench: Any) -> int:
 
 
 @c_function(types.int64(types.int64))
-def silence(handle: int) -> int:
+def disarm_and_zero(handle: int) -> int:
     """Log a zero wrench and disarm. Return 1, or 0 if a write is in progress and the call must be repeated."""
     at = int64_at(handle)
     if exchange_int64(handle + LOG.lock * 8, 1) != 0:
@@ -131,7 +131,7 @@ class LoggedDevice(BlockDevice):
         if PLAIN:  # without compilation no loop writes concurrently
             self._block.word[LOG.armed] = 0
             return
-        while not silence.ctypes(self._block.handle):
+        while not disarm_and_zero.ctypes(self._block.handle):
             time.sleep(0.0001)  # a write has the lock for about twenty instructions
 
     def close(self) -> None:

@@ -20,17 +20,17 @@ from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.command_handlers import DaemonInterface
-from softfinger.server.services.commands import CommandService
+from softfinger.server.services.command_service import CommandService
 from softfinger.server.services.description import describe_daemon
-from softfinger.server.services.notify import ServiceNotifier
+from softfinger.server.services.monitoring import DeviceWarningMonitor, HotplugDetector, HotplugMonitor, SwapMonitor
 from softfinger.server.services.recordings import BlackBoxes, Recordings
 from softfinger.server.services.records import RecordService, Sink, TelemetryService
 from softfinger.server.services.rendering import Rendering
-from softfinger.server.services.scene_topics import Deformation, WorldState
+from softfinger.server.services.scene_topics import DeformationPublisher, WorldPublisher
 from softfinger.server.services.supervisor import Supervisor
-from softfinger.server.services.watches import DeviceWarnings, Hotplug, HotplugWatch, SwapWatch
-from softfinger.server.socket_process.setup import StateInfo
-from softfinger.server.states import DaemonState, States, Trigger
+from softfinger.server.services.systemd import ServiceNotifier
+from softfinger.server.socket_process.channel_messages import StateInfo
+from softfinger.server.states import DaemonState, StateMachine, Trigger
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.events import make_event, read_clock_s
 from softfinger.server.wire.native.switch import SharedSwitch
@@ -90,11 +90,11 @@ class Daemon:
         self._failed_at = math.inf
         self._published_faults: Final[set[str]] = set()
         # Created first, so that each later change of the attached devices is reported, even if the first poll is late.
-        hotplug = Hotplug()
+        hotplug = HotplugDetector()
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
         self._fingers: Final = fingers
         """Names of several fingers, used in messages; [""] for a single finger."""
-        self.states: Final = States(self._publish_state)
+        self.states: Final = StateMachine(self._publish_state)
         endpoints = bind_rig(rig)
         cleanups: list[Callable[[], None]] = [endpoints.close]
         try:
@@ -115,7 +115,7 @@ class Daemon:
         self.servo: Final = self.rendering.servo
         self._publish_scene_info(scene_name)
         self.recordings: Final = Recordings(self.rendering, fingers, self._publish_event)
-        self.deformation: Final = Deformation(self.rendering, fingers, self._send_message)
+        self.deformation: Final = DeformationPublisher(self.rendering, fingers, self._send_message)
         self.blackbox: Final = BlackBoxes(
             self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
         )
@@ -172,7 +172,7 @@ class Daemon:
         first = self.rendering.replace(scene, rig)
         self._raise_exchange_threads()  # of new devices
         self._publish_scene_info(self._scene_name if scene is None else scene_name)
-        self._publish_event("lifecycle", "replaced", device=base.list_names(self.devices), first=first)
+        self._publish_event("lifecycle", "replaced", device=base.join_names(self.devices), first=first)
         return first
 
     def _publish_scene_info(self, scene_name: str) -> None:
@@ -211,7 +211,9 @@ class Daemon:
             if end.error is not None:
                 raise end.error
             failed = shutdown.describe_failure(self.devices[end.finger], end, self._fingers[end.finger])
-            failed = failed or shutdown.loop_failure(end, self.servo.ticks, self.servo.missed, self.servo.woken_late)
+            failed = failed or shutdown.describe_loop_failure(
+                end, self.servo.ticks, self.servo.missed, self.servo.woken_late
+            )
             if failed is not None:
                 raise failed
             return True
@@ -301,7 +303,7 @@ class Daemon:
         return MetricsService(listen(f"tcp://{endpoint}", KEY), counts, self._publish_event)
 
     def _make_services(
-        self, scene_name: str, hotplug: Hotplug, metrics: MetricsService | None, sinks: Sequence[Sink]
+        self, scene_name: str, hotplug: HotplugDetector, metrics: MetricsService | None, sinks: Sequence[Sink]
     ) -> list[Service]:
         telemetry = TelemetryService(self.publisher, self.servo)
         optional_services: list[CommandService | MetricsService] = []
@@ -332,10 +334,10 @@ class Daemon:
             self.blackbox,
             RecordService(self.servo, self.publisher.tap, record_sinks, self.fail, self._publish_event),
             self.supervisor,
-            HotplugWatch(hotplug, self._publish_event),
-            DeviceWarnings(lambda: self.devices, self._publish_event),
-            SwapWatch(self._publish_event),
-            WorldState(self.servo, self._send_message, self._publish_event),
+            HotplugMonitor(hotplug, self._publish_event),
+            DeviceWarningMonitor(lambda: self.devices, self._publish_event),
+            SwapMonitor(self._publish_event),
+            WorldPublisher(self.servo, self._send_message, self._publish_event),
             *optional_services,
             *([ServiceNotifier(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
             self.rendering,

@@ -118,7 +118,7 @@ def _open_display(label: str, total: int | None, detail: Callable[[], str]) -> I
         yield lambda number: None
         return
     try:
-        with _format_bar(label, total, detail) if on_terminal() else _format_lines(label, total, detail) as set_count:
+        with _show_bar(label, total, detail) if on_terminal() else _show_lines(label, total, detail) as set_count:
             yield set_count
     finally:
         _display_lock.release()
@@ -175,7 +175,7 @@ def show_counter() -> Iterator[Callable[[str], None] | None]:
 
 
 @contextmanager
-def _format_bar(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+def _show_bar(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     display = _display(total is not None, detail)
     task = display.add_task(label, total=total)
     timer = threading.Timer(QUIET_S, display.start)
@@ -223,7 +223,7 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
 
 
 @contextmanager
-def _format_lines(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
+def _show_lines(label: str, total: int | None, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
     start_s, finished, count = time.monotonic(), threading.Event(), 0.0
 
     def set_count(number: float) -> None:

@@ -69,13 +69,13 @@ NOT_ARMED_REASON: Final = "not armed yet"
 COMMANDED_REASON: Final = "disarmed by command"
 NO_HEARTBEAT_REASON: Final = "no heartbeat"
 TOO_FAST_REASON: Final = "the handle was too fast"
-UNREACHABLE: Final = "no command can be received"
+UNREACHABLE_REASON: Final = "no command can be received"
 """Reasons for zero force."""
-FAULT_REASONS: Final = frozenset({NO_HEARTBEAT_REASON, TOO_FAST_REASON, UNREACHABLE})
+FAULT_REASONS: Final = frozenset({NO_HEARTBEAT_REASON, TOO_FAST_REASON, UNREACHABLE_REASON})
 """Reasons for zero force that are faults."""
 
 
-class States:
+class StateMachine:
     """State machine of a daemon; thread-safe.
 
     Parameters

@@ -58,7 +58,7 @@ LOOPS: Final = """
 from softfinger.config.load import load_scene
 from softfinger.server.cli import main
 from softfinger.server.driver_contract import PULL
-from softfinger.server.services.compilation import compile_loop
+from softfinger.server.services.scene_changes import compile_loop
 main(["warmup", "--quiet", "paper-plane"])
 compile_loop(load_scene(PULL))
 """

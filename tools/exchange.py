@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError, SafetyStop
 from softfinger.config.limits import Range
 from softfinger.config.schema import Rig
-from softfinger.drivers.base import END, HELD, OK, SAMPLE_SIZE, WITHHELD, Device
+from softfinger.drivers.base import END, HELD, OK, SAMPLE_SIZE, WITHHELD, Device, DeviceIO
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.atomics import call_device, load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop import realtime, shutdown
-from softfinger.server.loop.all_devices import Io, write_wrench
+from softfinger.server.loop.all_devices import write_wrench
 from softfinger.server.loop.clock import (
     NS_PER_S,
     compute_next_pace,
@@ -39,8 +39,8 @@ from softfinger.server.loop.clock import (
     sleep_until,
     with_suspension,
 )
+from softfinger.server.loop.fault_detection import STALL_POLL_S, Watchdog
 from softfinger.server.loop.guard import INITIAL_GUARD_STATE, Guard, GuardState, guard_wrench
-from softfinger.server.loop.health import STALL_POLL_S, Watchdog
 from softfinger.server.progress import show_progress
 from softfinger.tools.measure import Array
 
@@ -144,7 +144,14 @@ class ExchangeResult(NamedTuple):
 
 @jit
 def exchange_once(
-    io: Io, empty: Io, guard: Guard, guarded: GuardState, force: Vec3, dt: float, period: float, scratch: Buffers
+    io: DeviceIO,
+    empty: DeviceIO,
+    guard: Guard,
+    guarded: GuardState,
+    force: Vec3,
+    dt: float,
+    period: float,
+    scratch: Buffers,
 ) -> ExchangeResult:
     """Read, write a force (3,) N through the guard, and do the same with the empty device; stop at a failure."""
     timespec, sample, wrench = scratch
@@ -187,8 +194,8 @@ def fill_row(row: Array, begun: int, woke: int, late: int, exchanged: ExchangeRe
 
 @entry
 def exchange_loop(
-    io: Io,
-    empty: Io,
+    io: DeviceIO,
+    empty: DeviceIO,
     span: PartTiming,
     push: Push,
     guard: Guard,
@@ -247,7 +254,7 @@ def make_scratch() -> Buffers:
 
 def compile_exchange() -> None:
     """Compile the loop, which its thread would otherwise do after it has armed the device."""
-    like = (Io(0, 0, 0), Io(0, 0, 0), PartTiming(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    like = (DeviceIO(0, 0, 0), DeviceIO(0, 0, 0), PartTiming(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     arguments = (*like, np.zeros(8, np.int64), make_scratch(), np.zeros((1, ROW_SIZE)))
     with show_progress("kernels of the exchange"):
         exchange_loop.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
@@ -285,7 +292,7 @@ class Exchange:
         self._parts: queue.SimpleQueue[_RecordedPart] = queue.SimpleQueue()
         self._part: _RecordedPart | None = None
         io = device.io()
-        self._devices = (Io(io.read, io.write, io.handle), Io(_do_nothing.address, _do_nothing.address, 1))
+        self._devices = (DeviceIO(io.read, io.write, io.handle), DeviceIO(_do_nothing.address, _do_nothing.address, 1))
         self._scratch = make_scratch()
         self._armed = False
         self._stop_event = threading.Event()

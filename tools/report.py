@@ -23,7 +23,7 @@ from typing import Any, Final
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import open_input, write_new_file
 from softfinger.config.load import describe, load_rig, load_scene
-from softfinger.drivers.containers import iter_mcap_messages
+from softfinger.drivers.mcap_messages import iter_mcap_messages
 from softfinger.drivers.system import discovery
 from softfinger.server.recording import blackbox
 from softfinger.server.recording.reader import Event, Note, TickBlock, read_contents

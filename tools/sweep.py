@@ -34,7 +34,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import follow_links, open_input, write_new_file
-from softfinger.drivers.containers import iter_mcap_messages
+from softfinger.drivers.mcap_messages import iter_mcap_messages
 from softfinger.proxy.kernels.jit.source_hash import SOURCE_HASH
 from softfinger.server.progress import show_progress
 

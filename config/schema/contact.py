@@ -87,7 +87,7 @@ StateMachine = Literal["default", "paper"]
 PassivityMode = Literal["observe", "control"]
 
 
-class Form(Table, frozen=True, kw_only=True):
+class FingertipShape(Table, frozen=True, kw_only=True):
     """Rigid body centred on the probe: a sphere or an ellipsoid."""
 
     library: ClassVar[Library] = FINGERTIPS
@@ -148,13 +148,13 @@ class Form(Table, frozen=True, kw_only=True):
         yield from check_orientation(self.orientation_wxyz)
 
     @property
-    def reaches_m(self) -> tuple[float, float]:
+    def radius_range_m(self) -> tuple[float, float]:
         """Smallest and largest radius, m, of a table without faults."""
         radii = self.radii_m or (self.radius_m or 0.0,)
         return min(radii), max(radii)
 
 
-class Fingertip(Form, frozen=True, kw_only=True):
+class Fingertip(FingertipShape, frozen=True, kw_only=True):
     """Rigid sphere or ellipsoid, centred on the probe."""
 
     patch: Patch | None = None
@@ -225,7 +225,7 @@ class Probe(Table, frozen=True, kw_only=True):
     ] = 0.0
 
 
-class Finger(Form, frozen=True, kw_only=True):
+class Finger(FingertipShape, frozen=True, kw_only=True):
     """One of several fingertips, each with its own device; replaces [fingertip]."""
 
     name: TopicPart

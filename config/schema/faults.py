@@ -1,6 +1,7 @@
 """Faults to inject between a device and the servo loop: kind, start and duration.
 
-A file contains `[[fault]]` tables, for `softfinger run --inject` and for tests. `drivers/injected.py` applies them.
+A file contains `[[fault]]` tables, for `softfinger run --inject` and for tests. `drivers/fault_injector.py` applies
+them.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ def pair_devices(scene: Scene, rig: Rig) -> tuple[FingerDevice, ...]:
     fingers = scene.fingers
     if rig.device is not None and len(fingers) == 1:
         return (FingerDevice(fingers[0].name, "[device]", rig.device),)
-    has = "[device]" if rig.device is not None else _list_tables(rig.devices)
+    has = "[device]" if rig.device is not None else _join_tables(rig.devices)
     if scene.fingertip is not None:
         raise ConfigError(
             f"the scene has [fingertip], a single finger without a name, but the rig has {has}: use a rig with "
@@ -37,7 +37,7 @@ def pair_devices(scene: Scene, rig: Rig) -> tuple[FingerDevice, ...]:
     if lacking:
         names = ", ".join(f"'{finger.name}'" for finger in fingers)
         raise ConfigError(
-            f"the scene has [[finger]] {names}, but the rig has {has}: add {_list_tables(lacking)} to the rig, set "
+            f"the scene has [[finger]] {names}, but the rig has {has}: add {_join_tables(lacking)} to the rig, set "
             "device of the finger to an existing section, or use a scene with [fingertip]"
         )
     return tuple(
@@ -49,10 +49,10 @@ def find_single_device(rig: Rig) -> DeviceConfig:
     """Return the device of a rig with one device; raises ConfigError for a rig with a device for each finger."""
     if rig.device is None:
         raise ConfigError(
-            f"the rig has {_list_tables(rig.devices)}, but this command needs a single device: use a rig with [device]"
+            f"the rig has {_join_tables(rig.devices)}, but this command needs a single device: use a rig with [device]"
         )
     return rig.device
 
 
-def _list_tables(names: Iterable[str]) -> str:
+def _join_tables(names: Iterable[str]) -> str:
     return " and ".join(f"[devices.{name}]" for name in names)

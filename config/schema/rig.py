@@ -21,7 +21,7 @@ from softfinger.config.fields import (
     within,
 )
 from softfinger.config.schema.addresses import IPC_PATH_MAX, check_endpoint, is_public, make_commands_address
-from softfinger.config.schema.guard import Arm, Guard
+from softfinger.config.schema.guard import Guard, ToolCoordinate
 
 RealtimeMode = Literal["auto", "require", "off"]
 
@@ -30,7 +30,8 @@ class Tool(Table, frozen=True, kw_only=True):
     """Tool mounted on the handle, such as a stylus; its tip is the fingertip."""
 
     offset_m: Annotated[
-        tuple[Arm, Arm, Arm], doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])
+        tuple[ToolCoordinate, ToolCoordinate, ToolCoordinate],
+        doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1]),
     ] = (0.0, 0.0, 0.0)
     orientation_wxyz: Annotated[
         Orientation, doc("tip to handle: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0])

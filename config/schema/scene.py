@@ -9,7 +9,16 @@ import msgspec
 
 from softfinger.config import limits
 from softfinger.config.fields import Complaint, Table, is_usable, sized
-from softfinger.config.schema.contact import Coupling, Finger, Fingertip, Form, Passivity, Patch, Probe, Rolling
+from softfinger.config.schema.contact import (
+    Coupling,
+    Finger,
+    Fingertip,
+    FingertipShape,
+    Passivity,
+    Patch,
+    Probe,
+    Rolling,
+)
 from softfinger.config.schema.effects import Effect
 from softfinger.config.schema.materials import Material
 from softfinger.config.schema.object_parts import Body
@@ -53,9 +62,9 @@ class Scene(Table, frozen=True, kw_only=True):
         """All fingers: one, or several. [coupling] and [probe] apply to a finger without such tables."""
         if self.fingertip is not None:
             tip = self.fingertip
-            return (self._iter_parts(tip, "", "", self.coupling, self.probe),)
+            return (self._make_parts(tip, "", "", self.coupling, self.probe),)
         return tuple(
-            self._iter_parts(
+            self._make_parts(
                 finger,
                 finger.name,
                 finger.device or finger.name,
@@ -66,9 +75,9 @@ class Scene(Table, frozen=True, kw_only=True):
         )
 
     @staticmethod
-    def _iter_parts(tip: Fingertip | Finger, name: str, device: str, coupling: Coupling, probe: Probe) -> FingerParts:
+    def _make_parts(tip: Fingertip | Finger, name: str, device: str, coupling: Coupling, probe: Probe) -> FingerParts:
         turn = tip.orientation_wxyz or (1.0, 0.0, 0.0, 0.0)
-        return FingerParts(name, device, tip.reaches_m[0], tip.radii_m, turn, tip.patch, coupling, probe)
+        return FingerParts(name, device, tip.radius_range_m[0], tip.radii_m, turn, tip.patch, coupling, probe)
 
     @property
     def elastic_object(self) -> Mesh | None:
@@ -90,7 +99,7 @@ class Scene(Table, frozen=True, kw_only=True):
         yield from _check_laws(self)
         yield from _check_torsion(self)
         yield from _check_method(self)
-        yield from _check_forms(self)
+        yield from _check_ellipsoids(self)
         yield from _check_room(self)
         yield from _check_elastic(self)
 
@@ -114,20 +123,18 @@ def _check_fingers(scene: Scene) -> Iterator[Complaint]:
             "tables [[finger]]"
         )
         yield "fingertip", msgspec.UNSET, fault
-    for key in ("name", "device"):
-        first: dict[str, str] = {}
-        for path, item in _iter_usable("finger", scene.finger, "name", "device"):
-            name = item.name if key == "name" else item.device or item.name
-            for earlier_name, earlier in first.items():
-                if key == "device" and name == earlier_name and name != item.name:
-                    yield f"{path}.device", name, f"already moves {earlier}: use another device"
-                elif key == "name" and (name.startswith(earlier_name) or earlier_name.startswith(name)):
-                    fault = (
-                        f"overlaps with the name of {earlier}, {earlier_name!r}: a subscriber to the shorter name "
-                        "would receive the telemetry of both; choose another name"
-                    )
-                    yield f"{path}.name", name, fault
-            first.setdefault(name, path)
+    fingers = list(_iter_usable("finger", scene.finger, "name", "device"))
+    for index, (path, item) in enumerate(fingers):
+        for earlier_path, earlier in fingers[:index]:
+            if item.name.startswith(earlier.name) or earlier.name.startswith(item.name):
+                fault = (
+                    f"overlaps with the name of {earlier_path}, {earlier.name!r}: a subscriber to the shorter name "
+                    "would receive the telemetry of both; choose another name"
+                )
+                yield f"{path}.name", item.name, fault
+            device = item.device or item.name
+            if device == (earlier.device or earlier.name) and (item.device or earlier.device):
+                yield f"{path}.device", device, f"already moves {earlier_path}: use another device"
 
 
 def _check_world(scene: Scene) -> Iterator[Complaint]:
@@ -182,10 +189,10 @@ def _check_method(scene: Scene) -> Iterator[Complaint]:
             yield "rolling.method", "rotation_vector", fault
 
 
-def _check_forms(scene: Scene) -> Iterator[Complaint]:
+def _check_ellipsoids(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger):
         return
-    fingertips: list[tuple[str, Form]] = [*_iter_usable("finger", scene.finger, "radii_m")]
+    fingertips: list[tuple[str, FingertipShape]] = [*_iter_usable("finger", scene.finger, "radii_m")]
     if scene.fingertip is not None and is_usable(scene.fingertip.radii_m):
         fingertips.append(("fingertip", scene.fingertip))
     tip_path = next((path for path, tip in fingertips if tip.radii_m is not None), None)
@@ -210,18 +217,18 @@ def _check_forms(scene: Scene) -> Iterator[Complaint]:
             yield f"{path}.texture", msgspec.UNSET, fault
 
 
-def _iter_tips(scene: Scene) -> list[Fingertip | Finger]:
+def _list_tips(scene: Scene) -> list[Fingertip | Finger]:
     return [scene.fingertip] if scene.fingertip is not None else [item for item in scene.finger if is_usable(item)]
 
 
 def _check_room(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger, scene.object):
         return
-    tips = _iter_tips(scene)
-    radii = [tip.reaches_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
+    tips = _list_tips(scene)
+    radii = [tip.radius_range_m[1] for tip in tips if is_usable(tip.radius_m, tip.radii_m)]
     for path, item in _iter_usable("object", scene.object):
         if any(radii):  # if the largest fits, all fit
-            for key, value, text in item.tight(max(radii)):
+            for key, value, text in item.check_room(max(radii)):
                 yield f"{path}.{key}", value, text
 
 
@@ -265,7 +272,7 @@ def _check_laws(scene: Scene) -> Iterator[Complaint]:
 def _check_torsion(scene: Scene) -> Iterator[Complaint]:
     if not is_usable(scene.fingertip, scene.finger, scene.object):
         return
-    tips = _iter_tips(scene)
+    tips = _list_tips(scene)
     if not tips or not is_usable(*(tip.patch for tip in tips)):
         return
     soft = any(tip.patch is not None for tip in tips)

@@ -77,7 +77,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
         """True if an ellipsoidal fingertip can touch the object."""
         return False
 
-    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+    def check_room(self, fingertip_m: float) -> Iterator[Complaint]:
         """Yield the dimensions that leave no room for a fingertip of this radius, m, on the touched side."""
         yield from ()
 
@@ -117,7 +117,7 @@ class Sphere(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="sphe
     def bears_ellipsoid(self) -> bool:
         return not self.inside
 
-    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+    def check_room(self, fingertip_m: float) -> Iterator[Complaint]:
         if is_usable(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
             yield "radius_m", self.radius_m, _describe_lack_of_room(fingertip_m)
 
@@ -147,7 +147,7 @@ class Cylinder(Textured, frozen=True, kw_only=True, tag_field="shape", tag="cyli
             )
             yield "texture.size_m", self.texture.size_m, fault
 
-    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+    def check_room(self, fingertip_m: float) -> Iterator[Complaint]:
         if not is_usable(self.inside) or not self.inside:
             return
         if is_usable(self.radius_m) and self.radius_m <= fingertip_m:
@@ -164,7 +164,7 @@ class Capsule(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="cap
     length_m: Annotated[float, within(limits.LENGTH_M, "distance between the centres of the caps", 0.1)]
     inside: Inside = False
 
-    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+    def check_room(self, fingertip_m: float) -> Iterator[Complaint]:
         if is_usable(self.radius_m, self.inside) and self.inside and self.radius_m <= fingertip_m:
             yield "radius_m", self.radius_m, _describe_lack_of_room(fingertip_m)
 
@@ -180,7 +180,7 @@ class Box(Textured, frozen=True, kw_only=True, tag_field="shape", tag="box"):
     def bears_ellipsoid(self) -> bool:
         return self.inside
 
-    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+    def check_room(self, fingertip_m: float) -> Iterator[Complaint]:
         if is_usable(self.size_m, self.inside) and self.inside and min(self.size_m) <= 2.0 * fingertip_m:
             yield "size_m", self.size_m, _describe_lack_of_room(2.0 * fingertip_m, "diameter", "every edge")
 
@@ -191,7 +191,7 @@ class Ellipsoid(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="e
     semi_axes_m: Annotated[Lengths, doc("semi-axes along x, y, z", [0.06, 0.04, 0.03])]
     inside: Inside = False
 
-    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+    def check_room(self, fingertip_m: float) -> Iterator[Complaint]:
         if not is_usable(self.semi_axes_m, self.inside) or not self.inside:
             return
         sharpest = min(self.semi_axes_m) ** 2 / max(self.semi_axes_m)
@@ -213,7 +213,7 @@ class Torus(ObjectBase, frozen=True, kw_only=True, tag_field="shape", tag="torus
         if is_usable(major, minor) and minor >= major:
             yield "minor_radius_m", minor, f"must be below major_radius_m = {major:g} m, or the ring has no hole"
 
-    def tight(self, fingertip_m: float) -> Iterator[Complaint]:
+    def check_room(self, fingertip_m: float) -> Iterator[Complaint]:
         major, minor = self.major_radius_m, self.minor_radius_m
         if not is_usable(major, minor, self.inside):
             return

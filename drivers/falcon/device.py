@@ -148,14 +148,12 @@ class Falcon(BlockDevice):
     def stop(self) -> None:
         if not self._word[AT.open]:
             return
-        self._zero_failure = ""
-        if not self._call_until_done(exchange.silence, STOP_WAIT_S):
-            self._zero_failure = f"it has accepted no packet for {STOP_WAIT_S:g} s"
-            log.error(
-                "%s: accepts no packet for %g s; zero force was not sent: switch it off", self.info.name, STOP_WAIT_S
-            )
+        failure = ""
+        if not self._call_until_done(exchange.disarm_and_zero, STOP_WAIT_S):
+            failure = f"it has accepted no packet for {STOP_WAIT_S:g} s"
         elif self._word[AT.has_force] or Transfer.from_address(int(self._word[AT.transfer_out])).status != _COMPLETED:
-            self._zero_failure = self.reason() or "its last packet was not sent"
+            failure = self.reason() or "its last packet was not sent"
+        self._report_zero_failure(failure)
 
     def close(self) -> None:
         if not self._word[AT.transfer_in]:

@@ -13,8 +13,6 @@ computed for an old position may push the knob in the wrong direction, and sends
 
 WITHHELD reports that zero replaced the force, so that the guard fades the force in again. HELD reports that a packet
 was not sent, because the motors keep the force of the previous one.
-
-The file is long because it contains all of these rules, from the reply to the packet.
 """
 
 from __future__ import annotations
@@ -28,7 +26,14 @@ from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon import packets
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.conversion import compute_command, convert_reply, process_byte
-from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS, copy_sample, is_finite, is_zero, shift_sample_time
+from softfinger.drivers.samples import (
+    CURRENT_WAIT_MAX_NS,
+    PAUSE_MIN_NS,
+    copy_sample,
+    is_finite,
+    is_zero,
+    shift_sample_time,
+)
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32
@@ -173,7 +178,7 @@ def _await(handle: int) -> int:
     has_sent_zero = False
     while count >= 0:
         now = _read_clock(handle)
-        if is_running and now - start > RESUME_WAIT_NS:
+        if is_running and now - start > CURRENT_WAIT_MAX_NS:
             return 0
         if not is_running and now - start > word[AT.timeout_after]:
             return TIMEOUT
@@ -227,7 +232,7 @@ def _read_locked(handle: int, sample: Any) -> int:
     if word[AT.open] == 0:
         return LOST
     now = _read_clock(handle)
-    was_paused = now - word[AT.read_at] > RESUME_NS or word[AT.has_sample] == 0
+    was_paused = now - word[AT.read_at] > PAUSE_MIN_NS or word[AT.has_sample] == 0
     if was_paused:
         word[AT.sampled_at] = shift_sample_time(word[AT.sampled_at], word[AT.read_at], now, word[AT.kick])
     count = _await(handle) if was_paused else _count_current(handle, _read_transfers(handle, 0))
@@ -319,7 +324,7 @@ def start_reading(handle: int) -> int:
 
 
 @c_function(types.int64(types.int64))
-def silence(handle: int) -> int:
+def disarm_and_zero(handle: int) -> int:
     """Disarm and send a zero; return 1 if it was sent or cannot be, 0 if the call must be repeated.
 
     A packet that hangs is cancelled first: if the device reconnected, a force queued in the bus would reach the motors,
@@ -346,7 +351,7 @@ def silence(handle: int) -> int:
 
 @c_function(types.int64(types.int64))
 def cancel_transfers(handle: int) -> int:
-    """Cancel both transfers after `silence`; return 1 if neither is active any more, 0 if the call must be repeated."""
+    """Cancel both transfers, after `disarm_and_zero`. Return 1 if neither is active, 0 to repeat the call."""
     word = int64_at(handle)
     if exchange_int64(handle + 8 * AT.lock, 1) != 0:
         return 0

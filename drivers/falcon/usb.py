@@ -140,7 +140,7 @@ def open_chip(serial: str | None, node: str | None = None) -> SerialChip:
         usb.util.claim_interface(device, INTERFACE)
     except usb.core.USBError as error:
         usb.util.dispose_resources(device)
-        raise _open_error(name, error) from error
+        raise _make_open_error(name, error) from error
     return SerialChip(device)
 
 
@@ -162,7 +162,7 @@ def _choose(devices: list[Any], serial: str | None) -> Any:
     return serials[serial]
 
 
-def _open_error(name: str, error: usb.core.USBError) -> DeviceError:
+def _make_open_error(name: str, error: usb.core.USBError) -> DeviceError:
     if error.errno in (errno.EACCES, errno.EPERM):
         return DevicePermission(f"{name} may not be opened by this user: {explain_permission(VENDOR, PRODUCT)}")
     if error.errno == errno.EBUSY:

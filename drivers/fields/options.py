@@ -87,7 +87,7 @@ def check_layout(
                 break
 
 
-def find_repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
+def check_repeated_meanings(fields: tuple[InputField, ...]) -> Iterator[Complaint]:
     """Yield complaints about repeated meanings; `buttons` may be repeated, and are added."""
     meanings_seen = set()
     for index, field in enumerate(fields):
@@ -104,7 +104,7 @@ def list_meanings(fields: Iterable[InputField | OutputField]) -> set[str] | None
     return {field.meaning for field in fields if is_usable(field.meaning)}
 
 
-def find_missing_meanings(key: str, present: set[str], required: set[str], kind: str) -> Iterator[Complaint]:
+def check_missing_meanings(key: str, present: set[str], required: set[str], kind: str) -> Iterator[Complaint]:
     """Yield a complaint if the fields at `key` lack meanings that kinematics of this `kind` need."""
     missing = ", ".join(sorted(required - present))
     if missing:

@@ -60,7 +60,7 @@ class ForceDimension(BlockDevice):
         self._block = Block(AT)
         self._word = self._block.word
         self._word[AT.cause] = -1
-        self._id, self._model = selection.find(self._library, options)
+        self._id, self._model = selection.open_selected(self._library, options)
         try:
             self._set_up(rate_hz)
             self.info = self._make_info()
@@ -259,7 +259,7 @@ def identify(device: SystemDevice, options: Options) -> dict[str, str | int | bo
     Raises DeviceNotFound, DeviceBusy, DevicePermission or DeviceError.
     """
     call = selection.load(options.library_file)
-    number, model = selection.find(call, options)
+    number, model = selection.open_selected(call, options)
     try:
         return {
             "model": model.full_name,

@@ -93,7 +93,7 @@ def explain_refusal(device: SystemDevice) -> str:
     return f"{device} may not be opened by this user: {rules.explain_permission(VENDOR, 0)}"
 
 
-def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
+def open_selected(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
     """Open the device that the options select, or the first that opens; return its ID and model."""
     count = call.dhdGetDeviceCount()
     if count <= 0:
@@ -104,7 +104,7 @@ def find(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
     for number in numbers:
         device = call.drdOpenID(number)
         if device < 0:
-            failed = failed or _open_error(call, number)
+            failed = failed or _make_open_error(call, number)
             continue
         try:
             kind, serial = call.dhdGetSystemType(device), read_serial(call, device)
@@ -161,7 +161,7 @@ def _raise_not_found(call: ctypes.CDLL, count: int) -> NoReturn:
     raise DeviceNotFound("no device of Force Dimension is attached: check cable and power (USB vendor 1451)")
 
 
-def _open_error(call: ctypes.CDLL, number: int) -> DeviceError:
+def _make_open_error(call: ctypes.CDLL, number: int) -> DeviceError:
     code, text = call.dhdErrorGetLast(), library.format_error(call)
     if code in (library.ERROR_BUSY, library.ERROR_IN_USE):
         holders = [str(holder) for device in list_attached() if (holder := discovery.find_holder(device.node))]

@@ -12,7 +12,8 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceLost, DeviceTimeout
 from softfinger.drivers.base import make_info
 from softfinger.drivers.block import Block, BlockDevice
-from softfinger.drivers.haply import exchange, opening
+from softfinger.drivers.haply import connection as service
+from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.exchange import AT
 from softfinger.drivers.haply.exchange_thread import ExchangeThread
 from softfinger.drivers.haply.options import Options, rows
@@ -26,11 +27,11 @@ POLL_S: Final = 2e-4
 
 
 class HaplyDevice(BlockDevice):
-    """Open device, owner of the connection in `connection`."""
+    """Open device, owner of `connection`."""
 
     _functions = exchange.read, exchange.write
 
-    def __init__(self, options: Options, connection: opening.Connection) -> None:
+    def __init__(self, options: Options, connection: service.Connection) -> None:
         self._options = options
         self._block = Block(AT)
         times = exchange.ServiceTimes(options.quiet_s, options.timeout_s, options.stale_s)
@@ -41,10 +42,10 @@ class HaplyDevice(BlockDevice):
         self._thread.start()
 
     def arm(self) -> None:
-        """Wait for a current state, and allow forces."""
+        """Wait for a current state, and allow forces, unless the device was stopped."""
         word = self._block.word
         before, until = int(word[AT.states]), time.monotonic() + self._options.timeout_s
-        while word[AT.states] == before:
+        while word[AT.states] == before and not word[AT.stopped]:
             if word[AT.failed] < 0:
                 raise DeviceLost(f"{self.info.name}: {self.reason()}")
             if time.monotonic() > until:
@@ -58,6 +59,7 @@ class HaplyDevice(BlockDevice):
 
     def stop(self) -> None:
         word = self._block.word
+        word[AT.stopped] = 1  # first, because a concurrent `arm` may set `armed` again
         word[AT.armed] = 0  # from now on the thread sends only zeros
         if word[AT.wake] < 0:
             return
@@ -102,9 +104,9 @@ class HaplyDevice(BlockDevice):
 
 def open_device(options: Options, rate_hz: float) -> HaplyDevice:
     """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
-    return HaplyDevice(options, opening.find(options))
+    return HaplyDevice(options, service.open_connection(options))
 
 
 def identify(_: SystemDevice, options: Options) -> dict[str, Any]:
     """Return the service's description of itself and its devices; sends nothing to a device."""
-    return opening.identify(options.port, options.version)
+    return service.identify(options.port, options.version)

@@ -27,7 +27,7 @@ from softfinger.drivers.base import (
 )
 from softfinger.drivers.block import Block, counter, lay_out, numbers, word
 from softfinger.drivers.mounting import Mounting
-from softfinger.drivers.samples import RESUME_NS, copy_sample, is_finite, is_zero, shift_sample_time, store_pose
+from softfinger.drivers.samples import PAUSE_MIN_NS, copy_sample, is_finite, is_zero, shift_sample_time, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
@@ -78,6 +78,7 @@ class Fields(NamedTuple):
     cut: Annotated[int, counter("forces above the limit")]
     held: Annotated[int, counter("forces rejected because the previous one was not sent yet")]
     armed: Annotated[int, word("whether forces may be sent")]
+    stopped: Annotated[int, word("permanent: a later or concurrent `arm` has no effect")]
     failed: Annotated[int, word("status that ended the thread, 0 while it runs")]
     handled: Annotated[int, word("number of the latest wrench that the thread has sent or dropped")]
     answered: Annotated[int, word("number of the latest wrench with an answered message")]
@@ -158,7 +159,7 @@ def read(handle: int, sample: Any) -> int:
     poses = Slot(counters, carray(float64_at(handle + 8 * AT.pose), (POSE_SIZE,)))
     status = OK if _read_pose(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE_SIZE,))) else STALE
     silence = now - at[AT.sampled_at]
-    if at[AT.read_at] != 0 and now - at[AT.read_at] > RESUME_NS and silence > at[AT.quiet]:
+    if at[AT.read_at] != 0 and now - at[AT.read_at] > PAUSE_MIN_NS and silence > at[AT.quiet]:
         # the thread may have been paused too: neither a silence nor a current pose
         at[AT.sampled_at] = shift_sample_time(at[AT.sampled_at], at[AT.read_at], now, at[AT.quiet])
         status = STALE
@@ -177,9 +178,10 @@ def read(handle: int, sample: Any) -> int:
 def _limit(handle: int, wrench: Any, now: int) -> tuple[Vec3, int]:
     """Return the force to send in the service's frame, at most `force_max`, and the status of the write."""
     at = int64_at(handle)
+    is_armed = at[AT.armed] != 0 and at[AT.stopped] == 0
     if is_zero(wrench, 3):  # torque is ignored: no motor turns the handle
         return (0.0, 0.0, 0.0), OK
-    if at[AT.armed] == 0 or not is_finite(wrench, 3) or at[AT.wake] < 0 or now - at[AT.sampled_at] > at[AT.quiet]:
+    if not is_armed or not is_finite(wrench, 3) or at[AT.wake] < 0 or now - at[AT.sampled_at] > at[AT.quiet]:
         return (0.0, 0.0, 0.0), WITHHELD
     if at[AT.handled] != at[AT.written]:  # replacing that one would skip the force of a tick
         at[AT.held] += 1

@@ -24,9 +24,9 @@ from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.drivers import switch_interval
 from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT
 from softfinger.drivers.block import Block
+from softfinger.drivers.haply.connection import Connection
 from softfinger.drivers.haply.exchange import AT, COUNTERS, POSE_SIZE, WRENCH_NUMBER, WRENCH_SIZE, WRITE_TIME
 from softfinger.drivers.haply.messages import Malformed, Missing, PoseReading, encode_command, read_state
-from softfinger.drivers.haply.opening import Connection
 from softfinger.proxy.kernels.jit.seqlock import Slot, publish, read
 from softfinger.proxy.kernels.model import Vec3
 
@@ -70,8 +70,14 @@ class ExchangeThread:
         self._thread = threading.Thread(target=self._run, name="haply exchange", daemon=True)
 
     def start(self) -> None:
+        """Start the thread; if the system has none left, close the connection and raise RuntimeError."""
         switch_interval.shorten()
-        self._thread.start()
+        try:
+            self._thread.start()
+        except BaseException:
+            switch_interval.restore()
+            self._close_link()
+            raise
 
     @property
     def native_id(self) -> int | None:
@@ -161,8 +167,9 @@ class ExchangeThread:
             self._latest_wrench[:] = self._copy
         x, y, z, at = self._latest_wrench[: WRITE_TIME + 1].tolist()
         force = (x, y, z)
-        is_old = not self._word[AT.armed] or time.monotonic_ns() - at > self._word[AT.stale]
-        if force != _ZERO and (is_old or self._has_unread):
+        is_armed = self._word[AT.armed] and not self._word[AT.stopped]
+        is_old = time.monotonic_ns() - at > self._word[AT.stale]
+        if force != _ZERO and (not is_armed or is_old or self._has_unread):
             self._latest_wrench[:WRITE_TIME] = 0.0  # permanently: it must not be sent when the service reads again
             self._word[AT.dropped] += 1
             self._word[AT.handled] = int(self._latest_wrench[WRENCH_NUMBER])

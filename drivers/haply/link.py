@@ -51,7 +51,7 @@ def connect(port: int, until: float) -> socket.socket:
             f"no Inverse Service on port {port} of this machine{_describe_old_service(port)}: {START}"
         ) from None
     except TimeoutError:
-        raise DeviceTimeout(f"the Inverse Service on port {port} takes no connection: restart it ({START})") from None
+        raise DeviceTimeout(f"the Inverse Service on port {port} accepts no connection: restart it ({START})") from None
     except OSError as error:
         raise DeviceError(f"the Inverse Service on port {port} cannot be reached: {error}") from error
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -98,7 +98,7 @@ def _describe_old_service(port: int) -> str:
         socket.create_connection((HOST, OLD_FORMAT_PORT), timeout=0.2).close()
     except OSError:
         return ""
-    return f", but one on port {OLD_FORMAT_PORT}: a service of 3.0, which this driver does not speak: update it"
+    return f", but one on port {OLD_FORMAT_PORT}: a service of 3.0, which this driver does not support: update it"
 
 
 CLOSE_TIMEOUT_S: Final = 0.2
@@ -151,7 +151,7 @@ class WebSocketLink:
             raise DeviceLost(f"the connection to the Inverse Service was lost: {error.strerror or error}") from error
         return messages + self._process_data(data)
 
-    def next(self, until: float) -> bytes:
+    def wait_for_message(self, until: float) -> bytes:
         """Wait for the next message and return it."""
         while not (messages := self.receive()):
             select.select([self._end], [], [], check_remaining_time(until))

@@ -17,9 +17,9 @@ from softfinger.config.errors import DeviceError
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 
 GROUPS: Final = ("inverse3", "inverse3x", "minverse")
-"""Keys of the lists of devices in a message."""
+"""Names of the lists of devices in a message."""
 GRIPS: Final = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
-"""Keys of the lists of grips."""
+"""Names of the lists of grips."""
 FIRST_SUPPORTED: Final = (3, 1)
 VECTOR_SINCE: Final = (3, 5)
 FIRST_UNSUPPORTED: Final = (4, 0)
@@ -135,7 +135,7 @@ class Inventory(Struct):
 
 
 class DeviceRef(NamedTuple):
-    """Device or grip: its list and its name."""
+    """Device or grip: name of the list that contains it (GROUPS, GRIPS), and its id."""
 
     group: str
     name: str

@@ -21,6 +21,7 @@ SILENCE_S: Final = Range(
     0.005, 0.2, "a shorter time counts late answers as silence; after a longer one the force is outdated"
 )
 GIVE_UP_S: Final = Range(0.005, 2.0, "a shorter time counts late answers as silence; a longer one hides a lost service")
+DEFAULT_PORT: Final = 10001
 OLD_FORMAT_PORT: Final = 10000
 
 
@@ -37,7 +38,7 @@ class Filters(Table, frozen=True, kw_only=True):
 class Options(Table, frozen=True, kw_only=True):
     """Selection of device and grip, mount, limits, filters and timeouts."""
 
-    port: Annotated[int, within(PORT, "port of the Inverse Service on this machine", 10001)] = 10001
+    port: Annotated[int, within(PORT, "port of the Inverse Service on this machine", DEFAULT_PORT)] = DEFAULT_PORT
     version: (
         Annotated[str, Meta(pattern=r"^\d+\.\d+(\.\d+)?$"), doc("of the service, if it does not send it", "3.5")] | None
     ) = None

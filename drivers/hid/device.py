@@ -80,10 +80,10 @@ class HidDevice(BlockDevice):
         until = time.monotonic() + wait_s
         if self.threads is not None:
             self.threads.disarm(self._zero)
-        is_silent = self._call_until_done(exchange.silence, wait_s)
-        if is_silent and self.threads is not None:
-            is_silent = self.threads.flush(self.counts()["written"], until)
-        if not is_silent:
+        is_zeroed = self._call_until_done(exchange.disarm_and_zero, wait_s)
+        if is_zeroed and self.threads is not None:
+            is_zeroed = self.threads.flush(self.counts()["written"], until)
+        if not is_zeroed:
             self._report_zero_failure(self.reason() or f"writes have been pending for {STOP_WAIT_S:g} s")
         else:
             self._zero_failure = "its node accepts no report" if self._block.word[BOARD.has_force] else ""

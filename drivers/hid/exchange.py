@@ -1,8 +1,8 @@
 """One tick with a hidraw node, in nopython mode: read all reports up to the latest, write one report.
 
-The node may be the socket of `threads`, which behaves like one. `board_exchange` has the part that all boards share. A
-device of this family answers each report, so the answer to the report of one tick is read in the next, without waiting.
-A zero report wakes it.
+The node may be the socket of `report_threads`, which behaves like one. `board_exchange` has the part that all boards
+share. A device of this family answers each report, so the answer to the report of one tick is read in the next, without
+waiting. A zero report wakes it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from softfinger.proxy.kernels.model import Vec3
 DRAIN_MAX: Final = 256
 """Maximum number of reads per tick, four times the kernel's queue: a device that floods cannot block the loop."""
 QUEUED_MAX: Final = 2
-"""Maximum number of reports in the pump: one in transmission and the next.
+"""Maximum number of reports queued for the threads: one in transmission and the next.
 
 With more, a force would be late; if some were skipped, successive forces of the device would differ by more than those
 of two ticks.
@@ -134,7 +134,7 @@ def _send(handle: int, force: Vec3) -> tuple[int, int]:
 
 @jit
 def _is_queue_full(handle: int) -> bool:
-    """Return True if the pump has the maximum number of reports."""
+    """Return True if the maximum number of reports is queued for the threads; False without threads."""
     at = int64_at(handle)
     return bool(at[AT.accepted_address] != 0 and at[AT.written] - int64_at(at[AT.accepted_address])[0] >= QUEUED_MAX)
 
@@ -175,4 +175,4 @@ def _send_wrench(driver: Hid, handle: int, wrench: Any) -> int:
     return OK if outcome == FULL else STALE
 
 
-read, write, silence = compile_functions(Hid())
+read, write, disarm_and_zero = compile_functions(Hid())

@@ -24,18 +24,18 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import read_report_lengths
 from softfinger.drivers.system.descriptor import ReportLengths, parse_descriptor
 from softfinger.drivers.system.discovery import SystemDevice
-from softfinger.drivers.system.nodes import import_hidapi, open_locked, open_path, read_ids
+from softfinger.drivers.system.nodes import format_ids, import_hidapi, open_locked, open_path
 from softfinger.drivers.system.rules import explain_permission
 
 
-def parse_report_lengths(reports: Reports) -> ReportLengths:
+def make_report_lengths(reports: Reports) -> ReportLengths:
     return ReportLengths({reports.input.id: reports.input.bytes}, {reports.output.id: reports.output.bytes})
 
 
 def has_reports(descriptor: bytes, reports: Reports) -> bool:
     """Return True if a descriptor announces the reports of a rig; also True for an unknown descriptor."""
     try:
-        return not descriptor or parse_descriptor(descriptor).includes(parse_report_lengths(reports))
+        return not descriptor or parse_descriptor(descriptor).includes(make_report_lengths(reports))
     except ValueError:
         return True  # opening reports the damage
 
@@ -46,7 +46,7 @@ def check_reports(descriptor: bytes, path: str, reports: Reports) -> None:
         announced = parse_descriptor(descriptor)
     except ValueError as error:
         raise DeviceError(f"{path}: its report descriptor is damaged: {error}") from error
-    expected = parse_report_lengths(reports)
+    expected = make_report_lengths(reports)
     if announced.includes(expected):
         return
     matching_names = [name for name, lengths in read_report_lengths().items() if announced.includes(lengths)]
@@ -83,8 +83,8 @@ def list_attached(vendor: int, product: int) -> dict[str, str]:
     }
 
 
-def with_reports_of(paths: list[str], options: Options) -> list[str]:
-    """Return the interfaces of a device that have the rig's reports: opens, reads and closes each."""
+def filter_by_reports(paths: list[str], options: Options) -> list[str]:
+    """Return the interfaces in `paths` that announce the rig's reports. Opens, reads and closes each."""
     matching = []
     for path in paths:
         interface = open_usb(path, options)
@@ -110,7 +110,7 @@ def open_usb(path: str, options: Options) -> OpenInterface:
         raise DeviceNotFound(f"there is no USB device at {path}: plug it in, or remove `path`")
     if (device_entry.vendor, device_entry.product) != (vendor, product):
         raise DeviceError(
-            f"{path} is the device {device_entry.ids}, but the rig is for {read_ids(vendor, product)}: "
+            f"{path} is the device {device_entry.ids}, but the rig is for {format_ids(vendor, product)}: "
             "set path to the right one, or remove it"
         )
     lock_fd = open_locked(device_entry.node, explain_permission(vendor, product))
@@ -119,7 +119,7 @@ def open_usb(path: str, options: Options) -> OpenInterface:
         try:
             device.open_path(os.fsencode(path))
         except OSError as error:
-            raise _open_error(path, device_entry.node) from error
+            raise _make_open_error(path, device_entry.node) from error
         try:
             descriptor = bytes(device.get_report_descriptor())
         except OSError as error:
@@ -138,7 +138,7 @@ def _find_device(path: str) -> SystemDevice | None:
     return discovery.read_device(str(discovery.USB / path.partition(":")[0]))
 
 
-def _open_error(path: str, node: str) -> DeviceError:
+def _make_open_error(path: str, node: str) -> DeviceError:
     """Return the error for an unopened interface: hidapi gives no cause, so find the process that has claimed it."""
     program = discovery.find_holder(node)
     if program is not None and program.pid != os.getpid():
@@ -156,7 +156,7 @@ _DESCRIPTOR_MAX: Final = 4096
 
 
 class ReportLink(NamedTuple):
-    """File descriptor that the exchange reads and writes: a node, or with a pump the socket that replaces it.
+    """File descriptor that the exchange reads and writes: a node, or with threads the socket that replaces it.
 
     node  path of the device's hidraw node; empty on the USB bus
     """
@@ -167,7 +167,7 @@ class ReportLink(NamedTuple):
 
 
 def open_link(options: Options) -> ReportLink:
-    """Find the device of a rig and open it with the method that the rig selects.
+    """Find the device of a rig, and open its node or, with `through = "thread"` or without a node, hidapi.
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
     than the rig.
@@ -180,19 +180,19 @@ def open_link(options: Options) -> ReportLink:
         except BaseException:
             _close(opened)
             raise
-        return link_by_threads(opened.device, options, opened.lock_fd)
+        return make_thread_link(opened.device, options, opened.lock_fd)
     fd = open_path(path, options.vendor_id, options.product_id)
     try:
         check_reports(_read_descriptor(fd, path), path, options.reports)
         if options.through != "thread":
             return ReportLink(fd, None, path)
-        return link_by_threads(_open_hidapi(path), options, fd)._replace(node=path)
+        return make_thread_link(_open_hidapi(path), options, fd)._replace(node=path)
     except BaseException:
         os.close(fd)
         raise
 
 
-def link_by_threads(device: HidApi, options: Options, lock_fd: int | None = None) -> ReportLink:
+def make_thread_link(device: HidApi, options: Options, lock_fd: int | None = None) -> ReportLink:
     """Return a link through threads for a device that is open in hidapi; `lock_fd` is closed with it."""
     report = options.reports.input
     write_timeout_s = min(options.timeout_s, IGNORED_WRENCH_MAX_S)
@@ -224,10 +224,10 @@ def find_device(options: Options) -> str:
             f"{without_node[0]} has no usable node: `sudo modprobe usbhid` creates one on hidraw; in a "
             f"container, `docker run --device {without_node[0].node or '/dev/bus/usb'}`"
         )
-    present_ids = sorted({read_ids(node.vendor, node.product) for node in nodes_found})
+    present_ids = sorted({format_ids(node.vendor, node.product) for node in nodes_found})
     attached_text = f"attached are {', '.join(present_ids)}" if present_ids else "no HID device is attached"
     raise DeviceNotFound(
-        f"no HID device {read_ids(*usb_ids)} is attached: plug it in and switch it on; {attached_text}"
+        f"no HID device {format_ids(*usb_ids)} is attached: plug it in and switch it on; {attached_text}"
     )
 
 
@@ -240,13 +240,13 @@ def _choose_on_bus(options: Options, interfaces: dict[str, str]) -> str:
         _choose(options, {name: interfaces[device_paths[0]] for name, device_paths in paths_by_device.items()})
     ]
     if len(paths) > 1:
-        paths = with_reports_of(paths, options) or paths
+        paths = filter_by_reports(paths, options) or paths
     return paths[0]
 
 
 def _choose(options: Options, serials: dict[str, str]) -> str:
     """Return the path with the rig's serial number from devices with its ids (serial number by path)."""
-    usb_ids = read_ids(options.vendor_id, options.product_id)
+    usb_ids = format_ids(options.vendor_id, options.product_id)
     matching = [path for path, serial in serials.items() if options.serial is None or serial == options.serial]
     if len(matching) == 1:
         return matching[0]

@@ -20,7 +20,7 @@ from softfinger.drivers.fields.options import (
     InputField,
     OutputField,
     check_layout,
-    find_repeated_meanings,
+    check_repeated_meanings,
 )
 from softfinger.drivers.kinematics.options import Chain, Kinematics, check_fields
 from softfinger.drivers.mounting import Mounting
@@ -47,7 +47,7 @@ class InputReport(Table, frozen=True, kw_only=True):
         if not is_usable(self.bytes, self.field):
             return
         yield from check_layout(self.bytes, self.field, "a report", ", without the id")
-        yield from find_repeated_meanings(self.field)
+        yield from check_repeated_meanings(self.field)
 
 
 class OutputReport(Table, frozen=True, kw_only=True):

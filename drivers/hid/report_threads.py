@@ -46,7 +46,7 @@ class HidApi(Protocol):
 class ReportThreads:
     """Threads between a device and their end of the socket.
 
-    device           open; the pump owns it, and the thread that ends last closes it
+    device           open; owned by this object, and closed by the thread that ends last
     read_bytes       size of one read
     write_timeout_s  a write that takes longer hangs: the exchange gives the device up
     lock_fd          file descriptor, locked against other programs, to close with the device; None: none
@@ -62,7 +62,7 @@ class ReportThreads:
         driver_end.setblocking(False)
         self.fd: Final = driver_end.detach()
         self.failure = ""
-        """Error that ended the pump before it was closed; empty without one."""
+        """Error that ended a thread before `close`; empty without one."""
         self._accepted = np.zeros(2, dtype=np.int64)
         self._zero: bytes | None = None
         self._write_start: float | None = None  # s, monotonic clock: start of the write in progress

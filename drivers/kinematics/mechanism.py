@@ -1,7 +1,7 @@
 """Mechanism of a device that a rig describes: pose from sensed numbers, commanded numbers from a force.
 
 Kernels are compiled once for all mechanisms, and `kind` selects one. `fields.table` defines the indices of `values` and
-`spec`.
+`command`.
 """
 
 from __future__ import annotations

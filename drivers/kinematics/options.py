@@ -9,11 +9,11 @@ from msgspec import Meta
 
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
-from softfinger.drivers.fields.options import InputField, OutputField, find_missing_meanings, list_meanings
+from softfinger.drivers.fields.options import InputField, OutputField, check_missing_meanings, list_meanings
 
-RATIO_M: Final = Range(1e-4, 1.0, "from the thinnest capstan to a wheel of 1 m")
+DIAMETER_M: Final = Range(1e-4, 1.0, "from the thinnest capstan to a wheel of 1 m")
 LINK_M: Final = Range(1e-3, 2.0, "a desktop arm")
-APART_M: Final = Range(0.0, 2.0, "0: both motors on one axis; a desktop device")
+SPACING_M: Final = Range(0.0, 2.0, "0: both motors on one axis; a desktop device")
 TORQUE_CONSTANT: Final = Range(1e-5, 100.0, "motors of desktop devices have 0.01 to 1 N m/A")
 COUNTS: Final = Range(1, 1e7, "the finest encoders have some million counts per turn")
 PRESET_COUNTS: Final = Range(-32768, 32767, "range of a two-byte counter")
@@ -21,7 +21,7 @@ CURRENT_A: Final = Range(0.0, 20.0, "amplifiers of desktop devices have at most 
 TORQUE_NM: Final = Range(0.0, 20.0, "a joint of a desktop device; 40 N at half a metre")
 ANGLE_DEG: Final = Range(-360.0, 360.0, "one full turn")
 
-Diameter = Annotated[float, Meta(ge=RATIO_M.low, le=RATIO_M.high)]
+Diameter = Annotated[float, Meta(ge=DIAMETER_M.low, le=DIAMETER_M.high)]
 Diameters = tuple[Diameter, Diameter, Diameter]
 Link = Annotated[float, Meta(ge=LINK_M.low, le=LINK_M.high)]
 TorqueConstant = Annotated[float, Meta(ge=TORQUE_CONSTANT.low, le=TORQUE_CONSTANT.high)]
@@ -90,7 +90,7 @@ class Pantograph(Table, frozen=True, kw_only=True, tag_field="kind", tag="pantog
     commanded: ClassVar[frozenset[str]] = frozenset({"torque_a", "torque_b"})
     dof: ClassVar[int] = 2
 
-    base_m: Annotated[float, within(APART_M, "between the motors' axes", 0.038)]
+    base_m: Annotated[float, within(SPACING_M, "between the motors' axes", 0.038)]
     inner_m: Annotated[float, within(LINK_M, "links at the motors", 0.07)]
     outer_m: Annotated[float, within(LINK_M, "links at the end", 0.09)]
     origin_m: Annotated[Point, doc("workspace centre, from the axis of motor a", [0.019, 0.1, 0.0])] = (0.0, 0.0, 0.0)
@@ -104,8 +104,8 @@ class Delta(Table, frozen=True, kw_only=True, tag_field="kind", tag="delta"):
     commanded: ClassVar[frozenset[str]] = frozenset({"torque_a", "torque_b", "torque_c"})
     dof: ClassVar[int] = 3
 
-    base_m: Annotated[float, within(APART_M, "from the centre to a motor's axis", 0.06)]
-    end_m: Annotated[float, within(APART_M, "from the end's centre to its joints", 0.03)]
+    base_m: Annotated[float, within(SPACING_M, "from the centre to a motor's axis", 0.06)]
+    end_m: Annotated[float, within(SPACING_M, "from the end's centre to its joints", 0.03)]
     arm_m: Annotated[float, within(LINK_M, "arm at the motor", 0.08)]
     rod_m: Annotated[float, within(LINK_M, "parallelogram from arm to end", 0.17)]
     legs_deg: Annotated[tuple[Angle, Angle, Angle], doc("angles of legs a, b, c about z", [0.0, 120.0, 240.0])] = (
@@ -130,17 +130,17 @@ QUATERNION: Final = frozenset({"qw", "qx", "qy", "qz"})
 
 
 def check_fields(
-    key: str, read: tuple[InputField, ...], written: tuple[OutputField, ...], kinematics: Kinematics
+    key: str, input_fields: tuple[InputField, ...], output_fields: tuple[OutputField, ...], kinematics: Kinematics
 ) -> Iterator[Complaint]:
     """Yield complaints about fields at `key` that the kinematics lacks or cannot use."""
-    sensed, commanded = list_meanings(read), list_meanings(written)
+    sensed, commanded = list_meanings(input_fields), list_meanings(output_fields)
     if sensed is None or commanded is None:
         return
     kind = str(kinematics.__struct_config__.tag)
-    yield from find_missing_meanings(f"{key}.input", sensed, set(kinematics.sensed), kind)
-    yield from find_missing_meanings(f"{key}.output", commanded, set(kinematics.commanded), kind)
+    yield from check_missing_meanings(f"{key}.input", sensed, set(kinematics.sensed), kind)
+    yield from check_missing_meanings(f"{key}.output", commanded, set(kinematics.commanded), kind)
     if isinstance(kinematics, Chain) and kinematics.wrist_counts_per_turn is not None:
-        yield from find_missing_meanings(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
+        yield from check_missing_meanings(f"{key}.input", sensed, {*"def"}, "chain with a wrist")
     sensed_quaternion = sorted(sensed & QUATERNION)
     if sensed_quaternion and (not isinstance(kinematics, Cartesian) or len(sensed_quaternion) < len(QUATERNION)):
         yield f"{key}.input.field", sensed_quaternion, "a cartesian device measures all of qw to qz or none"

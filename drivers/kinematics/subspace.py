@@ -48,7 +48,7 @@ class MotionSubspace(NamedTuple):
 
 
 def make_subspace(kinematics: Kinematics | None, mounting: Mounting) -> MotionSubspace | None:
-    """Return the freedom of a mechanism; None if it has three degrees."""
+    """Return the subspace in which a mechanism moves; None if it has three degrees of freedom."""
     origin, rotation = mounting.frame()
     centre = np.array(origin)
     if isinstance(kinematics, Pantograph):  # z = 0
@@ -60,7 +60,7 @@ def make_subspace(kinematics: Kinematics | None, mounting: Mounting) -> MotionSu
 
 
 def read_subspace(table: DeviceConfig) -> MotionSubspace | None:
-    """Return the freedom of a rig's device; None also for an external driver with other options of these names."""
+    """Return the subspace in which a rig's device moves; None also for a driver whose options have other types."""
     try:
         kinematics: Any = msgspec.convert(table.options.get("kinematics"), Kinematics | None)
         return make_subspace(kinematics, msgspec.convert(table.options.get("mounting", {}), Mounting))

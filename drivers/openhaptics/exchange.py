@@ -7,8 +7,7 @@ a lapse. The servo's next write is then WITHHELD, as is every write while the st
 that the guard fades the force in again and telemetry has the force of the motors.
 
 The library's frame has x to the right, y up, z towards the user. World (x, y, z) = (x, -z, y), for positions, forces
-and torques, and for both sides of the orientation, so that an unrotated handle is unrotated in both
-frames.
+and torques, and for both sides of the orientation, so that an unrotated handle is unrotated in both frames.
 """
 
 from __future__ import annotations
@@ -42,20 +41,20 @@ from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at, 
 from softfinger.proxy.kernels.jit.seqlock import Slot, refresh, store
 
 DONE: Final = 0
-"""Results of a callback: DONE if the library must not call it again, else CONTINUE."""
 CONTINUE: Final = 1
+"""Results of the callback: CONTINUE if the library must call it again, else DONE."""
 
 NS_PER_S: Final = 1_000_000_000
 MM_PER_M: Final = 1000.0
 MNM_PER_NM: Final = 1000.0
 
 PROBE_INKWELL: Final = 0
-"""Frames of the first queries of inkwell and motor temperature, which not every device has.
+PROBE_TEMPERATURE: Final = 1
+PROBES: Final = 2
+"""Frames of the first queries of inkwell and motor temperature, and their number. Not every device has both.
 
 If a device rejects a query, it is not repeated.
 """
-PROBE_TEMPERATURE: Final = 1
-PROBES: Final = 2
 TEMPERATURE_EVERY: Final = 100
 """Frames from one query of the motors' temperature to the next."""
 MOTORS: Final = 6
@@ -64,7 +63,7 @@ ERRORS_PER_FRAME: Final = 8
 
 TIMEOUT_NS: Final = 100_000_000
 """Maximum silence of the library's thread while the servo reads."""
-LISTENED_NS: Final = 10_000_000
+SILENCE_STEP_MAX_NS: Final = 10_000_000
 """Maximum part of the time between two reads that counts as silence, because a stalled loop reads nothing."""
 
 
@@ -134,13 +133,13 @@ def _read_state(handle: int) -> None:
 def _read_wrench(handle: int, slot: Slot, into: Any) -> Any:
     """Return the servo's last complete wrench; `into` is the array over `read_wrench`."""
     word = int64_at(handle)
-    last_sample = float64_at(handle + 8 * AT.last_wrench)
+    last_wrench = float64_at(handle + 8 * AT.last_wrench)
     sequence = refresh(slot, word[AT.wrench_seen], into)
     if sequence != word[AT.wrench_seen]:
         word[AT.wrench_seen] = sequence
         for k in range(WRENCH_SIZE):
-            last_sample[k] = into[k]
-    return last_sample
+            last_wrench[k] = into[k]
+    return last_wrench
 
 
 @jit
@@ -200,7 +199,7 @@ def run_frame(handle: int) -> int:
     if word[AT.open] == 0:
         return DONE
     device = (np.int32(word[AT.device]),)
-    # Read before the frame: `left` and `silent` report that a complete frame followed.
+    # Read before the frame: `has_left` and `has_sent_zero` report that a complete frame followed.
     leaving, stopping = word[AT.is_leaving], word[AT.stopped]
     call_void(word[AT.begin_frame], device)
     _read_state(handle)
@@ -231,7 +230,7 @@ def run_frame(handle: int) -> int:
 def read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
     now = read_monotonic_ns(handle + 8 * AT.servo_timespec)
-    listened = min(now - word[AT.read_at], LISTENED_NS)
+    elapsed = min(now - word[AT.read_at], SILENCE_STEP_MAX_NS)
     word[AT.read_at] = now
     if word[AT.open] == 0:
         return LOST
@@ -248,7 +247,7 @@ def read(handle: int, sample: Any) -> int:
         copy_sample(pose, last_sample)
     else:
         word[AT.repeated] += 1
-        word[AT.silence] += listened
+        word[AT.silence] += elapsed
         if word[AT.silence] > TIMEOUT_NS:
             return TIMEOUT
         status = STALE
@@ -278,17 +277,17 @@ def _find_write_status(handle: int, wrench: Any, now: int) -> int:
 
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
-    word, new_pose = int64_at(handle), float64_at(handle + 8 * AT.new_wrench)
+    word, new_wrench = int64_at(handle), float64_at(handle + 8 * AT.new_wrench)
     now = read_monotonic_ns(handle + 8 * AT.servo_timespec)
     status = _find_write_status(handle, wrench, now)
     for k in range(6):
-        new_pose[k] = wrench[k] if status == OK else 0.0
-    new_pose[WRITE_TIME] = float(now - word[AT.started_at])
-    new_pose[KNOWN_LAPSES] = float(word[AT.known_lapses])
+        new_wrench[k] = wrench[k] if status == OK else 0.0
+    new_wrench[WRITE_TIME] = float(now - word[AT.started_at])
+    new_wrench[KNOWN_LAPSES] = float(word[AT.known_lapses])
     buffer = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
     store(
         Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), buffer),
-        carray(new_pose, (WRENCH_SIZE,)),
+        carray(new_wrench, (WRENCH_SIZE,)),
     )
     word[AT.writes] += 1
     return status

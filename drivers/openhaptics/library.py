@@ -170,7 +170,7 @@ def format_error(library: ctypes.CDLL, code: int, internal: int) -> str:
     words = (library.hdGetErrorString(code) or b"").decode(errors="replace")
     known_text = ERRORS.get(code)
     detail = f", '{words}'" if words else ""
-    return f"{known_text or 'an error that is not known'} (error 0x{code:04x}{detail}, device code {internal})"
+    return f"{known_text or 'an unknown error'} (error 0x{code:04x}{detail}, device code {internal})"
 
 
 TOUCH: Final = ModelLimits(3.3, 0.0, 400.0, 4.0)

@@ -12,7 +12,7 @@ FORCE_AGE_S: Final = Range(0.002, 0.1, "two periods of the library's thread; a f
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """Which device, which library, and how old a force may be. Nothing in here moves the device by itself."""
+    """Selection of device and library, and largest age of a force. No option makes the device move by itself."""
 
     library_file: Annotated[str, doc("file of libHD; absent: searched for, see docs/devices/touch.md")] | None = None
     name: (

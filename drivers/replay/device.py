@@ -72,7 +72,7 @@ def _read(handle: int, sample: Any) -> int:
 
 
 class Replay(LoggedDevice):
-    """Recording at the servo's rate; `logged` returns the logged wrenches.
+    """Recording at the servo's rate; `forces` returns the logged wrenches.
 
     Without `loop` the log contains the wrenches of the full pass; with it, at least the last pass and the last 10 s.
     After `stop` the device remains disarmed, and the last logged wrench is zero.

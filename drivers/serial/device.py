@@ -85,12 +85,12 @@ class SerialDevice(BlockDevice):
             word[DESCRIBED.kind], word[DESCRIBED.has_orientation] = TEXT, 1
             set_model(block, NO_MECHANISM._replace(force_max=float(options.force_max_n)), options.mounting)
         else:
-            self._describe(block, spec)
+            self._init_frames(block, spec)
         filler = 0 if spec is None or spec.resync is None else spec.resync.byte
         block.set_address(AT.outgoing, np.full(word[AT.out_total], filler, np.uint8))
         return block
 
-    def _describe(self, block: Block, spec: Frames) -> None:
+    def _init_frames(self, block: Block, spec: Frames) -> None:
         word, options, big_endian = block.word, self._options, spec.order == "big"
         assert options.kinematics is not None
         init_described(block, options, options.kinematics, spec.input.field, spec.output.field, big_endian)
@@ -159,7 +159,7 @@ class SerialDevice(BlockDevice):
     def _stop(self, wait_s: float) -> str:
         """Return why no zero was sent in this time; empty if it was."""
         until = time.monotonic() + wait_s
-        for step in (exchange.discard, exchange.silence):
+        for step in (exchange.discard, exchange.disarm_and_zero):
             if not self._call_until_done(step, until - time.monotonic()):
                 return f"the port has accepted no data for {wait_s:g} s"
         try:

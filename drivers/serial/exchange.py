@@ -286,7 +286,7 @@ def _wake(driver: Serial, handle: int) -> int:
     return status
 
 
-read, write, silence = compile_functions(Serial())
+read, write, disarm_and_zero = compile_functions(Serial())
 
 
 @c_function(types.int64(types.int64))

@@ -17,7 +17,7 @@ from softfinger.drivers.fields.options import (
     InputField,
     OutputField,
     check_layout,
-    find_repeated_meanings,
+    check_repeated_meanings,
 )
 from softfinger.drivers.kinematics.options import Kinematics, check_fields
 from softfinger.drivers.mounting import Mounting
@@ -113,7 +113,7 @@ class InputFrame(Frame, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         yield from check_frame(self, self.field)
         if is_usable(self.field):
-            yield from find_repeated_meanings(self.field)
+            yield from check_repeated_meanings(self.field)
 
 
 class OutputFrame(Frame, frozen=True, kw_only=True):

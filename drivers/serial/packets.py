@@ -123,10 +123,10 @@ def decode_stream(
 ) -> int:
     """Decode the frames in the bytes at `buffer`; return their number and store the last one in `numbers[1]`.
 
-    filled   (1,) int64: number of bytes; bytes of an incomplete frame are moved to the front and counted here
-    aligned  True for answers without a checksum, which start where the request was sent
-    table    addresses of rows, number of rows, and address of one int64 for scratch
-    numbers  (SENSED_SIZE,) each, the first for scratch
+    filled     (1,) int64: number of bytes; bytes of an incomplete frame are moved to the front and counted here
+    by_length  True for answers without a checksum, which are recognised by their length: they start after the request
+    table      address of the rows, number of rows, and address of one int64 for scratch
+    numbers    (SENSED_SIZE,) each, the first for scratch
     """
     size, count, text = int64_at(shape)[BYTES], filled[0], uint8_at(buffer)
     fields, rows, scratch = table

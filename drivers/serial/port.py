@@ -16,7 +16,7 @@ from softfinger.drivers.serial.frames import FRAME_BYTES
 from softfinger.drivers.serial.options import Baud, Options
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import explain_ambiguity, is_inverse3
-from softfinger.drivers.system.nodes import open_locked, read_ids
+from softfinger.drivers.system.nodes import format_ids, open_locked
 from softfinger.drivers.system.rules import explain_permission
 
 SERIAL_STRUCT_BYTES: Final = 72
@@ -85,7 +85,7 @@ def find_port(options: Options) -> str:
     if options.vendor_id is None or options.product_id is None:
         attached = ", ".join(f"{port.node} ({port.ids}, {port.name})" for port in ports) or "no serial port on USB"
         raise DeviceNotFound(f"the rig does not set a port: set path under [device]; attached: {attached}")
-    usb_ids = read_ids(options.vendor_id, options.product_id)
+    usb_ids = format_ids(options.vendor_id, options.product_id)
     with_ids = [port for port in ports if port.ids == usb_ids and not is_inverse3(port)]
     matching = [port for port in with_ids if options.serial in (None, port.serial)]
     if len(matching) == 1:
@@ -119,7 +119,7 @@ def _check_ids(path: str, options: Options) -> None:
     port = discovery.find_serial_port(path)
     if options.vendor_id is None or options.product_id is None:
         return
-    usb_ids = read_ids(options.vendor_id, options.product_id)
+    usb_ids = format_ids(options.vendor_id, options.product_id)
     if port is not None and port.ids != usb_ids:
         raise DeviceError(
             f"{path} is the device {port.ids} ({port.name}), but the rig is for {usb_ids}: set path to the right "

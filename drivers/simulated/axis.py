@@ -37,7 +37,7 @@ class Axis(NamedTuple):
     lag_rate                           1/s             of the motors, 0 without lag
     period                             s
     substep                            s               longest piece for the Taylor series
-    slow                               s               the same without the motors' lag
+    substep_without_lag                s               the same without the motors' lag
     """
 
     x_z: float
@@ -60,7 +60,7 @@ class Axis(NamedTuple):
     lag_rate: float
     period: float
     substep: float
-    slow: float
+    substep_without_lag: float
 
 
 class Inputs(NamedTuple):
@@ -156,7 +156,7 @@ def move(axis: Axis, x: float, v: float, a: float, a1: float, inputs: Inputs) ->
         turn1 = axis.mobility * axis.lag_rate * (u - a1) + axis.stiffness * w
         if abs(c0) <= limit and abs(c1) <= limit and turn0 * turn1 >= 0.0:
             return x, 0.0
-    elif h <= axis.slow:
+    elif h <= axis.substep_without_lag:
         direction = copysign(1.0, v)
         moving = with_friction(axis, direction, inputs)
         x1, v1 = move_freely(axis, x, v, a, moving)

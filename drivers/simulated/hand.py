@@ -42,8 +42,8 @@ COUNTERS: Final = 8
 class Fields(NamedTuple):
     """Fields of a hand that a program may lead."""
 
-    sequence: Annotated[int, numbers("counter of the seqlock", COUNTERS)]
-    request: Annotated[int, numbers("of the writer", REQUEST_SIZE)]
+    sequence: Annotated[int, numbers("counter of the sequence lock", COUNTERS)]
+    request: Annotated[int, numbers("request of the writer", REQUEST_SIZE)]
     copied: Annotated[int, numbers("copy by the loop, possibly inconsistent", REQUEST_SIZE)]
     received: Annotated[int, numbers("last consistent copy by the loop", REQUEST_SIZE)]
     turn: Annotated[int, numbers("intended orientation of the hand", 4)]
@@ -65,11 +65,13 @@ def receive(handle: int, slot: Slot, copied: Any) -> None:
 
 
 @jit
-def compute_intention(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, dt: float) -> tuple[Vec3, Quaternion]:
+def compute_intention(
+    handle: int, own: Vec3, own_turn: Quaternion, present: Vec3, dt: float
+) -> tuple[Vec3, Quaternion]:
     """Return the intention one tick from now, position (3,) m and orientation, on the path to the requested pose.
 
     own, own_turn  (3,) m  configured intention, returned unchanged until the first request
-    now            (3,) m  intention at this tick
+    present        (3,) m  intention at this tick
     dt             s
     """
     at, received = int64_at(handle), float64_at(handle + 8 * AT.received)
@@ -79,14 +81,14 @@ def compute_intention(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, d
         before = (turn[0], turn[1], turn[2], turn[3])
         share = 1.0  # no smoothing on the return to the configured intention, so that the hand reaches it
         if received[0] == MODE_HOLD:
-            position, orientation = now, before
+            position, orientation = present, before
         elif received[0] == MODE_LED:
             share = 1.0 - exp(-dt / SMOOTHING_S)
             position = (received[1], received[2], received[3])
             orientation = before
             if received[4] != 0.0 or received[5] != 0.0 or received[6] != 0.0 or received[7] != 0.0:
                 orientation = (received[4], received[5], received[6], received[7])
-        position = vec3.add(now, clamp_step(vec3.sub(position, now), share, SPEED_MAX_M_PER_S * dt))
+        position = vec3.add(present, clamp_step(vec3.sub(position, present), share, SPEED_MAX_M_PER_S * dt))
         rotation_vector = rotations.log(rotations.relative(orientation, before))
         step = rotations.exp(clamp_step(rotation_vector, share, TURN_MAX_RAD_PER_S * dt))
         orientation = rotations.normalize(rotations.multiply(step, before))
@@ -96,12 +98,12 @@ def compute_intention(handle: int, own: Vec3, own_turn: Quaternion, now: Vec3, d
 
 
 @jit
-def clamp_step(rotation_vector: Vec3, share: float, max_length: float) -> Vec3:
-    """Return a fraction `share` of a displacement (3,), of at most the length `max_length`."""
-    length = vec3.norm(rotation_vector)
+def clamp_step(displacement: Vec3, share: float, max_length: float) -> Vec3:
+    """Return a fraction `share` of a displacement or rotation vector (3,), of at most the length `max_length`."""
+    length = vec3.norm(displacement)
     if share * length <= max_length:
-        return vec3.scale(share, rotation_vector)
-    return vec3.scale(max_length / length, rotation_vector)
+        return vec3.scale(share, displacement)
+    return vec3.scale(max_length / length, displacement)
 
 
 class HandWriter:

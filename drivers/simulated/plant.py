@@ -33,7 +33,7 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 DELAY_MAX: Final = 16
 """Maximum transport delay, ticks."""
 DELAY_LINE_SIZE: Final = 3 * DELAY_MAX
-"""Size (float64) of a transport line, which the caller of `advance` stores: delayed forces, initially 0."""
+"""Size (float64) of a delay line, which the caller of `advance` stores: delayed forces, initially 0."""
 FLUSH_MAX: Final = 1e-30
 """m, m/s, N: smaller positions, velocities and forces are set to 0. Its square is still a normal number."""
 SUBSTEP: Final = 0.5
@@ -78,7 +78,7 @@ class Plant(NamedTuple):
 
     axes              one Axis for each of x, y, z
     rate              Hz      ticks per second, 1 / T
-    lag_rest          1       exp(-T / tau), decay of a difference over a tick; 0 for motors without lag
+    lag_decay         1       exp(-T / tau), decay of a difference over a tick; 0 for motors without lag
     force_max         N       maximum norm of the motors' force, and its square
     force_max_squared N^2
     delay             ticks   0 to DELAY_MAX
@@ -105,7 +105,7 @@ class PlantState(NamedTuple):
     force               (3,) N       a, of the motors at the end of the last tick
     goal                (3,) m       p, present intention of the hand
     orientation         (4,)         unit quaternion, fingertip to world
-    slot                             index in the transport line of the force that acts next
+    slot                             index in the delay line of the force that acts next
     """
 
     position: Vec3
@@ -186,13 +186,14 @@ def _make_axis(
     x, v = after[0], after[1] / period
     hand = max(damping / mass, sqrt(stiffness / mass))
     fastest = max(hand, 1.0 / lag) if lag else hand
-    substep, slow = SUBSTEP / fastest if fastest else inf, SUBSTEP / hand if hand else inf
+    substep = SUBSTEP / fastest if fastest else inf
+    substep_without_lag = SUBSTEP / hand if hand else inf
     # x = p needs no force: the coefficient of x - p is minus the column of p, without cancellation
     coefficients = (
         -x[3], x[1] * period, x[2], x[4], x[5], x[6],
         -v[3], v[1] * period, v[2], v[4], v[5], v[6],
         friction, 1.0 / mass, damping / mass, stiffness / mass, hand_damping / mass, 1.0 / lag if lag else 0.0,
-        period, substep, slow,
+        period, substep, substep_without_lag,
     )  # fmt: skip
     return Axis(*map(float, coefficients))
 
@@ -216,7 +217,7 @@ class PlantInputs(NamedTuple):
 
     intention  of the hand
     poses      (7 length,)   x, y, z, qw, qx, qy, qz of each pose in turn; an array or a pointer
-    line       (LINE_SIZE,)  N, delayed forces, updated; zeros before the first tick
+    line       (DELAY_LINE_SIZE,)  N, delayed forces, updated; zeros before the first tick
     """
 
     intention: Intention
@@ -283,7 +284,7 @@ def advance(
     command      (3,) N   written at the start of the tick
     goal         (3,) m   intention of the hand at its end; `state.goal` is the present one
     orientation  (4,)     orientation of the hand at its end, unit quaternion
-    line         (LINE_SIZE,) N  delayed forces, an array or a pointer; updated. Unused without delay
+    line         (DELAY_LINE_SIZE,) N  delayed forces, an array or a pointer; updated. Unused without delay
     """
     u, slot = clamp_command(plant, command), state.slot
     if plant.delay > 0.0:

@@ -218,11 +218,11 @@ def open_puck(options: Options) -> tuple[int, str]:
 
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if the node is not a puck's.
     """
-    puck = find(options)
+    puck = find_puck(options)
     return open_path(puck.node, puck.vendor, puck.product), puck.name
 
 
-def find(options: Options) -> SystemDevice:
+def find_puck(options: Options) -> SystemDevice:
     """Return the puck that matches the options; raises DeviceNotFound if there is none or more than one."""
     nodes = list(discovery.iter_hidraw_nodes())
     if options.path is not None:

@@ -113,10 +113,10 @@ def diagnose_requirements(
         except HapticError as error:
             return Diagnosis("library", str(error), library.REMEDY)
     if claim.driver == "haply" and answers is None:
-        from softfinger.drivers.haply import link, opening
+        from softfinger.drivers.haply import connection, link
 
         try:
-            opening.identify(options.get("port", opening.PORT), options.get("version"))
+            connection.identify(options.get("port", connection.DEFAULT_PORT), options.get("version"))
         except HapticError as error:
             return Diagnosis("service", str(error), link.START)
     loaded = answers is not None and answers.get("firmware", False)

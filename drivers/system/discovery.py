@@ -145,8 +145,8 @@ def find_holder(node: str) -> Holder | None:
         node_stat = os.stat(node)
     except OSError:
         return None
-    for pid in _list_pids_with_lock(node_stat.st_ino):
-        return process(pid)
+    for pid in _iter_pids_with_lock(node_stat):
+        return read_process(pid)
     for folder in Path("/proc").glob("[0-9]*/fd"):
         pid = int(folder.parent.name)
         if pid == os.getpid():
@@ -154,7 +154,7 @@ def find_holder(node: str) -> Holder | None:
         for entry in _list_names(folder):
             try:
                 if os.path.samestat(os.stat(folder / entry), node_stat):
-                    return process(pid)
+                    return read_process(pid)
             except OSError:
                 continue
     return None
@@ -246,16 +246,16 @@ def find_usb_node(bus: int, number: int) -> str:
     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
 
 
-def _list_pids_with_lock(inode: int) -> Iterator[int]:
+def _iter_pids_with_lock(file: os.stat_result) -> Iterator[int]:
+    # 1: FLOCK ADVISORY WRITE pid major:minor:inode start end; major and minor of the file system in hexadecimal digits.
+    # Files of two file systems may have the same inode.
+    name = f"{os.major(file.st_dev):02x}:{os.minor(file.st_dev):02x}:{file.st_ino}"
     for line in _read_text(Path("/proc/locks")).splitlines():
         part = line.split()
-        try:
-            if part[1] == "FLOCK" and int(part[-3].rsplit(":", 1)[1]) == inode:
-                yield int(part[-4])
-        except (ValueError, IndexError):
-            continue
+        if len(part) > 5 and part[1] == "FLOCK" and part[5] == name and part[4].isdecimal():
+            yield int(part[4])
 
 
-def process(pid: int) -> Holder:
+def read_process(pid: int) -> Holder:
     """Return a process with its name."""
     return Holder(pid, _read_text(Path(f"/proc/{pid}/comm")) or "not visible")

@@ -25,7 +25,7 @@ def open_locked(path: str, permit: str) -> int:
     try:
         fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     except OSError as error:
-        raise _open_error(path, permit, error) from error
+        raise _make_open_error(path, permit, error) from error
     try:
         _lock(fd, path)
     except BaseException:
@@ -34,7 +34,7 @@ def open_locked(path: str, permit: str) -> int:
     return fd
 
 
-def _open_error(path: str, permit: str, error: OSError) -> DeviceError:
+def _make_open_error(path: str, permit: str, error: OSError) -> DeviceError:
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         return DeviceNotFound(f"{path} cannot be opened: {reason}: plug the device in, or remove `path`")
@@ -90,7 +90,7 @@ def import_hidapi(backend: str) -> Any:
         ) from error
 
 
-def read_ids(vendor: int, product: int) -> str:
+def format_ids(vendor: int, product: int) -> str:
     return f"{vendor:04x}:{product:04x}"
 
 
@@ -105,6 +105,6 @@ def _check_device(fd: int, path: str, wanted_vendor: int, wanted_product: int) -
     _, vendor, product = struct.unpack("<IHH", info)
     if (vendor, product) != (wanted_vendor, wanted_product):
         raise DeviceError(
-            f"{path} is the device {read_ids(vendor, product)}, but the rig is for "
-            f"{read_ids(wanted_vendor, wanted_product)}: set path to the right node, or remove it"
+            f"{path} is the device {format_ids(vendor, product)}, but the rig is for "
+            f"{format_ids(wanted_vendor, wanted_product)}: set path to the right node, or remove it"
         )

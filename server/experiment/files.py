@@ -67,11 +67,11 @@ def hash_files(experiment: ExperimentFile, folder: Path) -> dict[str, str]:
     scene_files = {name for name in scenes if name.endswith(".toml")}
     names = {*scene_files, *images, *({experiment.rig} if experiment.rig.endswith(".toml") else ())}
     for name in scene_files:
-        names |= {os.path.relpath(file, folder) for file in _list_files(load_scene(folder / name))}
+        names |= {os.path.relpath(file, folder) for file in _iter_files(load_scene(folder / name))}
     return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in sorted(names)}
 
 
-def _list_files(scene: Scene) -> Iterator[str]:
+def _iter_files(scene: Scene) -> Iterator[str]:
     """Yield the paths of the model, meshes, maps, textures and solutions of a scene."""
     if scene.world is not None:
         yield scene.world.model

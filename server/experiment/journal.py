@@ -14,7 +14,7 @@ import msgspec
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.words import format_value
-from softfinger.drivers.closing import Closeable
+from softfinger.drivers.closeable import Closeable
 
 Entry = dict[str, Any]
 NUMBER: Final = "entry"

@@ -18,9 +18,9 @@ from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import SCHEMA_TOPIC, ProtocolError
 
-EXPECTED_S: Final = 0.5
+ATTEMPT_TIMEOUT_S: Final = 0.5
 """Duration of one attempt; the first one assumes the expected kind of endpoint. A daemon answers in milliseconds."""
-BUSY_S: Final = 10.0
+SEARCH_TIMEOUT_S: Final = 10.0
 """Default time after which the search ends."""
 
 
@@ -45,7 +45,7 @@ def find_addresses(
     commands: str | None = None,
     *,
     to_command: bool = False,
-    within_s: float = BUSY_S,
+    within_s: float = SEARCH_TIMEOUT_S,
 ) -> Addresses:
     """Return both addresses of the daemon that has the address `endpoint`.
 
@@ -82,7 +82,7 @@ def _find_first_answer(
     """Return the first result of the queries, which take turns as long as something listens; None without a result."""
     until = time.monotonic() + within_s
     for query in cycle(queries):
-        if (announced := query(endpoint, keys, min(EXPECTED_S, within_s))) is not None:
+        if (announced := query(endpoint, keys, min(ATTEMPT_TIMEOUT_S, within_s))) is not None:
             return announced
         if time.monotonic() > until or not _is_listening(endpoint):
             return None
@@ -114,7 +114,7 @@ def _is_listening(endpoint: str) -> bool:
             with socket.socket(socket.AF_UNIX) as peer:
                 peer.connect(address)
         else:
-            socket.create_connection((host.strip("[]"), int(port)), EXPECTED_S).close()
+            socket.create_connection((host.strip("[]"), int(port)), ATTEMPT_TIMEOUT_S).close()
     except (ConnectionError, FileNotFoundError):
         return False
     except (OSError, ValueError, OverflowError):

@@ -21,9 +21,9 @@ from zmq.auth.thread import ThreadAuthenticator
 from softfinger.config.errors import ConfigError
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.keys import ClientKeys
+from softfinger.server.socket_process.channel_messages import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.socket_process.peer_socket import KeyLock, PeerSocket, SocketContext, bound_resources
-from softfinger.server.socket_process.readers import Readers
-from softfinger.server.socket_process.setup import ANSWER_MAX, REQUEST_MAX
+from softfinger.server.socket_process.subscribers import Subscribers
 from softfinger.server.wire.endpoint import BoundSocket
 from softfinger.server.wire.protocol import CONTACT, FINGERS, MAX_BYTES
 
@@ -97,12 +97,17 @@ class Commanders:
     """Clients that command a server through the gateway."""
 
     def __init__(
-        self, gate: SocketContext, endpoint: str, keys: ClientKeys | None, bound: BoundSocket, lock: KeyLock | None
+        self,
+        socket_context: SocketContext,
+        endpoint: str,
+        keys: ClientKeys | None,
+        bound: BoundSocket,
+        lock: KeyLock | None,
     ) -> None:
         options = {"maxmsgsize": REQUEST_MAX, "sndhwm": WAITING_MAX, "rcvhwm": WAITING_MAX, "router_mandatory": 1}
-        self.peers: Final = PeerSocket(gate, zmq.ROUTER, bound, lock, options)
+        self.peers: Final = PeerSocket(socket_context, zmq.ROUTER, bound, lock, options)
         self.requests = self.answers = self.dropped = 0
-        self._context, self._endpoint, self._keys = gate.context, endpoint, keys
+        self._context, self._endpoint, self._keys = socket_context.context, endpoint, keys
         self._upstream: OrderedDict[bytes, zmq.Socket[bytes]] = OrderedDict()
         """Connection to the server for each client, by its identity; ordered by the last request."""
 
@@ -197,17 +202,17 @@ class Forwarder:
             authenticator = ThreadAuthenticator(self._context)
             authenticator.start()
             self._files.callback(authenticator.stop)
-            gate = SocketContext(self._context, authenticator)
+            socket_context = SocketContext(self._context, authenticator)
             if stream is not None:
                 self.stream = Stream(self._context, *stream)
             if self.stream is not None and readers is not None:
-                self.readers = Readers(gate, *readers, QUEUE)
+                self.readers = Subscribers(socket_context, *readers, QUEUE)
                 self.stream.consumers.append(self.readers.send)
                 self._open(self.readers.peers)
             if self.stream is not None and outlets is not None:
                 self.stream.consumers.append(outlets.send)
             if commands is not None:
-                self.commanders = Commanders(gate, *commands.source, commands.bound, commands.lock)
+                self.commanders = Commanders(socket_context, *commands.source, commands.bound, commands.lock)
                 self._files.callback(self.commanders.close)
                 self._open(self.commanders.peers)
         except zmq.ZMQError as error:

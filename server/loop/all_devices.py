@@ -1,7 +1,7 @@
 """Device I/O of a tick: reads, writes, statuses and the last zero, for the devices of all fingers.
 
-There is a device for each finger, in the order of the scene's fingers. `map_each` calls
-the kernels of one device for each of them.
+There is a device for each finger, in the order of the scene's fingers. `fold_each` calls the kernels of one device for
+each of them.
 """
 
 from typing import Any, Final, NamedTuple
@@ -18,6 +18,7 @@ from softfinger.drivers.base import (
     SAMPLE_SIZE,
     TIMEOUT,
     WITHHELD,
+    DeviceIO,
 )
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -26,19 +27,11 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.record import AT
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.guard import POSE_JUMPED, POSE_REFUSED, Guard
-from softfinger.server.loop.poses import check_pose, make_pose_memory
+from softfinger.server.loop.plausibility import check_pose, make_pose_memory
 from softfinger.server.loop.tick import FingerMemory, continue_from_wrench, record_wrench, reset_contact, reset_guard
 
 POSE_REJECTED: Final = POSE_REFUSED | POSE_JUMPED
 """Bits of a pose that a run tolerates only for a limited time."""
-
-
-class Io(NamedTuple):
-    """Functions and handle of a device (drivers.base)."""
-
-    read: int
-    write: int
-    handle: int
 
 
 class DeviceBuffers(NamedTuple):
@@ -50,7 +43,7 @@ class DeviceBuffers(NamedTuple):
     wrench         wrench to write
     record         its finger's part of the tick's record
     ignored_ticks  (2,)   number of successive ticks in which it ignored the wrench, and the largest number allowed
-    pose_memory    memory of its poses (server.loop.poses)
+    pose_memory    memory of its poses (server.loop.plausibility)
     pose_fault     (1,)   the guard's bit for an implausible pose in this tick, otherwise 0
     failed         (1,)   1 if it failed in this tick, otherwise 0
     """
@@ -111,16 +104,16 @@ def write_wrench(wrench: NDArray[np.float64], force: Vec3, torque: Vec3) -> None
 
 @jit
 def read_one(
-    io: Io, device: Any, guard: Guard, offset: Any, start: FingerMemory, hand: FingerMemory, dt: float
+    io: DeviceIO, device: Any, guard: Guard, offset: Any, start: FingerMemory, hand: FingerMemory, dt: float
 ) -> tuple[FingerMemory, int]:
-    """Read a sample of a device and add its offset; return the FingerMemory and the status.
+    """Read a sample of a device and add its offset; return the finger's memory and the status.
 
     dt  s  since the last read
 
-    The FingerMemory changes if the driver withholds the force or the offset changes. The position of an implausible
-    pose becomes nan.
+    The memory changes if the driver withholds the force or the offset changes. The position of an implausible pose
+    becomes nan.
     """
-    # Not into the sample: a driver without new data may leave the buffer as it is.
+    # `raw` keeps the sample without the offset: a driver without new data may leave it as it is.
     status = check_status(call_device(io.read, io.handle, device.raw))
     device.failed[0] = int(status < 0)
     if status == WITHHELD:
@@ -142,13 +135,13 @@ def read_one(
 
 @jit
 def write_one(
-    io: Io, device: Any, tool: Any, start: FingerMemory, before: FingerMemory, hand: FingerMemory
+    io: DeviceIO, device: Any, tool: Any, start: FingerMemory, before: FingerMemory, hand: FingerMemory
 ) -> tuple[FingerMemory, int]:
-    """Write a wrench to a device; return the FingerMemory and the status.
+    """Write a wrench to a device; return the finger's memory and the status.
 
-    before  FingerMemory of the previous tick
+    before  the finger's memory of the previous tick
 
-    FingerMemory and record follow the force that the hand receives.
+    Memory and record have the force that the hand receives.
     """
     write_wrench(device.wrench, hand.guard_state.force, hand.guard_state.torque)
     status = check_status(call_device(io.write, io.handle, device.wrench))
@@ -210,7 +203,7 @@ def add_guard_bits(device: Any, later: tuple[int, int]) -> tuple[int, int]:
 
 
 @jit
-def write_zero_to(io: Io, device: Any, failed: int) -> None:
+def write_zero_to(io: DeviceIO, device: Any, failed: int) -> None:
     """Write zero to a device with this value of `failed`; the status is ignored."""
     if device.failed[0] == failed:
         shutdown.write_zero(io.write, io.handle, device.wrench)

@@ -46,7 +46,7 @@ def read_suspended_ns(now: int, timespec: NDArray[np.int64]) -> int:
 
 
 @jit
-def thread_cpu_ns(timespec: NDArray[np.int64]) -> int:
+def read_thread_cpu_ns(timespec: NDArray[np.int64]) -> int:
     """Return processor time of this thread in ns, without the time of other threads and programs."""
     _clock_gettime(CLOCK_THREAD_CPUTIME_ID, timespec.ctypes)
     return timespec[0] * NS_PER_S + timespec[1]

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.server.loop.limits import UNLIMITED, Limits
+from softfinger.server.loop.hand_limits import UNLIMITED, Limits
 
 GUARD_NAMES: Final = (
     "pose_refused", "not_finite", "ramping", "force_clamped", "torque_clamped", "slew_limited", "disarmed",

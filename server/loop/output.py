@@ -23,7 +23,7 @@ from softfinger.server.loop.guard import (
     clamp,
     guard_wrench,
 )
-from softfinger.server.loop.limits import (
+from softfinger.server.loop.hand_limits import (
     INITIAL_LIMITS,
     LimitState,
     compute_energy_scale,

@@ -174,7 +174,7 @@ def _advise_on_fifo(number: int | None) -> str:
         low, high = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
         return f"set servo.priority between {low} and {high}"
     advice = (
-        f"this user's highest priority is {_limit('RLIMIT_RTPRIO')}: {_advise_on_group()}; under systemd "
+        f"this user's highest priority is {_format_limit('RLIMIT_RTPRIO')}: {_advise_on_group()}; under systemd "
         "LimitRTPRIO=95; in Docker --cap-add=SYS_NICE or --ulimit rtprio=95"
     )
     if _read(RT_RUNTIME) == "0":
@@ -197,11 +197,11 @@ def _lock_memory(applied: AppliedSettings) -> Setting:
             _call_libc("madvise", mapping.begin, mapping.size, MADV_DONTNEED)
     # Under a finite limit, locking future mappings would make a later malloc fail.
     capabilities = int(_read_status("CapEff") or "0", 16)
-    has_no_limit = capabilities >> CAP_IPC_LOCK & 1 or _limit("RLIMIT_MEMLOCK") == "unlimited"
+    has_no_limit = capabilities >> CAP_IPC_LOCK & 1 or _format_limit("RLIMIT_MEMLOCK") == "unlimited"
     later = MCL_FUTURE if has_no_limit else 0
     call = _call_libc("mlockall", MCL_CURRENT | MCL_ONFAULT | later)
     if call.result < 0:
-        required, limit = _read_status("VmSize"), _limit("RLIMIT_MEMLOCK", 1024, " kB")
+        required, limit = _read_status("VmSize"), _format_limit("RLIMIT_MEMLOCK", 1024, " kB")
         advice = (
             f"{_advise_on_group()} (ulimit -l shows it); under systemd LimitMEMLOCK=infinity; in Docker "
             "--cap-add=IPC_LOCK or --ulimit memlock=-1"
@@ -281,7 +281,7 @@ def _format_reason(number: int | None) -> str:
     return f"{os.strerror(number or 0)} ({errno.errorcode.get(number or 0, number)})"
 
 
-def _limit(name: str, unit: int = 1, suffix: str = "") -> str:
+def _format_limit(name: str, unit: int = 1, suffix: str = "") -> str:
     import resource
 
     soft, _ = resource.getrlimit(getattr(resource, name))

@@ -82,7 +82,7 @@ class Rings:
     """Current ring, followed by the ring of the next loop if that uses another one.
 
     `add` and `end` are called by the servo thread, everything else by the reader, in one thread. The reader calls
-    `wait`, then `take` until it returns 0. A reader without Python uses `feeds`.
+    `wait`, then `take` until it returns 0. A reader without Python uses `iter_feeds`.
     """
 
     def __init__(self) -> None:
@@ -128,7 +128,7 @@ class Rings:
             count = int(take(self._rings[0], out))
         return count
 
-    def feeds(self) -> Iterator[Feed]:
+    def iter_feeds(self) -> Iterator[Feed]:
         """Yield each ring once the previous one is complete and empty; the last one completes when the servo ends."""
         yield Feed(self._rings[0], self._completed_rings, self.wake_fd)
         while len(self._rings) > 1:

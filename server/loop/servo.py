@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.drivers.base import END
+from softfinger.drivers.base import END, DeviceIO
 from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import unpack
@@ -20,7 +20,6 @@ from softfinger.proxy.kernels.jit.tuples import field_of_each, map_each, unzip
 from softfinger.proxy.kernels.query.bodies import NO_FAULT, check_budget, step_bodies, write_motion
 from softfinger.server.loop.all_devices import (
     DeviceBuffers,
-    Io,
     Stamp,
     collect_guard_bits,
     find_first_ended,
@@ -39,9 +38,9 @@ from softfinger.server.loop.clock import (
     with_suspension,
 )
 from softfinger.server.loop.eventfd import wake_eventfd
+from softfinger.server.loop.fault_detection import NO_FAULT_TIMES, detect_fault
 from softfinger.server.loop.force_switch import apply_switch, count_unreachable, is_on, store_active
-from softfinger.server.loop.health import HEALTHY, examine
-from softfinger.server.loop.ramp import ParameterRamp, advance, set_now, set_target
+from softfinger.server.loop.parameter_ramp import ParameterRamp, advance, set_now, set_target
 from softfinger.server.loop.rings import Ring, push
 from softfinger.server.loop.shutdown import FINISHED, READ_FAILED, STOPPED, WRITE_FAILED
 from softfinger.server.loop.tick import Memory, Tuning, run_tick
@@ -181,7 +180,12 @@ def schedule_next(
 
 @entry
 def run_servo_loop(
-    tuning_like: Tuning, start: Memory, ios: tuple[Io, ...], schedule: Schedule, shared: SharedMemory, scratch: Scratch
+    tuning_like: Tuning,
+    start: Memory,
+    ios: tuple[DeviceIO, ...],
+    schedule: Schedule,
+    shared: SharedMemory,
+    scratch: Scratch,
 ) -> tuple[int, int, int]:
     """Run ticks until stopped; return the reason for the end, the last status of a device, and the index of its finger.
 
@@ -191,7 +195,7 @@ def run_servo_loop(
     samples, records = field_of_each(buffers, "sample"), field_of_each(buffers, "record")
     version = refresh(shared.tuning, -1, scratch.values)
     set_now(scratch.ramp, scratch.values)
-    tuning, memory, health = unpack(tuning_like, scratch.ramp.now), start, HEALTHY
+    tuning, memory, fault_times = unpack(tuning_like, scratch.ramp.now), start, NO_FAULT_TIMES
     nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
     pace = make_first_pace(read_clock_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1), timespec)
@@ -232,10 +236,12 @@ def run_servo_loop(
         publish_record(shared, scratch.row, number)
         busy, pace = schedule_next(shared, schedule, pace, woke, timespec)
         bits, index = collect_guard_bits(buffers)
-        health, fault = examine(health, bits, stamp.late, nominal if schedule.own_clock else pace.dt, nominal)
+        fault_times, fault = detect_fault(
+            fault_times, bits, stamp.late, nominal if schedule.own_clock else pace.dt, nominal
+        )
         if fault != 0:
             ending, finger = fault, index
-            store_release(shared.progress, 2, int(health.late > 0.5 * health.lost))
+            store_release(shared.progress, 2, int(fault_times.late > 0.5 * fault_times.lost))
             break
 
     write_last_zeros(ios, buffers)

@@ -17,20 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import SafetyStop
-from softfinger.drivers.base import IGNORED_WRENCH_MAX_S, Device
+from softfinger.drivers.base import IGNORED_WRENCH_MAX_S, Device, DeviceIO
 from softfinger.proxy.bodies import begin_bodies, count_motion_values
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import shutdown
-from softfinger.server.loop.all_devices import Io, make_device_buffers
+from softfinger.server.loop.all_devices import make_device_buffers
 from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
 from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.handover import Handover, Loop
-from softfinger.server.loop.ramp import flatten_tuning, make_ramp
+from softfinger.server.loop.parameter_ramp import flatten_tuning, make_ramp
 from softfinger.server.loop.rings import Rings, make_ring, take
 from softfinger.server.loop.servo import Schedule, Scratch, SharedMemory, run_servo_loop
 from softfinger.server.loop.shutdown import CRASHED, FINISHED, STOPPED, LoopEnd
-from softfinger.server.loop.tick import Tuning, begin, continue_memory
+from softfinger.server.loop.tick import Tuning, continue_memory, make_start_memory
 from softfinger.server.loop.tuning import has_same_structure
 
 log: Final = logging.getLogger(__name__)
@@ -87,11 +87,11 @@ class ServoThread:
         self.missed_before = 0
         """Deadlines missed by the loops before this one."""
         self.records: Final = Rings()
-        self._loop = self.loop(devices, tuning, rate_hz)
+        self._loop = self.make_loop(devices, tuning, rate_hz)
         self.records.add(self._loop.shared.ring)
         self._thread = threading.Thread(target=self._run, name="servo", daemon=True)
 
-    def loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
+    def make_loop(self, devices: Sequence[Device], tuning: Tuning, rate_hz: float) -> Loop:
         """Return a loop for this servo: the first one, or one for `replace` with the same number of fingers."""
         values, period = flatten_tuning(tuning), compute_period_ns(rate_hz)
         begin_bodies(tuning.scene, period / NS_PER_S)
@@ -106,8 +106,8 @@ class ServoThread:
         shared = SharedMemory(*self._words, make_slot(values), ring, self.records.wake_fd, make_slot(motion))
         arguments = (
             tuning,
-            begin(tuning.scene),
-            tuple(Io(*device.io()) for device in devices),
+            make_start_memory(tuning.scene),
+            tuple(DeviceIO(*device.io()) for device in devices),
             Schedule(period, self._epoch_ns, self._ticks, int(all(device.info.own_clock for device in devices))),
             shared,
             Scratch(

@@ -16,7 +16,7 @@ from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, PROTOCOL, TIMEOUT, Device
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.server.loop import health
+from softfinger.server.loop import fault_detection
 
 log: Final = logging.getLogger(__name__)
 
@@ -25,13 +25,13 @@ FINISHED: Final = 1
 READ_FAILED: Final = 2
 WRITE_FAILED: Final = 3
 CRASHED: Final = 4
-"""Reasons for the end of a loop, and of its thread; the faults of server.loop.health have the next numbers."""
+"""Reasons for the end of a loop, and of its thread; the faults of server.loop.fault_detection have the next numbers."""
 
 
 class LoopEnd(NamedTuple):
     """End of a loop.
 
-    ending  STOPPED ... CRASHED or a fault of server.loop.health
+    ending  STOPPED ... CRASHED or a fault of server.loop.fault_detection
     status  last status of a device
     error   exception, if the loop crashed
     finger  index of the finger of that device
@@ -162,12 +162,12 @@ def describe_failure(device: Device, ended: LoopEnd, finger: str = "") -> Haptic
     action = "read" if ended.ending == READ_FAILED else "write"
     name, text = device.info.name + (f", finger '{finger}'" if finger else ""), device.reason()
     because = f" ({text})" if text else ""
-    if ended.ending == health.NO_POSE:
+    if ended.ending == fault_detection.NO_POSE:
         return DeviceError(
-            f"{name}: no usable pose for {health.NO_FORCE_MAX_S:g} s{because}: zero force was commanded; "
+            f"{name}: no usable pose for {fault_detection.NO_FORCE_MAX_S:g} s{because}: zero force was commanded; "
             "check its sensors and its cable, then start again"
         )
-    if ended.ending == health.JUMPING:
+    if ended.ending == fault_detection.JUMPING:
         return DeviceError(
             f"{name}: its pose jumps repeatedly, farther than a hand can move in that time{because}: zero force was "
             "commanded; check its sensors and its cable, then start again; if a hand moved it, raise "
@@ -185,22 +185,22 @@ def describe_failure(device: Device, ended: LoopEnd, finger: str = "") -> Haptic
     return DeviceLost(f"{name} {text} (status {ended.status} on {action}){because}: plug it in again, then start again")
 
 
-def loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> HapticError | None:
+def describe_loop_failure(ended: LoopEnd, ticks: int, missed: int, woken_late: bool) -> HapticError | None:
     """Return the error of a loop that failed although its devices work; None if the loop did not fail.
 
     woken_late  whether most of the lost time was lost before its thread was woken
     """
-    if ended.ending == health.NO_FORCE:
+    if ended.ending == fault_detection.NO_FORCE:
         return SafetyStop(
-            f"the scene gave no finite force for {health.NO_FORCE_MAX_S:g} s: zero force was commanded; "
+            f"the scene gave no finite force for {fault_detection.NO_FORCE_MAX_S:g} s: zero force was commanded; "
             "run softfinger check to find inconsistent values, or report the scene"
         )
-    if ended.ending != health.STARVED:
+    if ended.ending != fault_detection.STARVED:
         return None
     phase, remedy = "in the device's exchange", "check the device and its cable, or reduce servo.rate_hz"
     if woken_late:
         phase, remedy = "before the servo thread was woken", "see softfinger doctor, or end other work"
     return SafetyStop(
-        f"the servo lost more than {health.LOST_SHARE:.0%} of its time, mostly {phase}, {missed} of "
+        f"the servo lost more than {fault_detection.LOST_SHARE:.0%} of its time, mostly {phase}, {missed} of "
         f"{ticks + missed} deadlines in all: zero force was commanded; {remedy}"
     )

@@ -18,7 +18,7 @@ from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import AT, POSITION_MAX_M, RECORD_SIZE
 from softfinger.proxy.scene import start_state
 from softfinger.server.loop.guard import INITIAL_GUARD_STATE, POSE_REFUSED, TOO_FAST, Guard, GuardState
-from softfinger.server.loop.limits import INITIAL_LIMITS, SPEED_TIME_CONSTANT_S, LimitState
+from softfinger.server.loop.hand_limits import INITIAL_LIMITS, SPEED_TIME_CONSTANT_S, LimitState
 from softfinger.server.loop.output import Instant, OutputState, cool_limits, limit_wrench, reduce_to_displayed
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, HandMotion, keep_passive
 from softfinger.server.loop.reactions import collect_reactions, compute_relative_energy, make_no_reactions
@@ -74,7 +74,7 @@ class Output(NamedTuple):
     bodies: Any
 
 
-def begin(scene: Scene) -> Memory:
+def make_start_memory(scene: Scene) -> Memory:
     """Return the state before the first tick."""
     state = start_state(scene)
     fingers = tuple(

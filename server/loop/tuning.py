@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics.tool import make_tool
 from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.limits import NO_WALL, SLOW_TIME_S, Limits, Workspace
+from softfinger.server.loop.hand_limits import NO_WALL, SLOW_TIME_S, Limits, Workspace
 from softfinger.server.loop.passivity import Passivity
 from softfinger.server.loop.tick import UNMOVED, Tuning
 
@@ -46,11 +46,11 @@ def make_tuning(
     geoms of a model that fingers pass through.
     """
     _warn_of_lost_geoms(scene)
-    guards = tuple(guard_limits(guard, info) for info in devices)
+    guards = tuple(make_guard(guard, info) for info in devices)
     for info, limits in zip(devices, guards, strict=True):
         if limits.force_max > 0.0:
             _warn_if_too_stiff(scene, limits.force_max, info)
-    guards = guards or (guard_limits(guard),) * len(scene.fingers)
+    guards = guards or (make_guard(guard),) * len(scene.fingers)
     made_tools = tuple(None if tool is None else make_tool(tool.offset_m, tool.orientation_wxyz) for tool in tools)
     made_tools = made_tools or (None,) * len(scene.fingers)
     COMPILE_PROGRESS.expect(estimate_kernels(scene))
@@ -100,7 +100,7 @@ def _warn_if_too_stiff(scene: schema.Scene, force_max: float, device: DeviceInfo
             )
 
 
-def guard_limits(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard:
+def make_guard(guard: schema.Guard, device: DeviceInfo | None = None) -> Guard:
     """Return the guard of a rig, armed, and lowered to the limits of the device.
 
     Poses are checked only if the device holds a force in a hand: recorded or computed poses may jump and repeat.

@@ -25,7 +25,7 @@ from softfinger.drivers.base import HELD, WITHHELD
 from softfinger.proxy.record import AT, MODE_NAMES, RECORD_SIZE
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.recording.recorder import RecorderState
-from softfinger.server.socket_process.setup import Figures
+from softfinger.server.socket_process.channel_messages import Figures
 from softfinger.server.states import DaemonState
 
 ROWS: Final = 1024
@@ -144,24 +144,24 @@ class MetricsCollector(Collector):
     def collect(self) -> Iterator[Metric]:
         with self._lock:
             self._count()
-            metrics = [*self._list_servo_metrics(), *self._list_finger_metrics()]
+            metrics = [*self._iter_servo_metrics(), *self._iter_finger_metrics()]
         figures, restarts = self._wire()
         yield from metrics
         yield GaugeMetricFamily("softfinger_subscribers", "Connections with a subscription", figures.subscribers)
-        yield from _list_counters(
+        yield from _iter_counters(
             ("messages_lost", "Messages lost because subscribers were too slow", figures.lost),
             ("connections_refused", "Connections refused or closed because of their messages", figures.refused),
             ("publisher_restarts", "Restarts of the processes of telemetry and commands", restarts),
         )
-        yield from _list_recording_metrics(self._written())
+        yield from _iter_recording_metrics(self._written())
         state, now = GaugeMetricFamily("softfinger_state", "1 for the daemon's state", labels=["state"]), self._state()
         for daemon_state in DaemonState:
             state.add_metric([daemon_state.value], float(daemon_state is now))
         yield state
         yield InfoMetricFamily("softfinger_build", "What runs", {"version": version("softfinger")})
 
-    def _list_servo_metrics(self) -> Iterator[Metric]:
-        yield from _list_counters(
+    def _iter_servo_metrics(self) -> Iterator[Metric]:
+        yield from _iter_counters(
             ("ticks", "Ticks of the servo", self._ticks),
             ("deadlines_missed", "Deadlines of the servo that passed without a tick", self._missed),
             ("records_dropped", "Ticks lost because the daemon was too slow", self._drops),
@@ -174,7 +174,7 @@ class MetricsCollector(Collector):
             histogram.write_to(family)
             yield family
 
-    def _list_finger_metrics(self) -> Iterator[Metric]:
+    def _iter_finger_metrics(self) -> Iterator[Metric]:
         force = HistogramMetricFamily("softfinger_force_newtons", "Force on the hand", labels=["finger"])
         modes = CounterMetricFamily("softfinger_mode_seconds", "Time in a contact mode", labels=["finger", "mode"])
         guard = CounterMetricFamily("softfinger_guarded_ticks", "Ticks the guard changed", labels=["finger", "cause"])
@@ -189,9 +189,9 @@ class MetricsCollector(Collector):
         yield from (force, modes, guard, errors)
 
 
-def _list_recording_metrics(totals: RecorderState) -> Iterator[Metric]:
+def _iter_recording_metrics(totals: RecorderState) -> Iterator[Metric]:
     slow = "not recorded because the disk was too slow"
-    yield from _list_counters(
+    yield from _iter_counters(
         ("recorded_ticks", "Ticks in recordings, of the first finger", totals.ticks),
         ("recorded_bytes", "Bytes of recordings", totals.bytes),
         ("unrecorded_ticks", f"Ticks of any finger that were {slow}", totals.dropped),
@@ -202,7 +202,7 @@ def _list_recording_metrics(totals: RecorderState) -> Iterator[Metric]:
     )
 
 
-def _list_counters(*rows: tuple[str, str, float]) -> Iterator[Metric]:
+def _iter_counters(*rows: tuple[str, str, float]) -> Iterator[Metric]:
     for name, text, value in rows:
         yield CounterMetricFamily(f"softfinger_{name}", text, value)
 

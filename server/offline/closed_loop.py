@@ -35,7 +35,7 @@ from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.bodies import step_bodies
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
-from softfinger.server.loop.tick import FingerMemory, Memory, Tuning, begin, run_tick
+from softfinger.server.loop.tick import FingerMemory, Memory, Tuning, make_start_memory, run_tick
 from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.progress import CHUNK, show_progress
 
@@ -101,7 +101,7 @@ def close_loop(
 ) -> ClosedLoopResult:
     """Run the ticks of `run`; stop early when the handle leaves `bound` (m).
 
-    start   begin(tuning.scene)
+    start   make_start_memory(tuning.scene)
     memory  after the previous tick; `start` before the first
     state   of the plant at the first tick of `run`; at_rest(...) at the start
     """
@@ -190,7 +190,7 @@ class ClosedLoop:
 
     def __init__(self, tuning: Tuning, states: Sequence[PlantState]) -> None:
         self.scene: Final = tuning.scene
-        start = begin(tuning.scene)
+        start = make_start_memory(tuning.scene)
         self._parameters, self._state = (tuning, start), (start, tuple(states))
         self._state_values = flatten(self._state)
         self._prepare()
@@ -208,7 +208,7 @@ class ClosedLoop:
         self._prepare()
 
     def reset(self) -> None:
-        """Return to the start; `begin_bodies` does that for the bodies of a [world]."""
+        """Go back to the start; `begin_bodies` does that for the bodies of a [world]."""
         self._state_values[:] = flatten(self._state)
 
     def run(self, hands: tuple[DrivenPlant, ...], dt: float, first: int, records: Array) -> None:

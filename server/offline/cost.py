@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.shapes.budget import BUDGET
 from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import FREE
 from softfinger.proxy.scene import build_scene, start_state
-from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns, sleep_until, thread_cpu_ns
+from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns, read_thread_cpu_ns, sleep_until
 
 BLOCK: Final = 10_000
 """Steps per block: one pass over the poses."""
@@ -72,7 +72,7 @@ def time_steps(
     state, timespec, short_ns = unpack(start.like, start.values), watch.timespec, watch.ns
     length = poses.shape[0] // short_ns.shape[1]
     for block in range(short_ns.shape[0]):
-        cpu_start_ns = thread_cpu_ns(timespec)
+        cpu_start_ns = read_thread_cpu_ns(timespec)
         for stretch in range(short_ns.shape[1]):
             if pause_ns > 0:
                 sleep_until(read_clock_ns(timespec) + pause_ns, timespec)
@@ -87,7 +87,7 @@ def time_steps(
                 total += contact.force[0] + contact.force[2] + contact.torque[2]
                 touching += contact.mode != FREE
             short_ns[block, stretch] = read_clock_ns(timespec) - start_ns
-        cpu_ns[block] = thread_cpu_ns(timespec) - cpu_start_ns
+        cpu_ns[block] = read_thread_cpu_ns(timespec) - cpu_start_ns
     pack(start.values, state)
     return total, touching
 
@@ -208,7 +208,7 @@ def _make_rigid(tip: Any) -> Any:
 
 
 def _make_spherical(tip: Any) -> Any:
-    return msgspec.structs.replace(tip, radius_m=tip.reaches_m[0], radii_m=None, orientation_wxyz=None)
+    return msgspec.structs.replace(tip, radius_m=tip.radius_range_m[0], radii_m=None, orientation_wxyz=None)
 
 
 def _remove_texture(obj: schema.Object) -> schema.Object:

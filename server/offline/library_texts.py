@@ -12,7 +12,7 @@ from softfinger.config.fields import find_unit
 from softfinger.config.load import build, describe
 from softfinger.config.materials import FINGERTIPS, MATERIALS, LibraryEntry, Measurement, flatten_entry, load_papers
 from softfinger.config.schema import Fingertip, Material
-from softfinger.config.schema.contact import Form
+from softfinger.config.schema.contact import FingertipShape
 from softfinger.config.words import format_value, suggest
 
 LIBRARIES: Final = {"material": MATERIALS, "fingertip": FINGERTIPS}
@@ -45,7 +45,7 @@ def make_entry_rows(table: msgspec.Struct) -> list[tuple[str, str]]:
 
     Returns no rows if the table names none.
     """
-    kind = "fingertip" if isinstance(table, Form) else "material"
+    kind = "fingertip" if isinstance(table, FingertipShape) else "material"
     library, mapping = LIBRARIES[kind], describe(table)
     name = mapping.get(library.key)
     if name is None:

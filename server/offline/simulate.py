@@ -27,7 +27,7 @@ from softfinger.proxy.pose_checks import check_poses
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
-from softfinger.server.loop.tick import Tuning, begin, run_tick
+from softfinger.server.loop.tick import Tuning, make_start_memory, run_tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.scene_messages import NO_MESSAGES, SceneMessages
 from softfinger.server.progress import CHUNK, show_progress
@@ -100,7 +100,7 @@ def simulate_poses(
     dt = compute_period_ns(rate_hz) / NS_PER_S
     dts = np.full(min(len(poses), CHUNK), dt)
     begin_bodies(tuning.scene, dt)
-    scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
+    scene_and_guard, memory = packed(tuning), packed(make_start_memory(tuning.scene))
     with show_progress("simulating", len(poses)) as advance:
         for first in range(0, len(poses), CHUNK):
             block = np.ascontiguousarray(poses[first : first + CHUNK])

@@ -51,10 +51,11 @@ def find_folder() -> Path | None:
 
 def list_files(directory: Path) -> list[Path]:
     """Return the files of a folder, oldest first; empty if the folder does not exist."""
-    with contextlib.suppress(OSError):
-        timed_paths = [(path.stat().st_mtime, path) for path in directory.glob(f"*{SUFFIX}")]
-        return [path for _, path in sorted(timed_paths)]
-    return []
+    timed_paths = []
+    for path in directory.glob(f"*{SUFFIX}"):
+        with contextlib.suppress(OSError):  # deleted by another daemon, or a link to a file that is gone
+            timed_paths.append((path.stat().st_mtime, path))
+    return [path for _, path in sorted(timed_paths)]
 
 
 class LogLine(NamedTuple):

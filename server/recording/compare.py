@@ -38,7 +38,7 @@ from softfinger.server.loop.guard import (
     RAMPING,
     TORQUE_CLAMPED,
 )
-from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tick import Tuning, make_start_memory
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import run_ticks
 from softfinger.server.progress import CHUNK, show_progress
@@ -133,7 +133,7 @@ def compare_run(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
         )
     ticks = run.first["tick"].astype(np.int64)
     poses = np.stack([np.column_stack((f["probe.position"], f["probe.orientation"])) for f in run.fingers.values()], 1)
-    poses[_has_bit(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # the device's pose is not recorded
+    poses[_find_bit(run, POSE_REFUSED | POSE_JUMPED | POSE_FROZEN)] = np.nan  # the device's pose is not recorded
     free = np.all(np.stack([f["contact.mode"] for f in run.fingers.values()], axis=1) == FREE, axis=1)
     recorded_guards = np.stack([f["servo.guard"] for f in run.fingers.values()], axis=1)
     devices, settling_ticks = _read_device_infos(run), _find_settling_ticks(scene, run.rate_hz)
@@ -157,7 +157,7 @@ def compare_run(run: Run, scene: schema.Scene, rig: schema.Rig) -> ReplayResult:
                 start += int(np.argmax(is_at_rest)) if is_at_rest.any() else len(is_at_rest)
             comparable[start : part.stop] = True
             left_out += _span(ticks, part.start, start, part.why)
-    for row in _list_command_changes(run, scene, ticks, ramp):  # may be executed before its event
+    for row in _read_command_changes(run, scene, ticks, ramp):  # may be executed before its event
         first = max(0, row - ramp - round(COMMAND_TOLERANCE_S * run.rate_hz))
         comparable[first:row] = False
         left_out += _span(
@@ -189,7 +189,7 @@ def _simulate(
     """
     columns, bodies = out
     period = compute_period_ns(run.rate_hz) / NS_PER_S
-    first, initial_memory = run.first, begin(tuning.scene)
+    first, initial_memory = run.first, make_start_memory(tuning.scene)
     begin_bodies(tuning.scene, period)
     first_tick = int(first["tick"][part.start])
     # A device with its own clock is stepped one period per tick; other devices also for each missed deadline.
@@ -223,7 +223,7 @@ def _span(ticks: NDArray[np.int64], start: int, stop: int, why: str) -> list[Ski
     return [SkippedTicks(int(ticks[start]), int(ticks[stop - 1]), why)] if stop > start else []
 
 
-def _has_bit(run: Run, bit: int) -> Mask:
+def _find_bit(run: Run, bit: int) -> Mask:
     """Return whether the guard of each finger set this bit, (n, fingers)."""
     guards = np.stack([fields["servo.guard"] for fields in run.fingers.values()], axis=1)
     has: Mask = (guards.astype(np.int64) & bit) != 0
@@ -233,11 +233,11 @@ def _has_bit(run: Run, bit: int) -> Mask:
 def _find_withheld(run: Run) -> Mask:
     """Return the ticks (n,) in which a hand received another force than the step's, for reasons not in the poses."""
     device = np.stack([fields["servo.device"] for fields in run.fingers.values()], axis=1)
-    withheld: Mask = np.any(np.isin(device, (WITHHELD, HELD)) | _has_bit(run, DISARMED), axis=1)
+    withheld: Mask = np.any(np.isin(device, (WITHHELD, HELD)) | _find_bit(run, DISARMED), axis=1)
     # Disarming has started: the limits are zero, but the guard bit is not set yet.
     for bit, key in ((FORCE_CLAMPED, "force"), (TORQUE_CLAMPED, "torque")):
         none = np.stack([~fields[key].any(axis=1) for fields in run.fingers.values()], axis=1)
-        withheld |= np.any(_has_bit(run, bit) & none, axis=1)
+        withheld |= np.any(_find_bit(run, bit) & none, axis=1)
     return withheld
 
 
@@ -359,8 +359,8 @@ def _split_run(run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: in
         breaks[row] = f"{ticks[row] - ticks[row - 1] - 1} ticks before it are missing"
     for row in _find_rows_after(_find_withheld(run)):
         breaks[row] = "the force was withheld or disarmed"
-    armed = set(_find_rows_after(np.any(_has_bit(run, DISARMED), axis=1)))
-    changes = _list_command_changes(run, scene, ticks, ramp)
+    armed = set(_find_rows_after(np.any(_find_bit(run, DISARMED), axis=1)))
+    changes = _read_command_changes(run, scene, ticks, ramp)
     breaks |= dict.fromkeys(changes, "a command precedes it")
     end = _find_known_end(run, scene, ticks)
     starts = sorted(row for row in breaks if row < end)
@@ -375,7 +375,7 @@ def _find_rows_after(mask: Mask) -> list[int]:
     return (np.flatnonzero(mask[:-1] & ~mask[1:]) + 1).tolist()
 
 
-def _list_command_changes(
+def _read_command_changes(
     run: Run, scene: schema.Scene, ticks: NDArray[np.int64], ramp: int
 ) -> dict[int, dict[str, Any]]:
     """Return the changes made by commands: dotted keys by the first row with the full effect, after `ramp` ticks."""

@@ -208,7 +208,7 @@ class McapFile:
             (Opcode.SCHEMA, map(_record, self._schemas)),
             (Opcode.CHANNEL, map(_record, self._channels)),
             (Opcode.STATISTICS, [_record(statistics)]),
-            (Opcode.CHUNK_INDEX, self._list_chunk_indices()),
+            (Opcode.CHUNK_INDEX, self._iter_chunk_indices()),
             (Opcode.METADATA_INDEX, map(_record, self._metadata)),
         ]
         crc, offsets = 0, b""
@@ -227,7 +227,7 @@ class McapFile:
         crc = zlib.crc32(offsets + footer, crc)
         self._write(offsets + footer + crc.to_bytes(4, "little") + MCAP0_MAGIC)
 
-    def _list_chunk_indices(self) -> Iterator[bytes]:
+    def _iter_chunk_indices(self) -> Iterator[bytes]:
         self._chunks.seek(0)
         yield from iter(partial(self._chunks.read, INDEX_MEMORY_BYTES), b"")
 

@@ -20,7 +20,7 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import open_input
-from softfinger.drivers.containers import RECORD_BYTES_MAX, iter_mcap_records
+from softfinger.drivers.mcap_messages import RECORD_BYTES_MAX, iter_mcap_records
 from softfinger.proxy.record import FIELDS
 from softfinger.server.progress import show_progress
 from softfinger.server.recording.layout import Layout, TickField

@@ -114,7 +114,7 @@ def read_results(path: str | Path, finger: str = "") -> Array:
 
 
 def list_fingers(path: Path) -> list[str]:
-    """Return the names of several fingers in a .csv or .npz from `write_results`; empty for any other file.
+    """Return the names of several fingers in a .csv or .npz from `write_blocks`; empty for any other file.
 
     Raises RecordingError if the file cannot be read.
     """

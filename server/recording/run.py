@@ -81,7 +81,7 @@ def load_run(path: Path, fields: tuple[str, ...]) -> Run:
     for part in read_contents(path):
         match part:
             case TickBlock():
-                blocks.setdefault(part.finger, []).append(dict(_list_fields(part, fields)))
+                blocks.setdefault(part.finger, []).append(dict(_iter_fields(part, fields)))
                 count += len(part.rows)
                 if count > POSES_MAX:
                     raise RecordingError(f"{path}: more than {POSES_MAX:,} ticks, the limit for reading")
@@ -117,7 +117,7 @@ def _read_body_poses(worlds: list[dict[str, Any]]) -> BodyPoses:
     )
 
 
-def _list_fields(ticks: TickBlock, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:
+def _iter_fields(ticks: TickBlock, fields: tuple[str, ...]) -> Iterator[tuple[str, Array]]:
     for name in dict.fromkeys((*_REQUIRED, *fields)):
         column = ticks.column(name)
         if column is not None:

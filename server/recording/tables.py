@@ -65,7 +65,7 @@ class TableFormat(NamedTuple):
     skip: int = 0
 
 
-def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> TableFormat:
+def make_table_format(columns: str, unit_s: float, unit_m: float, rate_hz: float | None, skip: int) -> TableFormat:
     """Return the format with `columns`, a comma-separated list. Raises ConfigError if it does not describe poses."""
     names = tuple(name.strip() for name in columns.split(","))
     invalid = [name for name in names if name != SKIPPED and (name not in POSE_COLUMNS or names.count(name) > 1)]
@@ -91,7 +91,7 @@ def make_layout(columns: str, unit_s: float, unit_m: float, rate_hz: float | Non
     return TableFormat(names, unit_s, unit_m, rate_hz, skip)
 
 
-def read_table(path: Path, layout: TableFormat) -> Poses:
+def read_table(path: Path, table_format: TableFormat) -> Poses:
     """Read the poses in a text file of numbers separated by commas, semicolons, tabs or blanks, one row per line.
 
     Numbers have decimal points, or decimal commas if another character separates them. Empty lines and lines that start
@@ -109,20 +109,20 @@ def read_table(path: Path, layout: TableFormat) -> Poses:
                 advance(file.tell())
             if number == 1:
                 line = _strip_mark(path, line)
-            if number <= layout.skip or _is_comment(line, len(layout.columns)):
+            if number <= table_format.skip or _is_comment(line, len(table_format.columns)):
                 continue
             if len(numbers) >= POSES_MAX:
                 raise RecordingError(f"{path}: more than {POSES_MAX:,} poses, the limit for reading: split it")
             numbers.append(number)
-            values.extend(_parse_row(f"{path}, line {number}", line, layout, dialect))
-    table = np.frombuffer(values).reshape(-1, len(layout.columns))
-    columns_by_name = {name: table[:, at] for at, name in enumerate(layout.columns)}
-    if layout.rate_hz is None:
+            values.extend(_parse_row(f"{path}, line {number}", line, table_format, dialect))
+    table = np.frombuffer(values).reshape(-1, len(table_format.columns))
+    columns_by_name = {name: table[:, at] for at, name in enumerate(table_format.columns)}
+    if table_format.rate_hz is None:
         with np.errstate(invalid="ignore", over="ignore"):
-            t = layout.unit_s * (columns_by_name["t"] - columns_by_name["t"][:1])
+            t = table_format.unit_s * (columns_by_name["t"] - columns_by_name["t"][:1])
     else:
-        t = np.arange(len(table)) / layout.rate_hz
-    position = layout.unit_m * np.column_stack([columns_by_name[name] for name in "xyz"])
+        t = np.arange(len(table)) / table_format.rate_hz
+    position = table_format.unit_m * np.column_stack([columns_by_name[name] for name in "xyz"])
     orientation = np.tile([1.0, 0.0, 0.0, 0.0], (len(table), 1))
     if "qw" in columns_by_name:
         orientation = np.column_stack([columns_by_name[name] for name in POSE_COLUMNS[4:]])
@@ -148,14 +148,16 @@ def _is_comment(line: bytes, columns: int) -> bool:
     return not has_cells or (_COMMENT.match(line) is not None and line.count(b";") != columns - 1)
 
 
-def _parse_row(location: str, line: bytes, layout: TableFormat, dialect: _Dialect) -> list[float]:
+def _parse_row(location: str, line: bytes, table_format: TableFormat, dialect: _Dialect) -> list[float]:
     try:
         text = line.decode().replace("\N{MINUS SIGN}", "-")
     except UnicodeDecodeError as error:
         raise RecordingError(f"{location}: not a text file (not UTF-8)") from error
     is_first = dialect.separator == ""
     row = []
-    for name, cell in zip(layout.columns, _split_cells(location, text, len(layout.columns), dialect), strict=True):
+    for name, cell in zip(
+        table_format.columns, _split_cells(location, text, len(table_format.columns), dialect), strict=True
+    ):
         if name != SKIPPED and not _NUMBER.fullmatch(cell):
             fault = "the cell is empty: fill it, or delete the line"
             if cell:

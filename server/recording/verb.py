@@ -12,7 +12,7 @@ from softfinger.drivers.poses import find_recording
 from softfinger.server.arguments import check_distinct
 from softfinger.server.recording.export import export
 from softfinger.server.recording.summary import format_extent, summarize
-from softfinger.server.recording.tables import make_layout, read_table, write_poses
+from softfinger.server.recording.tables import make_table_format, read_table, write_poses
 
 
 def run_info(args: argparse.Namespace) -> int:
@@ -75,11 +75,11 @@ def run_export(args: argparse.Namespace) -> int:
 
 
 def run_import(args: argparse.Namespace) -> int:
-    layout = make_layout(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
+    table_format = make_table_format(args.columns, args.unit_s, args.unit_m, args.rate, args.skip)
     if args.out.suffix.lower() != ".csv":
         raise ConfigError(f"--out {args.out}: poses are written as .csv")
     check_distinct("--out", args.out, [args.table])
-    poses = read_table(args.table, layout)
+    poses = read_table(args.table, table_format)
     write_poses(args.out, poses)
     extent = format_extent(poses.position.min(axis=0), poses.position.max(axis=0))
     print(f"{args.out}: {len(poses.t)} poses over {poses.t[-1]:.6g} s; {extent}")

@@ -15,16 +15,16 @@ from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import DISARMED, TOO_FAST
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
-from softfinger.server.states import NOT_ARMED_REASON, TOO_FAST_REASON, States, Trigger
+from softfinger.server.states import NOT_ARMED_REASON, TOO_FAST_REASON, StateMachine, Trigger
 
-_WORD: Final = 2.0**53
+_BUTTON_BITS_END: Final = 2.0**53
 """Upper bound of the bits of the buttons; a device may report nan."""
 
 
 class Arming:
     """Arming and disarming, evaluated for every tick; its `sink` is not vital, since the guard does not need it."""
 
-    def __init__(self, rendering: Rendering, states: States) -> None:
+    def __init__(self, rendering: Rendering, states: StateMachine) -> None:
         self._rendering, self._states = rendering, states
         fingers = len(rendering.servo.devices)
         columns = [finger * RECORD_SIZE + at for finger in range(fingers) for at in (AT.servo_guard, AT.buttons)]
@@ -55,6 +55,6 @@ class Arming:
     def _was_pressed(self, buttons: list[float]) -> bool:
         down = 0
         for word in buttons:
-            down |= int(word) if 0.0 <= word < _WORD else 0
+            down |= int(word) if 0.0 <= word < _BUTTON_BITS_END else 0
         before, self._pressed = self._pressed, down
         return bool(down & ~before)

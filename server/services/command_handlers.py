@@ -18,12 +18,12 @@ from softfinger.config.words import format_value, suggest
 from softfinger.drivers.simulated.hand import RequestedPose, find_hand
 from softfinger.proxy.pictures import Filed, make_picture
 from softfinger.proxy.record import AT, RECORD_SIZE
-from softfinger.server.services.compilation import SceneChanges, SceneRequest
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.prompts import Prompts
 from softfinger.server.services.recordings import Recordings
 from softfinger.server.services.records import Sink
 from softfinger.server.services.rendering import Rendering
+from softfinger.server.services.scene_changes import SceneChanges, SceneRequest
 from softfinger.server.states import COMMANDED_REASON, NO_HEARTBEAT_REASON, NOT_ARMED_REASON, TOO_FAST_REASON
 from softfinger.server.wire import commands as wire
 from softfinger.server.wire.envelope import DeclinedRequest, Request

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from softfinger.server.loop.force_switch import DEADLINE_NS, IS_ACTIVE, IS_REQUESTED, NO_DEADLINE_NS, UNREACHABLE_MAX_NS
 from softfinger.server.loop.switch_fields import UNREACHABLE_NS
-from softfinger.server.states import NOT_ARMED_REASON, States
+from softfinger.server.states import NOT_ARMED_REASON, StateMachine
 
 SWITCH_TICKS: Final = 2
 """The first tick may have started before the switch was written; the second has read it."""
@@ -29,7 +29,9 @@ class Force:
     ticks    returns the number of ticks done
     """
 
-    def __init__(self, unarmed: bool, states: States, switch: NDArray[np.int64], ticks: Callable[[], int]) -> None:
+    def __init__(
+        self, unarmed: bool, states: StateMachine, switch: NDArray[np.int64], ticks: Callable[[], int]
+    ) -> None:
         self._states, self._switch, self._ticks = states, switch, ticks
         self._lock = threading.Lock()
         self._reasons = {NOT_ARMED_REASON} if unarmed else set[str]()
@@ -75,7 +77,7 @@ class Force:
             self._reasons.difference_update(why)
             self._write()
 
-    def end_at(self, time_ns: int = NO_DEADLINE_NS) -> None:
+    def set_deadline(self, time_ns: int = NO_DEADLINE_NS) -> None:
         """Set the time, ns on CLOCK_MONOTONIC, after which the loop turns the force off unless it is extended."""
         self._switch[DEADLINE_NS] = time_ns
 

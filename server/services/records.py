@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import HapticError, SafetyStop
-from softfinger.drivers.base import list_names
+from softfinger.drivers.base import join_names
 from softfinger.server.loop import shutdown
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.base import Worker
@@ -124,7 +124,7 @@ class TelemetryService:
 
     def start(self) -> None:
         self._publisher.attach(self._servo.records)
-        self._publisher.event("lifecycle", "started", device=list_names(self._servo.devices))
+        self._publisher.event("lifecycle", "started", device=join_names(self._servo.devices))
         self._announced = True
 
     def stop(self) -> None:

@@ -29,9 +29,9 @@ from softfinger.server.loop.tick import UNMOVED
 from softfinger.server.loop.tuning import make_tuning, with_armed, with_offsets, with_scene
 from softfinger.server.progress import report_compilation
 from softfinger.server.services.base import JOIN_S
-from softfinger.server.services.devices import check_replacement, inject_faults, make_tools, open_devices
+from softfinger.server.services.finger_devices import check_replacement, inject_faults, make_tools, open_finger_devices
 from softfinger.server.services.force import Force
-from softfinger.server.states import NOT_ARMED_REASON, States
+from softfinger.server.states import NOT_ARMED_REASON, StateMachine
 
 PAUSE_TICKS: Final = 3
 """The first tick may have started earlier and still have a force; the second is zero; the third confirms the write."""
@@ -80,7 +80,7 @@ class Rendering:
         ticks: int | None,
         prepare: Callable[[], Callable[[], None]],
         faults: schema.Faults | None = None,
-        states: States | None = None,
+        states: StateMachine | None = None,
         switch: NDArray[np.int64] | None = None,
     ) -> None:
         self.rig, self.scene = rig, scene
@@ -105,7 +105,7 @@ class Rendering:
                 devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
             )
         unarmed = rig.guard.arm != "automatic"
-        self.force: Final = Force(unarmed, states or States(), self.servo.switch, lambda: self.servo.ticks)
+        self.force: Final = Force(unarmed, states or StateMachine(), self.servo.switch, lambda: self.servo.ticks)
 
     def start(self) -> None:
         self._started = True
@@ -136,15 +136,15 @@ class Rendering:
             keeps_devices = [finger.device for finger in new_pairs] == [finger.device for finger in old_pairs]
             keeps_devices = keeps_devices and rig.servo.rate_hz == self.rig.servo.rate_hz
             # Compiled with the present devices: the compiled loop does not depend on them.
-            compiled = self._loop(new_scene, rig)
+            compiled, compiled_scene = self._make_loop(new_scene, rig), new_scene
             servo.compile(compiled)
 
             def make() -> Loop:
                 if not keeps_devices:
-                    return self._loop_for_new_devices(new_scene, rig)
+                    return self._make_loop_for_new_devices(new_scene, rig)
                 # Parameters of a scene that continues, and the offset of a device, may have changed in the meantime.
-                if scene is None:
-                    return self._loop(new_scene, rig)
+                if new_scene is not compiled_scene:
+                    return self._make_loop(new_scene, rig)
                 return servo.with_tuning(compiled, with_offsets(compiled.tuning, self._tuning.offsets))
 
             with self._parameters_lock, self._tuning_lock:
@@ -262,23 +262,23 @@ class Rendering:
         self.servo.tune(self._tuning)
         return ticks
 
-    def _loop(self, scene: schema.Scene, rig: schema.Rig, new_devices: Sequence[Device] = ()) -> Loop:
+    def _make_loop(self, scene: schema.Scene, rig: schema.Rig, new_devices: Sequence[Device] = ()) -> Loop:
         devices = new_devices or self.servo.devices
         infos = [device.info for device in devices]
         tuning = make_tuning(scene, rig.guard, infos, make_tools(scene, rig))
         if not new_devices:  # an offset belongs to its device
             tuning = with_offsets(tuning, self._tuning.offsets)
-        return self.servo.loop(devices, tuning, rig.servo.rate_hz)
+        return self.servo.make_loop(devices, tuning, rig.servo.rate_hz)
 
-    def _loop_for_new_devices(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
+    def _make_loop_for_new_devices(self, scene: schema.Scene, rig: schema.Rig) -> Loop:
         """Return a loop for devices that are opened in place of the present ones."""
         shutdown.close_all(self.servo.devices)
         devices = self._open(scene, rig)
         with shutdown.close_on_error(devices):
-            return self._loop(scene, rig, devices)
+            return self._make_loop(scene, rig, devices)
 
     def _open(self, scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
-        devices = open_devices(scene, rig)
+        devices = open_finger_devices(scene, rig)
         with shutdown.close_on_error(devices):
             return inject_faults(devices, scene, self.faults, rig.servo.rate_hz)
 

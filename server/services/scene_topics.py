@@ -34,8 +34,8 @@ IDLE_S: Final = 0.2
 """Interval of the check for a scene with bodies, and for a fault of the bodies."""
 
 
-class WorldState(Worker):
-    """Service that reads the motion of the bodies from the servo.
+class WorldPublisher(Worker):
+    """Service that publishes the poses of the bodies, read from the servo.
 
     publish  publishes a message of a topic with the content of a tick
     event    publishes an event
@@ -92,8 +92,8 @@ class WorldState(Worker):
         self._event("fault", "world", message=str(error))
 
 
-class Deformation:
-    """Derives the loads from the records of the servo.
+class DeformationPublisher:
+    """Publisher of the loads on an elastic object, derived from the records of the servo.
 
     publish  publishes a message of a topic with the content of a tick
     """

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from softfinger.config.errors import HapticError, SafetyStop
-from softfinger.server.loop import health, shutdown
+from softfinger.server.loop import fault_detection, shutdown
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.services.base import Worker
 
@@ -20,12 +20,12 @@ class Supervisor(Worker):
         self._servo, self._fail, self._event = servo, fail, event
 
     def work(self) -> None:
-        watchdog = health.Watchdog()
+        watchdog = fault_detection.Watchdog()
         while self._servo.is_ticking:
-            time.sleep(health.STALL_POLL_S)
+            time.sleep(fault_detection.STALL_POLL_S)
             ticks = self._servo.ticks
             has_force = any(device.info.has_persistent_force for device in self._servo.devices)
-            polls = health.STALL_POLLS if has_force else health.STALL_POLLS_WITHOUT_HAND
+            polls = fault_detection.STALL_POLLS if has_force else fault_detection.STALL_POLLS_WITHOUT_HAND
             idle_s = watchdog.measure_stall_s(ticks, self._servo.is_armed, polls)
             if idle_s and self._servo.is_ticking:
                 self._stop_stalled(idle_s, ticks)

@@ -9,7 +9,7 @@ import socket
 import sys
 
 from softfinger.server.socket_process.channel import Channel
-from softfinger.server.socket_process.process import publish
+from softfinger.server.socket_process.process import run_process
 
 if __name__ == "__main__":
-    publish(Channel(socket.socket(fileno=int(sys.argv[2]))))
+    run_process(Channel(socket.socket(fileno=int(sys.argv[2]))))

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from softfinger.server.socket_process.setup import ANSWER_MAX, Kind
+from softfinger.server.socket_process.channel_messages import ANSWER_MAX, Kind
 
 _HEAD: Final = struct.Struct("<IBH")
 _LONGEST: Final = ANSWER_MAX + 1024

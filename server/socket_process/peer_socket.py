@@ -65,20 +65,25 @@ class PeerSocket:
     """Socket on an endpoint that is already bound; without a lock, every peer that reaches it may connect."""
 
     def __init__(
-        self, gate: SocketContext, kind: int, bound: BoundEndpoint, lock: KeyLock | None, options: dict[str, int]
+        self,
+        socket_context: SocketContext,
+        kind: int,
+        bound: BoundEndpoint,
+        lock: KeyLock | None,
+        options: dict[str, int],
     ) -> None:
         self.endpoint: Final = bound.endpoint
         self.lock: Final = lock
         self._domain: Final = f"front-{kind}"
         """Name by which libzmq identifies this socket to the authenticator."""
         if lock is not None:  # before the first peer connects: a rejected peer does not connect again
-            assert gate.authenticator is not None
-            gate.authenticator.configure_curve_callback(self._domain, lock.allowed)
+            assert socket_context.authenticator is not None
+            socket_context.authenticator.configure_curve_callback(self._domain, lock.allowed)
         self.max_connections = self.refused = 0
         """Largest number of simultaneous connections, and number of failed handshakes, for any reason."""
         self.renewals = 0
         """Number of times that all peers were disconnected; `socket` and `monitor` are replaced each time."""
-        self._context, self._kind, self._bound, self._options = gate.context, kind, bound, options
+        self._context, self._kind, self._bound, self._options = socket_context.context, kind, bound, options
         self.connected: Final[dict[int, int]] = {}
         """Number of each open connection, unique for this process, by its file descriptor, which the next may reuse."""
         self._accepted = 0

@@ -22,13 +22,8 @@ from typing import Any, Final
 import msgspec
 import zmq
 
-from softfinger.server.socket_process.brake import Brake, takes_force_off
 from softfinger.server.socket_process.channel import Channel, Message
-from softfinger.server.socket_process.clients import REQUESTS_PER_TURN, Clients, RequestQueue
-from softfinger.server.socket_process.messages import Messages, RowReader
-from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
-from softfinger.server.socket_process.readers import Readers
-from softfinger.server.socket_process.setup import (
+from softfinger.server.socket_process.channel_messages import (
     PERIOD_S,
     REQUESTS_PERIOD_S,
     REST_MAX_S,
@@ -38,6 +33,11 @@ from softfinger.server.socket_process.setup import (
     ProcessSetup,
     StateInfo,
 )
+from softfinger.server.socket_process.command_clients import REQUESTS_PER_TURN, CommandClients, RequestQueue
+from softfinger.server.socket_process.force_off import ForceOffCounter, takes_force_off
+from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
+from softfinger.server.socket_process.subscribers import Subscribers
+from softfinger.server.socket_process.tick_messages import RowReader, TickEncoder
 
 log: Final = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ RETRY_S: Final = 0.005
 """Interval of retries while the daemon does not read."""
 
 
-class Publishing:
+class SocketServer:
     """State of the process; it sends ticks if it has an endpoint of telemetry.
 
     channel  to the daemon, from which `setup` has been received
@@ -69,9 +69,9 @@ class Publishing:
     def __init__(self, channel: Channel, setup: ProcessSetup, files: ExitStack) -> None:
         self._channel, self._unanswered = channel, 0
         self._waiting = RequestQueue()
-        self._brake = Brake(setup.switch)
+        self._force_off = ForceOffCounter(setup.switch)
         self._rows = RowReader(setup.memory, setup.begin, setup.bell)
-        self._messages = Messages(setup.ticks, setup.shown)
+        self._encoder = TickEncoder(setup.ticks, setup.state_info)
         self._tick_topics = {topic.encode() for topic in (*setup.ticks.topics, setup.ticks.state)}
         self._last_tick_s = -QUIET_S
         self._latest: dict[bytes, bytes] = {}
@@ -79,34 +79,39 @@ class Publishing:
         self._ended = False
         context: zmq.Context[Any] = zmq.Context()
         files.callback(context.destroy, LINGER_MS)
-        gate = SocketContext(
-            context, _start_authenticator(context, files) if any(entrance.key for entrance in setup.entrances) else None
+        socket_context = SocketContext(
+            context, _start_authenticator(context, files) if any(listener.key for listener in setup.listeners) else None
         )
-        self._readers: list[Readers] = []
-        self._clients: list[Clients] = []
+        self._subscribers: list[Subscribers] = []
+        self._clients: list[CommandClients] = []
         self._receive()  # earlier messages are not sent to later subscribers, except the stored ones
-        for listener in setup.entrances:
-            self._open(gate, listener, setup.backlog)
+        for listener in setup.listeners:
+            self._open(socket_context, listener, setup.backlog)
         self._peer_sockets: list[PeerSocket] = [
-            *(reader.peers for reader in self._readers),
-            *(client.peers for client in self._clients),
+            *(subscribers.peers for subscribers in self._subscribers),
+            *(clients.peers for clients in self._clients),
         ]
 
-    def _open(self, gate: SocketContext, listener: ListeningSocket, backlog: int) -> None:
-        lock = _lock(listener) if listener.key else None
+    def _open(self, socket_context: SocketContext, listener: ListeningSocket, backlog: int) -> None:
+        lock = _make_lock(listener) if listener.key else None
         if listener.name == "telemetry":
-            self._readers.append(Readers(gate, listener, lock, backlog, self._send_latest))
+            self._subscribers.append(Subscribers(socket_context, listener, lock, backlog, self._send_latest))
             return
         number = bytes((len(self._clients),))
         self._clients.append(
-            Clients(gate, listener, lock, lambda client, body, too_much: self._accept(number + client, body, too_much))
+            CommandClients(
+                socket_context,
+                listener,
+                lock,
+                lambda client, body, too_much: self._accept(number + client, body, too_much),
+            )
         )
 
     def _accept(self, client: bytes, body: bytes, too_much: bool) -> bool:
         """Queue a request, or return False; if it turns the force off, the loop does so now."""
         accepted = self._waiting.add(client, body, too_much)
         if accepted and takes_force_off(body):
-            self._brake.count(1)
+            self._force_off.count(1)
         return accepted
 
     def _pass_on(self) -> None:
@@ -116,7 +121,7 @@ class Publishing:
             if self._channel.send(Kind.REQUEST, client, body):
                 self._unanswered += 1
             elif takes_force_off(body):  # the daemon will not receive it
-                self._brake.count(-1)
+                self._force_off.count(-1)
 
     def run(self) -> None:
         """Publish until the daemon requests the end or exits."""
@@ -137,7 +142,7 @@ class Publishing:
             self._channel.flush()
             requests = self._handle_peers()
             if self._clients:
-                self._brake.reset_time()
+                self._force_off.reset_time()
             if has_events or ready - {bell, self._channel.fileno()}:
                 # Soon: libzmq's thread blocks once a thousand events are unread. Few: they must not delay requests.
                 has_events = sum(peers.process_events(EVENTS_IN_TURN) for peers in self._peer_sockets) > 0
@@ -156,7 +161,7 @@ class Publishing:
 
     def _poll(self) -> select.poll:
         poll = select.poll()
-        if self._readers:  # another process would miss the signal that this one resets
+        if self._subscribers:  # another process would miss the signal that this one resets
             poll.register(self._rows.bell, select.POLLIN)
         poll.register(self._channel.fileno(), select.POLLIN)
         for peers in self._peer_sockets:
@@ -168,15 +173,13 @@ class Publishing:
         return sum(peers.renewals for peers in self._peer_sockets)
 
     def _send_ticks(self) -> None:
-        messages, latest, readers = self._messages, self._latest, self._readers
-        if not readers:
+        if not self._subscribers:
             return
         for row in self._rows.take():
             limit_step()
-            for topic, body in messages.encode_row(row):
-                latest[topic] = body
-                for reader in readers:
-                    reader.send(topic, body)
+            for topic, body in self._encoder.encode_row(row):
+                self._latest[topic] = body
+                self._publish(topic, body)
             self._last_tick_s = time.monotonic()
 
     def _handle_peers(self) -> int:
@@ -184,8 +187,8 @@ class Publishing:
 
         After a socket was used, its file descriptor does not signal messages that arrived earlier.
         """
-        for readers in self._readers:
-            readers.take()
+        for subscribers in self._subscribers:
+            subscribers.take()
         requests = sum(clients.take() for clients in self._clients)
         self._pass_on()
         return requests
@@ -198,8 +201,8 @@ class Publishing:
                 self._publish(topic, body)
 
     def _publish(self, topic: bytes, body: bytes) -> None:
-        for readers in self._readers:
-            readers.send(topic, body)
+        for subscribers in self._subscribers:
+            subscribers.send(topic, body)
 
     def _receive(self) -> None:
         for message in self._channel.receive():
@@ -222,7 +225,7 @@ class Publishing:
                 self._unanswered -= 1
             case Kind.STATE_INFO:
                 self._send_ticks()
-                self._messages.set_state_info(msgspec.msgpack.decode(message.body, type=StateInfo))
+                self._encoder.set_state_info(msgspec.msgpack.decode(message.body, type=StateInfo))
             case Kind.END:
                 self._send_ticks()
                 self._ended = True
@@ -231,8 +234,8 @@ class Publishing:
         for peers in self._peer_sockets:
             peers.process_events(EVENTS_IN_TURN)
         figures = Figures(
-            sum(reader.subscribers for reader in self._readers),
-            sum(reader.lost for reader in self._readers),
+            sum(subscribers.connection_count for subscribers in self._subscribers),
+            sum(subscribers.lost for subscribers in self._subscribers),
             sum(peers.refused for peers in self._peer_sockets),
             self._rows.lost,
         )
@@ -248,7 +251,7 @@ def _start_authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:
     return authenticator
 
 
-def _lock(listener: ListeningSocket) -> KeyLock:
+def _make_lock(listener: ListeningSocket) -> KeyLock:
     from softfinger.server.keys import read_pair
     from softfinger.server.socket_process.allowed import AllowedKeys
 
@@ -298,17 +301,17 @@ def drop_priority_when_busy() -> None:
     resource.setrlimit(resource.RLIMIT_RTTIME, (MAX_BUSY_US, KILL_US))
 
 
-def publish(channel: Channel) -> None:
+def run_process(channel: Channel) -> None:
     """Run the process for the daemon at the other end, until either ends."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the daemon sends a last message
         signal.signal(number, signal.SIG_IGN)
     logging.getLogger().addHandler(_DaemonLogHandler(channel))
-    setup = _setup(channel)
+    setup = _receive_setup(channel)
     if setup is None:
         return
     has_priority = setup.priority > 0 and request_priority(setup.priority)
     with ExitStack() as files:
-        publishing = Publishing(channel, setup, files)
+        server = SocketServer(channel, setup, files)
         bound_resources()
         if has_priority:
             drop_priority_when_busy()
@@ -316,10 +319,10 @@ def publish(channel: Channel) -> None:
         # Objects created for a tick are freed with it; long-lived ones have been created before.
         gc.freeze()
         gc.disable()
-        publishing.run()
+        server.run()
 
 
-def _setup(channel: Channel) -> ProcessSetup | None:
+def _receive_setup(channel: Channel) -> ProcessSetup | None:
     """Return the first message from the daemon; None if the daemon has exited."""
     while not channel.ended:
         select.select([channel], [], [])

@@ -26,7 +26,7 @@ from softfinger.config.words import format_value, suggest
 from softfinger.server.offline.summary import check_start, make_object_rows, report_mesh, summarize_rig, summarize_scene
 from softfinger.server.progress import report_compilation, show_progress
 
-PLAYERS: Final = ("replay", "simulated")
+RECORDING_DRIVERS: Final = ("replay", "simulated")
 """Drivers with an option `recording`, which they read when the device is opened."""
 
 
@@ -83,7 +83,7 @@ def _check_device(device: DeviceConfig, rate_hz: float, table: str, file: str) -
         raise ConfigError(f"{file}: {table}.driver = {device.driver!r}: {error}") from error
     registry.check(device, rate_hz, f"{file} [{table}]")
     recording = device.options.get("recording")
-    if device.driver not in PLAYERS or recording is None:
+    if device.driver not in RECORDING_DRIVERS or recording is None:
         return
     from softfinger.drivers.poses import load_poses
 
@@ -111,9 +111,9 @@ class FileReport(NamedTuple):
 
 def run(args: argparse.Namespace) -> int:
     """Check every file and print the results; return 0, or the exit code of ConfigError if any file is faulty."""
-    findings = _with_starts([examine_file(file) for file in args.files])
+    findings = _add_start_errors([examine_file(file) for file in args.files])
     if args.explain:
-        findings = [with_costs(finding) for finding in findings]
+        findings = [add_costs(finding) for finding in findings]
     if args.json:
         print(json.dumps([finding._asdict() | {"summary": dict(finding.summary)} for finding in findings], indent=2))
     else:
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
     return ConfigError.exit_code if any(finding.errors for finding in findings) else 0
 
 
-def _with_starts(findings: list[FileReport]) -> list[FileReport]:
+def _add_start_errors(findings: list[FileReport]) -> list[FileReport]:
     """Return the findings, with an error for each scene whose [world] cannot start at the rate of a given rig."""
     usable = [finding for finding in findings if not finding.errors]
     rates = {load_rig(_locate(finding.file)).servo.rate_hz for finding in usable if finding.kind == "rig"}
@@ -198,7 +198,7 @@ def examine_file(file: str) -> FileReport:
     return FileReport(file, kind, summary, [], describe(config), reports)
 
 
-def with_costs(finding: FileReport) -> FileReport:
+def add_costs(finding: FileReport) -> FileReport:
     """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding

@@ -16,7 +16,7 @@ from softfinger.config.sources import read_toml
 from softfinger.config.words import format_value, suggest
 from softfinger.server import keys
 from softfinger.server.arguments import parse_parameter
-from softfinger.server.gateway.addresses import BUSY_S, find_addresses
+from softfinger.server.gateway.addresses import SEARCH_TIMEOUT_S, find_addresses
 from softfinger.server.progress import show_progress
 from softfinger.server.wire import DEFAULT_ENDPOINT
 from softfinger.server.wire.client import Subscription, subscribe
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         # Read here with the rights of this user: the daemon opens no file that a client names.
         params = {"name": Path(scene).stem[:64]} | params | {"scene": read_toml(scene)}
     lock = keys.read_keys(args)
-    within_s = BUSY_S if args.timeout is None else args.timeout
+    within_s = SEARCH_TIMEOUT_S if args.timeout is None else args.timeout
     with ExitStack() as early:
         if args.method == "disarm":  # the search waits for a daemon that is slow to describe itself
             for address in {args.endpoint, make_commands_address(args.endpoint)}:

@@ -27,7 +27,7 @@ from softfinger.server.wire.protocol import CONTACT, EVENT, FINGERS, HEALTH, fin
 if TYPE_CHECKING:  # rich takes 50 ms to import and only the dashboard needs it
     from rich.console import RenderableType
 
-_EVENTS_KEPT: Final = 8
+_EVENTS_MAX: Final = 8
 _DASHBOARD_PERIOD_S: Final = 0.1
 _LINE_PERIOD_S: Final = 1.0
 _STALLED_S: Final = 1.5  # health is sent once a second, so a longer silence means that ticks stopped
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         elif args.once or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb":
             _show_until_end(args, lambda board: print(format_line(board), flush=True), _LINE_PERIOD_S)
         else:
-            _format_dashboard(args)
+            _show_dashboard(args)
     except KeyboardInterrupt:
         return 0
     except BrokenPipeError:  # the reader (head, grep -m1) closed the pipe
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-class Board:
+class Dashboard:
     """State of the server according to the messages received so far."""
 
     def __init__(self, endpoint: str) -> None:
@@ -62,7 +62,7 @@ class Board:
         self.fingers: dict[str, Sample] = {}
         """Latest tick of each finger by its name; a single finger has the name ""."""
         self.health: Sample | None = None
-        self.events: deque[Sample] = deque(maxlen=_EVENTS_KEPT)
+        self.events: deque[Sample] = deque(maxlen=_EVENTS_MAX)
         self.event_count = 0
         self.messages = 0
         self.lost = 0
@@ -128,7 +128,7 @@ class Board:
         }
 
 
-def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], period_s: float) -> None:
+def _show_until_end(args: argparse.Namespace, show: Callable[[Dashboard], None], period_s: float) -> None:
     """Receive messages and redraw the dashboard every `period_s`, until `--once` or `--duration` ends it."""
     started = time.monotonic()
     end = started + (args.duration or math.inf)
@@ -138,7 +138,7 @@ def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], per
     lock = keys.read_keys(args)
     endpoint = find_addresses(args.endpoint, lock, within_s=args.timeout).telemetry
     with subscribe(endpoint, topics, keys=lock) as subscription:
-        board = Board(endpoint)
+        board = Dashboard(endpoint)
         while True:
             sample = subscription.receive(max(0.0, min(_DASHBOARD_PERIOD_S, end - time.monotonic())))
             if sample is not None:
@@ -160,12 +160,12 @@ def _show_until_end(args: argparse.Namespace, show: Callable[[Board], None], per
                 return
 
 
-def _to_json(board: Board) -> str:
+def _to_json(board: Dashboard) -> str:
     # msgspec writes null for nan, json.dumps writes invalid JSON.
     return msgspec.json.encode(board.summary(), enc_hook=str).decode()
 
 
-def format_line(board: Board) -> str:
+def format_line(board: Dashboard) -> str:
     parts = [time.strftime("%H:%M:%S")]
     if board.outage_text:
         parts.append(f"{board.outage_text};")
@@ -216,7 +216,7 @@ def _format_fixed(value: float, width: int, digits: int) -> str:
     return f"{round(value, digits) + 0.0:{width}.{digits}f}"
 
 
-def _format_dashboard(args: argparse.Namespace) -> None:
+def _show_dashboard(args: argparse.Namespace) -> None:
     from rich.console import Console
     from rich.live import Live
 
@@ -227,7 +227,7 @@ def _format_dashboard(args: argparse.Namespace) -> None:
         )
 
 
-def render(board: Board, width: int, height: int) -> RenderableType:
+def render(board: Dashboard, width: int, height: int) -> RenderableType:
     from rich.console import Group
     from rich.panel import Panel
     from rich.table import Table
@@ -241,7 +241,7 @@ def render(board: Board, width: int, height: int) -> RenderableType:
     for name, sample in sorted(board.fingers.items()):
         if name:
             rows.add_row("finger", Text(name, style="bold"))
-        _format_contacts(rows, sample.data, board)
+        _add_contact_rows(rows, sample.data, board)
     if board.health is not None:
         health = board.health.data
         for name, values in (("late", health.late), ("exec", health.exec)):
@@ -262,7 +262,7 @@ def render(board: Board, width: int, height: int) -> RenderableType:
     return Group(Panel(rows, title=title, title_align="left"), Panel(events, title="events", title_align="left"))
 
 
-def _format_events(board: Board, width: int, height: int) -> str:
+def _format_events(board: Dashboard, width: int, height: int) -> str:
     """Return the latest events that fit completely, the latest one last."""
     lines: list[str] = []
     for event in reversed(board.events):
@@ -275,7 +275,7 @@ def _format_events(board: Board, width: int, height: int) -> str:
     return "\n".join(lines) or "none yet"
 
 
-def _format_contacts(rows: Any, data: Any, board: Board) -> None:
+def _add_contact_rows(rows: Any, data: Any, board: Dashboard) -> None:
     from rich.text import Text
 
     contact = data.contact

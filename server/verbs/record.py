@@ -20,7 +20,7 @@ import numpy as np
 from softfinger.config.arrays import Array
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.config.files import is_same_file
-from softfinger.drivers.closing import Closeable
+from softfinger.drivers.closeable import Closeable
 from softfinger.drivers.poses import DT_MAX_S, DT_MIN_S, find_rate
 from softfinger.proxy.record import AT
 from softfinger.server import keys, signals

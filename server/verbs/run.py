@@ -112,7 +112,7 @@ def announce(daemon: Daemon, scene_name: str, suggest_view: bool) -> None:
         log.info("`%s run --view` opens a browser page on which the mouse moves the hand", find_program_name())
     log.info("scene %s: %s", scene_name, explain(rendering.scene))
     log.info(
-        "device %s at %g Hz; telemetry on %s", base.list_names(daemon.devices), rendering.rig.servo.rate_hz, telemetry
+        "device %s at %g Hz; telemetry on %s", base.join_names(daemon.devices), rendering.rig.servo.rate_hz, telemetry
     )
     log.info("commands on %s", daemon.commands_endpoint or "no endpoint: off")
     if (daemon.commands_endpoint or "").startswith("tcp:"):

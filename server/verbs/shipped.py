@@ -42,7 +42,7 @@ _SENTENCE: Final = re.compile(r"(?s)(.*?\.)(?=\s|$)")
 
 
 def run(args: argparse.Namespace) -> int:
-    items = list_shipped(args.verb)
+    items = describe_shipped(args.verb)
     if args.json:
         print(json.dumps(items, indent=1))
         return 0
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def list_shipped(verb: str) -> list[dict[str, Any]]:
+def describe_shipped(verb: str) -> list[dict[str, Any]]:
     """Return name, file and description of each shipped file, ordered by name."""
     folder = FOLDER_OF[verb]
     if verb == "recordings":
@@ -90,7 +90,7 @@ def offer_names(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 
 
 def _format_completion(verb: str) -> dict[str, Any]:
-    items = list(load_entries()) if verb == "materials" else [item["name"] for item in list_shipped(verb)]
+    items = list(load_entries()) if verb == "materials" else [item["name"] for item in describe_shipped(verb)]
     names, function = " ".join(items), f"_softfinger_{verb}"
     body = f'{function}() {{ compgen -W "{names}" -- $1; compgen -f -- $1; }}'
     return {"bash": function, "zsh": f"({names})", "tcsh": f"({names})", "preamble": {"bash": body}}

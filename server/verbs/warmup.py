@@ -19,7 +19,7 @@ from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KERNEL_FOLDER
 from softfinger.proxy.scene import start_state
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.progress import report_compilation
-from softfinger.server.services.compilation import compile_loop
+from softfinger.server.services.scene_changes import compile_loop
 from softfinger.server.wire.native.relay import Relay
 
 RATE_HZ: Final = 1000.0

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from softfinger.config.arguments import check_text, describe_refusal
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.config.words import format_value
-from softfinger.drivers.closing import Closeable
+from softfinger.drivers.closeable import Closeable
 from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.keys import ClientKeys, check_keys

@@ -15,8 +15,8 @@ from softfinger.config.arguments import describe_refusal, to_number
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
 from softfinger.config.schema import Telemetry, find_runtime_folder, make_commands_address
 from softfinger.server.keys import ClientKeys
-from softfinger.server.socket_process.brake import FORCE_OFF_METHODS
-from softfinger.server.socket_process.setup import ANSWER_MAX, REQUEST_MAX
+from softfinger.server.socket_process.channel_messages import ANSWER_MAX, REQUEST_MAX
+from softfinger.server.socket_process.force_off import FORCE_OFF_METHODS
 from softfinger.server.wire.endpoint import check_runtime_folder
 from softfinger.server.wire.envelope import compute_expiry
 

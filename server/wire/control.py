@@ -25,7 +25,7 @@ import zmq.asyncio
 from softfinger.config.arguments import check_mapping, check_text
 from softfinger.config.errors import CommandRefused
 from softfinger.config.overrides import CHANGES_EXAMPLE
-from softfinger.drivers.closing import Closeable
+from softfinger.drivers.closeable import Closeable
 from softfinger.server.keys import ClientKeys, check_keys
 from softfinger.server.wire import commands
 from softfinger.server.wire.client_requests import (

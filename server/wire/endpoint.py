@@ -104,12 +104,12 @@ def check_runtime_folder() -> None:
     check_owner(folder, status, "could receive commands instead of the daemon")
 
 
-def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> BoundSocket:
+def listen(endpoint: str, key: str, public: bool = False, private: bool = False) -> BoundSocket:
     """Bind an endpoint.
 
-    key     key of the rig with this value, for messages
-    public  whether other machines may reach it: then the server checks keys
-    own     whether an ipc socket is for this user only; otherwise the group may connect, too
+    key      key of the rig with this value, for messages
+    public   whether other machines may reach it: then the server checks keys
+    private  whether an ipc socket is for this user only; otherwise the group may connect, too
 
     Raises AddressInUse if another process uses the endpoint, ConfigError if it cannot or may not be bound.
     """
@@ -118,7 +118,7 @@ def listen(endpoint: str, key: str, public: bool = False, own: bool = False) -> 
     with ExitStack() as files:
         try:
             if scheme == "ipc":
-                listener = files.enter_context(_listen_ipc(Path(address), endpoint, key, files, own))
+                listener = files.enter_context(_listen_ipc(Path(address), endpoint, key, files, private))
             else:
                 listener = files.enter_context(_listen_tcp(address))
                 address = address.rpartition(":")[0] + f":{listener.getsockname()[1]}"
@@ -146,15 +146,14 @@ def _listen_tcp(address: str) -> socket.socket:
     return listener
 
 
-def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack, own: bool) -> socket.socket:
+def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack, private: bool) -> socket.socket:
     if path.parent == find_runtime_folder():
         make_runtime_folder()
     files.callback(os.close, _claim(path, endpoint, key))
     path.unlink(missing_ok=True)  # left by a server that has exited: this process has the lock
     listener = socket.socket(socket.AF_UNIX)
-    # Only the user, and the group unless `own`, may connect. The mask belongs to the process, so it is restored at
-    # once.
-    mask = os.umask(0o177 if own else 0o117)
+    # Only the user, and the group unless `private`, may connect. The mask is the whole process's: restore it at once.
+    mask = os.umask(0o177 if private else 0o117)
     try:
         listener.bind(str(path))
     except BaseException:

@@ -16,7 +16,7 @@ import msgpack
 import msgspec
 from msgspec import Meta, Struct
 
-from softfinger.server.socket_process.brake import FORCE_OFF_METHODS
+from softfinger.server.socket_process.force_off import FORCE_OFF_METHODS
 from softfinger.server.wire.commands import METHODS, ErrorName, describe_fields
 
 DEPTH_MAX: Final = 16

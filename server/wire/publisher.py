@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.schema import make_commands_address
-from softfinger.drivers.closing import Closeable
+from softfinger.drivers.closeable import Closeable
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, list_columns
-from softfinger.server.socket_process.setup import Figures, Kind, ProcessSetup, StateInfo, TickParameters
+from softfinger.server.socket_process.channel_messages import Figures, Kind, ProcessSetup, StateInfo, TickParameters
 from softfinger.server.wire.events import RecordEvents, make_event, read_clock_s
 from softfinger.server.wire.health import HealthSummary, combine
-from softfinger.server.wire.link import SILENT_MAX_S, RequestHandlers, Send, SocketProcess
 from softfinger.server.wire.native.memory import LAYOUT
 from softfinger.server.wire.native.relay import RecordSource, Relay
 from softfinger.server.wire.native.switch import SharedSwitch
+from softfinger.server.wire.process_link import SILENT_MAX_S, RequestHandlers, Send, SocketProcess
 from softfinger.server.wire.protocol import (
     EVENT,
     HEALTH,
@@ -112,7 +112,7 @@ class Publisher(Closeable):
             self._relay: Final = Relay(len(fingers))
             undo.callback(self._relay.close)
             files = [self._relay.memory.reading, self._relay.bell, self._switch.file]
-            files += [entrance.fd for entrance in self._endpoints.entrances]
+            files += [listener.fd for listener in self._endpoints.listeners]
             self._commands: Final = self._open_commands(files)
             if self._commands is not None:
                 undo.callback(self._commands.close, 0.0)
@@ -124,7 +124,7 @@ class Publisher(Closeable):
 
     def _open_commands(self, files: list[int]) -> SocketProcess | None:
         """Start the process of commands; None if they are off."""
-        if not any(entrance.name == COMMANDS for entrance in self._endpoints.entrances):
+        if not any(listener.name == COMMANDS for listener in self._endpoints.listeners):
             return None
         self._switch.require_process()
         return SocketProcess(
@@ -156,7 +156,7 @@ class Publisher(Closeable):
             self._priority,
             self._ticks,
             self._state_info,
-            [entrance for entrance in self._endpoints.entrances if entrance.name == name],
+            [listener for listener in self._endpoints.listeners if listener.name == name],
         )
         send(Kind.SETUP, b"", msgspec.msgpack.encode(setup))
 

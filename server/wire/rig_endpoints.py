@@ -13,7 +13,7 @@ from typing import Final
 
 from softfinger.config import schema
 from softfinger.config.schema import is_public, make_commands_address
-from softfinger.server.socket_process.setup import ListeningSocket
+from softfinger.server.socket_process.channel_messages import ListeningSocket
 from softfinger.server.wire.endpoint import listen
 
 TELEMETRY: Final = "telemetry"
@@ -21,7 +21,7 @@ COMMANDS: Final = "commands"
 
 
 class Endpoints:
-    """Bound endpoints; `close` frees them, and until then the publisher uses `entrances`.
+    """Bound endpoints; `close` frees them, and until then the publisher uses `listeners`.
 
     For an endpoint that is open to the network there are two: that endpoint, which requires keys, and another one in a
     folder of this user only, for programs on this machine.
@@ -29,7 +29,7 @@ class Endpoints:
 
     def __init__(self) -> None:
         self.files: Final = ExitStack()
-        self.entrances: Final[list[ListeningSocket]] = []
+        self.listeners: Final[list[ListeningSocket]] = []
         self.telemetry = ""
         """Telemetry endpoint for programs of this user."""
         self.commands: str | None = None
@@ -41,16 +41,16 @@ class Endpoints:
         """Free all endpoints; may be called repeatedly."""
         self.files.close()
 
-    def bind(self, name: str, endpoint: str, own: bool = False, keys: tuple[str, str] | None = None) -> str:
+    def bind(self, name: str, endpoint: str, private: bool = False, keys: tuple[str, str] | None = None) -> str:
         """Bind an endpoint; return it with the chosen port. Raises the errors of `listen`.
 
-        name  telemetry or commands
-        own   as for `listen`
-        keys  file of the server's secret key, and the folder of the keys of peers that may connect
+        name     telemetry or commands
+        private  as for `listen`
+        keys     file of the server's secret key, and the folder of the keys of peers that may connect
         """
-        bound = listen(endpoint, f"[{name}] endpoint", public=keys is not None, own=own)
+        bound = listen(endpoint, f"[{name}] endpoint", public=keys is not None, private=private)
         self.files.enter_context(bound.files)
-        self.entrances.append(ListeningSocket(name, bound.endpoint, bound.fd, *(keys or ("", ""))))
+        self.listeners.append(ListeningSocket(name, bound.endpoint, bound.fd, *(keys or ("", ""))))
         if keys is not None:
             self.public[name] = bound.endpoint
         return bound.endpoint
@@ -75,7 +75,7 @@ def bind_rig(rig: schema.Rig) -> Endpoints:
             is_beside = rig.commands.endpoint is None and COMMANDS not in endpoints.public
             # The port chosen for the telemetry, if the rig does not set one.
             commands_endpoint = make_commands_address(endpoints.telemetry) if is_beside else commands
-            endpoints.commands = endpoints.bind(COMMANDS, commands_endpoint, own=is_beside)
+            endpoints.commands = endpoints.bind(COMMANDS, commands_endpoint, private=is_beside)
         undo.pop_all()
     return endpoints
 

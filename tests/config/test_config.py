@@ -220,7 +220,10 @@ FINGERS: list[dict[str, Any]] = [{"name": "thumb", "radius_m": 0.01}, {"name": "
 
 def pinch_scene(**changes: Any) -> dict[str, Any]:
     """Return a scene with two fingers, the second changed by `changes`."""
-    return {**{k: v for k, v in scene().items() if k != "fingertip"}, "finger": [FINGERS[0], FINGERS[1] | changes]}
+    return {
+        **{k: v for k, v in scene().items() if k != "fingertip"},
+        "finger": [dict(FINGERS[0]), FINGERS[1] | changes],
+    }
 
 
 FINGER_FAULTS = [
@@ -240,6 +243,7 @@ FAULTS = [
     (Scene, pinch_scene, "fingertip", {"radius_m": 0.01}, ["cannot be combined with [[finger]]"]),
     (Scene, lambda: pinch_scene(coupling={"stiffness_n_per_m": 100.0}), "rolling.torque_stiffness_n_per_m", 500.0,
      ["must be at most finger[1].coupling.stiffness_n_per_m = 100 N/m"]),
+    (Scene, pinch_scene, "finger[0].device", "index", ["finger[1].device = 'index': already moves finger[0]"]),
     (Rig, rig_of_two, "devices", {"a.b": rig()["device"]}, ["must be text of 1 to 32 characters"]),
     (Rig, rig_of_two, "devices.thumb.driver", ..., ["f.toml: devices.thumb.driver is missing"]),
 ]  # fmt: skip
@@ -473,6 +477,26 @@ def test_another_driver_drops_the_options_of_the_first() -> None:
     assert load_rig("replay", {"device.driver": "replay"}).device.options["loop"] is True
     simulated = load_rig("replay", {"device.gain": 2, "device.driver": "simulated"}).device
     assert simulated == schema.DeviceConfig(driver="simulated", options={"gain": 2})
+    changes = {"devices.thumb.recording": "tap", "devices.thumb.driver": "replay", "device.driver": "faulty"}
+    devices = load_rig("simulated-pinch", changes).devices
+    assert devices["thumb"] == schema.DeviceConfig(driver="replay", options={"recording": "tap"})
+    assert devices["index"] == schema.DeviceConfig(driver="faulty")
+    whole = load_rig("simulated-pinch", {"device": {"driver": "replay", "recording": "tap"}}).devices
+    assert list(whole.values()) == [devices["thumb"]] * 2
+
+
+@pytest.mark.parametrize("key", ["material", "material.name"])
+def test_a_value_is_not_lost_to_the_table_or_entry_around_it(key: str) -> None:
+    values = {"object[0].material.stiffness_n_per_m": 321.0, f"object.0.{key}": "wood"}
+    for scene in ("sphere", load_scene("sphere", {"object.0.material": "rubber"})):
+        for changes in (values, dict(reversed(values.items()))):
+            material = load_scene(scene, changes).object[0].material
+            assert (material.name, material.stiffness_n_per_m) == ("wood", 321.0)
+
+
+def test_a_key_with_a_bracket_is_the_one_with_a_dot() -> None:
+    twice = {"object[0].radius_m": 0.02, "object.0.radius_m": 0.03}
+    assert "set twice" in refusal(load_scene, "sphere", twice)
 
 
 def test_override_of_a_missing_or_broken_table(tmp_path: Path) -> None:

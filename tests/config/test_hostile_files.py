@@ -34,7 +34,7 @@ from softfinger.config.schema import Faults, Injection, Scene
 from softfinger.config.sources import list_shipped
 from softfinger.drivers import poses
 from softfinger.drivers.falcon import firmware
-from softfinger.drivers.injected import END_TICK, FIRST_TICK, PERIOD_TICKS, make_fault_table
+from softfinger.drivers.fault_injector import END_TICK, FIRST_TICK, PERIOD_TICKS, make_fault_table
 from softfinger.drivers.poses import load_poses
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.recording import results
@@ -52,8 +52,8 @@ STRANGER = 54321
 HANGS_S = 60
 """Longer than any of these takes on a busy machine; a read of a pipe never ends."""
 GROWTH_MAX_MB = 400
-"""The largest limit in drivers/containers.py and drivers/poses.py is 160 MB, an array may exist twice, and zstd has a
-window of up to 128 MB. Each bomb is larger."""
+"""The largest limit in drivers/mcap_messages.py and drivers/poses.py is 160 MB, an array may exist twice, and zstd has
+a window of up to 128 MB. Each bomb is larger."""
 
 
 @pytest.fixture(autouse=True)

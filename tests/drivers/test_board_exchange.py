@@ -17,7 +17,7 @@ from softfinger.drivers import base, board_exchange
 from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import BOARD, WAIT_MS, BoardTimes
-from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS
+from softfinger.drivers.samples import CURRENT_WAIT_MAX_NS, PAUSE_MIN_NS
 
 pytestmark = BY_CALL
 
@@ -180,7 +180,7 @@ def test_first_read_times_out(misread: int, status: int, board: Board, monkeypat
     assert board.calls.count("drain") == 2 + 21
 
 
-@pytest.mark.parametrize(("ns", "paused"), [(RESUME_NS, False), (RESUME_NS + 1, True)])
+@pytest.mark.parametrize(("ns", "paused"), [(PAUSE_MIN_NS, False), (PAUSE_MIN_NS + 1, True)])
 def test_a_pause_of_the_loop_is_longer_than_resume_ns(ns: int, paused: bool, board: Board) -> None:
     board.receive_sample()
     board.clock.now += ns
@@ -194,7 +194,7 @@ def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board
     board.receive_sample()
     board.clock.now += 150 * MS
     begun, before = board.clock.now, board.sample.copy()
-    assert board.read() == STALE and board.clock.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
+    assert board.read() == STALE and board.clock.now - begun == CURRENT_WAIT_MAX_NS + WAIT_MS * MS
     assert board.sample.tolist() == before.tolist() and board.word[BOARD.read_at] == board.clock.now
     assert board.word[BOARD.sampled_at] == begun - QUIET - 1
     assert board.write(FORCE) == WITHHELD and "zero" in board.calls

@@ -256,6 +256,14 @@ def test_a_holder_is_named(node: Path) -> None:
         assert holder is not None and holder.pid == os.getpid()
 
 
+def test_a_lock_in_another_file_system_names_no_holder(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inodes are unique in one file system only; a wrong holder would be in the remedy, `kill PID`."""
+    locks, inode = node.with_name("locks"), node.stat().st_ino
+    locks.write_text(f"1: FLOCK  ADVISORY  WRITE {os.getpid()} ff:fffff:{inode} 0 EOF\n")
+    monkeypatch.setattr(discovery, "Path", lambda path: locks if path == "/proc/locks" else Path(path))
+    assert discovery.find_holder(str(node)) is None
+
+
 def test_a_missing_library_is_diagnosed(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("FDSDK", "FORCEDIM_SDK"):
         monkeypatch.delenv(name, raising=False)

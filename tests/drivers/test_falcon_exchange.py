@@ -11,7 +11,7 @@ from softfinger.drivers.base import HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT,
 from softfinger.drivers.falcon import exchange, packets
 from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.conversion import HOME, compute_command
-from softfinger.drivers.samples import RESUME_WAIT_NS
+from softfinger.drivers.samples import CURRENT_WAIT_MAX_NS
 
 pytestmark = BY_CALL
 
@@ -209,7 +209,7 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
     begun = usb.clock.now
     status, sample = usb.read()
     assert (status, sample.tolist()) == (WITHHELD, before)
-    assert RESUME_WAIT_NS < usb.clock.now - begun <= RESUME_WAIT_NS + 2 * MS
+    assert CURRENT_WAIT_MAX_NS < usb.clock.now - begun <= CURRENT_WAIT_MAX_NS + 2 * MS
     assert usb.got() == [NOTHING] * 6 and usb.write(*PULL) == WITHHELD
     usb.later(1 * MS)
     assert usb.read(reply(6))[0] == OK
@@ -292,7 +292,7 @@ def test_calls_during_a_stop_do_not_wait(usb: Usb) -> None:
     usb.word[AT.lock] = 1
     sample = np.full(SAMPLE_SIZE, nan)
     assert usb.block.call(exchange.read, sample) == STALE and sample.tolist() == before
-    assert usb.block.call(exchange.write, PULL) == WITHHELD and usb.block.call(exchange.silence) == 0
+    assert usb.block.call(exchange.write, PULL) == WITHHELD and usb.block.call(exchange.disarm_and_zero) == 0
     assert usb.block.call(exchange.cancel_transfers) == 0
     assert usb.got() == [] and usb.word[AT.lock] == 1 and usb.word[AT.open] == 1
 
@@ -422,7 +422,7 @@ def test_a_silence_is_kicked_and_times_out(usb: Usb) -> None:
 
 def stop(usb: Usb) -> int:
     usb.waits.clear()
-    return usb.block.call(exchange.silence)
+    return usb.block.call(exchange.disarm_and_zero)
 
 
 def test_a_stop_sends_a_zero_and_waits_for_it(usb: Usb) -> None:

@@ -159,7 +159,8 @@ def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, capl
     stub["block"] = 1
     servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     device.close()
-    assert "accepts no packet" in caplog.text
+    device.stop()
+    assert caplog.text.count("zero force has not reached it: it has accepted no packet for 1 s") == 1
     assert device.zero_failure() == "it has accepted no packet for 1 s"
     steps = stub["steps"]
     stub["block"] = 0

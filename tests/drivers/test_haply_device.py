@@ -411,6 +411,22 @@ def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
     assert sys.getswitchinterval() == before
 
 
+def test_a_device_without_a_thread_is_released(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    start, interval = threading.Thread.start, sys.getswitchinterval()
+
+    def refuse(thread: threading.Thread) -> None:
+        if thread.name == "haply exchange":
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    with pytest.raises(RuntimeError):
+        opened(service)
+    assert sys.getswitchinterval() == interval
+    monkeypatch.undo()
+    opened(service).close()
+
+
 def test_a_device_leaks_no_descriptor(service: Service) -> None:
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(20):

@@ -166,6 +166,19 @@ def test_the_last_force_is_zero_after_random_bytes(service: Service, cases: Call
         assert received(service, ID)[-1] == (0.0, 0.0, 0.0), raw.hex()
 
 
+def test_no_force_follows_a_stop_before_arm(service: Service) -> None:
+    """A signal stops the device from another thread while the servo thread arms it."""
+    with opened(service, device_id=ID) as device:
+        device.stop()
+        device.arm()
+        servo = DeviceCaller(device, arm=False)
+        fresh(servo)
+        stopped_at = time.monotonic()
+        assert servo.write(0.0, 0.0, 1.5, 0.0, 0.0, 0.0) == WITHHELD
+        settle(device)
+        assert not any(any(force) for force in received(service, ID, stopped_at))
+
+
 def test_a_service_that_stops_reading_gets_one_more_force(service: Service, pushing: list[HaplyDevice]) -> None:
     service.set(deaf=True)
     deaf_at = time.monotonic()

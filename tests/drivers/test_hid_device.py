@@ -26,7 +26,7 @@ from softfinger.config.load import build
 from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, SAMPLE_SIZE, TIMEOUT, WITHHELD
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
-from softfinger.drivers.hid.link import link_by_threads
+from softfinger.drivers.hid.link import make_thread_link
 from softfinger.drivers.hid.report_threads import QUEUE_BYTES
 from softfinger.drivers.system.libc import write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
@@ -219,7 +219,7 @@ class ThreadedBoard(AbstractContextManager[Any]):
         options = build(Options, described(**{"timeout_s": 0.2, **changes}), "rig")  # a busy machine answers late
         fd, end = ends()
         self.answering, self.api = Answering(end, note), Api(fd)
-        link = link_by_threads(self.api, options)
+        link = make_thread_link(self.api, options)
         self.device = HidDevice(options, link.fd, link.threads)
         self.servo = DeviceCaller(self.device)
 
@@ -253,7 +253,7 @@ class ThreadedBoard(AbstractContextManager[Any]):
 def test_reports_are_transferred_byte_for_byte() -> None:
     fd, end = ends()
     options = build(Options, described(), "rig")
-    link = link_by_threads(Api(fd), options)
+    link = make_thread_link(Api(fd), options)
     assert link.threads is not None
     generator = np.random.default_rng(5)
     longest = options.reports.input.bytes + 1 + exchange.IN_SPARE
@@ -373,7 +373,7 @@ def test_calibration_at_opening(rig: str) -> None:
 
     fd, end = ends()
     with Answering(end, answer):
-        link = link_by_threads(Api(fd), options)
+        link = make_thread_link(Api(fd), options)
         with HidDevice(options, link.fd, link.threads) as device:
             sample = DeviceCaller(device).read()[1]
             np.testing.assert_allclose(sample[:3], resting, atol=3e-4)  # half a count at each motor
@@ -391,7 +391,7 @@ def test_a_failed_calibration_closes_the_device() -> None:
         fd, end = ends()
         with Answering(end, lambda _, answer=answer: answer):
             api = Api(fd)
-            link = link_by_threads(api, options)
+            link = make_thread_link(api, options)
             with pytest.raises(error, match=message):
                 HidDevice(options, link.fd, link.threads)
             assert api.closed == 1

@@ -65,7 +65,7 @@ class Board(FarEnd):
         self.node.sent.clear()
         return out
 
-    def link_by_threads(self) -> ctypes.c_int64:
+    def make_thread_link(self) -> ctypes.c_int64:
         self.accepted_address = ctypes.c_int64()
         self.word[AT.accepted_address] = ctypes.addressof(self.accepted_address)
         return self.accepted_address
@@ -168,12 +168,12 @@ def test_results_of_writing_a_report(board: Board) -> None:
     assert board.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == HELD and board.counts() == {"cut": 1}
 
 
-def test_a_force_waits_for_the_pump(board: Board) -> None:
-    value = board.link_by_threads()
+def test_a_force_waits_for_the_thread_that_writes_reports(board: Board) -> None:
+    value = board.make_thread_link()
     for force, status in ((1.0, OK), (2.0, OK), (3.0, HELD), (0.0, OK), (0.0, OK)):
         assert board.write(0.0, 0.0, force, 0.0, 0.0, 0.0) == status
     assert board.block.call(lambda handle: exchange._wake(exchange.Hid(), handle)) == OK
-    assert board.block.call(exchange.silence) == 1
+    assert board.block.call(exchange.disarm_and_zero) == 1
     assert board.sent() == [force_report(0, 0, 1000), force_report(0, 0, 2000), force_report(0, 0, 0)]
     assert board.counts() == {"written": 3, "held": 1, "kicks": 1}
     value.value = 2

@@ -159,13 +159,13 @@ def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
     assert board.write(*ZERO) == HELD
     board.port.room = 10
     assert board.write(*ZERO) == HELD
-    assert not board.block.call(exchange.silence)  # not done until the pending force is sent
+    assert not board.block.call(exchange.disarm_and_zero)  # not done until the pending force is sent
     board.port.room = 34
     assert board.write(*ZERO) == HELD  # frame completed, but no byte of the zero was accepted
     assert (board.word[BOARD.unsent_bytes], board.word[BOARD.has_force]) == (0, 1)
     assert board.sent() == text(0, 0, 1000) and board.counts() == {"written": 1}
     board.port.room = None
-    assert board.block.call(exchange.silence) and board.sent() == text(0, 0, 0)
+    assert board.block.call(exchange.disarm_and_zero) and board.sent() == text(0, 0, 0)
     assert board.counts() == {"written": 2}
 
 

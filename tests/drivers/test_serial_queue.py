@@ -317,10 +317,10 @@ def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch
     while not 0 < len(run.port.waiting) < 64:  # in the middle of a frame
         run.ticks(1)
     assert run.driver.block.call(exchange.discard) == 1
-    assert run.driver.block.call(exchange.silence) == 1 and len(run.port.waiting) == 128
+    assert run.driver.block.call(exchange.disarm_and_zero) == 1 and len(run.port.waiting) == 128
     run.goes_on()
     assert not run.reader.pushes and run.reader.rest == b""
-    assert run.driver.block.call(exchange.silence) == 1 and len(run.port.waiting) == 64
+    assert run.driver.block.call(exchange.disarm_and_zero) == 1 and len(run.port.waiting) == 64
 
 
 def test_discard_does_not_interrupt_a_write(monkeypatch: pytest.MonkeyPatch) -> None:

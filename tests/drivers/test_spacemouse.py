@@ -20,7 +20,7 @@ from softfinger.drivers.base import LOST, OK, PROTOCOL, STALE, Device
 from softfinger.drivers.simulated.device import Options as SimulatedOptions
 from softfinger.drivers.simulated.device import SimulatedDevice
 from softfinger.drivers.spacemouse import device as spacemouse
-from softfinger.drivers.spacemouse.device import SpaceMouse, find, open_device
+from softfinger.drivers.spacemouse.device import SpaceMouse, find_puck, open_device
 from softfinger.drivers.spacemouse.puck import Options, decode, make_parameters, move
 from softfinger.server.driver_contract import RATE_HZ, DeviceCaller, DriverContract
 from softfinger.server.offline.simulate import simulate_devices
@@ -285,16 +285,16 @@ def test_selection_of_a_puck(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     whole = spacemouse.discovery.iter_hidraw_nodes
     monkeypatch.setattr(spacemouse.discovery, "iter_hidraw_nodes", lambda: whole(tmp_path))
     with pytest.raises(DeviceNotFound, match=r"no SpaceMouse is attached: .*Thing \(16c0:0486\) at /dev/hidraw0"):
-        find(Options())
+        find_puck(Options())
     attach(tmp_path, "hidraw3", nodes)
-    assert find(Options()).node == "/dev/hidraw3"
+    assert find_puck(Options()).node == "/dev/hidraw3"
     attach(tmp_path, "hidraw4", nodes)
     with pytest.raises(DeviceNotFound, match=r"2 SpaceMice are attached: select one .*hidraw3 \(serial 'hidraw3'\)"):
-        find(Options())
-    assert find(Options(serial="hidraw4")).product == 0xC63A
-    assert find(Options(path="/dev/hidraw3")).vendor == 0x046D
+        find_puck(Options())
+    assert find_puck(Options(serial="hidraw4")).product == 0xC63A
+    assert find_puck(Options(path="/dev/hidraw3")).vendor == 0x046D
     with pytest.raises(DeviceNotFound, match="no SpaceMouse with serial = 'SN1'"):
-        find(Options(serial="SN1"))
+        find_puck(Options(serial="SN1"))
 
 
 def attach(root: Path, name: str, nodes: dict[str, str]) -> None:

@@ -175,11 +175,11 @@ def targets() -> dict[str, Target]:
     from softfinger.server.recording.results import read_results
     from softfinger.server.recording.run import load_run
     from softfinger.server.recording.summary import summarize
-    from softfinger.server.recording.tables import make_layout, read_table
+    from softfinger.server.recording.tables import make_table_format, read_table
     from softfinger.server.wire.envelope import DeclinedRequest, parse
 
     config, recording = (ConfigError,), (RecordingError,)
-    layout = make_layout("t,x,y,z,qw,qx,qy,qz", 1e-3, 1e-3, None, 0)
+    layout = make_table_format("t,x,y,z,qw,qx,qy,qz", 1e-3, 1e-3, None, 0)
 
     def every(path: Path, _: bytes) -> None:
         refusal = None

@@ -23,7 +23,7 @@ from emulators.woodenhaptics import Woody
 from helpers.rig_files import rig_options
 from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
-from softfinger.drivers.hid.link import link_by_threads
+from softfinger.drivers.hid.link import make_thread_link
 from softfinger.server import driver_contract
 
 RIGS = {
@@ -168,7 +168,7 @@ def opened(options: Options, fd: int, through: str = "node") -> HidDevice:
     """Return the driver on a packet socket: as a node, or through threads with hidapi's calls."""
     if through == "node":
         return HidDevice(options, fd)
-    link = link_by_threads(Api(fd), options)
+    link = make_thread_link(Api(fd), options)
     return HidDevice(options, link.fd, link.threads)
 
 

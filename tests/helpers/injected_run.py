@@ -11,7 +11,7 @@ from softfinger.config.errors import HapticError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.drivers.base import Device
-from softfinger.drivers.injected import FaultInjector
+from softfinger.drivers.fault_injector import FaultInjector
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
@@ -81,7 +81,7 @@ def run(
         recorder.stop(WAIT_S)
     error = failures[0] if failures else ended.error
     error = error or shutdown.describe_failure(injected, ended)
-    error = error or shutdown.loop_failure(ended, servo.ticks, servo.missed, servo.woken_late)
+    error = error or shutdown.describe_loop_failure(ended, servo.ticks, servo.missed, servo.woken_late)
     count, epoch_s = servo.ticks, servo.epoch_s
     servo.close()
     events, recorded = read(path)

@@ -17,6 +17,6 @@ def collect_shares(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[float]]:
     def collect(stage: str, total: int, detail: Callable[[], str]) -> Iterator[Callable[[float], None]]:
         yield lambda count: shares[stage].append(count / total)
 
-    monkeypatch.setattr(progress, "_format_lines", collect)
+    monkeypatch.setattr(progress, "_show_lines", collect)
     monkeypatch.setattr(progress, "on_terminal", lambda: False)
     return shares

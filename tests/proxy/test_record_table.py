@@ -72,8 +72,8 @@ from softfinger.drivers.poses import decode_messages
 from softfinger.proxy.record import AT, FIELDS, NAMED, RECORD_SIZE, list_columns
 from softfinger.server.cli import main
 from softfinger.server.recording.results import read_results, write_blocks
-from softfinger.server.socket_process.messages import Messages
-from softfinger.server.socket_process.setup import StateInfo, TickParameters
+from softfinger.server.socket_process.tick_messages import TickEncoder
+from softfinger.server.socket_process.channel_messages import StateInfo, TickParameters
 from softfinger.server.wire.client import record_of
 from softfinger.server.wire.protocol import CONTACT, decode
 
@@ -82,7 +82,7 @@ records = np.zeros((3, RECORD_SIZE))
 records[:, AT.fault_level :] = (0.25, -0.5)
 
 ticks = TickParameters(1, 1, [CONTACT], "state", 200.0)
-_, body = next(Messages(ticks, StateInfo()).encode_row(tuple(records[0].tolist())))
+_, body = next(TickEncoder(ticks, StateInfo()).encode_row(tuple(records[0].tolist())))
 assert decode(CONTACT.encode(), body).fault.level == (0.25, -0.5)
 
 for ending in ("csv", "npz", "mcap"):

@@ -14,7 +14,7 @@ from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Faults
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
-from softfinger.server.loop.limits import SLOW_TIME_S
+from softfinger.server.loop.hand_limits import SLOW_TIME_S
 from softfinger.server.recording.reader import Event, read_contents
 from softfinger.server.services.records import Sink
 from softfinger.server.states import NOT_ARMED_REASON, TOO_FAST_REASON

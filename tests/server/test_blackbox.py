@@ -101,6 +101,7 @@ def test_the_folder_is_bounded(tmp_path: Path) -> None:
         (place / f"{number:02d}.mcap").write_bytes(b"x")
         os.utime(place / f"{number:02d}.mcap", (number, number))
     (place / "notes.txt").write_text("mine")
+    (place / "link.mcap").symlink_to(tmp_path / "gone.mcap")
     prepare_folder(place)
     assert [path.name for path in list_files(place)] == [f"{n:02d}.mcap" for n in range(4, FILES_MAX + 3)]
     with (place / "20.mcap").open("wb") as file:

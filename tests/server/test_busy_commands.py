@@ -28,14 +28,14 @@ from softfinger.config.errors import CommandRefused
 from softfinger.config.load import describe, load_rig
 from softfinger.proxy import progress as preparation
 from softfinger.proxy.record import AT
-from softfinger.server.services import compilation
+from softfinger.server.services import scene_changes
 from softfinger.server.services.command_handlers import CommandHandlers
-from softfinger.server.services.commands import CommandService
-from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES
-from softfinger.server.socket_process.clients import BURST
+from softfinger.server.services.command_service import CommandService
+from softfinger.server.socket_process.command_clients import BURST
+from softfinger.server.socket_process.force_off import SHORT_REQUEST_BYTES
 from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.states import COMMANDED_REASON, NO_HEARTBEAT_REASON
-from softfinger.server.wire import link
+from softfinger.server.wire import process_link
 from softfinger.server.wire.client_requests import NoAnswer
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.envelope import Request
@@ -53,10 +53,10 @@ def slow_compiler(monkeypatch, tmp_path):
         "import os, sys, time\nsys.stdin.readline()\nprint('compiling kernel 3', flush=True)\n"
         f"open(r'{tmp_path}/' + str(os.getpid()), 'w').close()\ntime.sleep(1000)\n"
     )
-    popen, module = subprocess.Popen, link.MODULE
+    popen, module = subprocess.Popen, process_link.MODULE
     started = lambda words, **rest: popen(words if module in words else [*words[:1], program], **rest)  # noqa: E731
-    monkeypatch.setattr(compilation.subprocess, "Popen", started)
-    monkeypatch.setattr(compilation.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(scene_changes.subprocess, "Popen", started)
+    monkeypatch.setattr(scene_changes.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
     return lambda: [int(path.name) for path in tmp_path.glob("[0-9]*")]
 
 
@@ -129,16 +129,16 @@ def test_endless_scene_requests_do_not_block_other_clients(rig, slow_compiler):
 
 def test_a_failed_compilation_is_reported(rig, monkeypatch):
     popen, failing = subprocess.Popen, [sys.executable, "-c", "raise SystemExit('no room')"]
-    monkeypatch.setattr(compilation.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
+    monkeypatch.setattr(scene_changes.ServoThread, "has_compiled", staticmethod(lambda tuning: False))
     with running(rig()) as (_, control, recorder):
-        monkeypatch.setattr(compilation.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
+        monkeypatch.setattr(scene_changes.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
         with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):
             control.set_scene("sphere")
         assert control.get_state().active_field == "pressed" and recorder.force_n > 1.9
 
 
 def test_the_compiler_exits_when_its_input_is_closed():
-    words = [sys.executable, "-P", "-m", "softfinger.server.services.compilation"]
+    words = [sys.executable, "-P", "-m", "softfinger.server.services.scene_changes"]
     scene = json.dumps(describe(pressed_scene())) + "\n"
     completed = run_program(words, input=scene)
     assert completed.returncode == 1 and "Traceback" not in completed.stderr
@@ -309,8 +309,8 @@ def test_an_invalid_request_does_not_count_as_a_heartbeat():
     for body in (b"\xc1", None, pack("no_such_method"), pack("heartbeat")):
         reasons: set[str] = set()
         commands = make_service(  # no request received so far
-            disarm=reasons.add, arm=reasons.discard, is_inhibited_by=reasons.__contains__, end_at=lambda time_ns: None,
-            is_requested=True,
+            disarm=reasons.add, arm=reasons.discard, is_inhibited_by=reasons.__contains__, is_requested=True,
+            set_deadline=lambda time_ns: None,
         )  # fmt: skip
         assert commands._receive(b"client", body) is not None
         commands._check_heartbeat()
@@ -333,7 +333,7 @@ def test_a_stop_whose_event_cannot_be_published_ends_the_run():
 
 def test_a_queued_request_counts_as_a_sign_of_life_from_its_arrival():
     deadlines_ns: list[int] = []
-    commands = make_service(is_inhibited_by=lambda why: False, end_at=deadlines_ns.append)
+    commands = make_service(is_inhibited_by=lambda why: False, set_deadline=deadlines_ns.append)
     commands._note_alive(time.monotonic())
     assert commands._receive(b"client", pack("mark", label="x", data={"a": "x" * SHORT_REQUEST_BYTES})) is None
     arrived_s = time.monotonic()

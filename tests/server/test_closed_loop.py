@@ -24,7 +24,7 @@ from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.servo_thread import FINISHED, ServoThread
-from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tick import Tuning, make_start_memory
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import FIGURES, close_many, run_closed_loop
 
@@ -112,7 +112,7 @@ def compute_figures(
     figures = np.zeros((len(tunings.values), len(FIGURES)))
     drive = simulation.PlantInputs(ALOFT, pose, np.zeros(simulation.DELAY_LINE_SIZE))
     tables = (PackedTree(plant, flatten(plant)[None]), PackedTree(state, flatten(state)[None]))
-    close_many(tunings, begin(tunings.like.scene), *tables, drive, ticks, bound, figures)
+    close_many(tunings, make_start_memory(tunings.like.scene), *tables, drive, ticks, bound, figures)
     return figures
 
 

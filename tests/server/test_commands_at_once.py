@@ -27,10 +27,10 @@ from softfinger.server import signals
 from softfinger.server.app import Daemon
 from softfinger.server.loop.force_switch import UNREACHABLE_MAX_NS, count_unreachable, is_on, make_switch
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
-from softfinger.server.services import commands
-from softfinger.server.services.commands import URGENT_METHODS, WAITING_MAX
-from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES, Brake, takes_force_off
-from softfinger.server.socket_process.clients import BURST
+from softfinger.server.services import command_service
+from softfinger.server.services.command_service import URGENT_METHODS, WAITING_MAX
+from softfinger.server.socket_process.command_clients import BURST
+from softfinger.server.socket_process.force_off import SHORT_REQUEST_BYTES, ForceOffCounter, takes_force_off
 from softfinger.server.states import DaemonState
 from softfinger.server.wire import publisher
 from softfinger.server.wire.commands import METHODS
@@ -302,7 +302,7 @@ def test_the_force_returns_when_a_process_of_commands_continues(monkeypatch, tmp
 
 @pytest.mark.real_time
 def test_no_tick_before_commands_can_be_received(monkeypatch, tmp_path):
-    monkeypatch.setattr(commands, "START_S", 0.1)
+    monkeypatch.setattr(command_service, "START_S", 0.1)
     with make_daemon(monkeypatch, tmp_path) as daemon:
         os.kill(daemon.publisher.pids["commands"], signal.SIGSTOP)
         daemon.publisher._switch.require_process()  # it may have started
@@ -332,7 +332,7 @@ def test_the_force_is_off_while_no_request_is_read(period: int, ticks: int) -> N
 def test_a_process_that_exits_leaves_a_disarm():
     """Requests to turn the force off that it did not pass on are not counted separately: the counts become equal."""
     switch = SharedSwitch()
-    Brake(os.dup(switch.file)).count(2)
+    ForceOffCounter(os.dup(switch.file)).count(2)
     assert (switch.words[STOPS_RECEIVED], switch.words[STOPS_HANDLED]) == (2, 0)
     (request,) = switch.replace_process()
     assert parse(request).method == "disarm"

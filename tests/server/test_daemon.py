@@ -280,7 +280,7 @@ def test_a_real_time_hog_does_not_delay_the_supervisor(faulty):
 @pytest.mark.parametrize(("failing", "error"), [("publisher", "telemetry"), ("relay", "ticks cannot be received")])
 def test_a_failing_publisher_or_relay_stops_the_servo(failing, error, faulty, monkeypatch):
     if failing == "relay":
-        monkeypatch.setattr(Rings, "feeds", lambda self: iter([None]))  # no source of records
+        monkeypatch.setattr(Rings, "iter_feeds", lambda self: iter([None]))  # no source of records
     with Daemon(make_faulty_rig(), load_scene("paper-plane")) as running:
         running.start()
         if failing == "publisher":

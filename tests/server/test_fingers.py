@@ -23,9 +23,9 @@ from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, list_columns
 from softfinger.server.loop import servo_thread as s
 from softfinger.server.loop import shutdown
+from softfinger.server.loop.fault_detection import JUMPING, NO_FORCE_MAX_S, NO_POSE
 from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, POSE_REFUSED
-from softfinger.server.loop.health import JUMPING, NO_FORCE_MAX_S, NO_POSE
-from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tick import make_start_memory
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import run_ticks, simulate
 from softfinger.server.recording.results import read_results
@@ -216,7 +216,7 @@ def test_motion_during_refused_poses_causes_no_force_peak() -> None:
     back = round(0.5 / hertz / period) - 1  # the first tick is one period after the start
     poses = np.tile([0.0, y, 0.009, 1.0, 0.0, 0.0, 0.0], (back + 1, 1))
     poses[back - 20 : back, 0] = np.nan
-    start = begin(tuning.scene)
+    start = make_start_memory(tuning.scene)
     records = np.zeros((len(poses), 1, RECORD_SIZE))
     dts = np.full(len(poses), period)
     run_ticks(packed(tuning), packed(start), poses[:, None], dts, period, 0, records)

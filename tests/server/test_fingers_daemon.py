@@ -164,7 +164,7 @@ def make_records(count: int, first: int = 0) -> np.ndarray:
 
 def test_clients_separate_the_fingers() -> None:
     with Publisher("tcp://127.0.0.1:*", fingers=NAMES, guard_names=("clamped",)) as publisher:
-        board = monitor.Board(publisher.endpoint)
+        board = monitor.Dashboard(publisher.endpoint)
         with (
             subscribe(publisher.endpoint, ("finger/", "event", "health"), timeout_s=WAIT_S) as samples,
             Window(publisher.endpoint, 100, "index") as window,

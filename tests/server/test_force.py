@@ -28,7 +28,7 @@ NONE_IGNORED = np.zeros(2, np.int64)
 class Loop:
     def __init__(self, unarmed: bool = False) -> None:
         self.ticks, self.switch = 0, make_switch()
-        self.force = Force(unarmed, machine.States(), self.switch, lambda: self.ticks)
+        self.force = Force(unarmed, machine.StateMachine(), self.switch, lambda: self.ticks)
 
 
 @given(TICKS)
@@ -137,7 +137,7 @@ EXPECTED = {
 def make_states(state):
     """Return states at `state` and the list of their later notifications."""
     changes = []
-    states = machine.States(lambda *change: changes.append(change))
+    states = machine.StateMachine(lambda *change: changes.append(change))
     for trigger in WAYS[state]:
         assert states.fire(trigger, "on the way")
     assert states.now is state
@@ -166,7 +166,7 @@ def test_the_table_is_complete():
         (DaemonState.READY, set(), ["armed"]),
         (DaemonState.READY, {NOT_ARMED_REASON}, []),
         (DaemonState.READY, {machine.NO_HEARTBEAT_REASON}, ["faulted"]),
-        (DaemonState.READY, {machine.UNREACHABLE}, ["faulted"]),
+        (DaemonState.READY, {machine.UNREACHABLE_REASON}, ["faulted"]),
         (DaemonState.ARMED, set(), []),
         (DaemonState.ARMED, {COMMANDED_REASON}, ["ready"]),
         (DaemonState.ARMED, {TOO_FAST_REASON, COMMANDED_REASON}, ["faulted"]),
@@ -224,7 +224,7 @@ def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
 
 
 def process_batches(daemon: DaemonStub, *batches: np.ndarray) -> list[Any]:
-    arming = Arming(daemon, machine.States())
+    arming = Arming(daemon, machine.StateMachine())
     for records in batches:
         arming.take(records, 0)
     return [act for act in daemon.acts if act != "update_state"]

@@ -28,7 +28,7 @@ from softfinger.server.app import Daemon
 from softfinger.server.gateway.forward import CLIENTS_MAX, Commanders
 from softfinger.server.keys import ClientKeys, client_keys, make_pair
 from softfinger.server.socket_process.peer_socket import SocketContext
-from softfinger.server.socket_process.readers import SUBSCRIPTIONS_PER_S
+from softfinger.server.socket_process.subscribers import SUBSCRIPTIONS_PER_S
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.endpoint import listen
 from softfinger.server.wire.publisher import Publisher

@@ -17,12 +17,12 @@ from softfinger.drivers.base import DeviceInfo
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.model import State
+from softfinger.server.loop import fault_detection as h
 from softfinger.server.loop import guard as g
-from softfinger.server.loop import health as h
 from softfinger.server.loop.guard import NOT_FINITE, POSE_JUMPED, POSE_REFUSED, RAMPING, Guard
-from softfinger.server.loop.limits import SLOW_TIME_S, UNLIMITED, Limits, Workspace
-from softfinger.server.loop.tick import begin
-from softfinger.server.loop.tuning import guard_limits, make_tuning
+from softfinger.server.loop.hand_limits import SLOW_TIME_S, UNLIMITED, Limits, Workspace
+from softfinger.server.loop.tick import make_start_memory
+from softfinger.server.loop.tuning import make_guard, make_tuning
 from softfinger.tools.pages.hazards import compute_stall_range_s, compute_starvation_time_s
 
 DT = 0.001
@@ -164,32 +164,32 @@ RIG_LIMITS = Guard(7.0, 0.2, 1234.0, 56.0, 0.25, 1.0, 4.0, 30.0, 2.0, limits=HAN
 
 
 def test_every_limit_of_the_rig_reaches_the_guard():
-    assert guard_limits(RIG, STRONG) == RIG_LIMITS
+    assert make_guard(RIG, STRONG) == RIG_LIMITS
     box = schema.Guard(continuous_force_n=3.0, workspace=schema.Workspace(size_m=(0.1, 0.08, 0.06)))
     wall = Workspace((0.0, 0.0, 0.0), (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
-    assert guard_limits(box, STRONG).limits == Limits(2.0, SLOW_TIME_S, 3.0, 30.0, 0.2, wall)
-    assert guard_limits(schema.Guard(arm="button"), STRONG).limits.slow_s == math.inf
+    assert make_guard(box, STRONG).limits == Limits(2.0, SLOW_TIME_S, 3.0, 30.0, 0.2, wall)
+    assert make_guard(schema.Guard(arm="button"), STRONG).limits.slow_s == math.inf
 
 
 def test_poses_are_checked_only_with_a_force_in_a_hand():
     believing = RIG_LIMITS._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0, limits=UNLIMITED)
     recorded, puck = dataclasses.replace(STRONG, own_clock=True), dataclasses.replace(STRONG, actuated_dof=0)
-    assert guard_limits(RIG) == guard_limits(RIG, recorded) == believing
-    assert guard_limits(RIG, puck)._replace(displays_torque=1.0) == believing
+    assert make_guard(RIG) == make_guard(RIG, recorded) == believing
+    assert make_guard(RIG, puck)._replace(displays_torque=1.0) == believing
 
 
 @pytest.mark.parametrize(("field", "limit"), [("force_max_n", "force_max"), ("torque_max_nm", "torque_max")])
 def test_limits_are_lowered_to_those_of_the_device(field, limit, caplog):
     weak = dataclasses.replace(STRONG, **{field: 0.1})
-    assert guard_limits(RIG, weak) == RIG_LIMITS._replace(**{limit: 0.1})
-    assert make_tuning(load_scene("paper-plane"), RIG, [weak]).guards == (guard_limits(RIG, weak),)
+    assert make_guard(RIG, weak) == RIG_LIMITS._replace(**{limit: 0.1})
+    assert make_tuning(load_scene("paper-plane"), RIG, [weak]).guards == (make_guard(RIG, weak),)
     assert f"guard.{field}" in caplog.text and "0.1" in caplog.text
 
 
 def test_devices_without_torque_are_known():
     for driven, turns in ((3, 0.0), (6, 1.0)):
-        assert guard_limits(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).displays_torque == turns
-    assert guard_limits(RIG).displays_torque == 1.0
+        assert make_guard(RIG, dataclasses.replace(STRONG, actuated_dof=driven)).displays_torque == turns
+    assert make_guard(RIG).displays_torque == 1.0
 
 
 @pytest.mark.parametrize(("exponent", "stiffness"), [(1.0, 1000.0), (1.5, 1.5 * 12.0 ** (1 / 3) * 1000.0)])
@@ -221,7 +221,7 @@ def test_a_geom_without_contacts_gives_a_warning(tmp_path: Path, caplog: pytest.
 @pytest.mark.parametrize("name", ["paper-plane", "ball-in-a-bowl"])
 def test_loop_and_engine_share_the_kernels_of_the_contact(name):
     engine, tuning = Engine(name), make_tuning(load_scene(name), RIG)
-    memory = begin(tuning.scene)
+    memory = make_start_memory(tuning.scene)
     start = State(memory.world, tuple(finger.contact for finger in memory.fingers))
     assert numba.typeof((tuning.scene, start)) == numba.typeof((engine.scene, engine._begin))
 
@@ -231,10 +231,10 @@ T = 0.001
 
 @entry
 def examine_tick(health, bits, late, dt, period):
-    return h.examine(health, bits, late, dt, period)
+    return h.detect_fault(health, bits, late, dt, period)
 
 
-def examine_ticks(ticks, health=h.HEALTHY):
+def examine_ticks(ticks, health=h.NO_FAULT_TIMES):
     """Return the health after ticks of (bits, late, dt), the first fault, and the ticks and time until then."""
     elapsed = 0.0
     for number, (bits, late, dt) in enumerate(ticks):
@@ -282,7 +282,7 @@ def test_gaps_of_every_length_end_the_run_within_the_fault_model():
 def test_short_stalls_and_one_long_sleep_are_no_fault():
     assert examine_ticks(([(0, 0.02, 0.021)] + [GOOD] * 180) * 300)[1] == 0
     health, fault, _, _ = examine_ticks([(0, 3600.0, 3600.0)] + [GOOD] * 1000)
-    assert (fault, health) == (0, h.HEALTHY)
+    assert (fault, health) == (0, h.NO_FAULT_TIMES)
 
 
 @pytest.mark.parametrize(("late", "woken"), [(0.24, True), (0.0, False)])

@@ -15,10 +15,16 @@ from helpers.far_ends import FAR_ENDS, RATE_HZ, TIMELESS, FarEnd
 from helpers.injected_run import FROZEN_S, RAMP_S, Seen, run
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
-from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
+from softfinger.config.load import build, load_rig
+from softfinger.config.schema import Faults
+from softfinger.config.schema.pairing import find_single_device
+from softfinger.drivers.base import IGNORED_WRENCH_MAX_S, LOST
+from softfinger.drivers.fault_injector import FaultInjector
 from softfinger.drivers.haply.options import Options as HaplyOptions
+from softfinger.drivers.registry import open_device
 from softfinger.proxy.record import AT
-from softfinger.server.loop.health import NO_FORCE_MAX_S, STALL_MAX_S
+from softfinger.server.driver_contract import DeviceCaller
+from softfinger.server.loop.fault_detection import NO_FORCE_MAX_S, STALL_MAX_S
 from softfinger.tools.pages.hazards import ABANDON_S, SILENCE_S, find_default
 
 pytestmark = pytest.mark.real_time
@@ -287,3 +293,14 @@ def test_a_silent_device_gets_zero_and_then_counts_as_lost(name, tmp_path, recor
             "handover": far.handover,
         },
     )  # fmt: skip
+
+
+def test_a_failure_outweighs_other_faults_of_its_tick() -> None:
+    """The order of the faults in the file does not matter."""
+    kinds = ("disconnect", "stale", "withheld", "held")
+    for order in (kinds, kinds[::-1]):
+        faults = build(Faults, {"fault": [{"kind": kind, "at_tick": 0} for kind in order]}, "faults")
+        with FaultInjector(open_device(find_single_device(load_rig("replay")), RATE_HZ), faults, RATE_HZ) as device:
+            servo = DeviceCaller(device)
+            assert servo.read()[0] == LOST
+            assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == LOST

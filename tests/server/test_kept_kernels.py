@@ -22,8 +22,8 @@ MAY_CALL = {"clock_gettime", "clock_nanosleep", "eventfd_write", "atan2", "sqrt"
 
 COMPILER = """
 from softfinger.server.loop.servo import run_servo_loop
-from softfinger.server.services import compilation
-compilation.main()
+from softfinger.server.services import scene_changes
+scene_changes.main()
 print(*run_servo_loop.inspect_llvm().values())
 """
 """Process in which a daemon compiles another scene; prints the IR at the end."""
@@ -96,7 +96,7 @@ def test_compiler_and_warmup_cache_all_kernels(fresh_loop: tuple[str, Path, str]
     assert loops.items() <= after.items()
     have, added = ({name.rpartition("-")[0] for name in names} for names in (before, after.keys() - before.keys()))
     assert {"step_many", "run_ticks"} <= added
-    assert added & have <= {"silence"}  # each driver has one
+    assert added & have <= {"disarm_and_zero"}  # each driver has one
     old_version, foreign = cache / "0123456789abcdef", cache / "notes"
     old_version.mkdir()
     foreign.mkdir()

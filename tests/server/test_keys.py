@@ -310,7 +310,7 @@ def test_another_user_cannot_connect_to_the_socket(folder: Path) -> None:
         path.chmod(0o755)
     codes = []
     for own in (True, False):
-        bound = listen(f"ipc://{folder}/who.commands", KEY, own=own)
+        bound = listen(f"ipc://{folder}/who.commands", KEY, private=own)
         with bound.files:
             socket = bound.endpoint.removeprefix("ipc://")
             if not own:  # counter-check: the same attempt with access
@@ -323,16 +323,16 @@ def test_a_socket_of_a_killed_daemon_is_replaced(folder: Path) -> None:
     endpoint = make_commands_address(TELEMETRY)
     killed = (
         "import os, sys; from softfinger.server.wire.endpoint import listen; "
-        "bound = listen(sys.argv[1], 'commands', own=True); os._exit(0)"
+        "bound = listen(sys.argv[1], 'commands', private=True); os._exit(0)"
     )
     subprocess.run([sys.executable, "-c", killed, endpoint], check=True)
     path = Path(endpoint.removeprefix("ipc://"))
     abandoned = path.stat().st_ino, path.stat().st_ctime_ns
-    with listen(endpoint, KEY, own=True).files:
+    with listen(endpoint, KEY, private=True).files:
         living = path.stat().st_ino, path.stat().st_ctime_ns
         assert living != abandoned
         with pytest.raises(AddressInUse, match="is in use: stop process "):
-            listen(endpoint, KEY, own=True)
+            listen(endpoint, KEY, private=True)
         assert (path.stat().st_ino, path.stat().st_ctime_ns) == living
     assert not path.exists()
 
@@ -359,7 +359,7 @@ def test_a_folder_of_another_user_is_refused(folder: Path, kind: str, message: s
     if kind == "foreign":
         os.chown(folder, NOBODY, NOBODY)
     with pytest.raises(ConfigError, match=message):
-        listen(make_commands_address(TELEMETRY), KEY, own=True)
+        listen(make_commands_address(TELEMETRY), KEY, private=True)
     with pytest.raises(ConfigError, match=message):
         Control(make_commands_address(TELEMETRY))
 
@@ -367,4 +367,4 @@ def test_a_folder_of_another_user_is_refused(folder: Path, kind: str, message: s
 def test_a_missing_runtime_folder_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "gone"))
     with pytest.raises(ConfigError, match="cannot be created for the socket of commands: No such file"):
-        listen(make_commands_address(TELEMETRY), KEY, own=True)
+        listen(make_commands_address(TELEMETRY), KEY, private=True)

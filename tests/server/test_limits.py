@@ -23,12 +23,12 @@ from softfinger.drivers.simulated.plant import make_rest_state as resting
 from softfinger.proxy.kernels.model import Pose, Vec3
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
 from softfinger.server.loop import guard as g
-from softfinger.server.loop import limits as lim
+from softfinger.server.loop import hand_limits as lim
 from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
 from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, limit_wrench
 from softfinger.server.loop.passivity import HandMotion
-from softfinger.server.loop.poses import check_pose, make_pose_memory
-from softfinger.server.loop.tick import POSITION_MAX_M, begin, continue_memory, has_pose
+from softfinger.server.loop.plausibility import check_pose, make_pose_memory
+from softfinger.server.loop.tick import POSITION_MAX_M, continue_memory, has_pose, make_start_memory
 from softfinger.server.loop.tuning import make_tuning, with_offsets
 from softfinger.server.offline.closed_loop import run_closed_loop
 from softfinger.server.offline.simulate import simulate
@@ -384,7 +384,7 @@ def test_a_scene_that_is_replaced_does_not_cool_the_motors():
     row = np.zeros(2 * RECORD_SIZE)
     second = row[RECORD_SIZE:]
     second[AT.limits_heat], second[AT.limits_energy], second[AT.servo_guard] = 0.9, 0.2, g.TOO_FAST | g.RAMPING
-    first_state, second_state = continue_memory(begin(tuning.scene), tuning.guards, row).fingers
+    first_state, second_state = continue_memory(make_start_memory(tuning.scene), tuning.guards, row).fingers
     assert first_state.limit_state == lim.INITIAL_LIMITS
     assert second_state.limit_state == lim.LimitState(NONE, lim.SLOW_TIME_S, 0.9, 0.0, 0.2, 0.0)
 

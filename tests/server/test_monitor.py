@@ -139,7 +139,7 @@ def test_terminal_shows_the_dashboard(endpoint):
 
 
 def test_escape_sequences_are_shown_as_text():
-    board = monitor.Board("tcp://[::1]:5555")
+    board = monitor.Dashboard("tcp://[::1]:5555")
     sample = monitor.Sample("event", {"schema": 1, "timestamp": 0.0, "tick": 1, "kind": "\x1b[2J", "name": "x"})
     board.update(sample)
     assert "\x1b" not in monitor.format_line(board) and r"\x1b[2J" in monitor.format_line(board)
@@ -155,7 +155,7 @@ def make_board(*records, preparing=""):
         publisher.set_preparing(preparing)
         for some in records:
             publisher.publish(some)
-        board = monitor.Board("tcp://127.0.0.1:5555")
+        board = monitor.Dashboard("tcp://127.0.0.1:5555")
         while (sample := samples.receive(0.3)) is not None:
             board.update(sample)
     return board

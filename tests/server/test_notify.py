@@ -23,9 +23,9 @@ from softfinger.config.errors import SafetyStop
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server import app
-from softfinger.server.services import watches
-from softfinger.server.services.notify import ServiceNotifier, _read_watchdog_s
-from softfinger.server.services.watches import Hotplug, HotplugWatch
+from softfinger.server.services import monitoring
+from softfinger.server.services.monitoring import HotplugDetector, HotplugMonitor
+from softfinger.server.services.systemd import ServiceNotifier, _read_watchdog_s
 from softfinger.server.wire.client import subscribe
 
 pytestmark = pytest.mark.real_time
@@ -122,7 +122,8 @@ def test_a_device_that_hangs_stops_the_watchdog_messages(manager: Manager, monke
 def test_a_watchdog_for_another_process_is_ignored() -> None:
     assert _read_watchdog_s({"WATCHDOG_USEC": "2000000"}) == 2.0
     assert _read_watchdog_s({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}) == 2.0
-    for environment in ({}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}):
+    other = {"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}
+    for environment in ({}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "-1"}, other):
         assert _read_watchdog_s(environment) == float("inf")
 
 
@@ -139,7 +140,7 @@ OMEGA = SystemDevice("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/
 
 def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
     plug_usb(root, "1-1", "1451", "0402")
-    hotplug_state = Hotplug(root)
+    hotplug_state = HotplugDetector(root)
     assert hotplug_state.present == [OMEGA] and hotplug_state.changes() == []
     name = plug_hid(root, 3, "0003:0000046D:0000C626")
     assert hotplug_state.changes() == [("attached", PUCK)] and hotplug_state.changes() == []
@@ -152,15 +153,15 @@ def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
     assert hotplug_state.changes() == [("detached", TEENSY)] and hotplug_state.changes() == []
     plug_serial(root, "ttyACM5", "16c0", "0483", "SN42", product="Haply inverse3")
     ((change, haply),) = hotplug_state.changes()
-    assert (change, watches.make_event_fields(haply)["driver"]) == ("attached", "haply")
-    assert watches.make_event_fields(TEENSY)["driver"] == "serial"
+    assert (change, monitoring.make_event_fields(haply)["driver"]) == ("attached", "haply")
+    assert monitoring.make_event_fields(TEENSY)["driver"] == "serial"
 
 
 @pytest.mark.parametrize("at_start", [False, True])
 def test_a_device_is_reported_when_its_ids_are_readable(at_start: bool, root: Path) -> None:  # noqa: F811
     if at_start:
         (root / discovery.USB / "1-1").mkdir()
-    usb = Hotplug(root)
+    usb = HotplugDetector(root)
     assert usb.present == []
     (root / discovery.USB / "1-1").mkdir(exist_ok=True)
     plug_usb(root, "1-2", "2109", "2813", bDeviceClass="09")
@@ -171,7 +172,7 @@ def test_a_device_is_reported_when_its_ids_are_readable(at_start: bool, root: Pa
 
 def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> None:  # noqa: F811
     plug_usb(root, "1-1", "1451", "0402")
-    usb = Hotplug(root)
+    usb = HotplugDetector(root)
     plug_hid(root, 3, "0003:0000046D:0000C626")
     events: list[tuple[str, Any]] = []
 
@@ -181,15 +182,15 @@ def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> No
         if len(events) == 2:
             watch.closing.set()
 
-    watch = HotplugWatch(usb, event)
+    watch = HotplugMonitor(usb, event)
     watch.work()
     assert events == [("present", OMEGA.name), ("attached", PUCK.name)]
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noqa: F811
-    monkeypatch.setattr(watches, "PERIOD_S", 0.02)
-    monkeypatch.setattr(app, "Hotplug", lambda: Hotplug(root))
+    monkeypatch.setattr(monitoring, "HOTPLUG_PERIOD_S", 0.02)
+    monkeypatch.setattr(app, "HotplugDetector", lambda: HotplugDetector(root))
     return root
 
 

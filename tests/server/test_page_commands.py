@@ -18,7 +18,7 @@ from softfinger.config.errors import CommandRefused
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.remote import Client
-from softfinger.server.services.commands import CommandService
+from softfinger.server.services.command_service import CommandService
 from softfinger.server.wire.client import Subscription
 from softfinger.server.wire.commands import MeshResult, Prompt, PromptScreen
 from softfinger.server.wire.control import AsyncControl, Control

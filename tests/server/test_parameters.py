@@ -54,7 +54,7 @@ class AbsentDevice(Device):
 @pytest.fixture
 def make_rendering(monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeRendering]:
     renderings: list[Rendering] = []
-    monkeypatch.setattr(rendering, "open_devices", lambda scene, rig: (AbsentDevice(),))
+    monkeypatch.setattr(rendering, "open_finger_devices", lambda scene, rig: (AbsentDevice(),))
 
     def make(scene: Scene) -> Rendering:
         renderings.append(Rendering(load_rig("replay"), scene, None, lambda: lambda: None))

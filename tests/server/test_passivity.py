@@ -20,7 +20,7 @@ from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE, ROLLING
 from softfinger.server.loop import passivity
 from softfinger.server.loop.guard import GuardState
 from softfinger.server.loop.passivity import NO_ENERGY, Energy, HandMotion, Passivity, keep_passive
-from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tick import Tuning, make_start_memory
 from softfinger.server.loop.tuning import DAMPING_MAX_NS_PER_M, make_tuning
 from softfinger.server.offline.simulate import run_ticks, simulate
 
@@ -273,7 +273,7 @@ def test_a_damped_press_dissipates_the_work_of_its_time_constant() -> None:
 def press_and_release(tunings: list[Tuning], depth: Any) -> Any:
     """Return the records (2, n) of a press under the first tuning and of the same path back under the second."""
     track = make_poses(*INSIDE, depth)[:, None]
-    records, memory = np.zeros((2, len(track), 1, RECORD_SIZE)), packed(begin(tunings[0].scene))
+    records, memory = np.zeros((2, len(track), 1, RECORD_SIZE)), packed(make_start_memory(tunings[0].scene))
     for stage, part, rows in zip(tunings, (track, track[::-1]), records, strict=True):
         dts = np.full(len(part), 1.0 / RATE_HZ)
         run_ticks(packed(stage), memory, np.ascontiguousarray(part), dts, 1.0 / RATE_HZ, 0, rows)

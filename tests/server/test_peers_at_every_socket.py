@@ -32,7 +32,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from softfinger.server.socket_process.peer_socket import SocketContext
-from softfinger.server.socket_process.readers import TOPICS_MAX, Readers
+from softfinger.server.socket_process.subscribers import TOPICS_MAX, Subscribers
 from softfinger.server.viewer.door.access import BROWSERS_MAX
 from softfinger.server.wire.client import Subscription
 from softfinger.server.wire.control import Control
@@ -311,16 +311,16 @@ def test_forwarded_commands_do_not_depend_on_telemetry(peers: Peers) -> None:
 
 
 @contextlib.contextmanager
-def reading() -> Iterator[tuple[Readers, list[bytes], Callable[[Callable[[], bool]], None], str]]:
+def reading() -> Iterator[tuple[Subscribers, list[bytes], Callable[[Callable[[], bool]], None], str]]:
     """Yield readers at a socket, the topics that they read, a function that runs them until a condition, the address"""
     topics_read, bound = list[bytes](), listen("tcp://127.0.0.1:*", "endpoint")
     with zmq.Context() as context, bound.files:
-        readers = Readers(SocketContext(context, None), bound, None, 1000, topics_read.append)
+        readers = Subscribers(SocketContext(context, None), bound, None, 1000, topics_read.append)
 
         def run_until(condition: Callable[[], bool]) -> None:
             end = time.monotonic() + CUT_S
             while not condition():
-                assert time.monotonic() < end, (readers.subscribers, topics_read)
+                assert time.monotonic() < end, (readers.connection_count, topics_read)
                 readers.take()
                 readers.peers.process_events()
 
@@ -349,9 +349,11 @@ def test_subscribers_are_the_connections_that_subscribe() -> None:
                 with_sync = sum(
                     subscriber is peer or any(topics.values()) for subscriber, topics in subscriptions.items()
                 )
-                assert readers.subscribers == with_sync
+                assert readers.connection_count == with_sync
                 peer.sendall(frame(b"\0" + sync))
-            run_until(lambda: readers.subscribers == sum(any(topics.values()) for topics in subscriptions.values()))
+            run_until(
+                lambda: readers.connection_count == sum(any(topics.values()) for topics in subscriptions.values())
+            )
         assert len(topics_read) > 60
 
 
@@ -360,6 +362,6 @@ def test_topics_of_one_peer_are_counted_up_to_a_bound() -> None:
         for number in range(2 * TOPICS_MAX):
             peer.sendall(frame(b"\1%d" % number))
         run_until(lambda: len(topics_read) >= 2 * TOPICS_MAX)
-        assert readers.subscribers == 1
+        assert readers.connection_count == 1
         (topics,) = readers._topics.values()
         assert len(topics) == TOPICS_MAX

@@ -39,7 +39,7 @@ from test_signals import END_S, FORCE_N, START_S, ZERO, pressing
 from websockets.exceptions import WebSocketException
 
 from softfinger.config.errors import RecordingError
-from softfinger.drivers.samples import RESUME_NS
+from softfinger.drivers.samples import PAUSE_MIN_NS
 from softfinger.proxy.record import AT
 from softfinger.server.loop.guard import RAMPING
 from softfinger.server.recording.reader import Event, TickBlock, read_contents
@@ -286,7 +286,7 @@ def find_unexplained_zeroes(board: Board, first: int) -> list[int]:
     """
     frames, resumed = [], first - SETTLE_FRAMES
     for frame in range(first + 1, len(board.sent)):
-        if board.sent_at[frame] - board.sent_at[frame - 1] > RESUME_NS * 1e-9:
+        if board.sent_at[frame] - board.sent_at[frame - 1] > PAUSE_MIN_NS * 1e-9:
             resumed = frame
         if board.sent[frame][2] <= 0 and frame - resumed >= SETTLE_FRAMES:
             frames.append(frame)

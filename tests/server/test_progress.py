@@ -25,7 +25,7 @@ from softfinger.server.experiment.experiment import Experiment
 from softfinger.server.progress import name_warmup
 from softfinger.server.recording.export import export
 from softfinger.server.recording.results import read_results
-from softfinger.server.recording.tables import make_layout, read_table
+from softfinger.server.recording.tables import make_table_format, read_table
 from softfinger.server.standard_error import write_line
 
 LOGGING = """
@@ -90,7 +90,7 @@ def test_long_waits_report_their_share(tmp_path: Path, monkeypatch: pytest.Monke
     ]
     shown = collect_shares(monkeypatch)
     export(records, tmp_path / "out.csv")
-    read_table(table, make_layout("t,x,y,z", 1.0, 1.0, None, 0))
+    read_table(table, make_table_format("t,x,y,z", 1.0, 1.0, None, 0))
     read_results(tmp_path / "out.csv")
     fit_groups(study.file, rows)
     for label in ("writing csv", "reading in.csv", "reading out.csv", "fitting"):

@@ -21,17 +21,17 @@ from softfinger.proxy.elastic.loads import ContactLoad
 from softfinger.proxy.record import CAUSE_NAMES
 from softfinger.server.loop.guard import GUARD_NAMES
 from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
-from softfinger.server.services.watches import make_event_fields
-from softfinger.server.socket_process.clients import BURST, BURST_S, WAITING_MAX
+from softfinger.server.services.monitoring import make_event_fields
+from softfinger.server.socket_process.channel_messages import REQUEST_MAX
+from softfinger.server.socket_process.command_clients import BURST, BURST_S, WAITING_MAX
 from softfinger.server.socket_process.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
 from softfinger.server.socket_process.process import QUIET_S
-from softfinger.server.socket_process.readers import SUBSCRIPTION_MAX
-from softfinger.server.socket_process.setup import REQUEST_MAX
+from softfinger.server.socket_process.subscribers import SUBSCRIPTION_MAX
 from softfinger.server.wire import commands, envelope, protocol
 from softfinger.server.wire.control import AsyncControl, Control
-from softfinger.server.wire.link import LOG_PERIOD_S
 from softfinger.server.wire.native import memory
 from softfinger.server.wire.native.relay import CAPACITY_TICKS, WAKE_INTERVAL_MS
+from softfinger.server.wire.process_link import LOG_PERIOD_S
 from softfinger.server.wire.publisher import BACKLOG, LINGER_S, Publisher
 
 DOCS = Path(__file__).parents[2] / "docs"

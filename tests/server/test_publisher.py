@@ -24,9 +24,9 @@ from softfinger.config.errors import SafetyStop
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.record import AT, PATCHES
 from softfinger.server.recording.summary import summarize
+from softfinger.server.socket_process.channel_messages import StateInfo
 from softfinger.server.socket_process.process import QUIET_S
-from softfinger.server.socket_process.setup import StateInfo
-from softfinger.server.wire import link
+from softfinger.server.wire import process_link
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.native.broadcast import Broadcast, make_read_position, read_rows, write_row
 from softfinger.server.wire.native.memory import Local
@@ -272,7 +272,7 @@ def test_a_killed_publisher_is_restarted(sockets, tmp_path):
 
 
 def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
-    monkeypatch.setattr(link, "MODULE", "softfinger.server.no_such_module")
+    monkeypatch.setattr(process_link, "MODULE", "softfinger.server.no_such_module")
     with make_daemon() as daemon:
         daemon.start()
         with pytest.raises(SafetyStop, match="telemetry cannot be published"):

@@ -11,7 +11,7 @@ from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import flatten, unflatten, unpack
 from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.scene import build_scene
-from softfinger.server.loop import ramp
+from softfinger.server.loop import parameter_ramp
 from softfinger.server.loop.tuning import make_tuning
 
 TICKS = 100
@@ -25,13 +25,13 @@ def make_scene(**changes):
 
 
 def start_ramp(tree, ticks=TICKS):
-    return ramp.make_ramp(tree, ticks)
+    return parameter_ramp.make_ramp(tree, ticks)
 
 
 def advance(ramp_state, tree, ticks):
     for _ in range(ticks):
         if ramp_state.ticks_left[0] > 0:
-            ramp.advance(ramp_state)
+            parameter_ramp.advance(ramp_state)
     return unflatten(tree, ramp_state.now)
 
 
@@ -40,7 +40,7 @@ def test_all_values_that_affect_the_force_are_ramped_together():
     old = build_scene(make_scene())
     new = build_scene(make_scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
     ramp_state = start_ramp(old)
-    ramp.set_target(ramp_state, flatten(new))
+    parameter_ramp.set_target(ramp_state, flatten(new))
     half = advance(ramp_state, old, TICKS // 2)
     np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
     assert half.objects.body.material.friction.kinetic < half.objects.body.material.friction.static
@@ -54,12 +54,12 @@ def test_positions_and_limits_change_immediately():
     old = make_tuning(make_scene(), guard)
     softer = old._replace(scene=build_scene(make_scene(stiffness_n_per_m=500.0)))
     ramp_state = start_ramp(old)
-    ramp.set_target(ramp_state, flatten(softer))
+    parameter_ramp.set_target(ramp_state, flatten(softer))
     assert advance(ramp_state, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
     table = softer.scene.objects.body
     lifted = softer.scene._replace(objects=model.Single(table._replace(shape=table.shape._replace(offset=0.001))))
     weak = softer._replace(guards=(old.guards[0]._replace(force_max=0.0),), scene=lifted)
-    ramp.set_target(ramp_state, flatten(weak))
+    parameter_ramp.set_target(ramp_state, flatten(weak))
     now = advance(ramp_state, old, 1)
     assert now.guards[0].force_max == 0.0 and now.scene.objects.body.shape.offset == 0.001
     assert now.scene.objects.body.material.normal.stiffness == pytest.approx(695.0, rel=1e-12)
@@ -71,8 +71,8 @@ def test_an_array_changes_immediately():
     """Laws of other packages refer to arrays by address, which cannot be interpolated."""
     old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
     ramp_state = start_ramp(old)
-    ramp.set_target(ramp_state, flatten(new))
-    ramp.advance(ramp_state)
+    parameter_ramp.set_target(ramp_state, flatten(new))
+    parameter_ramp.advance(ramp_state)
     assert ramp_state.now.tobytes() == flatten(new).tobytes()
 
 
@@ -84,7 +84,7 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
     ]
     old, new = (model.Object(None, None, None, material, 0.0) for material in ends)
     ramp_state = start_ramp(old)
-    ramp.set_target(ramp_state, flatten(new))
+    parameter_ramp.set_target(ramp_state, flatten(new))
     for _ in range(TICKS):
         law = advance(ramp_state, old, 1).material.normal
         assert law.coefficient * DEPTH_M**law.exponent == pytest.approx(1.0, rel=1e-12)  # one power per tick
@@ -106,11 +106,11 @@ def test_many_objects_are_ramped():
 
     old, new = tiles(1000.0), tiles(500.0)
     ramp_state = start_ramp(old)
-    ramp.set_now(ramp_state, ramp.flatten_tuning(old))
-    ramp.set_target(ramp_state, ramp.flatten_tuning(new))
+    parameter_ramp.set_now(ramp_state, parameter_ramp.flatten_tuning(old))
+    parameter_ramp.set_target(ramp_state, parameter_ramp.flatten_tuning(new))
     for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
         for _ in range(ticks):
-            ramp.advance(ramp_state)
+            parameter_ramp.advance(ramp_state)
         stiffness, friction = np.transpose([read_stiffness(old, ramp_state.now, float(k)) for k in range(9)])
         assert stiffness == pytest.approx([*[1000.0] * 3, expected, *[1000.0] * 5], rel=1e-12)  # fifty additions
         assert friction == pytest.approx(8e-4 * stiffness, rel=1e-12)
@@ -121,5 +121,5 @@ def test_many_objects_are_ramped():
 def test_a_ramp_without_ticks_is_immediate():
     old, new = (build_scene(make_scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
     ramp_state = start_ramp(old, 0)
-    ramp.set_target(ramp_state, flatten(new))
+    parameter_ramp.set_target(ramp_state, flatten(new))
     assert advance(ramp_state, old, 1) == new

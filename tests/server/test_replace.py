@@ -116,6 +116,20 @@ def test_a_new_rig_cannot_exceed_the_force_of_the_device():
     assert norms.max() == pytest.approx(most, rel=1e-12) and written.max() <= most * (1.0 + 1e-12)
 
 
+def test_a_new_rig_builds_the_scene_before_the_loop_ends(monkeypatch):
+    """While no loop runs, the supervisor counts a pause of 0.25 s as a stall, and a large mesh takes longer to read."""
+    make_tuning, built = rendering.make_tuning, []
+
+    def count_and_make(*arguments):
+        built.append(running.servo.shared.stop[0])
+        return make_tuning(*arguments)
+
+    with started(load_rig("replay", QUIET), load_scene("paper-plane")) as running:
+        monkeypatch.setattr(rendering, "make_tuning", count_and_make)
+        running.replace(rig=load_rig("replay", {**QUIET, "guard.force_max_n": 1.0}))
+        assert built == [0] and running.servo.tuning.guards[0].force_max == 1.0
+
+
 def test_a_stiff_scene_replaced_in_contact_ramps_like_any_other():
     rig, recorder = load_rig("replay", {**QUIET, "guard.ramp_s": 0.5}), RecordSink()
     stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 1e6})

@@ -15,11 +15,11 @@ from test_commands_at_once import make_daemon
 
 from softfinger.server.app import Daemon
 from softfinger.server.loop.switch_fields import STOPS_RECEIVED
-from softfinger.server.socket_process.clients import BUSY_MESSAGE, QUEUED_MAX
+from softfinger.server.socket_process.command_clients import BUSY_MESSAGE, QUEUED_MAX
 from softfinger.server.socket_process.process import UNANSWERED_MAX
 from softfinger.server.wire.client_requests import encode_request
 from softfinger.server.wire.control import Control
-from softfinger.server.wire.link import RequestHandlers
+from softfinger.server.wire.process_link import RequestHandlers
 
 pytestmark = pytest.mark.real_time
 

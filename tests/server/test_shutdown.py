@@ -17,7 +17,7 @@ from helpers.waits import WAIT_S
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, SafetyStop
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import FORCE_OFF, LOST, PROTOCOL, TIMEOUT, DeviceIO
-from softfinger.server.loop import health, shutdown
+from softfinger.server.loop import fault_detection, shutdown
 from softfinger.server.loop.shutdown import READ_FAILED, STOPPED, WRITE_FAILED, LoopEnd
 from softfinger.server.watcher import write_zero_force
 
@@ -211,8 +211,8 @@ SAID = "its driver said why"
 @pytest.mark.parametrize(
     ("ending", "status", "kind", "words"),
     [
-        (health.NO_POSE, 0, DeviceError, ["no usable pose for", "check its sensors"]),
-        (health.JUMPING, 0, DeviceError, ["jumps repeatedly", "guard.speed_max_m_per_s"]),
+        (fault_detection.NO_POSE, 0, DeviceError, ["no usable pose for", "check its sensors"]),
+        (fault_detection.JUMPING, 0, DeviceError, ["jumps repeatedly", "guard.speed_max_m_per_s"]),
         (READ_FAILED, FORCE_OFF, SafetyStop, ["disabled its force"]),
         (READ_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a read in time"]),
         (WRITE_FAILED, TIMEOUT, DeviceTimeout, ["no answer to a write in time"]),
@@ -229,16 +229,16 @@ def test_a_device_failure_is_reported_with_a_remedy(ending, status, kind, words)
     assert "finger" not in plain.replace("fingertip", "") and "()" not in plain
 
 
-@pytest.mark.parametrize("ending", [STOPPED, health.NO_FORCE, health.STARVED])
+@pytest.mark.parametrize("ending", [STOPPED, fault_detection.NO_FORCE, fault_detection.STARVED])
 def test_other_failures_are_not_errors_of_the_device(ending: int) -> None:
     assert shutdown.describe_failure(Motor(), LoopEnd(ending, 0)) is None
 
 
 def test_a_loop_failure_is_reported_with_a_remedy() -> None:
-    assert shutdown.loop_failure(LoopEnd(READ_FAILED, LOST), 10, 2, False) is None
-    scene = shutdown.loop_failure(LoopEnd(health.NO_FORCE, 0), 10, 2, False)
+    assert shutdown.describe_loop_failure(LoopEnd(READ_FAILED, LOST), 10, 2, False) is None
+    scene = shutdown.describe_loop_failure(LoopEnd(fault_detection.NO_FORCE, 0), 10, 2, False)
     assert isinstance(scene, SafetyStop) and "softfinger check" in str(scene)
-    device_slow = str(shutdown.loop_failure(LoopEnd(health.STARVED, 0), 10, 2, False))
+    device_slow = str(shutdown.describe_loop_failure(LoopEnd(fault_detection.STARVED, 0), 10, 2, False))
     assert "2 of 12 deadlines" in device_slow and "in the device's exchange" in device_slow
-    machine = str(shutdown.loop_failure(LoopEnd(health.STARVED, 0), 10, 2, True))
+    machine = str(shutdown.describe_loop_failure(LoopEnd(fault_detection.STARVED, 0), 10, 2, True))
     assert "before the servo thread was woken" in machine and "softfinger doctor" in machine

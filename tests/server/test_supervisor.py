@@ -26,18 +26,31 @@ from helpers.waits import ends_within, until
 from softfinger.config.errors import HapticError, RecordingError, SafetyStop
 from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
 from softfinger.server import watcher
-from softfinger.server.loop.health import STALL_MAX_S, STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND
+from softfinger.server.loop.fault_detection import STALL_MAX_S, STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND
 from softfinger.server.metrics.counts import MetricsCollector
 from softfinger.server.metrics.service import MetricsService
 from softfinger.server.recording.recorder import RecorderState
 from softfinger.server.services import recordings
 from softfinger.server.services import supervisor as supervising
-from softfinger.server.services.commands import CommandService
-from softfinger.server.services.scene_topics import WorldState
+from softfinger.server.services.command_service import CommandService
+from softfinger.server.services.monitoring import (
+    DEVICE_WARNING,
+    SWAPPED,
+    DeviceWarningMonitor,
+    HotplugMonitor,
+    SwapMonitor,
+)
+from softfinger.server.services.scene_topics import WorldPublisher
 from softfinger.server.services.supervisor import Supervisor
-from softfinger.server.services.watches import DEVICE_WARNING, SWAPPED, DeviceWarnings, HotplugWatch, SwapWatch
-from softfinger.server.socket_process import clients
-from softfinger.server.socket_process.setup import Figures
+from softfinger.server.socket_process.channel_messages import Figures
+from softfinger.server.socket_process.command_clients import (
+    BUSY_MESSAGE,
+    CLIENTS_MAX,
+    QUEUED_BYTES_MAX,
+    QUEUED_MAX,
+    RequestQueue,
+    encode_busy,
+)
 from softfinger.server.states import DaemonState
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.health import HealthSummary
@@ -256,7 +269,7 @@ def test_a_failed_service_is_reported_and_ends_nothing(name: str) -> None:
         bound = SimpleNamespace(endpoint="tcp://127.0.0.1:1", listener=broken, files=files)
         service = MetricsService(bound, counts, event)
     else:
-        service = HotplugWatch(broken, event) if name == "hotplug" else WorldState(broken, print, event)
+        service = HotplugMonitor(broken, event) if name == "hotplug" else WorldPublisher(broken, print, event)
     service.start()
     assert came.wait(WAIT_S)
     service.stop()
@@ -270,7 +283,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     class Failing:
         is_reachable = True
 
-        def end_at(self, time_ns: int) -> None: ...
+        def set_deadline(self, time_ns: int) -> None: ...
 
         def is_inhibited_by(self, why: str) -> bool:
             raise OSError("no memory")
@@ -339,7 +352,7 @@ def test_a_disk_that_does_not_answer_is_an_error_and_blocks_no_request(gone, mon
 
 def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     events, status = [], tmp_path / "status"
-    watch = SwapWatch(lambda kind, name, message: events.append((kind, name, message)), status)
+    watch = SwapMonitor(lambda kind, name, message: events.append((kind, name, message)), status)
     for kilobytes in (0, 40, 80, 0, 12):
         status.write_text(f"Name:\tpython3\nVmStk:\t   132 kB\nVmSwap:\t   {kilobytes} kB\nThreads:\t3\n")
         watch.check()
@@ -351,7 +364,7 @@ def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptu
 
 def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) -> None:
     events: list[Any] = []
-    watch = SwapWatch(lambda *words, **fields: events.append((words, fields)), tmp_path / "nothing")
+    watch = SwapMonitor(lambda *words, **fields: events.append((words, fields)), tmp_path / "nothing")
     watch.start()
     watch._thread.join(10.0)
     watch.stop()
@@ -362,7 +375,7 @@ def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) ->
 def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     warning, events = [""], []
     device: Any = SimpleNamespace(info=SimpleNamespace(name="arm"), warning=lambda: warning[0])
-    watch = DeviceWarnings(lambda: [device], lambda kind, name, message: events.append((kind, name, message)))
+    watch = DeviceWarningMonitor(lambda: [device], lambda kind, name, message: events.append((kind, name, message)))
     for words in ("", "hot", "hot", "hotter", "", "", "hot"):
         warning[0] = words
         watch.check()
@@ -372,7 +385,7 @@ def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None
 
 def test_a_failing_check_is_published() -> None:
     messages = []
-    DeviceWarnings(list, lambda *_, message: messages.append(message)).handle_failure(ValueError("broken"))
+    DeviceWarningMonitor(list, lambda *_, message: messages.append(message)).handle_failure(ValueError("broken"))
     assert messages == ["warnings of devices are no longer reported: broken"]
 
 
@@ -380,19 +393,19 @@ DISARM = msgpack.packb({"command_id": "a", "method": "disarm"})
 
 
 def test_clients_take_turns() -> None:
-    queue = clients.RequestQueue()
+    queue = RequestQueue()
     for client, body in ((b"a", b"1"), (b"a", b""), (b"a", b"3"), (b"b", b"4")):
         assert queue.add(client, body, False)
     assert [queue.pop() for _ in range(len(queue))] == [(b"a", b"1"), (b"b", b"4"), (b"a", b""), (b"a", b"3")]
     assert not queue
 
 
-@pytest.mark.parametrize(("count", "body"), [(clients.QUEUED_MAX, b""), (1, bytes(clients.QUEUED_BYTES_MAX))])
+@pytest.mark.parametrize(("count", "body"), [(QUEUED_MAX, b""), (1, bytes(QUEUED_BYTES_MAX))])
 def test_a_full_queue_refuses_only_clients_that_have_requests_in_it(count: int, body: bytes) -> None:
-    queue = clients.RequestQueue()
+    queue = RequestQueue()
     assert all(queue.add(b"a", body, False) for _ in range(count))
     assert not queue.add(b"a", b"", False) and not queue.add(b"b", b"", True)
-    others = [bytes([1, number // 256, number % 256]) for number in range(1, clients.CLIENTS_MAX)]
+    others = [bytes([1, number // 256, number % 256]) for number in range(1, CLIENTS_MAX)]
     assert all(queue.add(other, b"", False) for other in others) and not queue.add(b"b", b"", False)
     for _ in range(2):  # of the first client, which may have further ones, and of the second
         queue.pop()
@@ -400,20 +413,20 @@ def test_a_full_queue_refuses_only_clients_that_have_requests_in_it(count: int, 
 
 
 def test_a_request_that_turns_the_force_off_is_accepted_despite_a_flood() -> None:
-    queue = clients.RequestQueue()
-    assert all(queue.add(b"a", b"", False) for _ in range(clients.QUEUED_MAX))
-    assert all(queue.add(b"a", DISARM, True) for _ in range(clients.QUEUED_MAX)) and not queue.add(b"a", DISARM, False)
+    queue = RequestQueue()
+    assert all(queue.add(b"a", b"", False) for _ in range(QUEUED_MAX))
+    assert all(queue.add(b"a", DISARM, True) for _ in range(QUEUED_MAX)) and not queue.add(b"a", DISARM, False)
     assert queue.add(b"b", DISARM, True)
 
 
 def test_a_refusal_has_the_id_of_its_request() -> None:
     def answered(body: bytes) -> str:
-        answer = msgpack.unpackb(clients.encode_busy(body))
+        answer = msgpack.unpackb(encode_busy(body))
         assert answer == {
             "command_id": answer["command_id"],
             "success": False,
             "result": {},
-            "error": clients.BUSY_MESSAGE,
+            "error": BUSY_MESSAGE,
         }
         return str(answer["command_id"])
 

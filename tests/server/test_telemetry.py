@@ -28,7 +28,7 @@ from softfinger.server.metrics.counts import FORCE_N, LATENESS_S, ROWS, STATUSES
 from softfinger.server.metrics.service import make_dashboard
 from softfinger.server.recording.recorder import RecorderState
 from softfinger.server.recording.summary import summarize
-from softfinger.server.socket_process.setup import Figures
+from softfinger.server.socket_process.channel_messages import Figures
 from softfinger.server.states import DaemonState
 from softfinger.server.wire.client import Sample, record_of
 from softfinger.server.wire.health import compute_work_of_hand

@@ -23,7 +23,7 @@ from softfinger.proxy.kernels.numerics.tool import about_handle, about_tip, make
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import TORQUE_CLAMPED, Guard
 from softfinger.server.loop.servo_thread import ServoThread
-from softfinger.server.loop.tick import Tuning, begin, run_tick
+from softfinger.server.loop.tick import Tuning, make_start_memory, run_tick
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate, simulate_devices
 from softfinger.server.offline.summary import summarize_rig
@@ -42,7 +42,7 @@ turns = st.tuples(numbers, numbers, numbers, numbers).filter(lambda q: float(np.
 
 def ticks(tuning: Tuning, handles: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return wrenches (n, 6) for the device, and records, of handle poses (n, 7)."""
-    start = memory = begin(tuning.scene)
+    start = memory = make_start_memory(tuning.scene)
     wrenches, records = [], np.zeros((len(handles), RECORD_SIZE))
     for number, (handle, record) in enumerate(zip(np.asarray(handles, float), records, strict=True)):
         memory = run_tick(tuning, start, memory, (handle,), DT, DT, number, (record,))

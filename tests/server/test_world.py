@@ -33,7 +33,7 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.recording.compare import READ_FIELDS, compare, compare_run
 from softfinger.server.recording.run import load_run
-from softfinger.server.services.scene_topics import Deformation
+from softfinger.server.services.scene_topics import DeformationPublisher
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
 from softfinger.server.wire.protocol import DEFORMATION, decode
@@ -283,7 +283,7 @@ def test_loads_are_sent_when_they_change_and_recorded_as_they_are_sent(tmp_path:
         def publish(topic: str, tick: int, content: dict[str, Any]) -> None:
             sent.append((tick, len(content["loads"])))
 
-        changing = Deformation(daemon.rendering, [""], publish)
+        changing = DeformationPublisher(daemon.rendering, [""], publish)
         rows = make_press(1200)
         rows[:, AT.contacts0_force] = np.linspace(1.0, 2.0, len(rows))
         for row in rows:

@@ -31,7 +31,7 @@ from softfinger.drivers.registry import open_device
 from softfinger.server import cli
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tuning import make_tuning
-from softfinger.server.services import watches
+from softfinger.server.services import monitoring
 from softfinger.server.verbs import devices as _devices  # noqa: F401  (imported here, once)
 from softfinger.server.verbs import run as _run  # noqa: F401
 from vm.warm import SCENES
@@ -239,7 +239,7 @@ def other_daemon() -> Run:
     """Run a daemon on another device, which detects the hot-plug events of the guest's devices."""
     running = daemon("replay")
     running.says("real time")
-    time.sleep(watches.PERIOD_S)
+    time.sleep(monitoring.HOTPLUG_PERIOD_S)
     return running
 
 

@@ -24,8 +24,8 @@ from softfinger.drivers.simulated.plant import (
 )
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.pack import PackedTree, packed, unpack
-from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns, thread_cpu_ns
-from softfinger.server.loop.tick import Memory, Tuning, begin
+from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns, read_thread_cpu_ns
+from softfinger.server.loop.tick import Memory, Tuning, make_start_memory
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import TickRange, close_loop
 from softfinger.server.progress import map_with_progress
@@ -75,7 +75,7 @@ def time_ticks(
     tuning, memory, strongest = unpack(tuning_packed.like, tuning_packed.values), start, 0.0
     timespec, short_ns, tick = watch.timespec, watch.ns, 0
     for block in range(short_ns.shape[0]):
-        cpu_begun = thread_cpu_ns(timespec)
+        cpu_begun = read_thread_cpu_ns(timespec)
         for part in range(short_ns.shape[1]):
             begun = read_clock_ns(timespec)
             end = close_loop(tuning, start, memory, plant, state, drive, TickRange(tick, CLOCK_TICKS, dt), np.inf)
@@ -83,7 +83,7 @@ def time_ticks(
             strongest = max(strongest, end.force)
             tick += CLOCK_TICKS
             short_ns[block, part] = read_clock_ns(timespec) - begun
-        cpu_ns[block] = thread_cpu_ns(timespec) - cpu_begun
+        cpu_ns[block] = read_thread_cpu_ns(timespec) - cpu_begun
     return strongest
 
 
@@ -128,7 +128,7 @@ def measure(tuning: Tuning, radius: float, handle: Handle, blocks: int) -> dict[
     sway = Intention(1.0, 1.0, (0.0005, 0.0, 0.0002), 0.0023, 0.0)  # 2.3 Hz back and forth, so that friction acts
     watch, cpu = make_stopwatch(blocks, TICKS // CLOCK_TICKS), np.zeros(blocks, np.int64)
     drive = PlantInputs(sway, poses, np.zeros(DELAY_LINE_SIZE))
-    arguments = (packed(tuning), begin(tuning.scene), plant, state, drive, PERIOD_S)
+    arguments = (packed(tuning), make_start_memory(tuning.scene), plant, state, drive, PERIOD_S)
     time_ticks(*arguments, make_stopwatch(1, TICKS // CLOCK_TICKS), cpu[:1].copy())
     unit = measure_reference_ns()
     force = time_ticks(*arguments, watch, cpu)

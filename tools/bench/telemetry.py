@@ -26,8 +26,8 @@ from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import AT, NAMED, PATCHES, RECORD_SIZE
 from softfinger.server.keys import client_keys, make_pair
 from softfinger.server.progress import show_progress
-from softfinger.server.socket_process.messages import Messages
-from softfinger.server.socket_process.setup import StateInfo, TickParameters
+from softfinger.server.socket_process.channel_messages import StateInfo, TickParameters
+from softfinger.server.socket_process.tick_messages import TickEncoder
 from softfinger.server.wire.client import NoTelemetry
 from softfinger.server.wire.protocol import CONTACT, SCHEMA, STATE, STATE_HZ
 from softfinger.tools.measure import (
@@ -126,7 +126,7 @@ def write_message(folder: Path) -> list[str]:
     for i in range(PATCHES):
         record[NAMED[f"contacts{i}.object"].at] = -1.0
     record[AT.timestamp], record[AT.tick] = 1.5, float(_EIGHT_BYTES)
-    ((_, message),) = Messages(
+    ((_, message),) = TickEncoder(
         TickParameters(SCHEMA, 1, [CONTACT], STATE, STATE_HZ), StateInfo(rate_hz=1e9)
     ).encode_row(tuple(record))
     path.write_bytes(message)
@@ -244,7 +244,7 @@ def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
         while time.monotonic() < end:
             _, body = socket.recv_multipart()
             arrivals.append((time.time(), body))
-    # Messages are decoded afterwards, since their use by a subscriber is not measured. In the first second the other
+    # TickEncoder are decoded afterwards, since their use by a subscriber is not measured. In the first second the other
     # subscribers start.
     messages = [(at, msgpack.unpackb(body)) for at, body in arrivals if at > arrivals[0][0] + 1.0]
     np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))

@@ -22,7 +22,7 @@ from softfinger.drivers.kinematics.subspace import read_subspace
 from softfinger.drivers.registry import open_device
 from softfinger.drivers.system import discovery
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.tuning import guard_limits
+from softfinger.server.loop.tuning import make_guard
 from softfinger.tools.bench.device import draw
 from softfinger.tools.doctor import attached, machine, privacy
 from softfinger.tools.doctor.questions import answer_questions
@@ -222,7 +222,7 @@ def limit_guard(rig: Rig, device: Device, force_n: float, option: str = "--with-
         raise ConfigError(
             f"{option} {force_n:g}: {device.info.name} accepts at most {device.info.force_max_n:g} N: use less"
         )
-    return guard_limits(rig.guard, device.info)._replace(force_max=force_n)
+    return make_guard(rig.guard, device.info)._replace(force_max=force_n)
 
 
 def write(file: Path, report: dict[str, Any], option: str) -> None:

@@ -21,11 +21,11 @@ from softfinger.drivers.haply.options import Options as HaplyOptions
 from softfinger.drivers.hid.options import Options as HidOptions
 from softfinger.drivers.openhaptics.exchange import TIMEOUT_NS
 from softfinger.drivers.serial.options import Options as SerialOptions
-from softfinger.server.loop import health, limits
+from softfinger.server.loop import fault_detection, hand_limits
 from softfinger.server.loop.force_switch import MAX_OFF_S, UNREACHABLE_MAX_S
-from softfinger.server.services import watches
+from softfinger.server.services import monitoring
 from softfinger.server.viewer.door import process
-from softfinger.server.wire import link
+from softfinger.server.wire import process_link
 
 RESULTS_FILE: Final = Path(__file__).with_name("faults_seen.json")
 """Results of the tests below, written by `make faults-seen`."""
@@ -71,22 +71,28 @@ def compute_starvation_time_s(gap_s: float, period_s: float = TICK_S) -> float:
 
     Notes
     -----
-    `health.examine` adds `gap_s - LOST_SHARE * (gap_s + period_s)` for each.
+    `detect_fault` adds `gap_s - LOST_SHARE * (gap_s + period_s)` for each.
     """
-    lost = gap_s - health.LOST_SHARE * (gap_s + period_s)
-    return (floor(health.LOST_MAX_S / lost) + 1) * (gap_s + period_s)
+    lost = gap_s - fault_detection.LOST_SHARE * (gap_s + period_s)
+    return (floor(fault_detection.LOST_MAX_S / lost) + 1) * (gap_s + period_s)
 
 
 def compute_stall_range_s() -> tuple[float, float]:
     """Return the shortest and the longest time (s) until consecutive stalls end the run, over all their lengths."""
-    times = [compute_starvation_time_s(float(gap)) for gap in np.linspace(health.GAP_MIN_S, health.GAP_MAX_S, 1000)]
+    times = [
+        compute_starvation_time_s(float(gap))
+        for gap in np.linspace(fault_detection.GAP_MIN_S, fault_detection.GAP_MAX_S, 1000)
+    ]
     return min(times), max(times)
 
 
 def count_ticks_to_exceed(limit: float, speed: float, period_s: float = TICK_S) -> int:
     """Return the ticks until a handle that starts with `speed` (m/s) exceeds `limit` (m/s); see `smooth_velocity`."""
     return (
-        floor(log(1.0 - limit / speed) / log(limits.SPEED_TIME_CONSTANT_S / (limits.SPEED_TIME_CONSTANT_S + period_s)))
+        floor(
+            log(1.0 - limit / speed)
+            / log(hand_limits.SPEED_TIME_CONSTANT_S / (hand_limits.SPEED_TIME_CONSTANT_S + period_s))
+        )
         + 1
     )
 
@@ -120,13 +126,13 @@ _LOST: Final = f"zero; the run ends, exit code {DeviceError.exit_code}"
 _STOPPED: Final = f"zero; the run ends, exit code {SafetyStop.exit_code}"
 _START: Final = "start again"
 _NONE: Final = "none needed"
-_RAMP: Final = f"the ramp; {health.NO_FORCE_MAX_S:g} s of it end the run"
-_JUMPS: Final = floor(health.NO_FORCE_MAX_S / (health.TIME_PER_JUMP_S + TICK_S)) + 1
+_RAMP: Final = f"the ramp; {fault_detection.NO_FORCE_MAX_S:g} s of it end the run"
+_JUMPS: Final = floor(fault_detection.NO_FORCE_MAX_S / (fault_detection.TIME_PER_JUMP_S + TICK_S)) + 1
 _FROZEN: Final = 120
 """`frozen_s = 0.1` of the tests' rig, and a fifth more."""
 _HELD: Final = round(base.IGNORED_WRENCH_MAX_S / TICK_S) + 2
 """Including the tick in which it ends."""
-_STALLED: Final = round(health.STALL_MAX_S / TICK_S)
+_STALLED: Final = round(fault_detection.STALL_MAX_S / TICK_S)
 _QUIET: Final = round(max(SILENCE_S.values()) / TICK_S)
 _STARVED: Final = compute_stall_range_s()
 _FAST: Final = find_default(Guard, "handle_speed_max_m_per_s")
@@ -134,9 +140,10 @@ _FASTER: Final = 1.5 * _FAST
 _CAUGHT: Final = f"{count_ticks_to_exceed(_FAST, _FASTER)} ticks at {_FASTER:g} m/s"
 _FROZEN_TIME: Final = f"{find_default(Guard, 'frozen_s'):g} s by default"
 _GAPS: Final = (
-    f"{health.LOST_MAX_S:g} s lost above {health.LOST_SHARE:.0%} of the time, in gaps of {health.GAP_MIN_S:g} s or more"
+    f"{fault_detection.LOST_MAX_S:g} s lost above {fault_detection.LOST_SHARE:.0%} of the time, in gaps of "
+    f"{fault_detection.GAP_MIN_S:g} s or more"
 )
-_RETRIES: Final = f"every {link.PAUSE_MAX_S:g} s or sooner while memory or file descriptors are missing"
+_RETRIES: Final = f"every {process_link.PAUSE_MAX_S:g} s or sooner while memory or file descriptors are missing"
 _INJECTED: Final = "tests/server/test_injected_faults.py::test_an_injected_fault_leaves_no_unpermitted_force"
 _EVERYWHERE: Final = "tests/server/test_injected_faults.py::test_on_every_driver"
 _PROCESS: Final = "tests/server/test_process_faults.py"
@@ -148,7 +155,7 @@ HAZARDS: Final = (
     Hazard(
         "a wall that is unstable", "energy given in contacts, `energy_max_j`", "at once",
         "the force is reduced, finally to zero",
-        f"automatic, over {limits.ENERGY_TIME_CONSTANT_S:g} s", ("guard energy_spent",),
+        f"automatic, over {hand_limits.ENERGY_TIME_CONSTANT_S:g} s", ("guard energy_spent",),
         ("tests/server/test_limits.py::test_an_unstable_wall_fades",),
     ),
     Hazard(
@@ -171,7 +178,8 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a handle that runs away", "`handle_speed_max_m_per_s`", _CAUGHT,
-        "zero", f"slow for {limits.SLOW_TIME_S:g} s, or `arm`, as set by `arm` in the rig", ("guard too_fast", FAILED),
+        "zero", f"slow for {hand_limits.SLOW_TIME_S:g} s, or `arm`, as set by `arm` in the rig",
+        ("guard too_fast", FAILED),
         ("tests/server/test_limits.py::test_the_filter_removes_the_force_of_a_handle_that_is_too_fast",
          "tests/server/test_arming.py::test_the_force_of_a_handle_that_was_too_fast_returns_automatically",
          "tests/server/test_arming.py::test_a_handle_that_was_too_fast_waits_for_arming"),
@@ -182,8 +190,8 @@ HAZARDS: Final = (
         ("tests/server/test_limits.py::test_the_force_of_a_hot_motor_falls_to_the_continuous_force",),
     ),
     Hazard(
-        "a device that warns", f"the driver, every {watches.DEVICE_PERIOD_S:g} s",
-        f"{watches.DEVICE_PERIOD_S:g} s", "as before", "as described by its message",
+        "a device that warns", f"the driver, every {monitoring.DEVICE_PERIOD_S:g} s",
+        f"{monitoring.DEVICE_PERIOD_S:g} s", "as before", "as described by its message",
         ("fault device_warning",), ("tests/server/test_supervisor.py::test_each_warning_is_reported_once",),
     ),
     Hazard(
@@ -234,7 +242,7 @@ HAZARDS: Final = (
     ),
     Hazard(
         "a loop that stalls", "supervisor: no tick",
-        f"{health.STALL_POLLS * health.STALL_POLL_S:.2f} to {health.STALL_MAX_S:.2f} s",
+        f"{fault_detection.STALL_POLLS * fault_detection.STALL_POLL_S:.2f} to {fault_detection.STALL_MAX_S:.2f} s",
         f"{_STOPPED}; until then the last force", _START, ("fault stalled", FAILED),
         (_INJECTED, _EVERYWHERE,
          "tests/server/test_supervisor.py::test_a_stall_is_reported_and_every_device_stopped_if_anything_fails"),
@@ -315,7 +323,8 @@ HAZARDS: Final = (
     Hazard(
         "a process of commands that hangs", "the loop: it does not report that it reads requests",
         f"{1e3 * UNREACHABLE_MAX_S:g} ms and {1e3 * MAX_OFF_S:g} ms", "zero",
-        f"the ramp, if it continues; after {link.SILENT_MAX_S:g} s it is restarted: `arm`", (FAILED, "fault publisher"),
+        f"the ramp, if it continues; after {process_link.SILENT_MAX_S:g} s it is restarted: `arm`",
+        (FAILED, "fault publisher"),
         (f"{_AT_ONCE}::{_ENDS}", f"{_AT_ONCE}::test_the_force_returns_when_a_process_of_commands_continues",
          f"{_AT_ONCE}::test_a_lost_disarm_is_repeated"),
     ),
@@ -349,8 +358,8 @@ HAZARDS: Final = (
          "tests/server/test_cli.py::test_an_endpoint_in_use_gives_exit_code_7"),
     ),
     Hazard(
-        "memory of the daemon in swap", f"VmSwap, at the start and every {watches.SWAP_PERIOD_S:g} s",
-        f"{watches.SWAP_PERIOD_S:g} s", "as before",
+        "memory of the daemon in swap", f"VmSwap, at the start and every {monitoring.SWAP_PERIOD_S:g} s",
+        f"{monitoring.SWAP_PERIOD_S:g} s", "as before",
         "end the programs that fill the memory, or let the daemon lock its memory", ("fault swapped",),
         ("tests/server/test_supervisor.py::test_memory_in_swap_is_reported_once",),
     ),

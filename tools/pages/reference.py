@@ -341,7 +341,7 @@ def _format_numbers(values: Iterable[tuple[int, str]]) -> str:
 
 
 def _format_list(verb: str) -> str:
-    rows = [[f"`{item['name']}`", item["description"]] for item in shipped.list_shipped(verb)]
+    rows = [[f"`{item['name']}`", item["description"]] for item in shipped.describe_shipped(verb)]
     return schema.format_grid(["name", "what it is"], rows)
 
 

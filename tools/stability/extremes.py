@@ -19,7 +19,7 @@ from softfinger.drivers.quaternions import exp
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, SLIDING
 from softfinger.server.loop.guard import GUARD_NAMES, NOT_FINITE, POSE_REFUSED
-from softfinger.server.loop.tick import Tuning, begin
+from softfinger.server.loop.tick import Tuning, make_start_memory
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import run_ticks
 from softfinger.server.progress import map_with_progress
@@ -263,7 +263,7 @@ def run_case(case: ExtremeCase) -> Array:
     tuning = make_case_tuning(case.scene)
     records = np.zeros((len(case.samples), RECORD_SIZE))
     samples, rows = case.samples[:, None], records[:, None]
-    run_ticks(packed(tuning), packed(begin(tuning.scene)), samples, case.dts, case.period, 0, rows)
+    run_ticks(packed(tuning), packed(make_start_memory(tuning.scene)), samples, case.dts, case.period, 0, rows)
     return records
 
 

@@ -40,9 +40,9 @@ from softfinger.proxy.kernels.model import (
 )
 from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
 from softfinger.server.loop.guard import Guard
-from softfinger.server.loop.limits import UNLIMITED
+from softfinger.server.loop.hand_limits import UNLIMITED
 from softfinger.server.loop.passivity import Passivity
-from softfinger.server.loop.tick import Memory, Tuning, begin, run_tick
+from softfinger.server.loop.tick import Memory, Tuning, make_start_memory, run_tick
 from softfinger.server.offline.closed_loop import NULL_RECORD
 from softfinger.server.progress import show_progress
 from softfinger.tools.measure import Array
@@ -163,7 +163,7 @@ def make_wall_and_weight(
 
 
 pressed_wall: Final = jit(make_wall_and_weight)
-START: Final = begin(make_wall_and_weight(1.0, 0.0, 0.0, 0.0, 1.0).scene)
+START: Final = make_start_memory(make_wall_and_weight(1.0, 0.0, 0.0, 0.0, 1.0).scene)
 """Memory before the first tick, the same for every wall."""
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from softfinger.proxy.kernels.jit.pack import flatten, packed
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.guard import POSE_REFUSED
-from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tick import make_start_memory
 from softfinger.server.offline.simulate import run_ticks
 from softfinger.server.progress import show_progress
 from softfinger.tools.measure import Array
@@ -150,7 +150,7 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
     with show_progress("hostile input", ticks * len(HOSTILE_SCENES)) as update:
         for number, (name, mapping) in enumerate(HOSTILE_SCENES.items()):
             tuning, rng = make_case_tuning(mapping), np.random.default_rng((seed, number))
-            scene_and_guard, memory = packed(tuning), packed(begin(tuning.scene))
+            scene_and_guard, memory = packed(tuning), packed(make_start_memory(tuning.scene))
             records = np.zeros((HOSTILE_BLOCK, RECORD_SIZE))
             broken, refused, strongest = 0, 0, 0.0
             for first in range(0, ticks, HOSTILE_BLOCK):

@@ -27,7 +27,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from softfinger.config.errors import ConfigError
-from softfinger.drivers.closing import Closeable
+from softfinger.drivers.closeable import Closeable
 from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.memory import address_of

@@ -50,7 +50,7 @@ _TICK: Final = 1  # latest tick passed on
 class RecordSource(Protocol):
     """Source of records: the rings of a servo."""
 
-    def feeds(self) -> Iterator[Feed]:
+    def iter_feeds(self) -> Iterator[Feed]:
         """Yield each ring; the next one is requested when the previous one is complete."""
 
 
@@ -76,15 +76,17 @@ class RelayState(NamedTuple):
 
 
 @entry
-def serve(state: RelayState, feed: Feed, turn: int, call: int, file: NDArray[np.int64]) -> bool:
-    """Pass on all ticks; return True once the feed is no longer at turn `turn` and its ring is empty.
+def serve(state: RelayState, feed: Feed, completed: int, calls: int, file: NDArray[np.int64]) -> bool:
+    """Pass on all ticks until the feed is complete (return True) or Python calls (return False).
 
-    Returns False once there have been more calls than `call`. `file` (1,) is scratch.
+    completed  number of rings of the servo that were complete when this one began
+    calls      number of calls that Python has handled
+    file       (1,)  scratch memory
     """
     woken = True
     while True:
-        is_complete = load_acquire(feed.completed_rings, 0) != turn  # before the ring is emptied, as is `called`
-        called = load_acquire(state.words, _CALLS) != call
+        is_complete = load_acquire(feed.completed_rings, 0) != completed  # read before the ring, as is `called`
+        called = load_acquire(state.words, _CALLS) != calls
         count = take(feed.ring, state.rows)
         while count > 0:
             woken = pass_on(state, state.rows, count)
@@ -250,20 +252,20 @@ class Relay:
         os.eventfd_write(self._asleep_on, 1)
 
     def _run(self) -> None:
-        feeds, feed, turn = None, self._idle_feed, 0
+        feeds, feed, completed = None, self._idle_feed, 0
         try:
             while True:
-                call = int(self._state.words[_CALLS])
+                calls = int(self._state.words[_CALLS])
                 if self._closing.is_set():
                     return
                 if feeds is None and self._source is not None:
-                    feeds = self._source.feeds()
+                    feeds = self._source.iter_feeds()
                     feed = next(feeds)
                 self._asleep_on = feed.wake_fd
-                if serve(self._state, feed, turn, call, self._file) and feeds is not None:
-                    turn, feed = turn + 1, next(feeds, self._idle_feed)
+                if serve(self._state, feed, completed, calls, self._file) and feeds is not None:
+                    completed, feed = completed + 1, next(feeds, self._idle_feed)
                     if feed is self._idle_feed:
-                        turn, self._asleep_on = 0, feed.wake_fd  # first: at its end the servo closes its eventfd
+                        completed, self._asleep_on = 0, feed.wake_fd  # first: at its end the servo closes its eventfd
                         self._end()
         except Exception:
             self._failed.set()

@@ -9,7 +9,7 @@ import msgspec
 
 from softfinger.server.loop.force_switch import UNREACHABLE_MAX_NS, make_switch
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
-from softfinger.server.socket_process.brake import takes_force_off
+from softfinger.server.socket_process.force_off import takes_force_off
 from softfinger.server.wire.native.memory import PAGE_BYTES, map_file
 
 DISARM: Final = msgspec.msgpack.encode({"command_id": "", "method": "disarm"})

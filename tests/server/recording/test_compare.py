@@ -17,7 +17,7 @@ from softfinger.drivers.resample import resample
 from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.record import AT, CAUSE_TOUCH, FREE
 from softfinger.server.loop.guard import POSE_REFUSED
-from softfinger.server.loop.tick import begin
+from softfinger.server.loop.tick import make_start_memory
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import load_finger_poses, run_ticks, simulate
 from softfinger.server.options import TOLERANCE
@@ -149,7 +149,7 @@ def test_forces_withheld_by_the_driver_are_skipped(tmp_path: Path) -> None:
     poses[at] = np.nan
     tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard)
     refused, dts = np.zeros_like(run()), np.full(len(poses), 1e-3)
-    run_ticks(packed(tuning), packed(begin(tuning.scene)), poses[:, None], dts, 1e-3, 0, refused[:, None])
+    run_ticks(packed(tuning), packed(make_start_memory(tuning.scene)), poses[:, None], dts, 1e-3, 0, refused[:, None])
     assert int(refused[at, AT.servo_guard]) & POSE_REFUSED
     outcome = replay_and_compare(recorded(tmp_path / "refused.mcap", refused))
     assert (outcome.first, outcome.compared) == (None, len(refused))

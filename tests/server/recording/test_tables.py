@@ -8,7 +8,7 @@ from helpers.called import called, read_stdout
 
 from softfinger.config.errors import ConfigError, RecordingError
 from softfinger.drivers.poses import load_poses
-from softfinger.server.recording.tables import TableFormat, make_layout, read_table
+from softfinger.server.recording.tables import TableFormat, make_table_format, read_table
 
 TXYZ = TableFormat(("t", "x", "y", "z"))
 COUNT = 200
@@ -26,7 +26,7 @@ def write_table(path: Path, rows: np.ndarray, between: str = " ", before: str = 
 def test_columns_and_units_are_as_they_are_named(between: str, tmp_path: Path) -> None:
     rows = np.column_stack((PLACE[:, 1] * 1e3, np.full(COUNT, 7.0), 500.0 + TIME * 1e3, PLACE[:, [0, 2]] * 1e3))
     file = write_table(tmp_path / "theirs.txt", rows, between, "# made by hand\n\n")
-    poses = read_table(file, make_layout("y,-,t,x,z", 1e-3, 1e-3, None, 0))
+    poses = read_table(file, make_table_format("y,-,t,x,z", 1e-3, 1e-3, None, 0))
     # rounding of 500 ms plus t, and of one multiplication per unit
     np.testing.assert_allclose(poses.t, TIME, rtol=0, atol=1e-15)
     np.testing.assert_allclose(poses.position, PLACE, rtol=4e-16)
@@ -114,7 +114,7 @@ def test_the_verb_writes_poses_for_a_replay(tmp_path: Path) -> None:
 )
 def test_an_impossible_layout_is_refused(parts: tuple, fault: str) -> None:
     with pytest.raises(ConfigError, match=fault):
-        make_layout(*parts)
+        make_table_format(*parts)
 
 
 @pytest.mark.parametrize(

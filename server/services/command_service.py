@@ -2,7 +2,7 @@
 
 The thread that serves the publisher receives requests. It answers the methods URGENT_METHODS, which turn the force off
 or keep it on; these read no file and never wait. Another thread answers all other methods in order of arrival, so that
-they do not delay `disarm`. A third thread (`compilation.py`) reads, compiles and answers `set_scene`.
+they do not delay `disarm`. A third thread (`scene_changes.py`) reads, compiles and answers `set_scene`.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from softfinger.drivers import switch_interval
 from softfinger.server.loop import shutdown
 from softfinger.server.services.base import JOIN_S
 from softfinger.server.services.command_handlers import CommandHandlers, DaemonInterface
-from softfinger.server.services.compilation import CompilerFailure, SupersededRequest
 from softfinger.server.services.rendering import Rendering, SceneReplacement
-from softfinger.server.socket_process.brake import SHORT_REQUEST_BYTES
-from softfinger.server.states import NO_HEARTBEAT_REASON, UNREACHABLE
+from softfinger.server.services.scene_changes import CompilerFailure, SupersededRequest
+from softfinger.server.socket_process.force_off import SHORT_REQUEST_BYTES
+from softfinger.server.states import NO_HEARTBEAT_REASON, UNREACHABLE_REASON
 from softfinger.server.wire.envelope import DeclinedRequest, Request, encode_answer, encode_refusal, parse
-from softfinger.server.wire.link import RequestHandlers
+from softfinger.server.wire.process_link import RequestHandlers
 
 log: Final = logging.getLogger(__name__)
 
 LOG_PERIOD_S: Final = 10.0
 
 URGENT_METHODS: Final = frozenset({"get_state", "heartbeat", "arm", "disarm", "zero", "stop"})
-"""Methods answered before all others. Requests longer than SHORT are none of these; they take milliseconds to decode,
-and are queued first."""
+"""Methods answered before all others. Requests longer than SHORT_REQUEST_BYTES are none of these: they are queued
+before they are decoded, which takes milliseconds."""
 WAITING_MAX: Final = 100
 """Largest number of queued requests of a client; further ones are answered with `busy`."""
 REST_MAX_S: Final = 0.1
@@ -123,7 +123,7 @@ class CommandService:
     def _note_alive(self, arrived_s: float) -> None:
         self._last_request_s = max(self._last_request_s, arrived_s)
         if self._heartbeat_s is not None:
-            self._rendering.force.end_at(round(1e9 * (self._last_request_s + self._heartbeat_s)))
+            self._rendering.force.set_deadline(round(1e9 * (self._last_request_s + self._heartbeat_s)))
 
     def _enqueue(self, client: bytes, message: Request | bytes, arrived_s: float) -> None:
         with self._counts_lock:
@@ -190,7 +190,7 @@ class CommandService:
     def _check_periodically(self) -> None:
         try:
             self._check_heartbeat()
-            self._rendering.force.note_guard(UNREACHABLE, not self._rendering.force.is_reachable)
+            self._rendering.force.note_guard(UNREACHABLE_REASON, not self._rendering.force.is_reachable)
         except Exception as error:
             log.exception("commands failed")
             self._daemon.publisher.serve(None)

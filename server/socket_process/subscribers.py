@@ -23,7 +23,7 @@ TOPICS_MAX: Final = 256
 EVENTS_PER_TURN: Final = 256
 
 
-class Readers:
+class Subscribers:
     """Subscribers of one endpoint.
 
     queue            messages queued for a slow subscriber; beyond that, libzmq drops new messages for it
@@ -32,14 +32,14 @@ class Readers:
 
     def __init__(
         self,
-        gate: SocketContext,
+        socket_context: SocketContext,
         bound: BoundEndpoint,
         lock: KeyLock | None,
         queue: int,
         on_subscription: Callable[[bytes], None] | None = None,
     ) -> None:
         options = {"sndhwm": queue, "maxmsgsize": SUBSCRIPTION_MAX, "xpub_verboser": 1, "xpub_nodrop": 1}
-        self.peers: Final = PeerSocket(gate, zmq.XPUB, bound, lock, options)
+        self.peers: Final = PeerSocket(socket_context, zmq.XPUB, bound, lock, options)
         self.lost = 0
         """Messages at which a subscriber was found to be too slow; libzmq does not report losses after these."""
         self._on_subscription = on_subscription
@@ -49,7 +49,7 @@ class Readers:
         self._since_s = 0.0
 
     @property
-    def subscribers(self) -> int:
+    def connection_count(self) -> int:
         """Number of connections that subscribe to at least one topic."""
         return sum(bool(self._topics.get(number)) for number in self.peers.connected.values())
 

@@ -1,7 +1,7 @@
-"""Device with faults injected between driver and loop, for tests and for `softfinger run --inject`.
+"""Injection of faults between a driver and the loop, for tests and for `softfinger run --inject`.
 
-It wraps any driver behind the same two C functions. Runs without it neither call nor compile any of this. `stop` and
-`close` go directly to the driver.
+A `FaultInjector` wraps a device and has the same two C functions. Runs without faults neither call nor compile them.
+`stop` and `close` are passed to the device unchanged.
 """
 
 from __future__ import annotations
@@ -76,12 +76,12 @@ class Fields(NamedTuple):
     ticks: Annotated[int, word("reads so far")]
     injected_ticks: Annotated[int, counter("reads and writes with a fault")]
     last_fault: Annotated[int, word("index of the last fault, -1 before the first")]
-    last_fault_tick: Annotated[int, word("in which it has")]
+    last_fault_tick: Annotated[int, word("tick of the last fault")]
     has_sample: Annotated[int, word("whether an earlier sample exists")]
     random: Annotated[int, word("state of the random numbers")]
-    read: Annotated[int, word("the driver's")]
-    write: Annotated[int, word("the driver's")]
-    handle: Annotated[int, word("the driver's")]
+    read: Annotated[int, word("function of the driver")]
+    write: Annotated[int, word("function of the driver")]
+    handle: Annotated[int, word("handle of the driver")]
     faults: Annotated[int, address("(count, ROW) float64")]
     length: Annotated[int, word("number of faults")]
     sample: Annotated[int, numbers("the latest sample that the loop read", SAMPLE_SIZE)]
@@ -97,6 +97,14 @@ def _is_active(row: Any, tick: int) -> bool:
 
 
 @jit
+def _combine(status: int, other_status: int) -> int:
+    """Return the more severe of two statuses: a failure, otherwise the larger one."""
+    if status < 0 or other_status < 0:
+        return min(status, other_status)
+    return max(status, other_status)
+
+
+@jit
 def _record(word: Any, index: int, tick: int) -> None:
     word[AT.injected_ticks] += 1
     word[AT.last_fault] = index
@@ -104,7 +112,7 @@ def _record(word: Any, index: int, tick: int) -> None:
 
 
 @jit
-def _make_block(microseconds: float) -> None:
+def _block_for(microseconds: float) -> None:
     remaining_us = int(microseconds)
     while remaining_us > 0:
         _usleep(min(remaining_us, BLOCK_US))
@@ -125,12 +133,12 @@ def _replace_read(handle: int, tick: int) -> tuple[int, bool]:
             continue
         action = int(row[ACTION])
         if action in (REPEAT, ZERO_FORCE, FAIL_READ):
-            status = int(row[A])
+            status = _combine(status, int(row[A]))
             is_repeated |= action == REPEAT
         elif action == UNPLUG:
-            status = LOST
+            status = _combine(status, LOST)
         elif action == BLOCK_READ:
-            _make_block(row[A])
+            _block_for(row[A])
         if action != HOLD_FORCE and action != BLOCK_WRITE and action != FAIL_WRITE:
             _record(word, index, tick)
     return status, is_repeated
@@ -175,10 +183,9 @@ def _read(handle: int, sample: Any) -> int:
     if status < 0:
         return status
     if not (is_repeated and word[AT.has_sample]):
-        answer = call_device(word[AT.read], word[AT.handle], last_sample)
-        if answer < 0:
-            return int(answer)
-        status = max(status, answer)
+        status = _combine(status, call_device(word[AT.read], word[AT.handle], last_sample))
+        if status < 0:
+            return int(status)
         word[AT.has_sample] = 1
         _corrupt_sample(handle, tick)
     copy_sample(last_sample, sample)
@@ -198,21 +205,20 @@ def _write(handle: int, wrench: Any) -> int:
             continue
         action = int(row[ACTION])
         if action == BLOCK_WRITE:
-            _make_block(row[A])
+            _block_for(row[A])
         elif action == ZERO_FORCE:
-            status = WITHHELD
+            status = _combine(status, WITHHELD)
             for i in range(WRENCH_SIZE):
                 commanded[i] = 0.0
         elif action == UNPLUG:
-            status, is_delivered = LOST, False
+            status, is_delivered = _combine(status, LOST), False
         elif action in (HOLD_FORCE, FAIL_WRITE):
-            status, is_delivered = int(row[A]), False
+            status, is_delivered = _combine(status, int(row[A])), False
         if action in (BLOCK_WRITE, HOLD_FORCE, FAIL_WRITE):
             _record(word, index, tick)
     if not is_delivered:
         return int(status)
-    answer = call_device(word[AT.write], word[AT.handle], commanded)
-    return int(answer if answer < 0 else max(status, answer))
+    return int(_combine(status, call_device(word[AT.write], word[AT.handle], commanded)))
 
 
 class FaultInjector(Device):
@@ -225,7 +231,6 @@ class FaultInjector(Device):
         self._device = device
         self.info = replace(device.info, own_clock=False)
         self._faults = [fault for fault in table_of_faults.fault if fault.finger in ("", finger)]
-        self._rate_hz = rate_hz
         self._block = block = Block(AT)
         io, at = device.io(), block.word
         at[AT.read], at[AT.write], at[AT.handle] = io

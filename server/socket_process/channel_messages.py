@@ -92,7 +92,7 @@ class ProcessSetup(Struct, frozen=True):
 
     memory    file of the ticks
     bell      eventfd that signals a new row
-    switch    file of the force switch (`brake.py`)
+    switch    file of the force switch (`force_off.py`)
     backlog   messages queued for a slow subscriber
     priority  SCHED_FIFO priority to request; 0 for none
     """
@@ -104,8 +104,8 @@ class ProcessSetup(Struct, frozen=True):
     backlog: int
     priority: int
     ticks: TickParameters
-    shown: StateInfo
-    entrances: list[ListeningSocket]
+    state_info: StateInfo
+    listeners: list[ListeningSocket]
 
 
 class Figures(Struct, frozen=True):

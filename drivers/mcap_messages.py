@@ -1,4 +1,4 @@
-"""Reading of MCAP files in file order, up to the end of the file, damaged or not. `poses` uses it."""
+"""Records and messages of MCAP files, in file order up to the end of the file, also of damaged files."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.proxy.record import FIELDS, NAMED, PATCHES, RECORD_SIZE, Field
-from softfinger.server.socket_process.setup import StateInfo, TickParameters
+from softfinger.server.socket_process.channel_messages import StateInfo, TickParameters
 
 _WORD: Final = 2.0**63
 _TICK: Final = NAMED["tick"].at
@@ -30,10 +30,11 @@ def to_int(value: float) -> int:
     return int(value) if -_WORD <= value < _WORD else 0
 
 
-class _Map:
-    """Map that is created once and filled from successive rows.
+class _MessageMap:
+    """Map of a message, created once and filled from each record.
 
-    fields  with their dotted names in the map
+    content  keys that do not come from a record
+    fields   fields of the record, with their dotted names in the map
     """
 
     def __init__(self, content: dict[str, Any], fields: list[tuple[str, Field]]) -> None:
@@ -63,8 +64,8 @@ class _Map:
         return self.content
 
 
-class Messages:
-    """Encoder of rows (fingers x RECORD_SIZE,)."""
+class TickEncoder:
+    """Encoder of a tick's row (fingers x RECORD_SIZE,) as messages."""
 
     def __init__(self, ticks: TickParameters, state_info: StateInfo) -> None:
         self._topics, self._every = [topic.encode() for topic in ticks.topics], ticks.every
@@ -73,9 +74,9 @@ class Messages:
         in_lists = {name: [f for f in FIELDS if f.name.startswith(f"{name}.")] for name in _LISTS}
         list_fields = {f.name for fields in in_lists.values() for f in fields}
         head = {"schema": ticks.schema, "every": ticks.every}
-        self._contact = _Map(head, [(f.name, f) for f in FIELDS if f.name not in list_fields])
+        self._contact = _MessageMap(head, [(f.name, f) for f in FIELDS if f.name not in list_fields])
         self._patches = [
-            (NAMED[f"{name}.object"].at, _Map({}, [(f.name.partition(".")[2], f) for f in fields]))
+            (NAMED[f"{name}.object"].at, _MessageMap({}, [(f.name.partition(".")[2], f) for f in fields]))
             for name, fields in in_lists.items()
         ]
         field_names = {
@@ -87,7 +88,7 @@ class Messages:
             "field_state.penetration": "contact.penetration",
         }
         content = {"timestamp": 0.0, "sequence": 0}
-        self._state = _Map(content, [(key, NAMED[name]) for key, name in field_names.items()])
+        self._state = _MessageMap(content, [(key, NAMED[name]) for key, name in field_names.items()])
         self.set_state_info(state_info)
 
     def set_state_info(self, state_info: StateInfo) -> None:
@@ -96,6 +97,7 @@ class Messages:
         self._state.content["active_field"] = state_info.scene
 
     def encode_row(self, row: tuple[float, ...]) -> Iterator[tuple[bytes, bytes]]:
+        """Yield topic and body of each message that is due in this tick."""
         tick = to_int(row[_TICK])
         if tick % self._every == 0:
             for index, topic in enumerate(self._topics):
@@ -110,7 +112,11 @@ class Messages:
 
 
 class RowReader:
-    """Reader that starts at row `begin` and takes ownership of the file; `bell` is an eventfd that signals new rows."""
+    """Reader of the rows from number `begin` on.
+
+    file  descriptor of the shared memory, closed here
+    bell  eventfd that signals new rows
+    """
 
     def __init__(self, file: int, begin: int, bell: int) -> None:
         self._memory = mmap.mmap(file, 0, prot=mmap.PROT_READ)

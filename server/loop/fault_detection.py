@@ -1,9 +1,10 @@
-"""Health of the loop and its device: faults that one tick tolerates but a run does not.
+"""Detection of faults of the loop and its device that one tick tolerates but a run does not.
 
-Each fault accumulates in seconds and is reduced by good ticks. An occasional fault therefore ends nothing, while one
-that persists, or returns as fast as it recovers, ends the run with a named error. The state is three floats.
+Bad ticks add to the time of a fault, good ticks reduce it. An occasional fault therefore ends nothing, while one that
+persists, or returns as fast as it recovers, ends the run with a named error.
 
-A loop that never reaches its next tick cannot detect that itself; a watchdog in another thread does.
+A loop that never reaches its next tick cannot detect that itself: the supervisor does, in another thread, with
+`Watchdog`.
 """
 
 from typing import Final, NamedTuple
@@ -51,8 +52,8 @@ STALL_POLLS_WITHOUT_HAND: Final = 100
 """Checks if no device holds a force in a hand, 5 s: a machine that pauses for a while does not end a recording."""
 
 
-class Health(NamedTuple):
-    """State of the fault detection, in seconds.
+class FaultTimes(NamedTuple):
+    """Accumulated times of the faults, in seconds.
 
     without_force  time without a force, because a pose or a finite number was missing
     lost           time lost
@@ -64,12 +65,12 @@ class Health(NamedTuple):
     late: float
 
 
-HEALTHY: Final = Health(0.0, 0.0, 0.0)
+NO_FAULT_TIMES: Final = FaultTimes(0.0, 0.0, 0.0)
 
 
 @jit
-def examine(health: Health, bits: int, late: float, dt: float, period: float) -> tuple[Health, int]:
-    """Return the health after a tick, and the fault reached, 0 for none.
+def detect_fault(times: FaultTimes, bits: int, late: float, dt: float, period: float) -> tuple[FaultTimes, int]:
+    """Return the times after a tick, and the fault that has reached its limit, 0 for none.
 
     bits    of the guard in this tick
     late    s  from the deadline until the thread was woken
@@ -77,25 +78,25 @@ def examine(health: Health, bits: int, late: float, dt: float, period: float) ->
     period  s  nominal length of a tick
     """
     bad = bits & (POSE_REFUSED | POSE_JUMPED | NOT_FINITE)
-    without_force = max(health.without_force + (period if bad != 0 else -period), 0.0)
+    without_force = max(times.without_force + (period if bad != 0 else -period), 0.0)
     if bits & POSE_JUMPED:
         without_force += TIME_PER_JUMP_S
     gap = min(dt - period, GAP_MAX_S)
     if gap < GAP_MIN_S:
         gap = 0.0
     paid = LOST_SHARE * (gap + period)
-    lost_time = max(health.lost + gap - paid, 0.0)
-    woken_late = max(health.late + (min(late, gap) - paid if gap > 0.0 else -paid), 0.0)
+    lost_time = max(times.lost + gap - paid, 0.0)
+    woken_late = max(times.late + (min(late, gap) - paid if gap > 0.0 else -paid), 0.0)
     fault = 0
     if without_force > NO_FORCE_MAX_S:
         fault = JUMPING if bits & POSE_JUMPED else NO_POSE if bits & POSE_REFUSED else NO_FORCE
     elif lost_time > LOST_MAX_S:
         fault = STARVED
-    return Health(without_force, lost_time, woken_late), fault
+    return FaultTimes(without_force, lost_time, woken_late), fault
 
 
 class Watchdog:
-    """Check of a loop's progress, every STALL_POLL_S; the slowest loop has five ticks between two checks."""
+    """Detector of a stalled loop, called every STALL_POLL_S; the slowest loop has five ticks between two calls."""
 
     def __init__(self) -> None:
         self._last_ticks, self._idle = -1, 0

@@ -35,7 +35,7 @@ def takes_force_off(body: bytes) -> bool:
         return False
 
 
-class Brake:
+class ForceOffCounter:
     """The publisher's side of the force switch; takes ownership of its file."""
 
     def __init__(self, file: int) -> None:

@@ -1,4 +1,4 @@
-"""Search of a device at the service, lock on it, and setup of the service's filters on its forces."""
+"""Connection to a device at the service: search, lock, and setup of the service's filters on its forces."""
 
 from __future__ import annotations
 
@@ -36,11 +36,10 @@ from softfinger.drivers.haply.messages import (
     read_state,
     shorten,
 )
+from softfinger.drivers.haply.options import DEFAULT_PORT as DEFAULT_PORT
 from softfinger.drivers.haply.options import Filters, Options
 from softfinger.drivers.system import discovery
 
-PORT: Final = 10001
-"""Default port of the service."""
 OPEN_S: Final = 2.0
 """Maximum time for version, inventory, filters and the first state together."""
 _ZERO: Final = (0.0, 0.0, 0.0)
@@ -67,30 +66,33 @@ class Connection(NamedTuple):
     reading: PoseReading
 
 
-def find(options: Options) -> Connection:
+def open_connection(options: Options) -> Connection:
     """Find, lock and set up the device of a rig. Raises DeviceNotFound, DeviceBusy, DeviceTimeout, DeviceError."""
     import_websockets()  # report a missing library before a missing service
     until = time.monotonic() + OPEN_S
     version = _choose_version(options, until)
-    with ExitStack() as opened:
+    with ExitStack() as resources:
         link = WebSocketLink(options.port, until)
-        opened.callback(link.close)
+        resources.callback(link.close)
         try:
             inventory = _request_inventory(link, until)
             device, entry = choose_device(inventory, options.device_id, options.models)
             grip = choose_grip(inventory, options.grip)
-            lock = opened.enter_context(claim(options.port, device))
+            lock = resources.enter_context(claim(options.port, device))
             _apply_filters(options, version, device, entry.config, inventory.session_id, until)
             key = find_force_key(version)
             link.send(encode_command(device, key, _ZERO, basis=True))
-            connection = Connection(link, lock, device, grip, key, read_state(link.next(until), device, grip))
+            connection = Connection(
+                link, lock, device, grip, key, read_state(link.wait_for_message(until), device, grip)
+            )
         except (Malformed, Missing) as error:
             raise DeviceError(f"{error}: check that this is the Inverse Service, of version 3.1 to 3.5") from None
-        opened.pop_all()
+        resources.pop_all()
         return connection
 
 
 def identify(port: int, version: str | None) -> dict[str, Any]:
+    """Return the version of the service, and its devices and grips; `version`: of the rig, None: ask the service."""
     until = time.monotonic() + OPEN_S
     version_info = version or _find_version(port, until)
     parse_version(version_info)
@@ -131,7 +133,7 @@ def choose_device(
 
 
 def _find_model(ref: DeviceRef, entry: InventoryEntry) -> str:
-    """Return the kind of a device as its configuration names it, or else its list."""
+    """Return the model of a device: the type in its configuration, or the name of the list that contains it."""
     return entry.config.type if entry.config.type in GROUPS else ref.group
 
 
@@ -173,9 +175,9 @@ def _find_version(port: int, until: float) -> str:
 
 
 def _choose_version(options: Options, until: float) -> tuple[int, int]:
-    """Return the version that the rig names, or else the service's.
+    """Return the version in the rig, otherwise that of the service.
 
-    Raises DeviceError if they have different keys of forces.
+    Raises DeviceError if the two versions use different keys for forces.
     """
     if options.version is None:
         return parse_version(_find_version(options.port, until))
@@ -195,7 +197,7 @@ def _choose_version(options: Options, until: float) -> tuple[int, int]:
 
 def _request_inventory(link: WebSocketLink, until: float) -> Inventory:
     try:
-        return read_inventory(link.next(until))
+        return read_inventory(link.wait_for_message(until))
     except DeviceTimeout:
         raise DeviceTimeout(f"the Inverse Service does not answer within {OPEN_S:g} s: restart it ({START})") from None
     except Malformed as error:
@@ -242,7 +244,7 @@ def _is_close(value: Any, expected: Any) -> bool:
 def _list_config_requests(
     version: tuple[int, int], device: DeviceRef, config: Config, filters: Filters, session: int
 ) -> list[tuple[str, Any]]:
-    """Return the pages to post where the rig differs from the present configuration.
+    """Return the pages to post, with their content, for settings of the rig that differ from the present ones.
 
     Pages of a session are always posted, because a program that configures sessions (the Haply Hub) may have changed
     them. No public page describes force gate and damping before 3.5.
@@ -309,4 +311,4 @@ def _find_holder(address: str) -> str:
             pid = 0
     if pid <= 0:  # in another namespace
         return "another process"
-    return "this program" if pid == os.getpid() else str(discovery.process(pid))
+    return "this program" if pid == os.getpid() else str(discovery.read_process(pid))

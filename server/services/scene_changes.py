@@ -123,7 +123,7 @@ class SceneChanges(Worker):
             return None if self.closing.is_set() else change
 
     def _compile(self, scene: schema.Scene, name: str) -> None:
-        """Compile the loop of a scene into the cache; raises Superseded if a later scene has been requested."""
+        """Compile the loop of a scene into the cache; raises SupersededRequest if a later scene has been requested."""
         if ServoThread.has_compiled(make_tuning(scene, schema.Guard())) or KERNEL_FOLDER.problem() is not None:
             return  # if the cache cannot be written, a separate process is useless
         with tempfile.TemporaryFile("w+") as errors:

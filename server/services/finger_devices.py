@@ -10,7 +10,7 @@ from softfinger.drivers.base import Device
 from softfinger.server.loop import shutdown
 
 
-def open_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
+def open_finger_devices(scene: schema.Scene, rig: schema.Rig) -> tuple[Device, ...]:
     """Open the device of each finger; on an error, close the devices opened before."""
     devices = list[Device]()
     with shutdown.close_on_error(devices):
@@ -32,7 +32,9 @@ def inject_faults(
                 f"a fault of kind '{fault.kind}' has finger = '{fault.finger}': the scene has "
                 f"{', '.join(repr(name) for name in names if name) or 'a single one, without a name'}: remove finger"
             )
-    from softfinger.drivers.injected import FaultInjector  # imported here, because its kernels are compiled on import
+    from softfinger.drivers.fault_injector import (
+        FaultInjector,
+    )  # imported here, because its kernels are compiled on import
 
     return tuple(FaultInjector(device, faults, rate_hz, name) for device, name in zip(devices, names, strict=True))
 

@@ -1,7 +1,7 @@
-"""Conditions that affect rendering but do not end it, reported to the log and to subscribers, and attached devices.
+"""Monitoring of the devices' warnings, of memory in swap, and of attached and detached devices.
 
-The thread that detects attached and detached devices lists the system's tables once per second. It opens no device and
-does not affect the servo.
+These affect rendering but do not end it: they go to the log and to subscribers. The thread for attached and detached
+devices lists the system's tables once per second; it opens no device.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ log: Final = logging.getLogger(__name__)
 
 DEVICE_PERIOD_S: Final = 0.5
 SWAP_PERIOD_S: Final = 1.0
+HOTPLUG_PERIOD_S: Final = 1.0
 DEVICE_WARNING: Final = "device_warning"
 SWAPPED: Final = "swapped"
 STATUS: Final = Path("/proc/self/status")
@@ -32,7 +33,7 @@ SWAP_REMEDY: Final = (
 )
 
 
-class _Check(Worker):
+class PeriodicCheck(Worker):
     """Service that calls `check` periodically; a failure is an event, and the run continues."""
 
     def __init__(self, name: str, subject: str, period_s: float, publish: Callable[[str], object]) -> None:
@@ -55,7 +56,7 @@ class _Check(Worker):
         self._publish(f"{self._subject} no longer reported: {error}")
 
 
-class DeviceWarnings(_Check):
+class DeviceWarningMonitor(PeriodicCheck):
     """Service that polls the devices for warnings, and reports each once, when it starts or changes."""
 
     def __init__(self, devices: Callable[[], Sequence[Device]], event: Callable[..., Any]) -> None:
@@ -76,7 +77,7 @@ class DeviceWarnings(_Check):
         self._reported = now
 
 
-class SwapWatch(_Check):
+class SwapMonitor(PeriodicCheck):
     """Service that checks for memory of the daemon in swap, and reports it once until all of it is back.
 
     status  of the process, in the format of proc_pid_status(5)
@@ -102,11 +103,8 @@ def parse_swapped_kb(status: str) -> int:
     return int(match[1]) if match else 0
 
 
-PERIOD_S: Final = 1.0
-
-
-class Hotplug:
-    """Detector of changes of the attached devices, starting when it is created; `root` contains sys and dev."""
+class HotplugDetector:
+    """Detector of devices attached or detached since it was created; `root` contains sys and dev."""
 
     def __init__(self, root: Path = discovery.ROOT) -> None:
         self._root = root
@@ -121,8 +119,7 @@ class Hotplug:
         attached = []
         for name in sorted(names - self._known.keys()):
             device = discovery.read_device(name, self._root)
-            # A device listed before its ids can be read is examined again next time; so is a hub, which is never
-            # described.
+            # Not described: a hub, or a device whose ids cannot be read yet. It is examined again next time.
             if device is not None:
                 self._known[name] = device
                 attached.append(("attached", device))
@@ -142,17 +139,17 @@ def make_event_fields(device: SystemDevice) -> dict[str, Any]:
     }
 
 
-class HotplugWatch(Worker):
+class HotplugMonitor(Worker):
     """Service that publishes by `event` all changes since `hotplug` was created, even if it is started later."""
 
-    def __init__(self, hotplug: Hotplug, event: Callable[..., Any]) -> None:
+    def __init__(self, hotplug: HotplugDetector, event: Callable[..., Any]) -> None:
         super().__init__("hotplug")
         self._hotplug, self._event = hotplug, event
 
     def work(self) -> None:
         for device in self._hotplug.present:
             self._event("device", "present", **make_event_fields(device))
-        while not self.closing.wait(PERIOD_S):
+        while not self.closing.wait(HOTPLUG_PERIOD_S):
             for action, device in self._hotplug.changes():
                 log.info("%s: %s", action, device)
                 self._event("device", action, **make_event_fields(device))

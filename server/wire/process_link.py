@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from softfinger.server.socket_process.channel import Channel, Message
-from softfinger.server.socket_process.setup import REST_MAX_S, Figures, Kind
+from softfinger.server.socket_process.channel_messages import REST_MAX_S, Figures, Kind
 
 log: Final = logging.getLogger(__name__)
 

@@ -77,6 +77,7 @@ def _read_watchdog_s(environment: Mapping[str, str]) -> float:
     if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return float("inf")
     try:
-        return int(environment["WATCHDOG_USEC"]) / 1e6
+        watchdog_us = int(environment["WATCHDOG_USEC"])
     except (KeyError, ValueError):
         return float("inf")
+    return watchdog_us / 1e6 if watchdog_us > 0 else float("inf")  # as sd_watchdog_enabled(3) interprets it

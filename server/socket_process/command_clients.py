@@ -14,9 +14,9 @@ from typing import Annotated, Final
 import msgspec
 import zmq
 
-from softfinger.server.socket_process.brake import takes_force_off
+from softfinger.server.socket_process.channel_messages import REQUEST_MAX
+from softfinger.server.socket_process.force_off import takes_force_off
 from softfinger.server.socket_process.peer_socket import BoundEndpoint, KeyLock, PeerSocket, SocketContext
-from softfinger.server.socket_process.setup import REQUEST_MAX
 
 QUEUED_MAX: Final = 1024
 QUEUED_BYTES_MAX: Final = 1 << 22
@@ -81,7 +81,7 @@ class _CommandId(msgspec.Struct):
 _decoder: Final = msgspec.msgpack.Decoder(_CommandId)
 
 
-class Clients:
+class CommandClients:
     """Command clients of one endpoint.
 
     on_request  is called with a client, its request (empty: not two frames), and whether it sends too many; returns
@@ -90,7 +90,7 @@ class Clients:
 
     def __init__(
         self,
-        gate: SocketContext,
+        socket_context: SocketContext,
         bound: BoundEndpoint,
         lock: KeyLock | None,
         on_request: Callable[[bytes, bytes, bool], bool],
@@ -102,7 +102,7 @@ class Clients:
             "router_mandatory": 1,
             "router_handover": 1,
         }
-        self.peers: Final = PeerSocket(gate, zmq.ROUTER, bound, lock, options)
+        self.peers: Final = PeerSocket(socket_context, zmq.ROUTER, bound, lock, options)
         self._on_request = on_request
         self._burst_counts: Counter[bytes] = Counter()
         self._burst_s = 0.0
