@@ -87,12 +87,12 @@ def make_outcome_of_one(
         ease = load.size / forces.load
         tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
         bending = vec3.scale(ease * ease, bending)
-    pressing = vec3.scale(load.size, load.along)
-    torque = compute_torque(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    pressing = vec3.scale(load.size, load.direction)
+    torque = compute_torque(finger, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
     outcome = ContactOutcome(
         object=ground.scene_index,
-        point=find_contact_point(finger.form, finger.radius, probe.orientation, landing.center, normal),
+        point=find_contact_point(finger, probe.orientation, landing.center, normal),
         normal=normal,
         force=vec3.add(pressing, tangential),
         mode=friction.mode,
@@ -111,7 +111,7 @@ def make_outcome_of_one(
         trailing_force=NO_FORCE,
         torque=torque,
         torsion=moment,
-        radius=forces.area.radius,
+        radius=forces.patch.radius,
         is_late=budget_exhausted > 0.0,
         budget=budget_exhausted,
     )

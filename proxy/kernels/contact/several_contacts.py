@@ -11,7 +11,6 @@ from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, h
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Prediction,
-    ProbeMotion,
     apply_friction,
     find_textured_ground,
 )
@@ -36,6 +35,7 @@ from softfinger.proxy.kernels.model import (
     FingerState,
     FrictionResult,
     Probe,
+    ProbeMotion,
     Scene,
     SmoothSearch,
     Vec3,
@@ -55,7 +55,7 @@ NO_FORCES = ContactForces(
         mode=float(FREE), cause=float(CAUSE_NONE), deflection=ZERO, rolled_part=ZERO, slip_speed=0.0,
         slip_deflection=0.0, spin=0.0, spin_slip_speed=0.0, spin_slip_angle=0.0, force=ZERO, moment=0.0,
     ),
-    area=NO_PATCH, unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
+    patch=NO_PATCH, unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
 )  # fmt: skip
 """Forces of an unused contact."""
 
@@ -162,7 +162,7 @@ def apply_friction_of_contact(
     if contact.object_index < 0.0 or contact.share <= 0.0:
         return NO_FORCES
     ground = find_textured_ground(objects, contact.object_index, approach.active, approach.center)
-    return apply_friction(finger, objects, ground, predicted, contact.share, motion)
+    return apply_friction(finger, objects, ground, predicted, motion)
 
 
 @jit

@@ -9,7 +9,6 @@ from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     NormalForce,
-    ProbeMotion,
     compute_load,
     find_ground,
     find_textured_ground,
@@ -34,6 +33,7 @@ from softfinger.proxy.kernels.model import (
     ContactState,
     Finger,
     Probe,
+    ProbeMotion,
     Vec3,
 )
 from softfinger.proxy.kernels.model.vectors import ZERO
@@ -148,14 +148,14 @@ def compute_wrench_share(
     normal = constraint.normal
     ground = find_textured_ground(objects, constraint.object_index, settled.active, settled.center)
     contact = find_contact(constraint, settled.contacts)
-    pressing = vec3.scale(load.size, load.along)
+    pressing = vec3.scale(load.size, load.direction)
     # The limit of the torsional moment grows by up to f_N^(4/3).
     moment, bending = scale * scale * friction.moment, vec3.scale(scale * scale, friction.bending)
     law = rotate_law(ground.material.friction, ground.orientation)
     tangential = limit_to_cone(law, normal, vec3.scale(scale, friction.force), load.size, contact.slip_speed)
-    torque = compute_torque(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    torque = compute_torque(finger, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
-    curvature_radius = compute_radius_of_curvature(finger.form, finger.radius, probe.orientation, normal)
+    curvature_radius = compute_radius_of_curvature(finger, probe.orientation, normal)
     area = compute_contact_patch(finger.patch, curvature_radius, ground.material.compliance, load.size)
     return Share(
         pressing,
@@ -165,7 +165,7 @@ def compute_wrench_share(
         area.radius,
         ContactOutcome(
             object=ground.scene_index,
-            point=find_contact_point(finger.form, finger.radius, probe.orientation, settled.center, normal),
+            point=find_contact_point(finger, probe.orientation, settled.center, normal),
             normal=normal,
             force=vec3.add(pressing, tangential),
             mode=contact.mode,

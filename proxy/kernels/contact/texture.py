@@ -8,8 +8,8 @@ path neither gains nor loses energy; damping also acts along m, and dissipates B
 Friction. The coefficients of the law and the torsional limit are multiplied by the texture's factor at the contact
 point.
 
-    apply_relief(texture, body, depth, normal, position)          -> d, m
-    apply_grip(texture, body, index, active, center)         -> body with the friction of its material there
+    apply_relief(body, depth, normal, position)  -> d, m
+    apply_grip(body, index, active, center)      -> body with the friction of its material under the proxy
 """
 
 from math import floor
@@ -101,20 +101,16 @@ def compute_chart(body: Any, x: Vec3, normal: Vec3) -> Chart:
 
 
 @jit
-def apply_relief(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    """Return the surface depth d (m) and m (3,) on one object; the probe at `position` is `depth` behind the proxy."""
-    if texture is None or texture.columns == 0.0:  # no texture, in a scene with textured objects
+def apply_relief(body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+    """Return the surface depth d (m) and m (3,) on one object; the probe at `position` is `depth` behind the proxy.
+
+    The height is h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`.
+    """
+    if body.texture is None or body.texture.columns == 0.0:  # no texture, in a scene with textured objects
         return depth, shade_normal(body.shape, body.pose, normal, position)
-    return raise_by_relief(texture.relief, texture, body, depth, normal, position)
-
-
-@jit
-def raise_by_relief(
-    relief: Any, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
-) -> tuple[float, Vec3]:
-    """Add h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`."""
-    if relief is None:
+    if body.texture.relief is None:
         return depth, normal
+    texture, relief = body.texture, body.texture.relief
     at = compute_chart(body, position, normal)
     z = sample(texture, at.u, at.v)
     drop = relief.height * (1.0 - z.value)
@@ -127,18 +123,11 @@ def raise_by_relief(
 
 
 @jit
-def apply_grip(texture: Any, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
+def apply_grip(body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
     """Return object `index`; if it supports the proxy, with its friction under the proxy's `center` (3,) m."""
-    if texture is None:
+    if body.texture is None or body.texture.grip is None:
         return body
-    return scale_friction(texture.grip, texture, body, index, active, center)
-
-
-@jit
-def scale_friction(grip: Any, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
-    if grip is None:
-        return body
-    factor = 1.0
+    texture, grip, factor = body.texture, body.texture.grip, 1.0
     one, two, three = active
     if texture.columns != 0.0 and (
         index == one.object_index or index == two.object_index or index == three.object_index
