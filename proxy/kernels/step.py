@@ -174,13 +174,13 @@ def step_with_several_objects(
     if approach.active[0].object_index < 0.0:
         return step_without_contact(scene, finger, objects, state, motion, approach.budget)
     forces = map_each(apply_friction_of_contact, (approach.predicted,), finger, objects, approach, motion)
-    landing, is_alone = land_among_several(finger, shapes, approach, forces[0], probe.position)
+    landing, is_single = land_among_several(finger, shapes, approach, forces[0], probe.position)
     active = landing.active
-    if not is_alone:
+    if not is_single:
         settled = settle_after_friction(finger, objects, shapes, approach, forces, probe.position)
         active = settled.active
     effects = sum_effects(scene, finger, objects, state, active, motion)
-    if is_alone:
+    if is_single:
         ground = find_ground(objects, active[0].object_index)
         load = compute_load(finger, objects, ground, active[0], motion, approach.is_new)
         outcome = make_outcome_of_one(finger, ground, probe, approach, forces[0], landing, load)

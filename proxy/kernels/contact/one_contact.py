@@ -38,10 +38,21 @@ class Landing(NamedTuple):
 
 
 @jit
+def does_move(approach: Approach, forces: ContactForces) -> bool:
+    """Return True if friction moves the proxy of a single contact: by a slip, or by a roll not yet in its position."""
+    friction = forces.result
+    return (
+        friction.mode == SLIDING
+        or friction.deflection != approach.predicted[0].deflection
+        or approach.center_lacks_roll
+    )
+
+
+@jit
 def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: ContactForces, position: Vec3) -> Landing:
     """Move the proxy with a slip over the only object; it does not move if it sticks."""
-    friction, predicted, constraint = forces.result, approach.predicted[0], approach.active[0]
-    if friction.mode != SLIDING and friction.deflection == predicted.deflection and not approach.center_lacks_roll:
+    constraint = approach.active[0]
+    if not does_move(approach, forces):
         return Landing(approach.center, approach.active, 0.0)
     center, active, budget_exhausted = settle_on_one(
         shapes,
@@ -49,7 +60,7 @@ def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: Contact
         finger.radius,
         position,
         approach.center,
-        friction.deflection,
+        forces.result.deflection,
         constraint.normal,
     )
     return Landing(center, active, budget_exhausted)

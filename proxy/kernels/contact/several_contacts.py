@@ -16,7 +16,7 @@ from softfinger.proxy.kernels.contact.contact_friction import (
 )
 from softfinger.proxy.kernels.contact.continuation import continue_contact
 from softfinger.proxy.kernels.contact.detection import detect_contact
-from softfinger.proxy.kernels.contact.one_contact import Landing
+from softfinger.proxy.kernels.contact.one_contact import Landing, does_move
 from softfinger.proxy.kernels.contact.prediction import continue_several
 from softfinger.proxy.kernels.contact.rest.active_set import make_single_constraint
 from softfinger.proxy.kernels.contact.rest.cutting_planes import REST_STEP
@@ -48,7 +48,7 @@ from softfinger.proxy.kernels.query.objects import find_closest_within, find_dee
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE
 from softfinger.proxy.kernels.shapes.protocol import direction
-from softfinger.proxy.record import CAUSE_NONE, FREE, SLIDING
+from softfinger.proxy.record import CAUSE_NONE, FREE
 
 NO_FORCES = ContactForces(
     result=FrictionResult(
@@ -118,8 +118,8 @@ def crosses_seam(objects: Any, radius: float, before: Vec3, center: Vec3, index:
 
     The proxy is then at the edge of the first of two flush objects, or beyond it.
     """
-    _, along = direction(vec3.sub(center, before), ZERO)
-    further = vec3.add_scaled(center, SEAM_DISTANCE * radius, along)
+    _, heading = direction(vec3.sub(center, before), ZERO)
+    further = vec3.add_scaled(center, SEAM_DISTANCE * radius, heading)
     own_gap, _, _, _ = find_closest_within(objects, index, further, budget)
     gap, _, budget = find_deepest_of_others(objects, further, own_gap, index, budget)
     return budget < 0 or gap < own_gap - INSIDE_TOLERANCE * radius
@@ -183,16 +183,12 @@ def land_among_several(
 ) -> tuple[Landing, bool]:
     """Return the proxy of the only contact after friction, and True if it is clear of all other objects."""
     center, active, budget_exhausted, at_rest = approach.center, approach.active, 0.0, True
-    constraint, radius, friction = active[0], finger.radius, forces.result
+    constraint, radius = active[0], finger.radius
     if not approach.is_single:
         return Landing(center, active, budget_exhausted), False
-    if (
-        friction.mode == SLIDING
-        or friction.deflection != approach.predicted[0].deflection
-        or approach.center_lacks_roll
-    ):
+    if does_move(approach, forces):
         center, active, budget_exhausted, at_rest = follow_slip(
-            objects, constraint.object_index, radius, position, center, friction.deflection, constraint.normal
+            objects, constraint.object_index, radius, position, center, forces.result.deflection, constraint.normal
         )
     if not at_rest or (
         is_mesh_at(objects, constraint.object_index) and not is_safe_step(approach.clear_center, center, radius)

@@ -153,28 +153,32 @@ def add_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: 
         return solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
     best = solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
     least = compute_distance_behind(three, best.center)
-    for turn in range(2):
+    for attempt in range(2):
         if least <= PLANE_TOLERANCE * radius:
             break
-        if turn == 0:
-            other = solve_planes(CuttingPlanes(one, three, plane, nowhere, nothing), probe, lift)
-            far = compute_distance_behind(two, other.center)
-        else:
-            other = solve_planes(CuttingPlanes(two, three, plane, nowhere, nothing), probe, lift)
-            far = compute_distance_behind(one, other.center)
-        if far < least:
-            best, least = other, far
+        kept, dropped = (one, two) if attempt == 0 else (two, one)
+        trial = solve_planes(CuttingPlanes(kept, three, plane, nowhere, nothing), probe, lift)
+        violation = compute_distance_behind(dropped, trial.center)
+        if violation < least:
+            best, least = trial, violation
     return best
+
+
+@jit
+def find_facet_under(objects: Any, index: float, x: Vec3) -> float:
+    """Return the flat index of the facet nearest to `x` (3,) m that is at most MAX_EDGES edges from facet `index`."""
+    for _ in range(MAX_EDGES):
+        neighbour = find_neighbour(objects, index, x)
+        if neighbour == index:
+            break
+        index = neighbour
+    return index
 
 
 @outlined
 def find_touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> CuttingPlane:
     """Return the plane, at the anchor, of an object or its neighbour; NO_CUTTING_PLANE if neither is touched."""
-    for _ in range(MAX_EDGES):
-        beyond = find_neighbour(objects, index, anchor)
-        if beyond == index:
-            break
-        index = beyond
+    index = find_facet_under(objects, index, anchor)
     plane = find_supporting_plane(objects, index, radius, anchor, anchor)
     return NO_CUTTING_PLANE if vec3.dot(plane.normal, anchor) - plane.offset > TOUCH_DISTANCE * radius else plane
 
@@ -254,21 +258,21 @@ def step_towards(
         clipped = length > MAX_STRIDE * radius
         if clipped:
             center = vec3.add_scaled(anchor, MAX_STRIDE * radius / length, path)
-        gap, at, budget = find_deepest(objects, center, radius, list_bodies(planes), budget)
+        gap, index, budget = find_deepest(objects, center, radius, list_bodies(planes), budget)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             is_clear = True
             break
-        if budget < 0 or at < 0.0:
+        if budget < 0 or index < 0.0:
             break
-        plane = find_supporting_plane(objects, at, radius, anchor, center if nearest else anchor)
+        plane = find_supporting_plane(objects, index, radius, anchor, center if nearest else anchor)
         if gap > radius * (1.0 - LIFT_DEPTH) and (added >= LIFT_AFTER or 2 * budget < budget_at_start):
             lift = 2.0 * (radius - gap)
         one, two, three = planes.first, planes.second, planes.third
-        if at == one.object_index:
+        if index == one.object_index:
             one = plane
-        elif at == two.object_index:
+        elif index == two.object_index:
             two = plane
-        elif at == three.object_index:
+        elif index == three.object_index:
             three = plane
         else:
             planes = add_plane(planes, plane, radius, probe, lift)
@@ -298,18 +302,18 @@ def step_towards(
 @outlined
 def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Rest:
     """Move the proxy from the anchor, where it is outside, to rest. Each step ends outside and closer to the probe."""
-    stand, nearest = Rest(anchor, active, True, budget), True
+    rest, nearest = Rest(anchor, active, True, budget), True
     for _ in range(MAX_STEPS):
-        planes = find_planes(objects, radius, stand.center, list_objects(stand.active))
-        before = stand.center
-        stand = step_towards(objects, radius, probe, before, planes, nearest, stand.budget)
-        if stand.budget < 0 or (not stand.is_late and is_touching_all(objects, stand.active, radius, stand.center)):
+        planes = find_planes(objects, radius, rest.center, list_objects(rest.active))
+        before = rest.center
+        rest = step_towards(objects, radius, probe, before, planes, nearest, rest.budget)
+        if rest.budget < 0 or (not rest.is_late and is_touching_all(objects, rest.active, radius, rest.center)):
             break
-        if not stand.is_late or vec3.norm(vec3.sub(stand.center, before)) <= REST_STEP * radius:
+        if not rest.is_late or vec3.norm(vec3.sub(rest.center, before)) <= REST_STEP * radius:
             if not nearest:
                 break
             nearest = False
-    return stand
+    return rest
 
 
 @jit

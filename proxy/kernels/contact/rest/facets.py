@@ -3,7 +3,7 @@
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rest.active_set import make_active_set
-from softfinger.proxy.kernels.contact.rest.cutting_planes import MAX_EDGES, REST_STEP, Rest, solve_tangent_planes
+from softfinger.proxy.kernels.contact.rest.cutting_planes import REST_STEP, Rest, find_facet_under, solve_tangent_planes
 from softfinger.proxy.kernels.contact.rest.one_object import MAX_ROUNDS, MAX_SLIDING_ROUNDS, SAME_SIDE_COSINE
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
@@ -11,20 +11,9 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Quaternion, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import has_creases_near, is_mesh_at
-from softfinger.proxy.kernels.query.objects import find_closest_within, find_neighbour
+from softfinger.proxy.kernels.query.objects import find_closest_within
 from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP_SHARE, SETTLED_STEP
 from softfinger.proxy.kernels.shapes.protocol import direction, turn_along
-
-
-@jit
-def find_facet_under(objects: Any, index: float, x: Vec3) -> float:
-    """Return the flat index of the facet nearest to `x` (3,) m, reached from facet `index` over at most EDGES edges."""
-    for _ in range(MAX_EDGES):
-        neighbour = find_neighbour(objects, index, x)
-        if neighbour == index:
-            break
-        index = neighbour
-    return index
 
 
 @jit
@@ -120,7 +109,7 @@ def slide_over_facets(
 ) -> tuple[Vec3, ActiveSet, bool]:
     """Slide over the facets of a mesh as `rest_on_curved` does.
 
-    Return the center of the proxy, the facets that it touches, and whether it is at rest. Without a deflection, it may
+    Return the centre of the proxy, the facets that it touches, and whether it is at rest. Without a deflection, it may
     need further steps.
     """
     rounds, square = MAX_SLIDING_ROUNDS, 0.0
