@@ -59,10 +59,10 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
     materials, rigid = _compile_materials(scene), compile_bodies(scene, before)
     bodies = list[model.Object]()
     carriers = list[model.Carrier]()
-    riders = list[float]()
+    attached = list[float]()
     for number, (obj, material) in enumerate(zip(scene.object, materials, strict=True)):
         motion, effects = compile_motion(obj.motion, rigid), compile_effects(obj.effect)
-        riders.append(0.0 if motion is None else motion.body)
+        attached.append(0.0 if motion is None else motion.body)
         texture = compile_texture(obj)
         for part, (shape, position, orientation) in enumerate(shape_bodies(obj)):
             fixed = motion is None and texture is None
@@ -82,7 +82,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         else model.Single(bodies[0], tuple(carriers), search_for(bodies)),
         rolling=rolling,
         effects=compile_effects(scene.effect),
-        bodies=None if rigid is None else rigid.kernel(tuple(riders)),
+        bodies=None if rigid is None else rigid.kernel(tuple(attached)),
         elastic=_compile_elastic(scene, bodies),
     )
 

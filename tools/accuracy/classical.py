@@ -65,7 +65,7 @@ def compute_weight(y: float, y_ahead: float) -> float:
 
 @jit
 def find_largest(v: Coordinates, y: Coordinates, y_ahead: Coordinates) -> float:
-    """Return the largest component of v, each relative to the larger of y and other, or to the threshold."""
+    """Return the largest component of v, each relative to the larger of y and y_ahead, or to the threshold."""
     first = max(abs(v.u_f) * compute_weight(y.u_f, y_ahead.u_f), abs(v.v_f) * compute_weight(y.v_f, y_ahead.v_f))
     second = max(abs(v.u_o) * compute_weight(y.u_o, y_ahead.u_o), abs(v.v_o) * compute_weight(y.v_o, y_ahead.v_o))
     return max(first, second, abs(v.psi) * compute_weight(y.psi, y_ahead.psi))

@@ -47,7 +47,7 @@ from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, has_creas
 from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest_of_others
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE
-from softfinger.proxy.kernels.shapes.protocol import direction
+from softfinger.proxy.kernels.shapes.protocol import compute_direction
 from softfinger.proxy.record import CAUSE_NONE, FREE
 
 NO_FORCES = ContactForces(
@@ -118,7 +118,7 @@ def crosses_seam(objects: Any, radius: float, before: Vec3, center: Vec3, index:
 
     The proxy is then at the edge of the first of two flush objects, or beyond it.
     """
-    _, heading = direction(vec3.sub(center, before), ZERO)
+    _, heading = compute_direction(vec3.sub(center, before), ZERO)
     further = vec3.add_scaled(center, SEAM_DISTANCE * radius, heading)
     own_gap, _, _, _ = find_closest_within(objects, index, further, budget)
     gap, _, budget = find_deepest_of_others(objects, further, own_gap, index, budget)

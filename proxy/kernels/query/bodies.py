@@ -93,7 +93,7 @@ def push_bodies(bodies: Bodies, contacts: Any, fingers: Any) -> None:
     """
     wrench = float64_at(bodies.block[WRENCH])
     for k in range(int(bodies.objects)):
-        at = 6 * int(bodies.riders[k])
+        at = 6 * int(bodies.attached[k])
         for i in range(6):
             wrench[at + i] = 0.0
     map_each(push_by_finger, (contacts, fingers), bodies)
@@ -108,7 +108,7 @@ def push_by_finger(contact: Contact, finger: FingerState, bodies: Bodies) -> Non
 @jit
 def push_by_contact(contact: ContactOutcome, center: Vec3, bodies: Bodies) -> None:
     if contact.object >= 0.0:
-        body = int(bodies.riders[int(contact.object)])
+        body = int(bodies.attached[int(contact.object)])
         if body > 0:
             push(bodies.block, body, contact.force, contact.torque, center)
 

@@ -12,7 +12,7 @@ default if it has a better method, as the plane does.
     constraint_at(shape, center, radius, n, budget) -> point, n, budget of an active constraint with the last normal n
     transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v transported to the new normal
     is_hollow(shape)                         -> bool                True if touched from inside; default: False
-    bend(shape, radius, point, normal)       -> 1/m                 curvature of the offset surface round the fingertip
+    concavity(shape, radius, point, normal)  -> 1/m                 curvature of the offset surface round the fingertip
     follows(shape, radius, start, normal, end) -> bool              True if the centre may roll there; default: True
     travel(shape, start, end, radius, leaves)  -> 0 to 1            share of the path until the fingertip hits the shape
     rest_on(shape, pose, radius, ...)                               rest position of the proxy
@@ -146,12 +146,12 @@ def unroll(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> An
 
 
 @by_type_with_default
-def bend(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
+def concavity(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
     """Return the largest curvature with which the offset surface bends round the fingertip, 1/m; 0 if it does not."""
     return 0.0
 
 
-def bend_from_inside(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
+def concavity_from_side(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
     if shape.side > 0.0:
         return 0.0
     k1, k2, _ = curvature(shape, radius, point, normal)
@@ -165,11 +165,11 @@ def hollow_from_inside(shape: Any) -> bool:
 def may_be_hollow(kind: type) -> None:
     """Register shapes that have `side`, -1 if touched from inside."""
     is_hollow.of(kind)(hollow_from_inside)
-    bend.of(kind)(bend_from_inside)
+    concavity.of(kind)(concavity_from_side)
 
 
 @jit
-def direction(v: Vec3, otherwise: Vec3) -> tuple[float, Vec3]:
+def compute_direction(v: Vec3, otherwise: Vec3) -> tuple[float, Vec3]:
     """Return the length of `v` and the unit vector along it, or `otherwise` if `v` is zero; for any finite `v`."""
     square = vec3.dot(v, v)
     if 1e-250 < square < 1e250:
@@ -203,7 +203,7 @@ def any_tangent(normal: Vec3) -> Vec3:
 
 
 @jit
-def offset(k: float, radius: float) -> float:
+def compute_offset_curvature(k: float, radius: float) -> float:
     """Return the curvature at the distance `radius` from a surface of curvature `k`, 1/m.
 
     A fingertip that fits has 1 + radius k > 0; for one that does not, the curvature is large, but finite.

@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.objects import find_closest_within
 from softfinger.proxy.kernels.shapes.budget import INSIDE_TOLERANCE
 from softfinger.proxy.kernels.shapes.composite import NearestObject
-from softfinger.proxy.kernels.shapes.protocol import direction
+from softfinger.proxy.kernels.shapes.protocol import compute_direction
 
 SAME_SUPPORT_COSINE = 1.0 - 1e-4
 """Cosine between the normals of two support points on a height map above which they count as one."""
@@ -159,5 +159,5 @@ def merge_support_points(active: ActiveSet) -> ActiveSet:
 @jit
 def merge_constraints(one: Constraint, two: Constraint) -> Constraint:
     push = vec3.add_scaled(vec3.scale(one.depth, one.normal), two.depth, two.normal)
-    depth, normal = direction(push, one.normal)
+    depth, normal = compute_direction(push, one.normal)
     return Constraint(one.object_index, normal, depth)

@@ -13,7 +13,7 @@ from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import has_creases_near, is_mesh_at
 from softfinger.proxy.kernels.query.objects import find_closest_within
 from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP_SHARE, SETTLED_STEP
-from softfinger.proxy.kernels.shapes.protocol import direction, turn_along
+from softfinger.proxy.kernels.shapes.protocol import compute_direction, turn_along
 
 
 @jit
@@ -86,7 +86,7 @@ def roll_over_edge(
     on_both = compute_share_of_tick(vec3.sub(rolled.normal, start.normal), rate)
     on_next = min(compute_share_of_tick(vec3.sub(rolled.normal, normal), rate), on_both)
     share = 0.5 * (on_both + on_next)
-    _, mean = direction(vec3.add_scaled(vec3.scale(1.0 - share, start.normal), share, normal), normal)
+    _, mean = compute_direction(vec3.add_scaled(vec3.scale(1.0 - share, start.normal), share, normal), normal)
     flat = roll_flat_on(method, objects, facet, radius, mean, turn)
     _, point, normal, _ = find_closest_within(objects, facet, vec3.add(start.center, flat.motion), BUDGET)
     center, motion = vec3.add_scaled(point, radius, normal), turn_along(flat.motion, mean, normal)

@@ -34,8 +34,8 @@ from softfinger.proxy.kernels.shapes.protocol import (
     MAX_ADVANCES,
     NO_HIT,
     TOUCHING_CLEARANCE,
+    compute_direction,
     curvature,
-    direction,
     follows,
     meets,
     rest_on,
@@ -166,7 +166,7 @@ def rest_on_support_points(
             push, target = solve_support_points(feet, radius, goal, n1, n2, n3)
         if turn > 0 and clear:
             rest = center
-            _, up = direction(push, n1)
+            _, up = compute_direction(push, n1)
         target = vec3.add(rest, clamp_length(vec3.sub(target, rest), MAX_STRIDE * radius))
         if feet.point_count == 1:
             _, p1, n1, _, cost = find_foot_from(shape, target, p1)

@@ -21,7 +21,13 @@ from typing import NamedTuple
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, bend, curvature, direction, offset
+from softfinger.proxy.kernels.shapes.protocol import (
+    Z_AXIS,
+    compute_direction,
+    compute_offset_curvature,
+    concavity,
+    curvature,
+)
 
 MAX_NEWTON_STEPS = 24
 """Limit of Newton's steps; usually three to five, more only for a start far from any foot point."""
@@ -163,7 +169,7 @@ def solve_by_newton(p: Vec3, foot: MapFoot) -> tuple[float, float]:
         return (st * gt - tt * gs) / volume, (st * gs - ss * gt) / volume
     mean, half = 0.5 * (ss + tt), 0.5 * (ss - tt)
     spread = sqrt(half * half + st * st)
-    _, axis = direction((half + spread, st, 0.0) if half >= 0.0 else (st, spread - half, 0.0), (1.0, 0.0, 0.0))
+    _, axis = compute_direction((half + spread, st, 0.0) if half >= 0.0 else (st, spread - half, 0.0), (1.0, 0.0, 0.0))
     first, second = max(abs(mean + spread), MIN_SECOND_DERIVATIVE), max(abs(mean - spread), MIN_SECOND_DERIVATIVE)
     along, across = (axis[0] * gs + axis[1] * gt) / first, (axis[0] * gt - axis[1] * gs) / second
     return axis[1] * across - axis[0] * along, -axis[1] * along - axis[0] * across
@@ -214,7 +220,7 @@ def is_below(shape: Heightmap, x: Vec3) -> bool:
 
 
 @jit
-def is_touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec3]:
+def compute_gap_at_foot(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec3]:
     """Return gap (m), point (3,) m and normal (3,) at a foot point of `x` (3,) m."""
     h = foot.height
     point = (
@@ -229,7 +235,7 @@ def is_touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, 
         vec3.norm(vec3.add_scaled(away, -gap, normal)) > FOOT_SINE * abs(gap)
         and abs(gap) > CONVERGED_STEP * shape.pitch
     ):
-        size, along = direction(away, normal)
+        size, along = compute_direction(away, normal)
         sign = -1.0 if is_below(shape, x) else 1.0
         gap, normal = sign * size, vec3.scale(sign, along)
     return gap, point, normal
@@ -242,7 +248,7 @@ def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal:
     h = compute_height(shape, at[0], at[1])
     steep = 1.0 + h.s * h.s + h.t * h.t
     up = vec3.scale(1.0 / sqrt(steep), (-h.s, -h.t, 1.0))
-    _, u = direction((1.0, 0.0, h.s), Z_AXIS)
+    _, u = compute_direction((1.0, 0.0, h.s), Z_AXIS)
     v = vec3.cross(up, u)
     per = -1.0 / (shape.pitch * sqrt(steep))
     us, ut = h.ss * u[0] + h.st * u[1], h.st * u[0] + h.tt * u[1]
@@ -251,13 +257,13 @@ def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal:
     half = 0.5 * (uu - vv)
     spread = sqrt(half * half + uv * uv)
     along = (half + spread, uv, 0.0) if half >= 0.0 else (uv, spread - half, 0.0)
-    _, turned = direction(along, (1.0, 0.0, 0.0))
+    _, turned = compute_direction(along, (1.0, 0.0, 0.0))
     mean = 0.5 * (uu + vv)
     first = vec3.add_scaled(vec3.scale(turned[0], u), turned[1], v)
-    return offset(mean + spread, radius), offset(mean - spread, radius), first
+    return compute_offset_curvature(mean + spread, radius), compute_offset_curvature(mean - spread, radius), first
 
 
-@bend.of(Heightmap)
+@concavity.of(Heightmap)
 def bend_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> float:
     k1, k2, _ = curvature(shape, radius, point, normal)
     return max(-min(k1, k2), 0.0)

@@ -9,7 +9,7 @@ from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.mesh.lanes import FIELDS, LANES, NODE
-from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
+from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, compute_direction
 
 PLACE_MARGIN, AXES_MARGIN = 2.5e-7, 2e-6
 """Margins of a box, as a share of the mesh's size and of the box's own: float32 rounds coordinates by 6e-8, and the
@@ -143,7 +143,7 @@ def compute_box(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec
 
     some   triangles: first, one after the last, step
     """
-    size, u = direction(vec3.reject(side, up), Z_AXIS)
+    size, u = compute_direction(vec3.reject(side, up), Z_AXIS)
     if size <= 1e-6 * vec3.norm(side):
         u = any_tangent(up)
     v = vec3.cross(up, u)
@@ -181,7 +181,7 @@ def write_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: 
     total = (0.0, 0.0, 0.0)
     for k in range(low, high):
         total = vec3.add(total, compute_area_normal(vertices, corners, k))
-    _, up = direction(total, Z_AXIS)
+    _, up = compute_direction(total, Z_AXIS)
     some = (low, high, 1 + (high - low) // MAX_SAMPLES)
     side = find_longest_side(vertices, corners, some)
     if high - low > 1:

@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
+from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, compute_direction
 
 FACE_FEATURE = 6
 """Number of the face as a feature of the triangle; 0 to 2 are its edges, 3 to 5 its corners."""
@@ -116,7 +116,7 @@ def find_foot_on(corners: Corners, x: Vec3) -> Foot:
 def compute_face_normal(corners: Corners) -> Vec3:
     """Return the unit normal (3,), towards the side from which the corners are counter-clockwise."""
     across = vec3.cross(vec3.sub(corners.b, corners.a), vec3.sub(corners.c, corners.a))
-    _, normal = direction(across, Z_AXIS)
+    _, normal = compute_direction(across, Z_AXIS)
     return normal
 
 
@@ -225,7 +225,7 @@ def offset_curvature_on_triangle(
     if feature >= 3:
         return 1.0 / radius, 1.0 / radius, any_tangent(normal)
     first, second = corners[feature], corners[(feature + 1) % 3]
-    _, across = direction(vec3.cross(normal, vec3.sub(second, first)), any_tangent(normal))
+    _, across = compute_direction(vec3.cross(normal, vec3.sub(second, first)), any_tangent(normal))
     return 1.0 / radius, 0.0, across
 
 
@@ -241,7 +241,7 @@ def compute_shaded_normal(shape: Mesh, triangle: float, x: Vec3, normal: Vec3) -
     for i in range(3):
         at = 3 * int(mesh.corners[3 * k + i])
         total = vec3.add_scaled(total, foot.weights[i], (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2]))
-    _, smooth = direction(total, normal)
+    _, smooth = compute_direction(total, normal)
     return smooth if vec3.dot(smooth, normal) >= 0.0 else vec3.scale(-1.0, smooth)
 
 
@@ -261,12 +261,12 @@ def closest_on_triangle(shape: Mesh, triangle: float, x: Vec3) -> tuple[float, V
         if mesh.side < 0.0 or (mesh.side == 0.0 and gap < 0.0):
             return -gap, foot.point, vec3.scale(-1.0, normal)
         return gap, foot.point, normal
-    distance, outward = direction(apart, normal)
+    distance, outward = compute_direction(apart, normal)
     if mesh.side == 0.0:
         return distance, foot.point, outward
     pseudo = compute_pseudonormal(mesh, k, corners, foot.feature)
     if distance <= ON_TRIANGLE_SHARE * mesh.size:
-        _, outward = direction(pseudo, normal)
+        _, outward = compute_direction(pseudo, normal)
     elif vec3.dot(outward, pseudo) < 0.0:
         distance, outward = -distance, vec3.scale(-1.0, outward)
     return mesh.side * distance, foot.point, vec3.scale(mesh.side, outward)
