@@ -126,7 +126,7 @@ def step_finger(
     velocity = filter_velocity(finger, state, pose.position, dt)
     motion = ProbeMotion(Probe(pose.position, pose.orientation, velocity), state.probe, dt)
     reach = finger.radius + (vec3.norm(vec3.sub(pose.position, state.center)) if state.started != 0.0 else 0.0)
-    nearby = choose_search(objects, pose.position, 2.0 * reach)  # covers the path of the probe and that to rest
+    nearby = choose_search(objects, pose.position, 2.0 * reach)  # the paths of probe and proxy
     obstacles = minkowski_objects(finger, nearby, pose.orientation)
     if isinstance(objects, Many) or isinstance(objects.search, FacetedSearch):
         return step_with_several_objects(scene, finger, obstacles, state, motion)

@@ -106,7 +106,7 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
 def refine_touch(
     objects: Any, index: float, start: Vec3, end: Vec3, radius: float, hit_center: Vec3, near_mesh: bool, budget: int
 ) -> tuple[Vec3, bool]:
-    """Return the position (3,) m on the path where object `index`, without the others, would be touched, and a flag.
+    """Return the position (3,) m on the path of a touch of object `index`, without regard to other objects, and a flag.
 
     hit_center  (3,) m  touch found by the search of all objects
     near_mesh           True if a mesh may be touched on the path

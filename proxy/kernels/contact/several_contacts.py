@@ -114,7 +114,7 @@ def is_clear_of_others(
 
 @jit
 def crosses_seam(objects: Any, radius: float, before: Vec3, center: Vec3, index: float, budget: int) -> bool:
-    """Return True if another object is nearer than object `index` a little further on the path to `center` (3,) m.
+    """Return True if another object is closer than object `index` a little further on the path to `center` (3,) m.
 
     The proxy is then at the edge of the first of two flush objects, or beyond it.
     """

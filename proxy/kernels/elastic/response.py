@@ -82,7 +82,7 @@ def compute_slope_by(first: Spot, second: Spot, rows: Any, back: Any) -> Mat3:
 def find_bending(elastic: Elastic, spot: Spot) -> tuple[float, float]:
     """Return the largest rotation, rad, and strain of the body under the load of a spot: an upper bound.
 
-    Those of the components of the load on each node are added, wherever in the body they are.
+    It adds the largest values due to each component of the load on each node, wherever in the body they are.
     """
     rotation, strain = 0.0, 0.0
     for i in range(3):

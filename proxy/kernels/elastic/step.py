@@ -5,8 +5,8 @@
 F is the step on the undeformed mesh, f_i the load of finger i at x_i, u_i the displacement there. So the finger's
 spring is in series with the surface, and friction, torsion and rolling act between the fingertip and the moving
 surface. Newton's method solves for u with the slopes of the load and of the contact point, at most MAX_RIGID_STEPS
-times. It begins at the solution of the last tick, corrected for the motion of the probes with the matrix of the last
-tick, and mostly ends after one more correction. Each round steps from the state of the last tick. If it does not
+times. Its first value is the solution of the last tick, corrected for the motion of the probes with the matrix of the
+last tick; mostly one more correction is enough. Each round steps from the state of the last tick. If it does not
 converge, the last round repeats the one with the least error, since any other may have the force of a rigid surface.
 
 Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.

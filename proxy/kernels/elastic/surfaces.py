@@ -96,7 +96,7 @@ def update_surface(
 def report_surface(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Contact:
     """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added.
 
-    slope  part of the force that comes from the slope of the deformed surface. A contact without friction conserves
+    slope  part of the force due to the slope of the deformed surface. A contact without friction conserves
            energy only with it. A contact with friction has none: it dissipates more than a slope below the coefficient
            of friction returns.
     """

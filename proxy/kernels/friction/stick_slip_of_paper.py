@@ -24,7 +24,7 @@ def stick_slip_by_equations(
     """Compute friction and torsion of one tick by the text of section 3.2.
 
     rolling to sliding   the tangential force of the hand, -K e, is outside the static cone and has the sign of the
-                         displacement P produced by rolling since rolling last began; or |P| / r > theta_max
+                         displacement P produced by rolling since the start of rolling; or |P| / r > theta_max
     while sliding        exactly mu_d f_N, no spring-damper: e is scaled to it, down and up
     sliding to rolling   inside the kinetic cone and no tangential velocity
 

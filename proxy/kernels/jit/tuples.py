@@ -61,8 +61,8 @@ def same_for(typing_context, each, thing):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def first_of(typing_context, each, thing, others):  # type: ignore[no-untyped-def]
-    """Return a tuple of the length of `each`: `thing` first, then `others` in every other element."""
+def first_of(typing_context, each, thing, default):  # type: ignore[no-untyped-def]
+    """Return a tuple of the length of `each`: `thing` first, then `default` in every further element."""
     result = types.UniTuple(thing, len(each))
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]

@@ -219,21 +219,21 @@ def follows_on_any(shape: AnyShape, radius: float, start: Vec3, normal: Vec3, en
 
 
 @travel.of(AnyShape)
-def travel_to_any(shape: AnyShape, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
+def travel_to_any(shape: AnyShape, start: Vec3, end: Vec3, radius: float, in_contact: bool) -> float:
     if shape.surface >= FLAT:
-        return travel_to_plane(plane_of(shape), start, end, radius, leaves)
+        return travel_to_plane(plane_of(shape), start, end, radius, in_contact)
     if shape.kernels[TRAVEL] != 0:
-        return call_kernel(shape, TRAVEL, 0.0, (start, end, radius, leaves))
-    return travel_to_shape(shape, start, end, radius, leaves)
+        return call_kernel(shape, TRAVEL, 0.0, (start, end, radius, in_contact))
+    return travel_to_shape(shape, start, end, radius, in_contact)
 
 
 @meets.of(AnyShape)
 def meets_any(
-    shape: AnyShape, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+    shape: AnyShape, start: Vec3, end: Vec3, radius: float, in_contact: bool, budget: int
 ) -> tuple[float, float, int]:
     if shape.kernels[MEETS] != 0:
-        return call_kernel(shape, MEETS, NO_MEETING, (start, end, radius, leaves, budget))
-    return travel(shape, start, end, radius, leaves), 0.0, budget
+        return call_kernel(shape, MEETS, NO_MEETING, (start, end, radius, in_contact, budget))
+    return travel(shape, start, end, radius, in_contact), 0.0, budget
 
 
 @nearest_of_shape.of(AnyShape)

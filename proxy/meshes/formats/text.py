@@ -23,7 +23,7 @@ def clean(data: bytes) -> bytes:
 
 
 def parse_numbers(text: bytes, dtype: Any) -> NDArray[Any]:
-    """Return the numbers of a text, separated by white space. Raises ValueError for other words."""
+    """Return the numbers of a text, separated by white space. Raises ValueError for other text."""
     if not text.strip():
         return np.empty(0, dtype)
     if b"," in text:
@@ -41,7 +41,7 @@ def count_words_per_line(text: bytes) -> Indices:
     """Return the number of words of each line."""
     codes = np.frombuffer(text, np.uint8)
     word = codes > 32
-    word[1:] &= codes[:-1] <= 32  # keeps the first byte of each word
+    word[1:] &= codes[:-1] <= 32  # only the first byte of each word
     ends = np.append(np.flatnonzero(codes == 10), len(codes))
     return np.diff(np.searchsorted(np.flatnonzero(word), ends), prepend=0)
 

@@ -1,4 +1,4 @@
-"""Rest position of the proxy among the facets of meshes, by supporting planes.
+"""Rest position of the proxy on facets of meshes, by supporting planes.
 
 A facet, enlarged by the fingertip's radius r, is convex and entirely on one side of each of its supporting planes. So
 every point on the other side, in front, is at least r away from the facet. The anchor is the last place of the proxy

@@ -45,9 +45,9 @@ def is_on_mesh(objects: Any, active: ActiveSet) -> bool:
 
 @jit
 def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
-    """Return the constraints of a proxy at rest, on meshes those of the facets under it (`move_constraint_over_edge`).
+    """Return the constraints of a proxy at rest; on meshes, of the facets under it (`move_constraint_over_edge`).
 
-    After a search, the planes may be those before the last motion of the proxy. On meshes they are replaced, unless the
+    After a search, the planes may be from before the last motion of the proxy. On meshes they are replaced, unless the
     probe is deeper than `DEEP_SHARE`: there, the force would change by more than the proxy moves. With a height map
     they are not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
     """

@@ -55,7 +55,7 @@ MAX_OBSTACLES = 16
 def settle_among_several(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Rest:
-    """Return the rest position of the proxy among several objects, without friction.
+    """Return the rest position of the proxy on several objects, without friction.
 
     start   (3,) m  start of its path in this tick, for the detection of obstacles: see `find_first_hit`
     center  (3,) m  proxy, after the motion of the objects that support it
@@ -68,7 +68,7 @@ def settle_among_several(
     """
     if has_creases_near(objects):
         return settle_in_steps(objects, radius, probe, start, center, active, budget)
-    reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))  # covers the path to rest
+    reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))  # the path of the proxy
     if not isinstance(objects.search, SmoothSearch) and is_near_mesh(objects, center, reach):
         return settle_on_facets(objects, radius, probe, center, active, budget)
     return settle_for(objects, radius, probe, start, center, active, budget)
@@ -203,8 +203,8 @@ def replace_constraint(
 ) -> tuple[ActiveSet, int]:
     """Return the active set with a fourth constraint instead of one of three, and the remaining budget.
 
-    It replaces the constraint that the solution of the others satisfies, or violates least. The weakest constraint may
-    be needed: the search would then never end.
+    It replaces the constraint that the solution of the other three satisfies, or violates least. If it replaced the
+    weakest one, which may be needed, the search might never end.
     """
     one, two, three = active
     best, least = active, NO_GAP

@@ -153,20 +153,20 @@ def is_nearer(foot: Foot, square: float) -> bool:
 
 
 @jit
-def nearer_round_corner(mesh: Triangles, start: int, at: int, x: Vec3, square: float) -> int:
+def find_nearer_round_corner(mesh: Triangles, start: int, feature: int, x: Vec3, square: float) -> int:
     """Return the closest of the triangles round a corner if it is closer to `x` than the corner, otherwise -1.
 
-    at      corner of the triangle `start`
-    square  m^2  squared distance of the corner
+    feature       corner 0, 1 or 2 of the triangle `start`
+    square   m^2  squared distance of the corner
 
     Visits the triangles connected by edges, up to CORNER_TRIANGLES_MAX in each direction, without a descent: for most
     of them the corner is the nearest point, so their distances do not show where a closer one is.
     """
-    vertex, nearest = mesh.corners[3 * start + at], -1
-    for turn in (0, 2):  # across the edge that starts at the corner, and across the one that ends there
-        triangle, corner = start, at
+    vertex, nearest = mesh.corners[3 * start + feature], -1
+    for side in (0, 2):  # across the edge that starts at the corner, and across the one that ends there
+        triangle, corner = start, feature
         for _ in range(CORNER_TRIANGLES_MAX):
-            triangle = int(mesh.across[3 * triangle + (corner + turn) % 3])
+            triangle = int(mesh.across[3 * triangle + (corner + side) % 3])
             if triangle < 0 or triangle == start:
                 break
             corner = 0
@@ -205,7 +205,7 @@ def nearer_neighbour(shape: Mesh, triangle: float, x: Vec3) -> float:
         if across >= 0 and is_nearer(find_foot_on(read_corners(mesh, across), x), foot.squared_distance):
             return float(across)
     corner = find_near_corner(corners, foot)
-    nearer = nearer_round_corner(mesh, k, corner, x, foot.squared_distance) if corner >= 0 else -1
+    nearer = find_nearer_round_corner(mesh, k, corner, x, foot.squared_distance) if corner >= 0 else -1
     return triangle if nearer < 0 else float(nearer)
 
 
