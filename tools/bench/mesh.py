@@ -126,7 +126,7 @@ def measure_ticks(scene: schema.Scene, radius: float, args: argparse.Namespace) 
 
 
 @entry
-def ask(like: Any, values: Array, points: Array, visits: Array) -> None:
+def find_nearest_triangles(like: Any, values: Array, points: Array, visits: Array) -> None:
     """Store in `visits` (n, 3) the results for each of `points` (n, 3) m.
 
     The columns are the squared distance, the number of nodes and triangles visited and, for the first CHECKED_POINTS,
@@ -148,7 +148,7 @@ def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str
     mesh = build_scene(scene).objects.body.shape
     points = np.ascontiguousarray(make_path(BLOCK, radius)[:, :3])
     nearest = np.zeros((len(points), 3))
-    ask(mesh, flatten(mesh), points, nearest)
+    find_nearest_triangles(mesh, flatten(mesh), points, nearest)
     wrong = np.abs(np.sqrt(nearest[:CHECKED_POINTS, 0]) - np.sqrt(nearest[:CHECKED_POINTS, 2])).max()
     percentiles_s = [float(np.percentile(nearest[:, 1], at)) for at in (50, 99, 100)]
     return {"asked": dict(zip(("p50", "p99", "max"), percentiles_s, strict=True)), "distance_error_m": float(wrong)}
