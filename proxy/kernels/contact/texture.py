@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import ActiveSet, Texture, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
-from softfinger.proxy.kernels.numerics.scalars import clamp
+from softfinger.proxy.kernels.numerics.scalars import clamp, compute_spline_weights, weigh
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
 from softfinger.proxy.kernels.shapes.composite import shade_normal
 
@@ -36,16 +36,6 @@ class TextureSample(NamedTuple):
     value: float
     by_u: float
     by_v: float
-
-
-@jit
-def compute_spline_weights(t: float) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-    """Return a uniform cubic B-spline's weights of four neighbours, at 0 <= t <= 1 between the middle two, and d/dt."""
-    s = 1.0 - t
-    tt, ss = t * t, s * s
-    value = (ss * s / 6.0, (4.0 - 3.0 * tt * (2.0 - t)) / 6.0, (4.0 - 3.0 * ss * (2.0 - s)) / 6.0, tt * t / 6.0)
-    slope = (-0.5 * ss, (1.5 * t - 2.0) * t, (2.0 - 1.5 * s) * s, 0.5 * tt)
-    return value, slope
 
 
 @jit
@@ -64,8 +54,7 @@ def sum_line(texture: Texture, row: float, columns: Any, weight: Any, slope: Any
     start = wrap_index(row, texture.rows, texture.period_v) * int(texture.columns)
     z0, z1 = texture.values[start + columns[0]], texture.values[start + columns[1]]
     z2, z3 = texture.values[start + columns[2]], texture.values[start + columns[3]]
-    value = weight[0] * z0 + weight[1] * z1 + weight[2] * z2 + weight[3] * z3
-    return value, slope[0] * z0 + slope[1] * z1 + slope[2] * z2 + slope[3] * z3
+    return weigh(weight, z0, z1, z2, z3), weigh(slope, z0, z1, z2, z3)
 
 
 @jit
@@ -74,8 +63,8 @@ def sample(texture: Texture, u: float, v: float) -> TextureSample:
     across = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
     down = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
     left, top = floor(across), floor(down)
-    a, da = compute_spline_weights(across - left)
-    b, db = compute_spline_weights(down - top)
+    a, da, _ = compute_spline_weights(across - left)
+    b, db, _ = compute_spline_weights(down - top)
     i0 = wrap_index(left - 1.0, texture.columns, texture.period_u)
     i1 = wrap_index(left, texture.columns, texture.period_u)
     i2 = wrap_index(left + 1.0, texture.columns, texture.period_u)
@@ -85,10 +74,8 @@ def sample(texture: Texture, u: float, v: float) -> TextureSample:
     z1, d1 = sum_line(texture, top, columns, a, da)
     z2, d2 = sum_line(texture, top + 1.0, columns, a, da)
     z3, d3 = sum_line(texture, top + 2.0, columns, a, da)
-    value = b[0] * z0 + b[1] * z1 + b[2] * z2 + b[3] * z3
-    by_v = db[0] * z0 + db[1] * z1 + db[2] * z2 + db[3] * z3
-    by_u = b[0] * d0 + b[1] * d1 + b[2] * d2 + b[3] * d3
-    return TextureSample(value, by_u * texture.per_u, by_v * texture.per_v)
+    by_u, by_v = weigh(b, d0, d1, d2, d3), weigh(db, z0, z1, z2, z3)
+    return TextureSample(weigh(b, z0, z1, z2, z3), by_u * texture.per_u, by_v * texture.per_v)
 
 
 @jit

@@ -21,6 +21,7 @@ from typing import NamedTuple
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
+from softfinger.proxy.kernels.numerics.scalars import Four, compute_spline_weights, weigh
 from softfinger.proxy.kernels.shapes.protocol import (
     Z_AXIS,
     compute_direction,
@@ -44,9 +45,6 @@ MIN_SECOND_DERIVATIVE = 1e-3
 """Lower bound of the second derivative of D in a Newton step, 1 on a flat map."""
 FOOT_SINE = 1e-6
 """Sine of the angle between normal and direction to p, above which a point is not a foot point (too few steps)."""
-
-
-Four = tuple[float, float, float, float]
 
 
 class Height(NamedTuple):
@@ -75,19 +73,6 @@ class MapFoot(NamedTuple):
 
 
 @jit
-def compute_basis(f: float) -> tuple[Four, Four, Four]:
-    """Return the weights of a uniform cubic B-spline for four neighbours, and their first and second derivatives.
-
-    f  position between the middle two, 0 to 1
-    """
-    b = 1.0 - f
-    ff, bb = f * f, b * b
-    value = (bb * b / 6.0, (4.0 - 3.0 * ff * (2.0 - f)) / 6.0, (4.0 - 3.0 * bb * (2.0 - b)) / 6.0, ff * f / 6.0)
-    slope = (-0.5 * bb, (1.5 * f - 2.0) * f, (2.0 - 1.5 * b) * b, 0.5 * ff)
-    return value, slope, (b, 3.0 * f - 2.0, 1.0 - 3.0 * f, f)
-
-
-@jit
 def clamp_to_cells(place: float, count: float) -> float:
     """Clamp a coordinate to its `count` cells; return 0 for NaN."""
     if not place > 0.0:
@@ -96,24 +81,11 @@ def clamp_to_cells(place: float, count: float) -> float:
 
 
 @jit
-def read_row(shape: Heightmap, at: int, a: Four, da: Four, dda: Four) -> Vec3:
-    """Return the weighted sum of four neighbours in one row, from index `at`, and its first and second derivatives."""
-    c0, c1, c2, c3 = (
-        shape.coefficients[at],
-        shape.coefficients[at + 1],
-        shape.coefficients[at + 2],
-        shape.coefficients[at + 3],
-    )
-    return (
-        a[0] * c0 + a[1] * c1 + a[2] * c2 + a[3] * c3,
-        da[0] * c0 + da[1] * c1 + da[2] * c2 + da[3] * c3,
-        dda[0] * c0 + dda[1] * c1 + dda[2] * c2 + dda[3] * c3,
-    )
-
-
-@jit
-def weigh(weight: Four, z0: float, z1: float, z2: float, z3: float) -> float:
-    return weight[0] * z0 + weight[1] * z1 + weight[2] * z2 + weight[3] * z3
+def read_row(shape: Heightmap, start: int, a: Four, da: Four, dda: Four) -> Vec3:
+    """Return the weighted sum of four values in a row, from index `start`, and its first and second derivatives."""
+    z = shape.coefficients
+    z0, z1, z2, z3 = z[start], z[start + 1], z[start + 2], z[start + 3]
+    return weigh(a, z0, z1, z2, z3), weigh(da, z0, z1, z2, z3), weigh(dda, z0, z1, z2, z3)
 
 
 @jit
@@ -124,8 +96,8 @@ def compute_height(shape: Heightmap, s: float, t: float) -> Height:
     """
     s, t = clamp_to_cells(s, shape.columns), clamp_to_cells(t, shape.rows)
     i, j = min(int(s), int(shape.columns) - 1), min(int(t), int(shape.rows) - 1)
-    a, da, dda = compute_basis(s - i)
-    b, db, ddb = compute_basis(t - j)
+    a, da, dda = compute_spline_weights(s - i)
+    b, db, ddb = compute_spline_weights(t - j)
     width = int(shape.columns) + 3
     at = j * width + i
     # Four calls, not a loop: in a loop, the compiler would read the weights from memory by index.
@@ -264,6 +236,6 @@ def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal:
 
 
 @concavity.of(Heightmap)
-def bend_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> float:
+def concavity_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> float:
     k1, k2, _ = curvature(shape, radius, point, normal)
     return max(-min(k1, k2), 0.0)
