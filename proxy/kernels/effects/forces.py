@@ -173,28 +173,27 @@ def apply_sphere_boundary(effect: SphereBoundary, state: None, situation: Situat
 
 
 @jit
-def oscillate(amplitude: float, frequency: float, share: float, state: Phase, dt: float) -> tuple[float, Phase]:
-    """Return the force (N) of a sine in this tick, and the phase of the next; a share of 0 resets the phase.
+def oscillate(effect: Any, share: float, state: Phase, dt: float) -> tuple[float, Phase]:
+    """Return the force (N) of a vibration in this tick, and the phase of the next; a share of 0 resets the phase.
 
     The phase is accumulated tick by tick, not computed from the time, so that a change of the frequency causes no jump
     of the force.
     """
     if share == 0.0:
         return 0.0, Phase(0.0)
-    force = share * amplitude * sin(2.0 * pi * state.turns)
-    return force, Phase(fraction(state.turns + fraction(frequency * dt)))
+    force = share * effect.amplitude * sin(2.0 * pi * state.turns)
+    return force, Phase(fraction(state.turns + fraction(effect.frequency * dt)))
 
 
 @compute_effect.of(Vibration)
 def apply_vibration(effect: Vibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
-    share = compute_share(effect.region, situation)
-    force, after = oscillate(effect.amplitude, effect.frequency, share, state, situation.dt)
+    force, after = oscillate(effect, compute_share(effect.region, situation), state, situation.dt)
     return scale_clamped(force, effect.direction), after
 
 
 @compute_effect.of(NormalVibration)
 def apply_normal_vibration(effect: NormalVibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
-    force, after = oscillate(effect.amplitude, effect.frequency, situation.touched, state, situation.dt)
+    force, after = oscillate(effect, situation.touched, state, situation.dt)
     return scale_clamped(force, situation.normal), after
 
 

@@ -110,9 +110,8 @@ def orient_normal(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3
 
 
 @jit
-def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlanes:
+def solve_planes(one: CuttingPlane, two: CuttingPlane, three: CuttingPlane, probe: Vec3, lift: float) -> CuttingPlanes:
     """Return the planes with their solution: the point nearest to the probe that is in front of all by `lift` m."""
-    one, two, three = planes.first, planes.second, planes.third
     if one.object_index < 0.0:
         return CuttingPlanes(one, two, three, probe, (0.0, 0.0, 0.0))
     count = 1
@@ -144,20 +143,19 @@ def add_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: 
     Of four planes, an old one is dropped: the one that the solution of the other three satisfies, or violates least.
     """
     one, two, three = planes.first, planes.second, planes.third
-    nowhere, nothing = probe, (0.0, 0.0, 0.0)
     if one.object_index < 0.0:
-        return solve_planes(CuttingPlanes(plane, two, three, nowhere, nothing), probe, lift)
+        return solve_planes(plane, two, three, probe, lift)
     if two.object_index < 0.0:
-        return solve_planes(CuttingPlanes(one, plane, three, nowhere, nothing), probe, lift)
+        return solve_planes(one, plane, three, probe, lift)
     if three.object_index < 0.0:
-        return solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
-    best = solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
+        return solve_planes(one, two, plane, probe, lift)
+    best = solve_planes(one, two, plane, probe, lift)
     least = compute_distance_behind(three, best.center)
     for attempt in range(2):
         if least <= PLANE_TOLERANCE * radius:
             break
         kept, dropped = (one, two) if attempt == 0 else (two, one)
-        trial = solve_planes(CuttingPlanes(kept, three, plane, nowhere, nothing), probe, lift)
+        trial = solve_planes(kept, three, plane, probe, lift)
         violation = compute_distance_behind(dropped, trial.center)
         if violation < least:
             best, least = trial, violation
@@ -201,7 +199,8 @@ def find_planes(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Cutt
 
 
 @jit
-def list_bodies(planes: CuttingPlanes) -> Vec3:
+def list_plane_objects(planes: CuttingPlanes) -> Vec3:
+    """Return the flat indices of the objects of the planes, -1 for none."""
     return planes.first.object_index, planes.second.object_index, planes.third.object_index
 
 
@@ -247,7 +246,7 @@ def step_towards(
     nearest  True to add the plane of an obstructing facet nearest to the obstructed point, which is exact on flat
              surfaces; False for that nearest to the anchor: round a convex edge, only this allows the full path
     """
-    planes = solve_planes(planes, probe, 0.0)
+    planes = solve_planes(planes.first, planes.second, planes.third, probe, 0.0)
     center, is_clear, clipped, lift, budget_at_start = anchor, False, False, 0.0, budget
     reserve = budget // 4  # reserve for the halvings
     budget -= reserve
@@ -258,7 +257,7 @@ def step_towards(
         clipped = length > MAX_STRIDE * radius
         if clipped:
             center = vec3.add_scaled(anchor, MAX_STRIDE * radius / length, path)
-        gap, index, budget = find_deepest(objects, center, radius, list_bodies(planes), budget)
+        gap, index, budget = find_deepest(objects, center, radius, list_plane_objects(planes), budget)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             is_clear = True
             break
@@ -277,8 +276,10 @@ def step_towards(
         else:
             planes = add_plane(planes, plane, radius, probe, lift)
             continue
-        planes = solve_planes(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
-    active, is_late = make_constraints(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
+        planes = solve_planes(one, two, three, probe, lift)
+    if lift != 0.0:
+        planes = solve_planes(planes.first, planes.second, planes.third, probe, 0.0)
+    active, is_late = make_constraints(planes), budget < 0
     budget = max(budget, 0) + reserve
     if is_clear:
         return Rest(center, active, clipped, budget)
@@ -289,11 +290,11 @@ def step_towards(
         if budget < 0:
             break
         path = vec3.scale(0.5, path)
-        gap, _, budget = find_deepest(objects, vec3.add(anchor, path), radius, list_bodies(planes), budget)
+        gap, _, budget = find_deepest(objects, vec3.add(anchor, path), radius, list_plane_objects(planes), budget)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             return Rest(vec3.add(anchor, path), active, True, NO_BUDGET if is_late else budget)
     # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
-    gap, _, budget = find_deepest(objects, anchor, radius, list_bodies(planes), budget)
+    gap, _, budget = find_deepest(objects, anchor, radius, list_plane_objects(planes), budget)
     if budget < 0 or gap >= radius * (1.0 - INSIDE_TOLERANCE) or not is_enclosed(active):
         return Rest(anchor, active, True, NO_BUDGET if is_late else budget)
     return Rest(center, active, False, budget)
@@ -334,5 +335,5 @@ def solve_tangent_planes(
     Returns the active set with its new depths, and the point (3,) m nearest to the probe in front of these planes.
     """
     one, two, three = map_each(find_tangent_plane, (active,), objects, radius, center)
-    planes = solve_planes(CuttingPlanes(one, two, three, center, (0.0, 0.0, 0.0)), probe, 0.0)
+    planes = solve_planes(one, two, three, probe, 0.0)
     return make_constraints(planes), planes.center
