@@ -179,15 +179,15 @@ def _place_shape(
     """Return a shape and its simplest pose: none if it is `fixed` and can be expressed in the world frame."""
     turn = obj.orientation_wxyz  # parts are translated relative to their object, not rotated
     moved = _rotate(obj.orientation_wxyz, position)
-    at = (moved[0] + obj.position_m[0], moved[1] + obj.position_m[1], moved[2] + obj.position_m[2])
+    center = (moved[0] + obj.position_m[0], moved[1] + obj.position_m[1], moved[2] + obj.position_m[2])
     if not fixed:
-        return shape, model.Pose(at, turn)
+        return shape, model.Pose(center, turn)
     if isinstance(shape, model.Plane):
         normal = _rotate(turn, shape.normal)
-        return model.Plane(normal, shape.offset + sum(n * p for n, p in zip(normal, at, strict=True))), None
+        return model.Plane(normal, shape.offset + sum(n * p for n, p in zip(normal, center, strict=True))), None
     if isinstance(shape, model.Sphere) or turn == (1.0, 0.0, 0.0, 0.0):
-        return shape, (model.Place(at) if any(at) else None)
-    return shape, model.Pose(at, turn)
+        return shape, (model.Place(center) if any(center) else None)
+    return shape, model.Pose(center, turn)
 
 
 def _rotate(q: model.Quaternion, v: model.Vec3) -> model.Vec3:

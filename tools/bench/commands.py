@@ -186,9 +186,9 @@ def call_at_rate(
     count = max(1, round(rate_hz * seconds))
     durations = np.zeros(count)
     with show_progress(operation, count) as advance:
-        begun = time.monotonic()
+        start_s = time.monotonic()
         for number in range(count):
-            listener.take(begun + number / rate_hz)
+            listener.take(start_s + number / rate_hz)
             start = time.monotonic()
             ask()
             durations[number] = time.monotonic() - start

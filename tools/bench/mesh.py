@@ -52,10 +52,10 @@ def run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as folder, show_progress("measuring meshes", len(cases)) as advance:
         for level, bumpy, radius in cases:
             file, vertices, triangles = write_ball(Path(folder), level, BUMPS_M if bumpy else 0.0)
-            begun = time.perf_counter()
+            start_s = time.perf_counter()
             scene = make_scene(radius, shape="mesh", file=file)
             row = {"triangles": len(triangles), "bumpy": bumpy, "fingertip_m": radius}
-            row["loaded_s"] = time.perf_counter() - begun
+            row["loaded_s"] = time.perf_counter() - start_s
             rows.append(row | measure_ticks(scene, radius, args) | count_visits(scene, vertices[triangles], radius))
             advance(len(rows))
         spheres = [measure_ticks(make_scene(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]

@@ -60,11 +60,11 @@ def sum_line(texture: Texture, row: float, columns: Any, weight: Any, slope: Any
 @jit
 def sample(texture: Texture, u: float, v: float) -> TextureSample:
     """Return the spline at u, v (m); its coefficients are at the centres of the array's cells."""
-    across = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
-    down = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
-    left, top = floor(across), floor(down)
-    a, da, _ = compute_spline_weights(across - left)
-    b, db, _ = compute_spline_weights(down - top)
+    column = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
+    row = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
+    left, top = floor(column), floor(row)
+    a, da, _ = compute_spline_weights(column - left)
+    b, db, _ = compute_spline_weights(row - top)
     i0 = wrap_index(left - 1.0, texture.columns, texture.period_u)
     i1 = wrap_index(left, texture.columns, texture.period_u)
     i2 = wrap_index(left + 1.0, texture.columns, texture.period_u)
@@ -98,12 +98,12 @@ def apply_relief(body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple
     if body.texture.relief is None:
         return depth, normal
     texture, relief = body.texture, body.texture.relief
-    at = compute_chart(body, position, normal)
-    z = sample(texture, at.u, at.v)
+    place = compute_chart(body, position, normal)
+    z = sample(texture, place.u, place.v)
     drop = relief.height * (1.0 - z.value)
-    rise = vec3.add(vec3.scale(z.by_u, at.along_u), vec3.scale(z.by_v, at.along_v))
-    uphill = vec3.add_scaled(vec3.scale(relief.height * at.inside, rise), -drop, at.inward)
-    return depth - at.inside * drop, vec3.sub(normal, turn_out_of(body.pose, uphill))
+    rise = vec3.add(vec3.scale(z.by_u, place.along_u), vec3.scale(z.by_v, place.along_v))
+    uphill = vec3.add_scaled(vec3.scale(relief.height * place.inside, rise), -drop, place.inward)
+    return depth - place.inside * drop, vec3.sub(normal, turn_out_of(body.pose, uphill))
 
 
 # --- friction ------------------------------------------------------------------------------------
@@ -120,9 +120,9 @@ def apply_grip(body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
         index == one.object_index or index == two.object_index or index == three.object_index
     ):
         normal = one.normal if index == one.object_index else two.normal if index == two.object_index else three.normal
-        at = compute_chart(body, center, normal)
+        place = compute_chart(body, center, normal)
         # At an edge of the object, the texture fades to its highest value.
-        z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
+        z = 1.0 - place.inside * (1.0 - sample(texture, place.u, place.v).value)
         factor = grip.low + (grip.high - grip.low) * z
     material = body.material
     friction, torsion = scale_law(material.friction, factor), scale_torsion(material.torsion, factor)

@@ -119,8 +119,8 @@ def make_contact_spot(
     spot = replace(spot, "load", vec3.scale(-1.0, force))
     law, depth, out = body.material.normal, contact.penetration, vec3.dot(contact.velocity, contact.normal)
     faster = out - DEPTH_STEP_M / dt if dt > 0.0 else out
-    more = compute_normal_force(law, depth + DEPTH_STEP_M, faster) - compute_normal_force(law, depth, out)
-    stiffness, along, spring = more / DEPTH_STEP_M, n, mat3.ZEROS
+    added_force = compute_normal_force(law, depth + DEPTH_STEP_M, faster) - compute_normal_force(law, depth, out)
+    stiffness, along, spring = added_force / DEPTH_STEP_M, n, mat3.ZEROS
     tangent_projection = mat3.plus_outer(mat3.IDENTITY, vec3.scale(-1.0, n), n)
     drag = extract_friction(body.material.friction, force, n)
     size = vec3.norm(drag)

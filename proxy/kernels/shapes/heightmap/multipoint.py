@@ -221,7 +221,7 @@ def meets_heightmap(
     clearance, touching, share = near.gap - radius, TOUCHING_CLEARANCE * radius, 0.0
     if clearance >= length:
         return NO_HIT, 0.0, rest
-    begun = min(clearance, 0.0) if in_contact else 0.0
+    limit = min(clearance, 0.0) if in_contact else 0.0
     for _ in range(MAX_ADVANCES if clearance > touching else 0):
         if remaining < 0:
             break
@@ -242,7 +242,7 @@ def meets_heightmap(
         return share, 0.0, rest
     # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
     near = compute_gap_within(shape, end, radius, min(rest, END_BUDGET))
-    return (share if near.gap - radius < begun else NO_HIT), 0.0, compute_remaining_budget(rest, True, near.cost)
+    return (share if near.gap - radius < limit else NO_HIT), 0.0, compute_remaining_budget(rest, True, near.cost)
 
 
 @rest_on.of(Heightmap)

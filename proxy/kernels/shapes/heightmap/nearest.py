@@ -184,16 +184,16 @@ def touch_at(shape: Heightmap, x: Vec3, result: MapSearch) -> TouchedPoint:
 @outlined
 def find_foot_from(shape: Heightmap, x: Vec3, start: Vec3) -> TouchedPoint:
     """Return the foot point of `x` (3,) m reached by descent from `start` (3,) m, nearest or not."""
-    at = to_pitches(shape, start)
-    foot, looks = descend(shape, to_pitches(shape, x), MapPoint(at[0], at[1]), NO_DISTANCE)
+    q = to_pitches(shape, start)
+    foot, looks = descend(shape, to_pitches(shape, x), MapPoint(q[0], q[1]), NO_DISTANCE)
     return touch_at(shape, x, MapSearch(foot, NO_DISTANCE, True, HEIGHT_COST * looks))
 
 
 @outlined
 def find_nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> TouchedPoint:
     """Return the nearest point; no search is needed if the foot point found from `start` is known to be the nearest."""
-    p, at = to_pitches(shape, x), to_pitches(shape, start)
-    foot, looks = descend(shape, p, MapPoint(at[0], at[1]), NO_DISTANCE)
+    p, q = to_pitches(shape, x), to_pitches(shape, start)
+    foot, looks = descend(shape, p, MapPoint(q[0], q[1]), NO_DISTANCE)
     cost = HEIGHT_COST * looks + NEIGHBOUR_COST
     result = MapSearch(foot, NO_DISTANCE, True, cost)
     if not is_convex_around(shape, p, foot):
@@ -272,14 +272,14 @@ def closest_within_on_heightmap(shape: Heightmap, x: Vec3, budget: int) -> tuple
 @outlined
 def find_closer_foot_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest_from`; without budget, for the surface point below `x`."""
-    p, at = to_pitches(shape, x), to_pitches(shape, start)
+    p, q = to_pitches(shape, x), to_pitches(shape, start)
     if budget < 0:
         gap, point, normal = compute_gap_at_foot(shape, x, find_foot(shape, p, p[0], p[1]))
         return gap, point, normal, budget
     foot, looks = descend(shape, p, MapPoint(p[0], p[1]), NO_DISTANCE)
     budget -= HEIGHT_COST * looks + NEIGHBOUR_COST
     if not is_convex_around(shape, p, foot):
-        candidate, looks = descend(shape, p, MapPoint(at[0], at[1]), NO_DISTANCE)
+        candidate, looks = descend(shape, p, MapPoint(q[0], q[1]), NO_DISTANCE)
         budget -= HEIGHT_COST * looks
         if candidate.squared_distance < EQUAL_SQUARE_SHARE * foot.squared_distance:
             foot = candidate

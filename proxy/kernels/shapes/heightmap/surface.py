@@ -99,12 +99,12 @@ def compute_height(shape: Heightmap, s: float, t: float) -> Height:
     a, da, dda = compute_spline_weights(s - i)
     b, db, ddb = compute_spline_weights(t - j)
     width = int(shape.columns) + 3
-    at = j * width + i
+    first = j * width + i
     # Four calls, not a loop: in a loop, the compiler would read the weights from memory by index.
-    z0, s0, ss0 = read_row(shape, at, a, da, dda)
-    z1, s1, ss1 = read_row(shape, at + width, a, da, dda)
-    z2, s2, ss2 = read_row(shape, at + 2 * width, a, da, dda)
-    z3, s3, ss3 = read_row(shape, at + 3 * width, a, da, dda)
+    z0, s0, ss0 = read_row(shape, first, a, da, dda)
+    z1, s1, ss1 = read_row(shape, first + width, a, da, dda)
+    z2, s2, ss2 = read_row(shape, first + 2 * width, a, da, dda)
+    z3, s3, ss3 = read_row(shape, first + 3 * width, a, da, dda)
     return Height(
         z=weigh(b, z0, z1, z2, z3),
         s=weigh(b, s0, s1, s2, s3),
@@ -216,8 +216,8 @@ def compute_gap_at_foot(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float
 @curvature.of(Heightmap)
 def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Return the curvature of the graph: -a . h'' a / |(-h', 1)| along a unit tangent with the part a in the grid."""
-    at = to_pitches(shape, point)
-    h = compute_height(shape, at[0], at[1])
+    p = to_pitches(shape, point)
+    h = compute_height(shape, p[0], p[1])
     steep = 1.0 + h.s * h.s + h.t * h.t
     up = vec3.scale(1.0 / sqrt(steep), (-h.s, -h.t, 1.0))
     _, u = compute_direction((1.0, 0.0, h.s), Z_AXIS)

@@ -52,9 +52,9 @@ def on_edge(along: float, slope: float, rest: float, half: float) -> tuple[float
     slope   of the facet along the edge
     rest    height of the point above the edge's middle
     """
-    at = min(max((along + slope * rest) / (1.0 + slope * slope), -half), half)
-    d, w = at - along, slope * at - rest
-    return at, d * d + w * w
+    nearest = min(max((along + slope * rest) / (1.0 + slope * slope), -half), half)
+    d, w = nearest - along, slope * nearest - rest
+    return nearest, d * d + w * w
 
 
 class Tile(NamedTuple):
@@ -84,15 +84,15 @@ class Tile(NamedTuple):
 @jit
 def find_tile(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
     across, down = count_tiles(shape.columns, level), count_tiles(shape.rows, level)
-    at = (int(shape.starts[level]) + j * across + i) * TILE_SIZE
-    b1, b2, thick = shape.facets[at + 1], shape.facets[at + 2], shape.facets[at + 3]
+    first = (int(shape.starts[level]) + j * across + i) * TILE_SIZE
+    b1, b2, thick = shape.facets[first + 1], shape.facets[first + 2], shape.facets[first + 3]
     half = 0.5 * (1 << level)
     middle_s, middle_t = (2.0 * i + 1.0) * half, (2.0 * j + 1.0) * half
     u = compute_tile_coordinate(p[0], i, across - 1, shape.columns) - middle_s
     v = compute_tile_coordinate(p[1], j, down - 1, shape.rows) - middle_t
-    w = p[2] - shape.facets[at]
+    w = p[2] - shape.facets[first]
     rise = (abs(b1) + abs(b2)) * half
-    convex = (w + rise + thick) * shape.facets[at + 4] < 1.0 and (rise + thick - w) * shape.facets[at + 5] < 1.0
+    convex = (w + rise + thick) * shape.facets[first + 4] < 1.0 and (rise + thick - w) * shape.facets[first + 5] < 1.0
     return Tile(
         half=half, middle_s=middle_s, middle_t=middle_t, u=u, v=v, w=w, b1=b1, b2=b2, thick=thick, rise=rise,
         convex=convex,

@@ -113,8 +113,8 @@ def arrange(middles: Any, order: Any, tree: Branches, first_node: int) -> int:
 
 @jit
 def read_corner(vertices: Any, corners: Any, triangle: int, i: int) -> Vec3:
-    at = corners[triangle, i]
-    return (vertices[at, 0], vertices[at, 1], vertices[at, 2])
+    vertex = corners[triangle, i]
+    return (vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2])
 
 
 @jit
@@ -208,15 +208,15 @@ def enclose(vertices: Any, corners: Any, tree: Branches, first_node: int, center
         is_leaf, count, child = parts[node] == 0, high[node] - low[node], first[node]
         boxes = count if is_leaf else parts[node]
         for i in range(LANES):
-            at = node * NODE + i
+            lane = node * NODE + i
             if i >= boxes:
                 for field in range(FIELDS):
-                    lanes[at + LANES * field] = 0.0
-                lanes[at + LANES * 9] = EMPTY_HALF_SIDE
+                    lanes[lane + LANES * field] = 0.0
+                lanes[lane + LANES * 9] = EMPTY_HALF_SIDE
             elif is_leaf:
-                write_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
+                write_box(lanes, lane, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
             else:
-                write_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
+                write_box(lanes, lane, vertices, corners, low[child + i], high[child + i], center, size)
         work += count
         node += 1
     return node

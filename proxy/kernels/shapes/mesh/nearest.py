@@ -81,8 +81,8 @@ def round_up(square: float) -> np.float32:
 @jit
 def find_middle(mesh: Triangles, node: int, lane: int) -> Vec3:
     """Return the middle of the box in a lane, (3,) m, relative to the middle of the mesh."""
-    at = node * NODE + lane
-    return (float(mesh.nodes[at]), float(mesh.nodes[at + LANES]), float(mesh.nodes[at + 2 * LANES]))
+    first = node * NODE + lane
+    return (float(mesh.nodes[first]), float(mesh.nodes[first + LANES]), float(mesh.nodes[first + 2 * LANES]))
 
 
 class Candidate(NamedTuple):

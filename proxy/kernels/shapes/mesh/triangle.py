@@ -46,17 +46,17 @@ class Foot(NamedTuple):
 
 @jit
 def read_vertex(mesh: Triangles, vertex: int) -> Vec3:
-    at = 3 * vertex
-    return (mesh.vertices[at], mesh.vertices[at + 1], mesh.vertices[at + 2])
+    first = 3 * vertex
+    return (mesh.vertices[first], mesh.vertices[first + 1], mesh.vertices[first + 2])
 
 
 @jit
 def read_corners(mesh: Triangles, triangle: int) -> Corners:
-    at = 3 * triangle
+    first = 3 * triangle
     return Corners(
-        read_vertex(mesh, int(mesh.corners[at])),
-        read_vertex(mesh, int(mesh.corners[at + 1])),
-        read_vertex(mesh, int(mesh.corners[at + 2])),
+        read_vertex(mesh, int(mesh.corners[first])),
+        read_vertex(mesh, int(mesh.corners[first + 1])),
+        read_vertex(mesh, int(mesh.corners[first + 2])),
     )
 
 
@@ -74,8 +74,8 @@ def find_foot(corners: Corners, x: Vec3, feature: int, weights: Vec3) -> Foot:
         point = vec3.add_scaled(c, weights[0], vec3.sub(a, c))
     else:
         point = a if feature == 3 else (b if feature == 4 else c)
-    apart = vec3.sub(x, point)
-    return Foot(point, vec3.dot(apart, apart), feature, weights)
+    offset = vec3.sub(x, point)
+    return Foot(point, vec3.dot(offset, offset), feature, weights)
 
 
 @jit
@@ -115,8 +115,8 @@ def find_foot_on(corners: Corners, x: Vec3) -> Foot:
 @jit
 def compute_face_normal(corners: Corners) -> Vec3:
     """Return the unit normal (3,), towards the side from which the corners are counter-clockwise."""
-    across = vec3.cross(vec3.sub(corners.b, corners.a), vec3.sub(corners.c, corners.a))
-    _, normal = compute_direction(across, Z_AXIS)
+    area_vector = vec3.cross(vec3.sub(corners.b, corners.a), vec3.sub(corners.c, corners.a))
+    _, normal = compute_direction(area_vector, Z_AXIS)
     return normal
 
 
@@ -134,8 +134,8 @@ def compute_pseudonormal(mesh: Triangles, triangle: int, corners: Corners, featu
         if neighbour >= 0:
             normal = vec3.add(normal, compute_face_normal(read_corners(mesh, neighbour)))
     elif feature < FACE_FEATURE:
-        at = 3 * int(mesh.corners[3 * triangle + feature - 3])
-        normal = (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2])
+        first = 3 * int(mesh.corners[3 * triangle + feature - 3])
+        normal = (mesh.upward[first], mesh.upward[first + 1], mesh.upward[first + 2])
     return normal
 
 
@@ -186,8 +186,8 @@ def find_near_corner(corners: Corners, foot: Foot) -> int:
     if foot.feature >= 3:
         return foot.feature - 3
     for i in range(3):
-        apart = vec3.sub(foot.point, corners[i])
-        if vec3.dot(apart, apart) <= CORNER_SHARE * foot.squared_distance:
+        offset = vec3.sub(foot.point, corners[i])
+        if vec3.dot(offset, offset) <= CORNER_SHARE * foot.squared_distance:
             return i
     return -1
 
@@ -201,9 +201,9 @@ def nearer_neighbour(shape: Mesh, triangle: float, x: Vec3) -> float:
     if foot.feature == FACE_FEATURE:
         return triangle
     if foot.feature < 3:
-        across = int(mesh.across[3 * k + foot.feature])
-        if across >= 0 and is_nearer(find_foot_on(read_corners(mesh, across), x), foot.squared_distance):
-            return float(across)
+        neighbour = int(mesh.across[3 * k + foot.feature])
+        if neighbour >= 0 and is_nearer(find_foot_on(read_corners(mesh, neighbour), x), foot.squared_distance):
+            return float(neighbour)
     corner = find_near_corner(corners, foot)
     nearer = find_nearer_round_corner(mesh, k, corner, x, foot.squared_distance) if corner >= 0 else -1
     return triangle if nearer < 0 else float(nearer)
@@ -239,8 +239,10 @@ def compute_shaded_normal(shape: Mesh, triangle: float, x: Vec3, normal: Vec3) -
     foot = find_foot_on(read_corners(mesh, k), x)
     total = (0.0, 0.0, 0.0)
     for i in range(3):
-        at = 3 * int(mesh.corners[3 * k + i])
-        total = vec3.add_scaled(total, foot.weights[i], (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2]))
+        first = 3 * int(mesh.corners[3 * k + i])
+        total = vec3.add_scaled(
+            total, foot.weights[i], (mesh.upward[first], mesh.upward[first + 1], mesh.upward[first + 2])
+        )
     _, smooth = compute_direction(total, normal)
     return smooth if vec3.dot(smooth, normal) >= 0.0 else vec3.scale(-1.0, smooth)
 
@@ -255,13 +257,13 @@ def closest_on_triangle(shape: Mesh, triangle: float, x: Vec3) -> tuple[float, V
     corners = read_corners(mesh, k)
     foot = find_foot_on(corners, x)
     normal = compute_face_normal(corners)
-    apart = vec3.sub(x, foot.point)
+    offset = vec3.sub(x, foot.point)
     if foot.feature == FACE_FEATURE:
-        gap = vec3.dot(apart, normal)
+        gap = vec3.dot(offset, normal)
         if mesh.side < 0.0 or (mesh.side == 0.0 and gap < 0.0):
             return -gap, foot.point, vec3.scale(-1.0, normal)
         return gap, foot.point, normal
-    distance, outward = compute_direction(apart, normal)
+    distance, outward = compute_direction(offset, normal)
     if mesh.side == 0.0:
         return distance, foot.point, outward
     pseudo = compute_pseudonormal(mesh, k, corners, foot.feature)
