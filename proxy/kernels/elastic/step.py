@@ -84,7 +84,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     inverse = last.inverse[0]
     largest = vec3.norm(motion) + vec3.norm(last.change)
     u = predict_displacement(last, vec3.sub(motion, mat3.times(inverse, drive)), largest)
-    rest = vec3.scale(1.0 - gain, last.displacement)
+    retained = vec3.scale(1.0 - gain, last.displacement)
     before = move_into_surface(body, state.fingers[0], last.displacement)
     least, best = inf, u
     for rounds_left in range(MAX_RIGID_STEPS - 1, -1, -1):
@@ -93,7 +93,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if contact.mode != FREE:
             spot = make_contact_spot(elastic, body, finger, before, after, contact, dt)
         rows = compute_node_rows(elastic, spot, spot)
-        goal = vec3.add_scaled(rest, gain, mat3.times(read_compliance(spot, rows), spot.load))
+        goal = vec3.add_scaled(retained, gain, mat3.times(read_compliance(spot, rows), spot.load))
         error = vec3.sub(goal, u)
         square = vec3.dot(error, error)
         if rounds_left == 0 or square <= SOLVED_ERROR_M**2:
@@ -134,7 +134,7 @@ def displace_both(compliances: tuple[Mat3, Mat3, Mat3], load_x: Vec3, load_y: Ve
 def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
     gain = compute_gain(elastic, dt)
-    rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
+    retained_u, retained_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
     motion_u, drive_u = compute_drive(body, last[0], state.fingers[0], poses[0], gain)
     motion_v, drive_v = compute_drive(body, last[1], state.fingers[1], poses[1], gain)
     inverse = (last[0].inverse, last[1].inverse)
@@ -160,8 +160,8 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         rows = compute_node_rows(elastic, x, x), compute_node_rows(elastic, x, y), compute_node_rows(elastic, y, y)
         compliances = read_compliance(x, rows[0]), read_compliance(x, rows[1]), read_compliance(y, rows[2])
         goal_u, goal_v = displace_both(compliances, x.load, y.load)
-        error_u = vec3.sub(vec3.add_scaled(rest_u, gain, goal_u), u)
-        error_v = vec3.sub(vec3.add_scaled(rest_v, gain, goal_v), v)
+        error_u = vec3.sub(vec3.add_scaled(retained_u, gain, goal_u), u)
+        error_v = vec3.sub(vec3.add_scaled(retained_v, gain, goal_v), v)
         square = vec3.dot(error_u, error_u) + vec3.dot(error_v, error_v)
         if rounds_left == 0 or square <= SOLVED_ERROR_M**2:
             break

@@ -29,12 +29,12 @@ def advance(objects: Any, world: World, dt: float) -> World:
     for i in range(int(objects.movable_count)):
         row = objects.movable_rows[i]
         entry, start = objects.entries[row], POSE_MEMORY_SIZE * row
-        motion, rest = entry.motion, entry.pose
-        pose = compute_pose(motion, rest, time)
+        motion, rest_pose = entry.motion, entry.pose
+        pose = compute_pose(motion, rest_pose, time)
         before = pose
         if motion.kind == SIMULATED:
             frame = read_body_pose(motion.block, motion.body, LAST_POSITION)
-            before = compose_pose(frame, rest.position, rest.orientation)
+            before = compose_pose(frame, rest_pose.position, rest_pose.orientation)
         elif world.started != 0.0 and memory[start + TIME_OFFSET] == world.time:
             before = read_pose(memory, start)
         write_pose(memory, start + 7, before)

@@ -94,12 +94,12 @@ def on_ellipsoid(axes: Vec3, shortest: float, x: Vec3) -> Vec3:
     if s > 0.0:
         return vec3.scale(1.0 / vec3.norm(q), q)
     # x is in the plane of symmetry normal to the shortest axis, so deep that the other two components are inside.
-    rest = sqrt(max(1.0 - vec3.dot(q, q), 0.0))
+    remainder = sqrt(max(1.0 - vec3.dot(q, q), 0.0))
     if axes[0] == shortest:
-        return (rest, q[1], q[2])
+        return (remainder, q[1], q[2])
     if axes[1] == shortest:
-        return (q[0], rest, q[2])
-    return (q[0], q[1], rest)
+        return (q[0], remainder, q[2])
+    return (q[0], q[1], remainder)
 
 
 may_be_hollow(Ellipsoid)

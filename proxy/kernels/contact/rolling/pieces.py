@@ -230,6 +230,6 @@ def unroll_on_capped_cylinder(shape: CappedCylinder, radius: float, center: Vec3
     center, n = land(shape, radius, end)
     if time >= 1.0:
         return Roll(center, n, motion, vec3.norm(motion) / radius, spin, True)
-    rest = integrate(shape, radius, center, n, vec3.scale(1.0 - time, w), RIM_TOLERANCE)
-    motion = vec3.add(transport(shape, motion, n, rest.normal), rest.motion)
-    return Roll(rest.center, rest.normal, motion, vec3.norm(motion) / radius, spin + rest.spin, True)
+    remainder = integrate(shape, radius, center, n, vec3.scale(1.0 - time, w), RIM_TOLERANCE)
+    motion = vec3.add(transport(shape, motion, n, remainder.normal), remainder.motion)
+    return Roll(remainder.center, remainder.normal, motion, vec3.norm(motion) / radius, spin + remainder.spin, True)

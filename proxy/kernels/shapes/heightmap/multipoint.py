@@ -214,35 +214,31 @@ def meets_heightmap(
     if in_contact and length <= short:
         return NO_HIT, 0.0, budget
     near = compute_gap_within(shape, start, radius + length, budget // 2)
-    remaining, rest = (
-        compute_remaining_budget(budget // 2, near.is_complete, near.cost),
-        compute_remaining_budget(budget, True, near.cost),
-    )
+    path_budget = compute_remaining_budget(budget // 2, near.is_complete, near.cost)
+    budget = compute_remaining_budget(budget, True, near.cost)
     clearance, touching, share = near.gap - radius, TOUCHING_CLEARANCE * radius, 0.0
     if clearance >= length:
-        return NO_HIT, 0.0, rest
+        return NO_HIT, 0.0, budget
     limit = min(clearance, 0.0) if in_contact else 0.0
     for _ in range(MAX_ADVANCES if clearance > touching else 0):
-        if remaining < 0:
+        if path_budget < 0:
             break
         share += clearance / length
         if share >= 1.0:
-            return NO_HIT, 0.0, rest
+            return NO_HIT, 0.0, budget
         near = compute_gap_within(
-            shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, remaining
+            shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, path_budget
         )
-        remaining, rest = (
-            compute_remaining_budget(remaining, near.is_complete, near.cost),
-            compute_remaining_budget(rest, True, near.cost),
-        )
+        path_budget = compute_remaining_budget(path_budget, near.is_complete, near.cost)
+        budget = compute_remaining_budget(budget, True, near.cost)
         clearance = near.gap - radius
-        if remaining >= 0 and clearance <= touching:
-            return share, 0.0, rest
-    if remaining < 0 and length > short:
-        return share, 0.0, rest
+        if path_budget >= 0 and clearance <= touching:
+            return share, 0.0, budget
+    if path_budget < 0 and length > short:
+        return share, 0.0, budget
     # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
-    near = compute_gap_within(shape, end, radius, min(rest, END_BUDGET))
-    return (share if near.gap - radius < limit else NO_HIT), 0.0, compute_remaining_budget(rest, True, near.cost)
+    near = compute_gap_within(shape, end, radius, min(budget, END_BUDGET))
+    return (share if near.gap - radius < limit else NO_HIT), 0.0, compute_remaining_budget(budget, True, near.cost)
 
 
 @rest_on.of(Heightmap)

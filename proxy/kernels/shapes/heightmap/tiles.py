@@ -45,15 +45,15 @@ def compute_tile_coordinate(place: float, index: int, last: int, count: float) -
 
 
 @jit
-def on_edge(along: float, slope: float, rest: float, half: float) -> tuple[float, float]:
+def find_nearest_on_edge(along: float, slope: float, height: float, half: float) -> tuple[float, float]:
     """Return the nearest position on an edge, within +-half, and the squared distance without the part across the edge.
 
     along   coordinate of the point along the edge
     slope   of the facet along the edge
-    rest    height of the point above the edge's middle
+    height  of the point above the edge's middle
     """
-    nearest = min(max((along + slope * rest) / (1.0 + slope * slope), -half), half)
-    d, w = nearest - along, slope * nearest - rest
+    nearest = min(max((along + slope * height) / (1.0 + slope * slope), -half), half)
+    d, w = nearest - along, slope * nearest - height
     return nearest, d * d + w * w
 
 
@@ -121,11 +121,11 @@ def to_facet(tile: Tile) -> tuple[float, MapPoint]:
         edge_s, edge_t = half if s > 0.0 else -half, half if t > 0.0 else -half
         square = NO_DISTANCE
         if out_s:
-            at, square = on_edge(tile.v, b2, tile.w - b1 * edge_s, half)
+            at, square = find_nearest_on_edge(tile.v, b2, tile.w - b1 * edge_s, half)
             square += (edge_s - tile.u) * (edge_s - tile.u)
             s, t = edge_s, at
         if out_t:
-            at, square_t = on_edge(tile.u, b1, tile.w - b2 * edge_t, half)
+            at, square_t = find_nearest_on_edge(tile.u, b1, tile.w - b2 * edge_t, half)
             square_t += (edge_t - tile.v) * (edge_t - tile.v)
             if square_t < square:
                 square, s, t = square_t, at, edge_t
