@@ -106,7 +106,7 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
 def refine_touch(
     objects: Any, index: float, start: Vec3, end: Vec3, radius: float, hit_center: Vec3, near_mesh: bool, budget: int
 ) -> tuple[Vec3, bool]:
-    """Return the position (3,) m on the path of a touch of object `index`, without regard to other objects, and a flag.
+    """Return the position (3,) m on the path where object `index` would be touched if it were the only one, and a flag.
 
     hit_center  (3,) m  touch found by the search of all objects
     near_mesh           True if a mesh may be touched on the path
@@ -135,7 +135,7 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     if isinstance(objects, Single) and isinstance(objects.search, SmoothSearch):
         return False
     touch = find_first_touch(objects, radius, position, QUEUE_SIZE)
-    is_known = touch.known if has_creases_near(objects) else touch.budget >= 0
+    is_known = touch.is_known if has_creases_near(objects) else touch.budget >= 0
     return is_known and touch.object_index < 0.0
 
 
@@ -184,8 +184,8 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     remaining, nothing = budget, make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     unknown = FirstContact(start, position, position, nothing, False, NO_BUDGET)
     if is_first:
-        index, known, remaining = find_first_touch(objects, radius, position, remaining)
-        if not known:
+        index, is_known, remaining = find_first_touch(objects, radius, position, remaining)
+        if not is_known:
             return unknown
         hit_center = position
     else:

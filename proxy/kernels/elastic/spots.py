@@ -80,7 +80,7 @@ def make_spot(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Ve
     of_a = 1.0 - of_b - of_c
     to_a = vec3.scale(-1.0, vec3.add(to_b, to_c))
     lean = vec3.cross(n, vec3.scale(sqrt(square), up))
-    if vec3.dot(lean, lean) > EDGE_TILT_RAD**2:  # the point moves along the edge, or not at a corner
+    if vec3.dot(lean, lean) > EDGE_TILT_RAD**2:  # it can move only along the edge; at a corner it cannot
         along, edges = ZERO, 0
         for weight, edge in ((of_a, vec3.sub(c, b)), (of_b, ac), (of_c, ab)):
             if weight < EDGE_WEIGHT:

@@ -38,7 +38,7 @@ def find_first_hit(
 
     On a mesh or a height map, an exhausted budget counts as a hit.
 
-    start  (3,) m  start of the path, at the last tick; relative to each moving object, it moves with the object
+    start  (3,) m  start of the path, at the last tick; for an object that has moved since, it is moved with it
     end    (3,) m  end of the path
     in_contact     see `travel`
     skip           indices of up to three objects to be ignored

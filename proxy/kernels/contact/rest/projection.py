@@ -93,7 +93,7 @@ def project_until_rest(
         p1, p2, p3 = weights
         last, center = center, vec3.add(base, vec3.weighted_sum(weights, n1, n2, n3))
         step = vec3.sub(center, last)
-        square = 0.0 if flat else vec3.dot(step, step)  # tangent planes of planes: the solution is exact
+        square = 0.0 if flat else vec3.dot(step, step)  # the objects are planes: the solution is exact
         if square <= tolerance:
             break
     constraints = (
